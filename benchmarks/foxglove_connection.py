@@ -26,7 +26,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from benchmarks.live_page import _cpu_s, _rss_mb
-from cli.simulated import VirtualRigProcess
+from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.log import open_log
 from live.foxglove.beside import FoxgloveBeside

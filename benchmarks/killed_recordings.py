@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cli.simulated import VirtualRigProcess
+from rig_cli.simulated import VirtualRigProcess
 from daq.log import Log, open_log
 from daq.replay import check
 
@@ -52,7 +52,7 @@ def main() -> int:
 def _record_and_kill(rig: VirtualRigProcess, path: Path, after_s: float) -> tuple[Path, int, int]:
     """The cut file, when it came into being and when the recorder was killed, ns since 1970."""
     part = path.with_name(path.name + ".part")
-    command = [sys.executable, "-m", "cli.main", "record", "virtual", "-o", str(path)]
+    command = [sys.executable, "-m", "rig_cli.main", "record", "virtual", "-o", str(path)]
     for setting in [*_SETTINGS, *rig.port_settings()]:
         command += ["--set", setting]
     host = subprocess.Popen(command, stderr=subprocess.DEVNULL)
@@ -78,7 +78,7 @@ def _judge(part: Path, begun_ns: int, killed_ns: int) -> tuple[float, list[str]]
         faults.append(f"{missing_ms:.0f} ms missing")
     whole = part.with_name(part.name.removesuffix(".part"))
     done = subprocess.run(
-        [sys.executable, "-m", "cli.main", "recover", str(part), "--json"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "rig_cli.main", "recover", str(part), "--json"], capture_output=True, text=True, check=False
     )
     if done.returncode != 0 or json.loads(done.stdout)["log"] != str(whole):
         return missing_ms, [*faults, f"rig recover: exit {done.returncode}: {done.stderr.strip()[-200:]}"]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import HealthCheck, settings
 
-from cli.simulated import VirtualRigProcess
+from rig_cli.simulated import VirtualRigProcess
 from dynamics.compiled_code import keep_compiled_code
 from rig_configs import load_rig
 from rig_configs.schema import Rig
@@ -34,7 +34,7 @@ def virtual_rig() -> Iterator[VirtualRigProcess]:
 @pytest.fixture
 def shared_clock(virtual_rig: VirtualRigProcess, monkeypatch: pytest.MonkeyPatch) -> VirtualRigProcess:
     """The virtual rig, whose time also waits for commands that are run in this process."""
-    monkeypatch.setattr("cli.guided_test.HostClock", lambda rate: virtual_rig.clock)
+    monkeypatch.setattr("rig_cli.guided_test.HostClock", lambda rate: virtual_rig.clock)
     return virtual_rig
 
 

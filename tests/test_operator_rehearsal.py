@@ -68,7 +68,7 @@ class Terminal:
         expanded = [name for word in words for name in (sorted(glob.glob(word, root_dir=folder)) or [word])]
         self.written = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 (closed with the terminal)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "cli.main", *expanded],
+            [sys.executable, "-m", "rig_cli.main", *expanded],
             cwd=folder,
             env=environment,
             text=True,

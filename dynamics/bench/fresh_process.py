@@ -25,7 +25,7 @@ SPEED_RATIO, DURATION_S, ACCURACY = 1.6, 20.0, 1e-9
 _ROOT = Path(__file__).parents[2]
 _WHATS = {
     "release: simulate": ("-m", "dynamics.bench.fresh_process", "release"),
-    "predict": ("-m", "cli.entry", "predict", "virtual", "--point", "B", "--json"),
+    "predict": ("-m", "rig_cli.entry", "predict", "virtual", "--point", "B", "--json"),
 }
 _PEER = ("-m", "dynamics.bench.fresh_process", "release-heyoka")
 _MOST_S = 300

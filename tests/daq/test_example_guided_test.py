@@ -24,8 +24,8 @@ UV = os.environ.get("UV") or shutil.which("uv") or next(map(str, sorted(ROOT.glo
 
 ROLL = """
 import sys
-from cli.main import run
-from cli.simulated import VirtualRigProcess
+from rig_cli.main import run
+from rig_cli.simulated import VirtualRigProcess
 
 with VirtualRigProcess("virtual", [], 8.0) as far:
     ports = [word for setting in far.port_settings() for word in ("--set", setting)]
@@ -64,9 +64,9 @@ def ran(python: str, folder: Path, *arguments: str) -> str:
 
 
 def test_it_is_found_planned_and_passes_its_own_tests(python: str, tmp_path: Path) -> None:
-    listed = json.loads(ran(python, tmp_path, "-m", "cli.main", "test", "virtual", "--json"))["tests"]
+    listed = json.loads(ran(python, tmp_path, "-m", "rig_cli.main", "test", "virtual", "--json"))["tests"]
     assert [row["state"] for row in listed if row["test"] == "slow-roll"] == ["missing"]
-    planned = ran(python, tmp_path, "-m", "cli.main", "test", "virtual", "slow-roll", "--plan", "--json")
+    planned = ran(python, tmp_path, "-m", "rig_cli.main", "test", "virtual", "slow-roll", "--plan", "--json")
     assert json.loads(planned)["numbers"] == {"speed_rpm": 40.0, "turns": 10.0}
     ran(python, tmp_path, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(EXAMPLE / "tests"))
 

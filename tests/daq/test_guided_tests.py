@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import run
-from cli.simulated import VirtualRigProcess
+from rig_cli.main import run
+from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
@@ -73,7 +73,7 @@ def test_an_end_that_is_not_reached_is_said_kept_and_exits_1(
 ) -> None:
     slips = ["virtual.drive.slip=0.05"]  # never at 98.5 % of the top
     with VirtualRigProcess("virtual", slips, TIME_SCALE, waits=True) as rig:
-        monkeypatch.setattr("cli.guided_test.HostClock", lambda rate: rig.clock)
+        monkeypatch.setattr("rig_cli.guided_test.HostClock", lambda rate: rig.clock)
         ports = [word for setting in [*rig.port_settings(), LATE_BEATS] for word in ("--set", setting)]
         common = [
             "test",

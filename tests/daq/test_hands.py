@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cli.check_page import look_at
-from cli.simulated import VirtualRigProcess
+from rig_cli.check_page import look_at
+from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.device_check import device_checks
 from daq.acquisition.interlocks import Interlocks
 from daq.acquisition.session import Session

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from cli.main import run
+from rig_cli.main import run
 from daq.drivers.devices import make_pipelines
 from daq.errors import LogError
 from daq.log import open_log

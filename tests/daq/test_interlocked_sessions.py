@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from cli.simulated import VirtualRigProcess
+from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
 from daq.errors import DeviceError, ProcedureError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cli.main import run
+from rig_cli.main import run
 from daq.guided_tests import test_inputs as inputs
 from daq.guided_tests.kinds import KINDS, kind_of, refusal
 from rig_configs import load_rig

@@ -10,7 +10,7 @@ import pytest
 from cyclopts import App
 
 from benchmarks.damaged_logs import chunk_spans, make_shape
-from cli.logs import log as log_command
+from rig_cli.logs import log as log_command
 from daq.catalogue import Catalogue
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Batch

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cli.simulated import VirtualRigProcess
+from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.transports import open_link, paced_clock, wires
 from daq.transports.paced_clock import PacedClock

@@ -10,7 +10,7 @@ import pytest
 from mcap.reader import make_reader
 
 from benchmarks.damaged_logs import ATTACHMENTS, METADATA, chunk_spans, make_shape
-from cli.recover import recover as command
+from rig_cli.recover import recover as command
 from daq import channels as ch
 from daq.errors import LogError, RecordingError
 from daq.log import open_log

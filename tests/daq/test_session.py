@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from cli.demo import _radio_check
-from cli.simulated import VirtualRigProcess
+from rig_cli.demo import _radio_check
+from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.recorder import Recorder
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
@@ -279,7 +279,7 @@ def test_the_rest_of_a_cut_recording_is_never_written_over(tmp_path: Path) -> No
 @needs_posix
 def test_the_virtual_rig_ends_with_whoever_started_it() -> None:
     script = (
-        "import sys, time\nfrom cli.simulated import VirtualRigProcess\n"
+        "import sys, time\nfrom rig_cli.simulated import VirtualRigProcess\n"
         "rig = VirtualRigProcess('virtual', [], 1.0)\nprint(rig._process.pid, flush=True)\ntime.sleep(60)"
     )
     starter = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
@@ -301,7 +301,7 @@ def test_ctrl_c_a_polite_kill_and_a_hang_up_end_a_recording_with_a_whole_log(
     virtual_rig: VirtualRigProcess, tmp_path: Path, name: str
 ) -> None:
     log = tmp_path / "run.mcap"
-    command = [sys.executable, "-m", "cli.main", "record", "virtual", "-o", str(log), "--time-scale", str(TIME_SCALE)]
+    command = [sys.executable, "-m", "rig_cli.main", "record", "virtual", "-o", str(log), "--time-scale", str(TIME_SCALE)]
     for setting in virtual_rig.port_settings():
         command += ["--set", setting]
     told = signal.Signals[name]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cli.main import run as main
+from rig_cli.main import run as main
 from daq.acquisition.session import Session
 from daq.channels import LASER_X, Channel
 from daq.drivers.items import Batch

@@ -18,7 +18,7 @@ import pytest
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from cli.simulated import VirtualRigProcess
+from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.errors import OperatorStop, RigError
 from daq.guided_tests.controls import Controls

@@ -16,7 +16,7 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from cli.simulated import VirtualRigProcess
+from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.recent import Recent
 from daq.acquisition.session import Session
 from daq.channels import LASER_X, TACHO

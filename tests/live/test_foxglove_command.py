@@ -13,9 +13,9 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
-from cli.simulated import VirtualRigProcess
+from rig_cli.simulated import VirtualRigProcess
 
-RIG = [sys.executable, "-m", "cli.main"]
+RIG = [sys.executable, "-m", "rig_cli.main"]
 OURS = [Subprotocol("foxglove.sdk.v1")]
 PAGE = "https://lichtblick.example"
 

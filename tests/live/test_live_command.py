@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-RIG = [sys.executable, "-m", "cli.main", "live"]
+RIG = [sys.executable, "-m", "rig_cli.main", "live"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")

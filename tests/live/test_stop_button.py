@@ -9,7 +9,7 @@ from pathlib import Path
 
 from playwright.sync_api import Page, expect
 
-from cli.simulated import VirtualRigProcess
+from rig_cli.simulated import VirtualRigProcess
 from daq.channels import TX
 from daq.log import open_log
 
@@ -46,7 +46,7 @@ def _from_click_to_command_s(page: Page, tmp_path: Path) -> float:
     """A run-up that is stopped by the button; all that does not depend on how busy the machine is, is asserted."""
     with VirtualRigProcess("virtual", ["virtual.seed=3"], 1.0) as rig:  # real time: a click is one of this world
         settings = [part for setting in rig.port_settings() for part in ("--set", setting)]
-        command = [sys.executable, "-m", "cli.main", "test", "virtual", "run-up", "--live", "--out", str(tmp_path)]
+        command = [sys.executable, "-m", "rig_cli.main", "test", "virtual", "run-up", "--live", "--out", str(tmp_path)]
         running = subprocess.Popen(
             [*command, "--json", *settings], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )

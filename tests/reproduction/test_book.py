@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cli.main import run
+from rig_cli.main import run
 from reproduction.book import write_book, write_docs
 from reproduction.catalogue import ITEMS, chosen
 from reproduction.errors import UnknownItem

@@ -60,8 +60,8 @@ UNCHECKED, FORGETFUL = driver(Unchecked), driver(Forgetful)
 RECORD = """
 import sys
 import threading
-from cli.main import run
-from cli.simulated import VirtualRigProcess
+from rig_cli.main import run
+from rig_cli.simulated import VirtualRigProcess
 
 rig, log = sys.argv[1:]
 over = threading.Event()
@@ -118,7 +118,7 @@ def ran(python: str, folder: Path, *arguments: str, code: int = 0) -> str:
 
 
 def rig(*arguments: str) -> list[str]:
-    return ["-m", "cli.main", *arguments]
+    return ["-m", "rig_cli.main", *arguments]
 
 
 def test_it_is_found_and_passes(python: str, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 import tomlkit
 
 from analysis.maps.question import rig_source
-from cli.main import run
+from rig_cli.main import run
 from daq.lockstep.rehearsal import Rehearsal
 from studies.archive import Reidentified, archive_study, campaigns_in
 from studies.campaigns import CampaignResults, campaign_study

@@ -11,7 +11,7 @@ import pytest
 from analysis.figures.coexistence import draw_coexistence
 from analysis.maps import MapAxis, MapQuestion, load_map, rig_source
 from analysis.maps.coexistence import COEXISTENCE_ARRAYS, CoexistenceMap, words_of
-from cli.main import run
+from rig_cli.main import run
 from dynamics import steady_states
 from rig_configs import RigFileError
 from studies.coexistence import assembled, coexistence_study

@@ -111,7 +111,7 @@ def test_a_killed_client_loses_nothing_that_is_done(
     command = [
         sys.executable,
         "-m",
-        "cli.main",
+        "rig_cli.main",
         "map",
         "virtual",
         "--x",

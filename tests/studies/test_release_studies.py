@@ -13,7 +13,7 @@ import pytest
 from analysis.figures.state_maps import draw_states
 from analysis.maps import MapAxis, MapQuestion, load_map, rig_source
 from analysis.maps.states import ARRAYS, RELEASED_RAD, STATES, StateMap, refined_states
-from cli.main import run
+from rig_cli.main import run
 from dynamics.steady.outcome import release_outcome
 from rig_configs import RigFileError
 from studies.engines.processes import Processes

@@ -32,7 +32,7 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "tutorials"
 PACKAGES = ("analysis", "daq", "dynamics", "identification", "rig_configs", "rig_testing", "uncertainty")
 """Packages whose public names a tutorial may use; what else is the project's is none of its business."""
-OURS = (*PACKAGES, "benchmarks", "cli", "live", "tests")
+OURS = (*PACKAGES, "benchmarks", "rig_cli", "live", "tests")
 VARIES = "varies"
 DIGEST = "executed_sources_sha256"
 _LONGEST_S = 600

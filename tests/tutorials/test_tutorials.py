@@ -101,7 +101,7 @@ def notebook_of(*cells: str) -> nbformat.NotebookNode:
         ("from daq import log", "from daq import log"),
         ("from identification.identify import identify", "from identification.identify import identify"),
         ("from benchmarks import worlds", "from benchmarks import worlds"),
-        ("from cli.demo import demo", "from cli.demo import demo"),
+        ("from rig_cli.demo import demo", "from rig_cli.demo import demo"),
         ("from live import server", "from live import server"),
         ("import daq", "import daq: import its names"),
         ("import analysis.figures.bode as bode", "import analysis.figures.bode: import its names"),

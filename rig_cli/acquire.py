@@ -1,0 +1,154 @@
+"""Commands that talk to devices: check, record."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from rig_cli.check_page import look_at, plain_rates, print_checks
+from rig_cli.console import print_json, say
+from rig_cli.foxglove import Foxglove, follow_session, foxglove_beside
+from rig_cli.live import Live, LiveHost, LivePort, follow, page_beside
+from rig_cli.numbers import LookSeconds, PositiveSeconds, TimeScale
+from rig_cli.options import Json, Settings, rig_or_log, warn_of_slips
+from rig_cli.recording import RecordingStatus
+from daq.acquisition.device_check import common_factor, device_checks, passed
+from daq.acquisition.session import Session
+from daq.guided_tests.procedure import zero_counters
+from daq.log.file import ReservedName
+from daq.log.losses import Losses
+from daq.transports import HostClock
+from rig_configs import load_rig
+
+
+def check(
+    rig: str,
+    *,
+    seconds: LookSeconds = 2.0,
+    zero: Annotated[
+        bool, Parameter(negative="", help="close both locks and zero the node's counters there before looking")
+    ] = False,
+    time_scale: TimeScale = 1.0,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Validate a rig file, open its devices, hold what they do against it; exit 1 when a device fails a check."""
+    loaded = load_rig(rig, settings=settings or [])
+    warnings = warn_of_slips(loaded)
+    session = Session(loaded, HostClock(time_scale))
+    session.lenient = True  # a device that is not what the rig file says is a verdict here
+    with session:
+        if zero:
+            zero_counters(session)
+        started = session.clock.now_ns()
+        look = look_at(session, seconds)
+        devices = device_checks(loaded, look)
+        rates = plain_rates(session, started)
+    if session.left:
+        warnings.append(session.left)
+        say(f"warning: {session.left}")
+    factor = common_factor(look)
+    if factor is not None:
+        warnings.append(f"all clocks run {factor:.3g} times as fast as ours: is --time-scale {time_scale:g} right?")
+        say(f"warning: {warnings[-1]}")
+    good = all(map(passed, devices.values()))
+    if json:
+        verdicts = {
+            name: {
+                "verdict": "pass" if passed(checks) else "fail",
+                "checks": {what: found.facts() for what, found in checks.items()},
+            }
+            for name, checks in devices.items()
+        }
+        print_json(
+            {
+                "rig": loaded.name,
+                "verdict": "pass" if good else "fail",
+                "seconds": look.seconds,
+                "devices": verdicts,
+                "identities": session.identities,
+                "rates_Hz": rates,
+                "losses": look.losses,
+                "warnings": warnings,
+            }
+        )
+    else:
+        print_checks(devices, session.identities, look.seconds)
+    return 3 if session.left else 0 if good else 1
+
+
+def record(
+    rig: Annotated[str, Parameter(help="a rig file, a shipped rig, or a log whose rig and devices are meant")],
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"])],
+    duration: Annotated[PositiveSeconds | None, Parameter(help="seconds of rig time; without it until Ctrl-C")] = None,
+    listen: Annotated[
+        bool, Parameter(negative="", help="only listen: configure nothing, turn nothing, record from the first byte")
+    ] = False,
+    until_silent: Annotated[
+        PositiveSeconds | None, Parameter(help="end when no device has sent anything for so many wall seconds")
+    ] = None,
+    note: str = "",
+    live: Live = False,
+    live_host: LiveHost = "",
+    live_port: LivePort = 0,
+    foxglove: Foxglove | None = None,
+    time_scale: TimeScale = 1.0,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and the disk."""
+    loaded, identities = rig_or_log(rig, settings or [])
+    warn_of_slips(loaded)
+    clock = HostClock(time_scale)
+    facts = {"test": "record", "note": note}
+    with (
+        ReservedName(output) as name,  # before any device is disturbed: another recording may be using them
+        page_beside(live, loaded, None, settings or [], clock.rate, live_host, live_port, json) as page,
+        foxglove_beside(foxglove, loaded, clock.rate, json) as given,
+    ):
+        session = Session(loaded, clock, identities, say)
+        with session.listen(name, facts) if listen else session.open():
+            if not listen:
+                session.start_recording(name, facts)
+            shown = {"words": "recording", "note": note, "log": str(output)}
+            follow(page, session, None if listen else session.stop, shown)
+            follow_session(given, session)
+            with RecordingStatus(session) as status:
+                ended = _record_until(session, status, duration, until_silent)
+            losses, disk, rates = session.losses(), session.disk(), session.rates.summary()
+            path = session.stop_recording({"ended": ended})
+    slow_s = disk.slow_s if disk else 0.0
+    if json:
+        warnings = [*session.notices, *([f"wrong rates: {rates}"] if rates else [])]
+        print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s, "warnings": warnings})
+    else:
+        say(f"{path}: recorded, ended by {ended}; {Losses(losses, 'summary').words()}")
+        if rates:
+            say(f"warning: {rates}. Is the rig file's rate_Hz right, and --time-scale?")
+        if slow_s:
+            say(f"warning: the disk was behind for {slow_s:.1f} s in all; nothing was lost by that")
+    return 3 if session.notices and not listen else 0  # a rig that someone else runs is theirs to judge
+
+
+def _record_until(
+    session: Session, status: RecordingStatus, duration_s: float | None, until_silent_s: float | None
+) -> str:
+    """Wait for the end of a recording; says what ended it."""
+    end = math.inf if duration_s is None else session.clock.now_ns() + int(duration_s * 1e9)
+    heard = False
+    try:
+        while session.clock.now_ns() < end:
+            session.check()
+            status.show()
+            heard = heard or session.bytes_in > 0
+            if until_silent_s is not None and heard and session.silent_s > until_silent_s:
+                return "silence"
+            time.sleep(0.1)
+    except KeyboardInterrupt as stop:
+        return str(stop) or "Ctrl-C"
+    return "duration"

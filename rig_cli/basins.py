@@ -1,0 +1,278 @@
+"""Where releases end, over the angles at which the locks hold the pendulums."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+
+from rig_cli.console import print_json, say, wait_for_compilation
+from rig_cli.model import Plot
+from rig_cli.numbers import Positive, PositiveRpm, PositiveSeconds
+from rig_cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from rig_cli.scheduler import Scheduler, worked_out
+from rig_cli.share_progress import share_progress
+from rig_cli.speed import asked_speed
+from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
+
+if TYPE_CHECKING:
+    from dynamics.equations.parameters import RotorParameters
+    from dynamics.steady.basins.basin_map import BasinMap
+    from dynamics.steady.basins.ends import End
+    from studies.basins import BasinQuestion
+    from studies.study import Study
+
+_MOST = 1_000_000
+
+
+def basins(
+    rig: str,
+    *,
+    point: Annotated[str | None, Parameter(help="the speed of a point of the rig file")] = None,
+    speed_ratio: Annotated[Positive | None, Parameter(help="the speed as a ratio to the first resonance")] = None,
+    speed_rpm: Annotated[PositiveRpm | None, Parameter(help="the same in rpm")] = None,
+    grid: Annotated[str, Parameter(help="releases along θ3 and θ4, N3xN4, over the whole circle")] = "60x40",
+    seconds: Annotated[PositiveSeconds, Parameter(help="how long each release is followed")] = 20.0,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None,
+    plot: Plot = None,
+    probabilities: Annotated[
+        int | None,
+        Parameter(help="also draw so many rigs from the parameters' covariance, released within the locks' play"),
+    ] = None,
+    play_deg: Annotated[Positive, Parameter(help="the locks' play to either side, for --probabilities")] = 0.2,
+    scheduler: Scheduler = None,
+    parameters: ParametersPath = None,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Where releases end, over the angles at which the locks hold the pendulums.
+
+    An end is balance, another steady state, or slipping. Each release starts on the orbit of the locked rotor and is
+    followed until a stable motion has caught it. Cells whose end hangs on less than the stated error are marked as
+    boundaries.
+    """
+    need_place("rig basins:", output, plot)
+    if output is not None and output.suffix != ".npz":
+        raise RigFileError(f"rig basins: -o expected a name ending in .npz, got {output}")
+    if probabilities is not None and not 1 <= probabilities <= _MOST:
+        raise RigFileError(f"rig basins: --probabilities expected 1 to {_MOST} draws, got {probabilities}")
+    numbers = _grid(grid)
+    known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
+    loaded = load_rig(rig, known, settings or [])
+    speed = asked_speed("rig basins", loaded, point, speed_rpm, speed_ratio)
+    with wait_for_compilation("basins"):
+        from analysis.maps.question import parameters_source, rig_source  # noqa: PLC0415
+        from studies.basins import KIND, BasinQuestion, basin_study  # noqa: PLC0415
+        from studies.tile_files import TileFolder  # noqa: PLC0415
+
+        what = BasinQuestion(
+            rig_source(rig), parameters_source(parameters), tuple(settings or ()), speed, numbers, seconds
+        )
+        study = basin_study(what)
+        KIND.warm_up(study.text)
+    started = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="rig-basins-") as passing:
+        place = Path(passing) if output is None else Path(f"{output}.tiles")
+        found = _found(what, study, place, scheduler)
+        took = time.perf_counter() - started
+        chances = None
+        if probabilities is not None:
+            chances = _chances(what.physics, speed, known, probabilities, seconds, play_deg)
+        if output is not None:
+            np.savez_compressed(output, **_arrays(found))
+        if place.is_dir():
+            TileFolder(place, study).forget()
+    if plot is not None:
+        _draw(plot, loaded, speed, found, settings)
+    result = _result(loaded, found, took) | {
+        "probabilities": chances,
+        "what_if": list(settings or []),
+        "file": None if output is None else str(output),
+        "plot": None if plot is None else str(plot),
+    }
+    if json:
+        print_json(result)
+        return 0
+    _print(result, settings)
+    for path in (output, plot):
+        if path is not None:
+            print(f"written to {path}")
+    return 0
+
+
+def _found(what: BasinQuestion, study: Study, place: Path, scheduler: str | None) -> BasinMap:
+    """The basin map: at once where it is one tile of this process, else by tiles."""
+    from dynamics.steady.basins.basin_map import basins as basin_map  # noqa: PLC0415
+    from studies.basins import assembled  # noqa: PLC0415
+
+    if study.tiles > 1 or scheduler is not None:
+        return assembled(worked_out(study, place, scheduler, "tiles"))
+    total = what.releases[0] * what.releases[1]
+    try:
+        with share_progress(f"{total} releases of {what.seconds:g} s", total, "releases") as progress:
+            return basin_map(what.physics, what.speed_rad_s, *what.angles_rad, what.seconds, progress=progress)
+    except KeyboardInterrupt:
+        say("rig basins: interrupted, no release is kept: the file and the figure are written at the end")
+        raise
+
+
+def _chances(
+    physics: RotorParameters, speed: float, known: IdentifiedParameters, draws: int, seconds: float, play_deg: float
+) -> dict[str, Any]:
+    """Probabilities of the ends of the real locks' release."""
+    from analysis.release_probabilities import end_probabilities  # noqa: PLC0415
+
+    if not known.values:
+        say("rig basins: no --parameters FILE: only the locks' play is drawn")
+    with share_progress(f"{draws} rigs drawn", draws, "rigs") as progress:
+        found = end_probabilities(
+            physics, speed, known, draws, seconds=seconds, play_rad=math.radians(play_deg), progress=progress
+        )
+    return {
+        "draws": found.draws,
+        "level": found.level,
+        "play_deg": play_deg,
+        "at_a_boundary": found.unsure,
+        "refused": sorted(set(found.releases.refused.values())),
+        "ends": [
+            {
+                "type": e.name,
+                "mirror_image": e.mirror,
+                "count": e.count,
+                "probability": e.probability,
+                "interval": list(e.interval),
+            }
+            for e in found.ends
+        ],
+    }
+
+
+def _grid(text: str) -> tuple[int, int]:
+    parts = text.lower().replace("×", "x").split("x")
+    try:
+        across, up = (int(part) for part in parts)
+    except ValueError:
+        across = up = 0
+    if across < 1 or up < 1 or across * up > _MOST:
+        raise RigFileError(
+            f"rig basins: --grid expected N3xN4, whole numbers above 0 and no more than {_MOST} releases, for example "
+            f"60x40; got {text!r}"
+        )
+    return across, up
+
+
+def _arrays(found: BasinMap) -> dict[str, Any]:
+    """What is kept: the grid, each release's answer, and the ends by number."""
+    return {
+        "theta3_deg": np.degrees(found.theta3_rad),
+        "theta4_deg": np.degrees(found.theta4_rad),
+        "end": found.end,
+        "sure": found.sure,
+        "caught_s": found.caught_s,
+        "settled_s": found.settled_s,
+        "amplitude_mm": 1e3 * found.amplitude_m,
+        "apart_rad": found.apart_rad,
+        "turns": found.turns,
+        "ends": np.array([end.words for end in found.ends]),
+        "end_types": np.array([end.name for end in found.ends]),
+        "seconds": found.seconds,
+        "speed_rad_s": found.speed_rad_s,
+        "stated_error_rad": found.stated_error_rad,
+    }
+
+
+def _draw(path: Path, rig: Rig, speed: float, found: BasinMap, settings: list[str] | None) -> None:
+    from analysis.figures.basins import draw_basins  # noqa: PLC0415
+    from analysis.figures.style import save  # noqa: PLC0415
+
+    ratio = speed / rig.physics.natural_frequencies_rad_s[0]
+    title = f"{rig.name}, Ω = {ratio:.4g} ({speed * 30 / math.pi:.1f} rpm){what_if_words(settings, '; ')}"
+    save(path, draw_basins(found, title))
+
+
+def _end_json(end: End, share: float, settled: np.ndarray) -> dict[str, Any]:
+    out: dict[str, Any] = {
+        "type": end.name,
+        "mirror_image": end.mirror,
+        "share": share,
+        "amplitude_mm": 1e3 * end.amplitude_m,
+        "multiplier_max": end.multiplier,
+        "settled_s": {"median": float(np.median(settled)), "largest": float(np.max(settled))} if len(settled) else None,
+    }
+    if end.theta_rad is not None:
+        out["theta3_deg"], out["theta4_deg"] = (math.degrees(angle) for angle in end.theta_rad)
+    if end.slipping is not None:
+        orbit = end.slipping
+        out |= {
+            "turns_per_revolution": list(orbit.turns_per_revolution),
+            "winding": list(orbit.winding),
+            "residual": orbit.residual,
+            "multipliers": orbit.multipliers.tolist(),
+        }
+    return out
+
+
+def _result(rig: Rig, found: BasinMap, took: float) -> dict[str, Any]:
+    shares = found.shares.tolist()
+    settled = [found.settled_s[(found.end == i) & np.isfinite(found.settled_s)] for i in range(len(found.ends))]
+    return {
+        "speed_ratio": found.speed_rad_s / rig.physics.natural_frequencies_rad_s[0],
+        "speed_rpm": found.speed_rad_s * 30 / math.pi,
+        "releases": found.end.size,
+        "followed_s": found.seconds,
+        "seconds": took,
+        "ends": [_end_json(e, s, t) for e, s, t in zip(found.ends, shares, settled, strict=False)],
+        "not_settled_share": shares[-1],
+        "at_a_boundary_share": 1.0 - float(np.mean(found.sure)),
+        "stated_error_deg": math.degrees(found.stated_error_rad),
+    }
+
+
+def _print(result: dict[str, Any], settings: list[str] | None) -> None:
+    print(
+        f"{result['speed_rpm']:.6g} rpm, speed ratio {result['speed_ratio']:.6g}: {result['releases']} releases, each "
+        f"followed for up to {result['followed_s']:g} s, in {result['seconds']:.3g} s"
+    )
+    for end in result["ends"]:
+        print(f"  {100 * end['share']:5.1f} %  {_end_words(end)}")
+    if result["not_settled_share"]:
+        print(f"  {100 * result['not_settled_share']:5.1f} %  not settled within {result['followed_s']:g} s")
+    print(
+        f"at a boundary, where {result['stated_error_deg']:.1g}° may change the end: "
+        f"{100 * result['at_a_boundary_share']:.2g} %"
+    )
+    if result["probabilities"] is not None:
+        _print_chances(result["probabilities"])
+    if settings:
+        print(what_if_words(settings))
+
+
+def _print_chances(chances: dict[str, Any]) -> None:
+    print(
+        f"release of the real locks, ± {chances['play_deg']:g}° of play, {chances['draws']} rigs drawn "
+        f"({100 * chances['level']:g} % intervals):"
+    )
+    for end in chances["ends"]:
+        low, high = (100 * each for each in end["interval"])
+        image = ", the other mirror image" if end["mirror_image"] else ""
+        print(f"  {100 * end['probability']:5.1f} %  [{low:.1f}, {high:.1f}]  {end['type']}{image}")
+    if chances["at_a_boundary"]:
+        print(f"  {chances['at_a_boundary']} of the draws at a boundary")
+    for why in chances["refused"]:
+        say(f"not followed: {why}")
+
+
+def _end_words(end: dict[str, Any]) -> str:
+    if end["type"] == "slipping":
+        a, b = (round(rate, 9) + 0.0 for rate in end["turns_per_revolution"])  # no −0
+        where = f"slipping, A {a:.5g} and B {b:.5g} turns per revolution"
+    else:
+        where = f"{end['type']:4} θ3 {end['theta3_deg']:.2f}° θ4 {end['theta4_deg']:.2f}°"
+    settled = end["settled_s"]
+    after = f", settled after {settled['median']:.1f} s (median), {settled['largest']:.1f} s at most" if settled else ""
+    return f"{where}, amplitude {end['amplitude_mm']:.4f} mm, multiplier {end['multiplier_max']:.6f}{after}"

@@ -1,0 +1,116 @@
+# pyright: strict
+"""What becomes of an error that nobody foresaw: exit code 70, one line, and a file with what to send."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import platform
+import re
+import sys
+import tempfile
+import threading
+import time
+import traceback
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+
+from rig_cli import answer
+
+UNFORESEEN = 70
+"""EX_SOFTWARE of sysexits.h: the program is at fault, not the input, the rig or the verdict."""
+
+_PACKAGES = ("pendulum-balancer-rig", "numpy", "scipy", "numba", "pydantic", "cyclopts", "mcap", "h5py", "pyarrow")
+_SECRET = re.compile(r"(?i)((?:token|password|passwd|secret|api[-_]?key)[=: ]+)\S+|(?<=://)[^/@\s]+@")
+_LONGEST_ARGUMENT = 500
+
+
+def report(error: BaseException, arguments: Sequence[str]) -> int:
+    """Say in one line what happened, and leave all that a developer needs in a file. Never fails itself.
+
+    Args:
+        error: what nobody foresaw.
+        arguments: the command line.
+    Returns:
+        The exit code, 70.
+    """
+    with contextlib.suppress(Exception):
+        text = _page(error, arguments)
+        path = _write(text)
+        what = f"unforeseen error: {_one_line(error)}"
+        sent = f"{what}; this is a fault of the program. Please send {path}"
+        if path is None:
+            print(f"rig: {what}; nowhere to write a report to, please send this:\n{text}", file=sys.stderr, flush=True)
+            sent = f"{what}; this is a fault of the program. Please send what stands on standard error"
+        else:
+            print(f"rig: {sent}", file=sys.stderr, flush=True)
+        answer.note_fault(sent, UNFORESEEN)
+    answer.note_fault(f"unforeseen error: {type(error).__name__}", UNFORESEEN)
+    return UNFORESEEN
+
+
+def watch_threads(arguments: Sequence[str]) -> None:
+    """Give an error that ends a thread the same report; the command then ends with 70 instead of 0."""
+
+    def ended(what: threading.ExceptHookArgs) -> None:
+        error = what.exc_value
+        if error is None or isinstance(error, SystemExit):
+            return
+        name = what.thread.name if what.thread is not None else "a thread"
+        error.add_note(f"in the thread {name!r}")
+        report(error, arguments)
+
+    threading.excepthook = ended
+
+
+def _one_line(error: BaseException) -> str:
+    try:
+        told = " ".join(str(error).split())
+    except Exception:  # an error whose own words cannot be had
+        told = ""
+    return _SECRET.sub(_masked, f"{type(error).__name__}: {told[:200]}" if told else type(error).__name__)
+
+
+def _masked(found: re.Match[str]) -> str:
+    return f"{found[1] or ''}***" if found[1] else "***@"
+
+
+def _page(error: BaseException, arguments: Sequence[str]) -> str:
+    shown = [a if len(a) <= _LONGEST_ARGUMENT else f"{a[:_LONGEST_ARGUMENT]}…" for a in arguments]
+    versions = ", ".join(f"{name} {_version(name)}" for name in _PACKAGES)
+    try:
+        trace = "".join(traceback.format_exception(error))
+    except Exception as fault:  # an error whose own words cannot be had
+        trace = f"{type(error).__name__} (no traceback: {type(fault).__name__})\n"
+    text = (
+        "The `rig` command met an error that nobody foresaw. Please send this file to the developers, with the\n"
+        "rig file and, where a log was read, the log.\n\n"
+        f"command line  rig {' '.join(map(repr, shown))}\n"
+        f"when          {time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())}\n"
+        f"versions      {versions}\n"
+        f"python        {platform.python_version()} on {platform.platform()}\n\n"
+        f"{trace}"
+    )
+    return _SECRET.sub(_masked, text)
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except Exception:
+        return "absent"
+
+
+def _write(text: str) -> Path | None:
+    """Into the folder for temporary files, else the current one, where nobody else may read it; None where neither is.
+
+    Nothing is written over.
+    """
+    for folder in (tempfile.gettempdir, os.getcwd):
+        with contextlib.suppress(Exception):
+            number, name = tempfile.mkstemp(time.strftime("-%Y%m%d-%H%M%S.txt"), "rig-error-", folder())
+            with open(number, "w", encoding="utf-8", errors="backslashreplace") as file:
+                file.write(text)
+            return Path(name)
+    return None

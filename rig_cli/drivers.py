@@ -1,0 +1,136 @@
+# pyright: strict
+"""Commands about drivers: list those that are installed, run the tests on one that every driver must pass."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from importlib import import_module
+from importlib.metadata import EntryPoint
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, Parameter
+from pydantic import ValidationError
+
+from rig_cli.console import StepProgress, print_json, say
+from rig_cli.options import Json
+from rig_configs.drivers import installed, load_driver
+from rig_configs.errors import RigConfigError
+
+if TYPE_CHECKING:
+    from daq.drivers.contract import Driver
+
+app = App(name="driver", help="List the installed drivers, check one against what every driver must do.")
+
+
+@app.command(name="list")
+def list_(*, json: Json = False) -> int:
+    """List the installed drivers: from which package each comes, which roles its devices play."""
+    found = [_facts(name, point) for name, point in installed().items()]
+    if json:
+        print_json({"drivers": found})
+        return 0
+    from rig_cli.drivers_page import print_drivers  # noqa: PLC0415 (rich's tables are slow)
+
+    print_drivers(found)
+    return 0
+
+
+@app.command
+def check(
+    name: str,
+    *,
+    thorough: Annotated[bool, Parameter(negative="", help="10⁶ damaged inputs in place of 10⁴: minutes")] = False,
+    json: Json = False,
+) -> int:
+    """Run the tests on one driver that every driver must pass, with its own far end; exit 1 when one fails.
+
+    Args:
+        name: as in `driver = "…"` of a rig file; or PACKAGE:NAME, where PACKAGE is the package it is installed from, or
+            a module that holds the driver as NAME without being registered; or PACKAGE alone, if it has but one.
+    """
+    chosen = _chosen(name)
+    from rig_testing import cases  # noqa: PLC0415 (numba takes a third of a second to import)
+    from rig_testing.report import Report  # noqa: PLC0415
+
+    all_cases = cases(chosen, thorough=thorough)
+    with StepProgress(dict.fromkeys((str(case) for case in all_cases), 1.0)) as progress:
+        outcomes: list[Any] = []
+        for case in all_cases:
+            progress.step(str(case))
+            outcomes.append(case.run())
+    report = Report(chosen.name, tuple(outcomes))
+    if json:
+        failed = [{"test": outcome.name, "why": outcome.why} for outcome in report.failed]
+        print_json({"driver": report.driver, "passed": report.passed, "failed": failed})
+    else:
+        from rig_cli.drivers_page import print_report  # noqa: PLC0415
+
+        print_report(report)
+    return 0 if report.passed else 1
+
+
+def _facts(name: str, point: EntryPoint) -> dict[str, Any]:
+    """What is listed of a driver; of one that cannot be loaded, why."""
+    from daq.drivers.contract import example_of, is_verified  # noqa: PLC0415
+
+    package = point.dist.name if point.dist is not None else point.module.partition(".")[0]
+    facts: dict[str, Any] = {"name": name, "package": package, "roles": [], "verified": False}
+    try:
+        found: Driver = load_driver(name)
+        settings = found.settings.model_validate({"driver": name, "port": "none", **example_of(found)})
+        roles = sorted({role.role for role in settings.roles(name)})
+    except (ValueError, AttributeError, ValidationError) as error:
+        say(f"rig: driver {name} of {package}: {error}")
+        return facts
+    return {**facts, "roles": roles, "verified": is_verified(found)}
+
+
+def _chosen(name: str) -> Driver:
+    """The driver that is meant.
+
+    Raises:
+        RigConfigError: there is none.
+    """
+    package, colon, last = name.rpartition(":")
+    if not colon:
+        return _loaded(name)
+    point = installed().get(last)
+    if point is not None and package in _packages(point):
+        return _loaded(last)
+    try:
+        found: Driver = getattr(import_module(package), last)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise RigConfigError(
+            f"no driver {name!r}: expected NAME of an installed driver ({', '.join(installed())}), PACKAGE:NAME, or "
+            f"MODULE:OBJECT; {error}"
+        ) from error
+    if not isinstance(getattr(found, "name", None), str) or not hasattr(found, "pipeline"):
+        raise RigConfigError(f"{name} is no driver: it has no name and no pipeline")
+    return found
+
+
+def _packages(point: EntryPoint) -> set[str]:
+    """Names that a driver's package goes by."""
+    distribution = point.dist.name if point.dist is not None else ""
+    return {distribution, re.sub(r"[-_.]+", "_", distribution).lower(), point.module.partition(".")[0]}
+
+
+def _loaded(name: str) -> Driver:
+    known = installed()
+    brought = [each for each, point in known.items() if name in _packages(point)]
+    if name not in known and len(brought) > 1:
+        raise RigConfigError(
+            f"package {name} has several drivers: expected {name}:NAME with one of {', '.join(brought)}"
+        )
+    if name not in known and brought:
+        name = brought[0]
+    if name not in known:
+        near = difflib.get_close_matches(name, known, 1)
+        meant = f" Did you mean {near[0]!r}?" if near else ""
+        raise RigConfigError(f"no driver {name!r} is installed, only {', '.join(known)}.{meant}")
+    try:
+        found: Driver = load_driver(name)
+    except ValueError as error:
+        raise RigConfigError(str(error)) from error
+    return found

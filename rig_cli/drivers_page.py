@@ -1,0 +1,45 @@
+# pyright: strict
+"""Drivers on the terminal: the list, and what the tests of one found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
+
+from rig_cli.words import printable, stdout_console
+from rig_testing.report import Report
+
+
+def print_drivers(drivers: Sequence[Mapping[str, Any]]) -> None:
+    """One line a driver."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for heading in ("driver", "package", "roles", "tried on hardware"):
+        table.add_column(heading)
+    for facts in drivers:
+        roles = Text(", ".join(facts["roles"])) if facts["roles"] else Text("cannot be loaded", "bold red")
+        verified = Text("yes", "green") if facts["verified"] else Text("no", "dim")
+        table.add_row(Text(printable(facts["name"]), "bold"), Text(printable(facts["package"])), roles, verified)
+    stdout_console().print(table)
+
+
+def print_report(report: Report) -> None:
+    """One line a test, what failed in red, the verdict at the end."""
+    console = stdout_console()
+    table = Table(box=None, pad_edge=False, show_header=False, padding=(0, 2))
+    for outcome in report.outcomes:
+        mark = (
+            Text("–", "dim") if not outcome.tried else Text("✓", "green") if outcome.passed else Text("✗", "bold red")
+        )
+        style = "dim" if outcome.passed else "bold red"
+        seconds = f"{outcome.seconds:.1f} s" if outcome.seconds >= 0.05 else ""
+        table.add_row(mark, outcome.name, Text(seconds, "dim"), Text(printable(outcome.why), style))
+    console.print(table)
+    tried = sum(outcome.tried for outcome in report.outcomes)
+    verdict = Text("pass", "bold green") if report.passed else Text(f"{len(report.failed)} FAILED", "bold red")
+    console.print(
+        Text.assemble((printable(report.driver), "bold"), "  ", verdict, f"  {tried} tests in {report.seconds:.1f} s")
+    )

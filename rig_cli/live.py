@@ -1,0 +1,200 @@
+# pyright: strict
+"""`rig live`: a rig or a log in the browser; and the same page beside other commands, by their `--live`."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from rig_cli import answer
+from rig_cli.console import say
+from rig_cli.foxglove import Foxglove, follow_session, foxglove_beside, foxglove_of_log
+from rig_cli.numbers import TimeScale
+from rig_cli.options import Json, ParametersPath, Settings, warn_of_slips
+from daq.errors import LogError
+from rig_configs import IdentifiedParameters, load_rig, overridden, with_parameters
+
+if TYPE_CHECKING:
+    from daq.acquisition.session import Session
+    from daq.guided_tests.controls import Controls
+    from live.beside import LivePage
+    from rig_configs.schema import Rig
+
+Host = Annotated[str, Parameter(help="let others in: the name or address by which they reach this machine")]
+Port = Annotated[int, Parameter(help="of the page; 0 for any free one")]
+Live = Annotated[
+    bool, Parameter(name="--live", negative="", help="show it in the browser too, with a stop button; see rig live")
+]
+LiveHost = Annotated[str, Parameter(name="--live-host", help="of that page, as rig live's --host")]
+LivePort = Annotated[int, Parameter(name="--live-port", help="of that page, as rig live's --port")]
+
+_LOOK_S = 0.1
+
+
+def live(
+    source: Annotated[str, Parameter(help="a log, a rig file or a shipped rig's name")],
+    *,
+    host: Host = "",
+    port: Port = 0,
+    speed: Annotated[float, Parameter(help="of a log: seconds of it per second")] = 1.0,
+    parameters: ParametersPath = None,
+    foxglove: Foxglove | None = None,
+    time_scale: TimeScale = 1.0,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Show a rig or a log in the browser, with a stop button; only who has its token gets in.
+
+    Ctrl-C ends it. A log is played: play, pause, seek, speed. A rig is opened and watched, and nothing is recorded; its
+    page has a stop button. With --json the first line is {"url", "token"}.
+    """
+    if source.endswith((".mcap", ".mcap.part")):
+        return _log(Path(source), host, port, speed, parameters, foxglove, settings or [], json)
+    return _rig(source, host, port, parameters, foxglove, time_scale, settings or [], json)
+
+
+def _log(
+    path: Path,
+    host: str,
+    port: int,
+    speed: float,
+    parameters: Path | None,
+    foxglove: Foxglove | None,
+    settings: list[str],
+    as_json: bool,
+) -> int:
+    from daq.log import open_log  # noqa: PLC0415 (numba takes a third of a second to import)
+    from daq.log.snapshot import rig_of  # noqa: PLC0415
+    from live.model import Model  # noqa: PLC0415
+    from live.replayed import Replayed  # noqa: PLC0415
+    from live.serving import Serving  # noqa: PLC0415
+
+    with ExitStack() as stack:
+        with open_log(path) as log:
+            rig, known, source = _laid_over(rig_of(log, settings), parameters, settings)
+            try:
+                replayed = Replayed(log, rig, speed)
+            except ValueError as fault:
+                raise LogError(f"--speed: {fault}") from fault
+            serving = stack.enter_context(Serving(replayed, Model(rig, known, source), host, port))
+            _announce(serving.url, serving.token, host, as_json)
+            origin_ns = replayed.signals.origin_ns
+            stack.enter_context(foxglove_of_log(foxglove, log, rig, replayed.transport, origin_ns, as_json))
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:
+            say("the page is closed")
+    return 0
+
+
+def _rig(
+    name: str,
+    host: str,
+    port: int,
+    parameters: Path | None,
+    foxglove: Foxglove | None,
+    time_scale: float,
+    settings: list[str],
+    as_json: bool,
+) -> int:
+    from daq.acquisition.session import Session  # noqa: PLC0415
+    from daq.transports import HostClock  # noqa: PLC0415
+
+    rig = load_rig(name, settings=settings)
+    warn_of_slips(rig)
+    clock = HostClock(time_scale)
+    with (
+        page_beside(True, rig, parameters, settings, clock.rate, host, port, as_json) as page,
+        foxglove_beside(foxglove, rig, clock.rate, as_json) as given,
+        Session(rig, clock, say=say) as session,
+    ):
+        follow(page, session, session.stop, {"words": "watched, not recorded"})
+        follow_session(given, session)
+        try:
+            while True:
+                session.check()
+                time.sleep(_LOOK_S)
+        except KeyboardInterrupt:
+            say("the page is closed")
+    return 3 if session.notices else 0
+
+
+def page_beside(
+    wanted: bool,
+    rig: Rig,
+    parameters: Path | None,
+    settings: list[str],
+    rate: float,
+    host: str,
+    port: int,
+    as_json: bool,
+    told: Callable[[str], None] = say,
+) -> AbstractContextManager[LivePage | None]:
+    """The page of a session that is opened inside this context; nothing where it is not wanted.
+
+    Args:
+        rig: the session's.
+        parameters, settings: what the model's curves follow.
+        rate: seconds of the rig per second of the wall.
+    """
+    if not wanted:
+        return nullcontext()
+    laid, known, source = _laid_over(rig, parameters, settings)
+    from live.beside import LivePage  # noqa: PLC0415 (numba takes a third of a second to import)
+
+    class Announced(LivePage):
+        def __enter__(self) -> LivePage:
+            page = super().__enter__()
+            _announce(page.url, page.token, host, as_json, told)
+            return page
+
+    return Announced(laid, known, source, rate, rig.name, host, port)
+
+
+def follow(
+    page: LivePage | None,
+    session: Session,
+    stop: Callable[[str], None] | None,
+    facts: Mapping[str, Any],
+    controls: Controls | None = None,
+    confirmed: Callable[[], None] | None = None,
+) -> Callable[[str], None]:
+    """Have the page, where there is one, show an open session; see live.beside.
+
+    Returns:
+        What is to be told of all that the operator is asked for.
+    """
+    if page is None:
+        return lambda text: None
+    from live.beside import Asking  # noqa: PLC0415 (only where there is a page)
+
+    asking = Asking(controls, confirmed)
+    page.follow(session, asking, stop, facts)
+    return asking.prompt
+
+
+def _laid_over(rig: Rig, parameters: Path | None, settings: list[str]) -> tuple[Rig, IdentifiedParameters | None, str]:
+    """A rig with identified parameters laid over it, these, and where the model's numbers are from."""
+    if parameters is None:
+        return rig, None, "rig file"
+    known = IdentifiedParameters.load(parameters)
+    return with_parameters(rig, known.without(overridden(known, settings))), known, parameters.name
+
+
+def _announce(url: str, token: str, host: str, as_json: bool, told: Callable[[str], None] = say) -> None:
+    """The page's address: as the first line of the output where that is JSON."""
+    address: Mapping[str, Any] = {"url": url, "token": token}
+    if as_json:
+        answer.announce(address)
+    told(f"the live page: {url}")
+    if host:
+        told(
+            f"warning: --host {host}: everybody who reaches this machine and has that address sees the page and may "
+            "press its stop; it is not encrypted, so the network sees the token too"
+        )

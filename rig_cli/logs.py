@@ -1,0 +1,197 @@
+"""Commands that look at logs: all of a folder, and one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from rig_cli.console import print_json, say
+from rig_cli.log_table import print_logs
+from rig_cli.options import Json, need_place
+from rig_cli.share_progress import share_progress
+from rig_cli.words import local_time
+from daq.catalogue.query import Query, Sort, parse_instant
+
+if TYPE_CHECKING:
+    from daq.log import Log
+
+Flag = Annotated[bool, Parameter(negative="")]
+
+
+def logs(
+    folder: Path,
+    *words: str,
+    rig: str = "",
+    test: str = "",
+    point: str = "",
+    note: str = "",
+    parameters: str = "",
+    verdict: str = "",
+    since: str | None = None,
+    until: str | None = None,
+    lost: Flag = False,
+    complete: Flag = False,
+    incomplete: Flag = False,
+    sort: Sort = "started",
+    reverse: Flag = False,
+    json: Json = False,
+) -> int:
+    """List the logs of a folder and of the folders below it, newest first.
+
+    Args:
+        folder: where the logs are.
+        words: each must be in the rig's name, test, point, note or file name.
+        rig: must be in the rig's name.
+        test: must be in the test's name.
+        point: the point's name.
+        note: must be in the operator's note.
+        parameters: must be in the name or digest of the parameters laid over the rig file.
+        verdict: pass, fail, …, stale (the log is not the one that was judged), none.
+        since: recorded since then: 2026-03-01, 2026-03-01T10:00, today, or how long ago: 3d, 12h, 30min, 2w.
+        until: recorded until then; a day means its end.
+        lost: only logs in which samples or frames were lost.
+        complete: only whole files.
+        incomplete: only cut, damaged and unreadable files.
+        sort: by what; times, sizes and counts largest first.
+        reverse: the other way round.
+    """
+    from daq.catalogue import Catalogue  # noqa: PLC0415 (the log's reader takes half a second to import)
+
+    if complete and incomplete:
+        say("rig logs: expected one of --complete and --incomplete, got both")
+        return 2
+    try:
+        span = [
+            None if text is None else parse_instant(text, datetime.now(), end)
+            for text, end in ((since, False), (until, True))
+        ]
+    except ValueError as fault:
+        say(f"rig logs: --since, --until: {fault}")
+        return 2
+    query = Query(
+        words,
+        rig,
+        test,
+        point,
+        note,
+        parameters,
+        verdict,
+        *span,
+        lost=True if lost else None,
+        complete=complete if complete or incomplete else None,
+        sort=sort,
+        reverse=reverse,
+    )
+    catalogue = Catalogue(folder)
+    with ExitStack() as stack:
+        entries = catalogue.entries(_shown_when_needed(stack, "reading new logs"))
+    found = query.sorted(entry for entry in entries if query.admits(entry))
+    if catalogue.cache_trouble:
+        say(f"rig logs: {catalogue.cache_trouble}")
+    for trouble in catalogue.unread_folders:
+        say(f"rig logs: {trouble}")
+    if json:
+        print_json(
+            {
+                "folder": str(folder),
+                "files": len(entries),
+                "logs": [entry.model_dump() for entry in found],
+                "unread_folders": catalogue.unread_folders,
+            }
+        )
+    else:
+        print_logs(found, len(entries), folder)
+    return 0
+
+
+def log(
+    log: Path,
+    *,
+    verify: Annotated[bool, Parameter(negative="--no-verify")] = True,
+    events: Flag = False,
+    snapshot: Flag = False,
+    plot: Path | None = None,
+    json: Json = False,
+) -> int:
+    """What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or damaged.
+
+    What a recovered log had lost before is told, but is no fault of this file.
+
+    Args:
+        log: the log, finished or not.
+        verify: read everything and check it; --no-verify takes the file's own word.
+        events: list every event; otherwise those that are alike are taken together.
+        snapshot: print only the rig file as it was when the log was recorded (TOML).
+        plot: draw the whole log into this .svg, .png or .pdf file.
+    """
+    need_place("rig log: --plot", plot)
+    from rig_cli.log_facts import log_facts  # noqa: PLC0415 (the log's reader takes half a second to import)
+    from rig_cli.log_page import print_log  # noqa: PLC0415
+    from daq.log import open_log  # noqa: PLC0415
+
+    with open_log(log) as opened:
+        if snapshot:
+            return _print_snapshot(opened, json)
+        found = None
+        if verify:
+            with share_progress(f"checking {log.name}") as told:
+                found = opened.verify(told)
+        facts = log_facts(opened, log, found, all_events=events)
+        if plot is not None:
+            _plot(opened, plot, facts)
+    if json:
+        print_json(facts)
+    else:
+        print_log(facts)
+    damaged = verify and len(facts["missing"]) > len(facts["lost_before"])
+    return 1 if damaged or facts["unreadable"] else 0
+
+
+def _shown_when_needed(stack: ExitStack, text: str) -> Callable[[float], None]:
+    """Progress that shows itself when there is some to be told of."""
+    told: list[Callable[[float], None]] = []
+
+    def tell(share: float) -> None:
+        if not told:
+            told.append(stack.enter_context(share_progress(text)))
+        told[0](share)
+
+    return tell
+
+
+def _print_snapshot(opened: Log, json: bool) -> int:
+    from daq.log.snapshot import snapshot_of  # noqa: PLC0415
+
+    table = snapshot_of(opened)
+    if json:
+        print_json(table)
+    else:
+        import tomlkit  # noqa: PLC0415
+
+        print(tomlkit.dumps(_without_nothing(table)), end="")
+    return 0
+
+
+def _without_nothing(value: Any) -> Any:
+    """TOML has no null; a key that is not there means the same."""
+    if isinstance(value, dict):
+        return {key: _without_nothing(part) for key, part in value.items() if part is not None}
+    if isinstance(value, list):
+        return [_without_nothing(part) for part in value if part is not None]
+    return value
+
+
+def _plot(opened: Log, path: Path, facts: dict[str, Any]) -> None:
+    from analysis.figures.log_overview import draw_log_overview  # noqa: PLC0415 (matplotlib takes a second to import)
+
+    run = facts["run"]
+    words = [Path(facts["log"]).name, *(run[key] for key in ("rig", "test") if run.get(key))]
+    words += [local_time(run["started"])] if run.get("started") else []
+    with share_progress(f"drawing {path.name}") as told:
+        draw_log_overview(opened, path, " · ".join(words), told)
+    say(f"drawn: {path}")

@@ -1,0 +1,286 @@
+"""What the model alone says of a rig: predict."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+
+from rig_cli.console import print_json, say, wait_for_compilation
+from rig_cli.numbers import Positive, PositiveRpm
+from rig_cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from rig_cli.rest_points import say_balancing, say_lost
+from rig_cli.share_progress import share_progress
+from rig_cli.slow_roll_page import forced_region, shown_json, shown_line
+from rig_cli.speed import asked_speed
+from rig_cli.start_ups_page import start_ups_json, start_ups_lines
+from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
+
+if TYPE_CHECKING:
+    from dynamics.equations.parameters import RotorParameters
+    from dynamics.steady.outcome import ReleaseOutcome
+    from dynamics.steady.steady_state import SteadyState, SteadyStates
+
+Plot = Annotated[Path | None, Parameter(name="--plot", help="write a figure: .svg, .png or .pdf")]
+Sweep = Annotated[
+    str | None,
+    Parameter(
+        name="--sweep",
+        help="KEY=A:B:N or KEY=A:B:N:log: follow the states along a number of the rig file or speed_ratio, find where "
+        "another type becomes the stable one, as imbalance.radius_m=0:0.1:200",
+    ),
+]
+Accuracy = Annotated[
+    Positive, Parameter(help="wanted error of the largest multiplier, of angles (rad), of amplitudes (relative)")
+]
+AccuracyOrNone = Annotated[
+    Positive | None,
+    Parameter(
+        help="wanted error of the largest multiplier, of angles (rad), of amplitudes (relative); without it 1e-8, and "
+        "1e-6 where the suspension's damping grows with its speed"
+    ),
+]
+
+
+def predict(
+    rig: str,
+    *,
+    point: str | None = None,
+    speed_rpm: PositiveRpm | None = None,
+    speed_ratio: Positive | None = None,
+    accuracy: AccuracyOrNone = None,
+    at_least: Annotated[str | None, Parameter(name="--model", help="take a bigger model than needed")] = None,
+    release: Annotated[bool, Parameter(help="follow a release from 0° and 180° to where it ends")] = True,
+    balancing: Annotated[
+        bool, Parameter(negative="", help="what the pendulums can balance: region, margins of S_P, centre of gravity")
+    ] = False,
+    lost: Annotated[
+        bool, Parameter(negative="", help="speeds at which singular points of Types II, III are lost")
+    ] = False,
+    start_ups: Annotated[
+        int | None,
+        Parameter(help="follow so many start-ups from rest, pendulums or balls free; --plot then draws them"),
+    ] = None,
+    parameters: ParametersPath = None,
+    settings: Settings = None,
+    sweep: Sweep = None,
+    plot: Plot = None,
+    json: Json = False,
+) -> int:
+    """Steady states, stability and amplitudes at a point or a speed, and where a release ends.
+
+    --balancing and --lost need no speed. With --parameters what was found beside the values acts in all of it (a bow,
+    drag, a suspension that depends on the motion), and run-out is in what the sensors show.
+    """
+    need_place("rig predict: --plot", plot)
+    known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
+    if sweep is not None:
+        from rig_cli.predict_sweep import predict_sweep  # noqa: PLC0415
+
+        if at_least is not None:
+            raise RigFileError("rig predict: --model goes with one point or speed, not with --sweep")
+        places = (point, speed_rpm, speed_ratio)
+        return predict_sweep(rig, sweep, known, settings or [], places, accuracy or 1e-8, plot, json=json)
+    loaded = load_rig(rig, known, settings or [])
+    if balancing or lost:
+        if (balancing and lost) or (point, speed_rpm, speed_ratio) != (None, None, None):
+            raise RigFileError("rig predict: give --balancing or --lost alone, without a point or a speed")
+        return (say_balancing if balancing else say_lost)(loaded, known, settings or [], plot, json)
+    speed = asked_speed("rig predict", loaded, point, speed_rpm, speed_ratio)
+    with wait_for_compilation("dynamics"):
+        from dynamics import choose_model, steady_states  # noqa: PLC0415
+
+        physics = known.with_effects(loaded.physics)
+        found = steady_states(physics, speed, accuracy or _accuracy_of(physics), at_least=at_least)
+        outcomes = _released(physics, speed, found) if release else []
+    outcome = outcomes[0] if outcomes else None
+    model = found[0].model if found else choose_model(physics, at_least=at_least)
+    started = None if start_ups is None else start_ups_json(loaded, physics, speed, start_ups, plot)
+    if plot is not None and started is None:
+        from analysis.figures.steady_states import draw_steady_states  # noqa: PLC0415
+        from analysis.figures.style import save  # noqa: PLC0415
+
+        title = (
+            f"{loaded.name}, Ω = {speed / physics.natural_frequencies_rad_s[0]:.4g} ({speed * 30 / math.pi:.1f} rpm)"
+            f"{what_if_words(settings, '; ')}"
+        )
+        save(plot, draw_steady_states(physics, found, title, outcome))
+    result = {
+        "model": model.name,
+        "why": model.why,
+        "speed_ratio": speed / physics.natural_frequencies_rad_s[0],
+        "speed_rpm": speed * 30 / math.pi,
+        "balancing_region": forced_region(physics, speed),
+        "slow_roll": known.slow_roll.table() if known.slow_roll else None,
+        "steady_states": [_state_json(s, physics) | _shown(s, known, loaded) for s in found],
+        "unresolved": list(found.unresolved),
+        "release": None if outcome is None else _outcome_json(outcome, physics),
+        "releases_within_play": [_outcome_json(o, physics) for o in outcomes],
+        "start_ups": started,
+        "what_if": list(settings or []),
+        "plot": None if plot is None else str(plot),
+    }
+    if json:
+        print_json(result)
+        return 0
+    _print(result, found)
+    for line in start_ups_lines(started) if started else []:
+        print(line)
+    for line in known.slow_roll.sentences if known.slow_roll else []:
+        print(line)
+    if settings:
+        print(what_if_words(settings))
+    return 0
+
+
+def _shown(state: SteadyState, known: IdentifiedParameters, rig: Rig) -> dict[str, Any]:
+    """What the sensors show beside the motion, where there is run-out."""
+    roll = known.slow_roll
+    return {"sensors": shown_json(state, known, rig)} if roll and (roll.run_out_x_m or roll.run_out_y_m) else {}
+
+
+def _accuracy_of(physics: RotorParameters) -> float:
+    """What is asked for where nobody says: |v| v has kinks, which leave multipliers good to some 1e-7."""
+    return 1e-6 if any(physics.damping_growth_s_per_m) else 1e-8
+
+
+def _released(physics: RotorParameters, speed: float, found: SteadyStates) -> list[ReleaseOutcome]:
+    """Where releases within the locks' play end; none, with a word, where there is no locked motion to release from."""
+    from dynamics.errors import DynamicsError  # noqa: PLC0415
+    from dynamics.steady.outcome import releases_within_play  # noqa: PLC0415
+
+    if not (physics.a.present or physics.b.present):
+        return []
+    try:
+        with share_progress("following a release until it settles") as progress:
+            return releases_within_play(physics, speed, states=found, progress=progress)
+    except DynamicsError as error:
+        say(f"no release followed: {error}")
+        return []
+
+
+def _angles_json(theta_rad: tuple[float, float], physics: RotorParameters) -> dict[str, float | None]:
+    """θ3 and θ4 in degrees; none for a pendulum that is not there."""
+    there = (physics.a.present, physics.b.present)
+    return {
+        name: math.degrees(angle) if present else None
+        for name, angle, present in zip(("theta3_deg", "theta4_deg"), theta_rad, there, strict=True)
+    }
+
+
+def _state_json(s: SteadyState, physics: RotorParameters) -> dict[str, Any]:
+    out = {
+        "type": s.type,
+        **_angles_json(s.theta_rad, physics),
+        "any_angle": s.any_angle,
+        "amplitude_mm": 1e3 * s.amplitude_m,
+        "stable": s.stable,
+        "stability": s.stability,
+        "multiplier_max": s.multiplier_max,
+        "error_estimate": s.error_estimate,
+        "angle_error_deg": math.degrees(s.angle_error_rad),
+        "amplitude_error_mm": 1e3 * s.amplitude_error_m,
+        "method": s.method,
+    }
+    if any(s.stick_half_width_rad):
+        out["stick_half_width_deg"] = [math.degrees(w) for w in s.stick_half_width_rad]
+    return out
+
+
+def _outcome_json(o: ReleaseOutcome, physics: RotorParameters) -> dict[str, Any]:
+    out = {
+        "reaches": o.state,
+        "from_deg": [math.degrees(angle) for angle in o.from_rad],
+        **_angles_json(o.theta_rad, physics),
+        "after_s": o.after_s,
+        "revolutions": o.revolutions,
+        "slip_turns": list(o.slip_turns),
+        "same_end": o.same_end,
+        "same_time": o.same_time,
+        "seen": o.seen or None,
+    }
+    if o.slipping is not None:
+        out["slip_turns_per_revolution"] = list(o.slipping.turns_per_revolution)
+        out["slip_shrinkage"] = {"factor": o.slipping.shrinkage, "revolutions": o.slipping.judged}
+    return out
+
+
+def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
+    print(
+        f"{result['speed_rpm']:.6g} rpm, speed ratio {result['speed_ratio']:.6g}; "
+        f"pendulums {result['balancing_region']}"
+    )
+    print(f"model: {result['model']}: {result['why']}")
+    for s in result["steady_states"]:
+        print(
+            f"  {s['type']:4} {s['stability']:9} {_angles(s)}  "
+            f"amplitude {s['amplitude_mm']:.4f} mm  "
+            f"multiplier {_near_one(s['multiplier_max'])} ± {s['error_estimate']:.1g}"
+        )
+        if "stick_half_width_deg" in s:
+            bands = ("anywhere" if w >= 180 else f"within ± {w:.3g}°" for w in s["stick_half_width_deg"])
+            print("       so without dry friction, which can hold A and B " + ", ".join(bands))
+        if "sensors" in s:
+            print(shown_line(s["sensors"]))
+    if not found:
+        lost = "" if result["unresolved"] else ": the singular points are lost at this speed"
+        print(f"  no steady motion found{lost}")
+    for line in result["unresolved"]:
+        print(f"  not in the list: {line}")
+    methods = {s.method.split(":")[0]: s.method for s in reversed(found)}
+    print("stability by " + "; by ".join(methods.values()) if methods else "")
+    for line in _release_lines(result["releases_within_play"]):
+        print(line)
+
+
+def _angles(s: dict[str, Any], digits: int = 3) -> str:
+    """Both angles of a JSON entry, in columns."""
+    shown = []
+    for name, angle in (("θ3", s["theta3_deg"]), ("θ4", s["theta4_deg"])):
+        shown.append(f"{name}     none" if angle is None else f"{name} {angle:{5 + digits}.{digits}f}°")
+    return " ".join(shown) + (" or any other, turned together" if s.get("any_angle") else "")
+
+
+def _release_lines(releases: list[dict[str, Any]]) -> list[str]:
+    """Where releases within the play end, each end once, with how many reach it."""
+    lines: list[str] = []
+    for end, members in _by_end(releases).items():
+        first = members[0]
+        of = f"{len(members)} of {len(releases)} releases" if len(members) < len(releases) else "a release"
+        begin = f"{of} from 0° and 180° (± 0.2° of play)"
+        if end[0] == "not settled":
+            lines.append(f"{begin}: {first['seen']}")
+        elif end[0] == "slipping":
+            a, b = first["slip_turns_per_revolution"]
+            shrunk = first["slip_shrinkage"]
+            lines.append(
+                f"{begin}: slipping for ever, A {a:.4g} and B {b:.4g} turns per revolution: a stable slipping motion "
+                f"(deviations shrink to {shrunk['factor']:.1g} in {shrunk['revolutions']} revolutions)"
+            )
+        elif end[0] == "held by friction":
+            lines.append(f"{begin}: held by friction; followed for {first['revolutions']} revolutions")
+        else:
+            about = "" if all(m["same_time"] for m in members) else "about "
+            chance = "" if all(m["same_end"] for m in members) else "; which end a single release takes is chance"
+            lines.append(
+                f"{begin} reaches {end[0]} at {_angles(first, 2)} after {about}{first['after_s']:.1f} s{chance}"
+            )
+    return lines
+
+
+def _by_end(releases: list[dict[str, Any]]) -> dict[tuple[str, ...], list[dict[str, Any]]]:
+    """Releases by the state and the angles they reach."""
+    ends: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for r in releases:
+        reached = r["reaches"] not in ("not settled", "slipping", "held by friction")
+        key = (r["reaches"], _angles(r, 0)) if reached else (r["reaches"],)
+        ends.setdefault(key, []).append(r)
+    return ends
+
+
+def _near_one(multiplier: float) -> str:
+    """Six digits, or the difference from 1 where they would hide it."""
+    return f"{multiplier:.6f}" if abs(multiplier - 1) > 1e-4 else f"1 {multiplier - 1:+.3e}"

@@ -1,0 +1,228 @@
+"""Commands about identified parameters: show a file, compare two, follow them over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import App, Parameter
+
+from rig_cli.console import print_json, say
+from rig_cli.numbers import Chance
+from rig_cli.options import Json, need_place
+from rig_cli.parameters_budget import budget
+from rig_cli.plan import share
+from rig_configs import PARAMETER_UNITS, IdentifiedParameters, ParametersFileError, RigFileError
+
+if TYPE_CHECKING:
+    from identification.compare import Comparison
+    from identification.history import History
+    from identification.joint.limits import Limit
+
+app = App(name="parameters", help="Show identified parameters, say what changed, follow them over time.")
+app.command(budget)
+_CORRELATED = 0.5
+MassStd = Annotated[str, Parameter(help="relative standard uncertainty of the masses, e.g. 0.05%")]
+
+
+@app.command
+def show(*files: Path, mass_std: MassStd = "0%", json: Json = False) -> int:
+    """Show parameters files: values, uncertainty, what limits them, which tests they came from, correlations.
+
+    Args:
+        files: parameters.toml files.
+    """
+    if not files:
+        raise RigFileError("no file given; usage: rig parameters show FILE…")
+    mass = share(mass_std, "rig parameters show: --mass-std")
+    shown = [_facts(path, mass) for path in files]
+    if json:
+        print_json({"files": shown})
+        return 0
+    from rig_cli.parameters_page import print_parameters  # noqa: PLC0415
+
+    for facts in shown:
+        print_parameters(facts)
+    return 0
+
+
+@app.command
+def diff(
+    old: Path,
+    new: Path,
+    *,
+    level: Annotated[Chance, Parameter(help="chance of calling anything changed when nothing is")] = 0.01,
+    json: Json = False,
+) -> int:
+    """Say what changed between two parameters files, by how much, and whether that is significant.
+
+    Args:
+        old: the parameters before.
+        new: the parameters after.
+    """
+    from identification.compare import compare  # noqa: PLC0415 (scipy and numba take seconds to import)
+
+    if not 0 < level < 1:
+        raise RigFileError(f"rig parameters diff: --level expected a chance between 0 and 1, got {level:g}")
+    found = compare(_load(old), _load(new))
+    words = found.in_words(level)
+    if json:
+        print_json({"old": str(old), "new": str(new), "level": level, "words": words, **comparison_json(found)})
+        return 0
+    from rig_cli.parameters_page import print_comparison  # noqa: PLC0415
+
+    print_comparison(found, words, level)
+    return 0
+
+
+@app.command
+def history(
+    *places: Path,
+    rig: Annotated[str | None, Parameter(help="only files of this rig")] = None,
+    plot: Annotated[Path | None, Parameter(help="draw it: .svg, .png or .pdf")] = None,
+    level: Annotated[Chance, Parameter(help="chance of marking any change when there is none")] = 0.01,
+    json: Json = False,
+) -> int:
+    """Follow a rig's parameters over its parameters files, with each log's own values and the changes marked.
+
+    Args:
+        places: parameters files, and folders in which they are looked for. Logs enter by being identified.
+    """
+    from identification.compare import compare  # noqa: PLC0415 (scipy and numba take seconds to import)
+    from identification.history import history as follow  # noqa: PLC0415
+
+    if plot is not None:
+        need_place("rig parameters history: --plot", plot)
+    found = follow(list(places) or [Path()], rig)
+    if plot is not None:
+        from analysis.figures.style import save  # noqa: PLC0415 (matplotlib is slow)
+        from rig_cli.history_figure import history_figure  # noqa: PLC0415
+
+        save(plot, history_figure(found, level))
+    first, last = found.instants[0], found.instants[-1]
+    overall = None
+    if len(found.instants) > 1 and set(first.parameters.values) & set(last.parameters.values):
+        overall = compare(first.parameters, last.parameters).in_words(level)
+    if json:
+        print_json(_history_json(found, overall, plot))
+        return 0
+    from rig_cli.parameters_page import print_history  # noqa: PLC0415
+
+    print_history(found, overall, level)
+    if found.skipped:
+        say(f"{len(found.skipped)} other TOML files are no parameters files")
+    if plot is not None:
+        say(f"drawn: {plot}")
+    return 0
+
+
+def _load(path: Path) -> IdentifiedParameters:
+    try:
+        return IdentifiedParameters.load(path)
+    except ParametersFileError as fault:
+        if str(fault).startswith(str(path)):
+            raise
+        raise ParametersFileError(f"{path}: {fault}") from fault
+
+
+def _facts(path: Path, mass_std: float) -> dict[str, Any]:
+    from identification.joint.limits import limits  # noqa: PLC0415 (scipy and numba take seconds to import)
+
+    parameters = _load(path)
+    try:
+        found = limits(parameters, mass_std)
+    except ParametersFileError as fault:
+        raise ParametersFileError(f"{path}: {fault}") from fault
+    limited = {limit.name: limit for limit in found or []}
+    tests = parameters.provenance.get("tests", [])
+    values = {
+        name: {
+            "value": value,
+            "std": limited[name].std if name in limited else parameters.std[name],
+            "relative_std": (limited[name].std if name in limited else parameters.std[name]) / abs(value),
+            "unit": PARAMETER_UNITS[name],
+            "tests": [t.get("test", "?") for t in tests if name in t.get("values", {}) and not _out(t, name, tests)],
+            "limited_by": limit_json(limited[name]) if name in limited else None,
+        }
+        for name, value in parameters.values.items()
+    }
+    names, correlation = list(parameters.values), parameters.correlation
+    pairs = [
+        {"between": [names[i], names[j]], "correlation": float(correlation[i, j])}
+        for i in range(len(names))
+        for j in range(i)
+        if abs(correlation[i, j]) > _CORRELATED
+    ]
+    return {
+        "file": str(path),
+        "rig": parameters.provenance.get("rig"),
+        "software": parameters.provenance.get("software"),
+        "method": parameters.provenance.get("method"),
+        "parameters": values,
+        "correlated": pairs,
+        "tests": [
+            {key: t[key] for key in ("test", "log", "digest", "recorded", "method", "left_out") if key in t}
+            for t in tests
+        ],
+        "keeps_its_tests": found is not None,
+    }
+
+
+def _out(test: dict[str, Any], name: str, tests: list[dict[str, Any]]) -> bool:
+    """Whether a test's value is left out: it is bad, and another test shows the parameter."""
+    return "left_out" in test and any(name in t.get("values", {}) for t in tests if "left_out" not in t)
+
+
+def limit_json(limit: Limit) -> dict[str, Any]:
+    """{main, share of each source}."""
+    return {"main": limit.main, "shares": limit.shares, "advice": limit.advice}
+
+
+def comparison_json(found: Comparison) -> dict[str, Any]:
+    """What `rig parameters diff --json` prints of the numbers."""
+    return {
+        "changes": {
+            c.name: {
+                "old": c.old,
+                "new": c.new,
+                "change": c.change,
+                "std": c.std,
+                "relative_change": c.relative,
+                "relative_std": c.relative_std,
+                "z": c.z,
+                "p": c.p,
+                "p_all_looks_counted": c.p_holm,
+                "significant_at": c.level,
+                "share_of_chi2": c.share,
+                "unit": PARAMETER_UNITS[c.name],
+            }
+            for c in found.changes
+        },
+        "covariance": {"order": [c.name for c in found.changes], "matrix": found.covariance.tolist()},
+        "overall": {"chi2": found.chi2, "dof": found.dof, "p": found.p},
+        "only_old": found.only_old,
+        "only_new": found.only_new,
+        "notes": found.notes,
+    }
+
+
+def _history_json(found: History, overall: str | None, plot: Path | None) -> dict[str, Any]:
+    return {
+        "instants": [
+            {
+                "file": str(i.path),
+                "time": i.time.isoformat(),
+                "time_known": i.time_known,
+                "rig": i.rig or None,
+                "parameters": {
+                    n: {"value": v, "std": i.parameters.std[n], "unit": PARAMETER_UNITS[n]}
+                    for n, v in i.parameters.values.items()
+                },
+                "change": None if step is None else comparison_json(step),
+            }
+            for i, step in zip(found.instants, found.steps, strict=True)
+        ],
+        "first_to_last": overall,
+        "skipped": found.skipped,
+        "plot": None if plot is None else str(plot),
+    }

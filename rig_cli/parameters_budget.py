@@ -1,0 +1,319 @@
+"""The command that says how sure identified parameters and predicted quantities are, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from cyclopts import Parameter
+
+from rig_cli.console import print_json, wait_for_compilation
+from rig_cli.numbers import between
+from rig_cli.options import Json, Settings, what_if_words
+from rig_cli.share_progress import share_progress
+from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig, overridden
+
+if TYPE_CHECKING:
+    from analysis.budget import PredictedBudgets
+    from identification.joint.budget import ParameterBudgets
+    from uncertainty import Budgets, LinearCheck, MonteCarlo
+
+Level = Annotated[float, Parameter(validator=between(0.5, 0.9999, low_too=True), help="coverage probability")]
+Trials = Annotated[
+    int | None,
+    Parameter(validator=between(100, 2_000_000, low_too=True), help="draws of predictions; parameters get more"),
+]
+MonteCarloToo = Annotated[
+    bool,
+    Parameter(name="--monte-carlo", negative="", help="draw every source, hold the linear intervals against it"),
+]
+_MODEL_TRIALS, _LINEAR_TRIALS = 4_000, 200_000
+_KINDS: tuple[Literal["symmetric", "shortest"], ...] = ("symmetric", "shortest")
+_DIGITS = 1  # of the standard uncertainty that matter to the verdict
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is to be budgeted.
+
+    Attributes:
+        parameters: names of the file's parameters.
+        points: points of the rig file.
+        quantities: single quantities of points; empty: all of each point.
+    """
+
+    parameters: tuple[str, ...]
+    points: tuple[str, ...]
+    quantities: frozenset[str] = frozenset()
+
+    def shows(self, quantity: str) -> bool:
+        """Whether a predicted quantity is asked for."""
+        return not self.quantities or quantity in self.quantities
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Budgets of parameters and predictions with what was asked besides."""
+
+    asked: Asked
+    of_parameters: ParameterBudgets
+    predicted: PredictedBudgets | None
+    exact: Mapping[str, Mapping[str, float]]
+    skipped: Mapping[str, str]
+    sampled: Sequence[MonteCarlo] = ()
+    checks: Mapping[str, Mapping[str, LinearCheck]] = field(default_factory=dict)
+
+    @property
+    def together(self) -> Budgets:
+        """Of everything that is shown, with the same sources."""
+        from uncertainty import Budgets  # noqa: PLC0415
+
+        parameters = self.of_parameters.budgets
+        names = list(self.asked.parameters)
+        at = [parameters.names.index(name) for name in names]
+        values, units = [parameters.values[at]], [parameters.units[i] for i in at]
+        sources, tables = parameters.sources, [parameters.sensitivities[at]]
+        if self.predicted is not None:
+            found = self.predicted.budgets
+            rows = [i for i, name in enumerate(found.names) if self.asked.shows(name)]
+            extra = np.zeros((len(at), found.sensitivities.shape[1] - parameters.sensitivities.shape[1]))
+            sources, tables = found.sources, [np.concatenate([tables[0], extra], axis=1), found.sensitivities[rows]]
+            values.append(found.values[rows])
+            names += [found.names[i] for i in rows]
+            units += [found.units[i] for i in rows]
+        return Budgets(tuple(names), np.concatenate(values), tuple(units), sources, np.concatenate(tables))
+
+
+def budget(
+    file: Path,
+    *names: str,
+    rig: Annotated[str | None, Parameter(help="rig file: what is taken as known, and the points")] = None,
+    level: Level = 0.95,
+    monte_carlo: MonteCarloToo = False,
+    trials: Trials = None,
+    seed: Annotated[int, Parameter(validator=between(0, 2**31, low_too=True))] = 1,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Say how sure each parameter is, with --rig each predicted quantity of the points too, and what makes it unsure.
+
+    Args:
+        file: parameters.toml.
+        names: parameters (k1), points (D) or their quantities (D.theta3_deg); without one, all.
+    """
+    from identification.joint.budget import parameter_budgets  # noqa: PLC0415 (scipy and numba take seconds to import)
+
+    if settings and rig is None:
+        raise RigFileError("rig parameters budget: --set changes a rig file; give it with --rig")
+    identified = IdentifiedParameters.load(file)
+    loaded = None if rig is None else load_rig(rig, identified, settings or [])
+    asked = _asked(names, identified, loaded)
+    of_parameters = parameter_budgets(identified, loaded)
+    predicted, skipped = None, dict[str, str]()
+    if loaded is not None and asked.points:
+        kept = identified.without(overridden(identified, settings or []))
+        predicted, skipped = _predicted(loaded, kept, asked, of_parameters)
+    exact = {} if loaded is None else _exact(loaded, identified, asked, predicted)
+    answer = Answer(asked, of_parameters, predicted, exact, skipped)
+    if not asked.parameters and not (predicted and any(map(asked.shows, predicted.budgets.names))):
+        raise RigFileError(
+            f"rig parameters budget: nothing to budget: {'; '.join(f'{n}: {w}' for n, w in skipped.items())}"
+        )
+    if monte_carlo:
+        answer = _drawn(answer, loaded, level, trials, seed)
+    if json:
+        print_json(_json(file, loaded, answer, level, settings or []))
+        return 0
+    from rig_cli.parameters_budget_page import print_budget  # noqa: PLC0415
+
+    print_budget(str(file), loaded, answer, level)
+    if settings:
+        print(what_if_words(settings))
+    return 0
+
+
+def all_budgets(rig: Rig, identified: IdentifiedParameters) -> Budgets:
+    """Of every parameter, and of every quantity predicted at the points where the model has a stable state.
+
+    Args:
+        identified: without what was set by hand.
+    """
+    from identification.joint.budget import parameter_budgets  # noqa: PLC0415
+
+    asked, of_parameters = Asked(tuple(identified.values), tuple(rig.points)), parameter_budgets(identified, rig)
+    predicted, skipped = _predicted(rig, identified, asked, of_parameters)
+    return Answer(asked, of_parameters, predicted, {}, skipped).together
+
+
+def _asked(names: Sequence[str], identified: IdentifiedParameters, rig: Rig | None) -> Asked:
+    """The names as parameters, points and quantities.
+
+    Raises:
+        RigFileError: one is none of them.
+    """
+    from analysis.budget import quantity_names  # noqa: PLC0415
+    from identification.compare import short  # noqa: PLC0415
+
+    points = () if rig is None else tuple(rig.points)
+    if not names:
+        return Asked(tuple(identified.values), points)
+    called = {short(name): name for name in identified.values} | {name: name for name in identified.values}
+    parameters, wanted, quantities = dict[str, None](), dict[str, None](), set[str]()
+    for name in names:
+        point = name.partition(".")[0]
+        if name in called:
+            parameters[called[name]] = None
+        elif point in points and (name == point or name in quantity_names(point)):
+            wanted[point] = None
+            quantities |= set(quantity_names(point)) if name == point else {name}
+        else:
+            known = [*map(short, identified.values), *points, *(quantity_names(points[0]) if points else [])]
+            hint = "" if rig else "; points of a rig file need --rig"
+            raise RigFileError(f"rig parameters budget: no {name!r}; expected any of {', '.join(known)}{hint}")
+    return Asked(tuple(parameters), tuple(wanted), frozenset(quantities))
+
+
+def _predicted(
+    rig: Rig, identified: IdentifiedParameters, asked: Asked, of_parameters: ParameterBudgets
+) -> tuple[PredictedBudgets | None, dict[str, str]]:
+    """Budgets of the points, and why a point has none."""
+    from analysis.budget import predicted_budgets, quantity_names  # noqa: PLC0415
+    from analysis.errors import NoStableState  # noqa: PLC0415
+    from analysis.prediction import known_axis_angle, predict_point  # noqa: PLC0415
+
+    found, skipped = {}, {}
+    with wait_for_compilation("dynamics"):
+        for point in asked.points:
+            speed = rig.physics.speed_rad_s(rig.points[point].speed_ratio)
+            try:
+                found[point] = predict_point(rig, identified, speed)
+            except NoStableState as why:
+                skipped[point] = str(why)
+    if not found:
+        return None, skipped
+    angle = known_axis_angle(identified, rig)
+    there = identified.axis_angle_deg is not None
+    budgets = predicted_budgets(
+        found,
+        list(identified.values),
+        of_parameters.budgets,
+        rig,
+        angle,
+        axis_identified=there,
+        slow_roll=identified.slow_roll,
+        terms=identified.terms,
+    )
+    for name in (n for point in found for n in quantity_names(point) if asked.shows(n)):
+        if name not in budgets.budgets.names:
+            skipped[name] = "it is 0 whatever the parameters are"
+    return budgets, skipped
+
+
+def _exact(
+    rig: Rig, identified: IdentifiedParameters, asked: Asked, predicted: PredictedBudgets | None
+) -> dict[str, dict[str, float]]:
+    """Number that is taken as exact → quantity → its change for 0.1 % of the number, in the quantity's unit."""
+    from identification.joint.budget import exact_shifts  # noqa: PLC0415
+
+    order = list(identified.values)
+    shifts = {
+        number: {name: float(shift[order.index(name)]) for name in asked.parameters}
+        for number, shift in exact_shifts(identified, rig.known).items()
+    }
+    if predicted is not None:
+        at = [order.index(name) for name in predicted.parameters]
+        by_number = {number: slope[at] for number, slope in identified.by_number.items()}
+        for number, shift in predicted.exact_shifts(by_number).items():
+            shown = zip(predicted.budgets.names, shift.tolist(), strict=True)
+            shifts.setdefault(number, {}).update({name: s for name, s in shown if asked.shows(name)})
+    return shifts
+
+
+def _drawn(answer: Answer, rig: Rig | None, level: float, trials: int | None, seed: int) -> Answer:
+    """The answer with a Monte Carlo calculation and its verdicts on the linear intervals."""
+    from dataclasses import replace  # noqa: PLC0415
+
+    from uncertainty import check_linear, monte_carlo  # noqa: PLC0415
+
+    sampled: list[MonteCarlo] = []
+    together = answer.together
+    if answer.asked.parameters:
+        parameters = answer.of_parameters.budgets
+        at = [parameters.names.index(name) for name in answer.asked.parameters]
+        values, slopes = parameters.values[at], parameters.sensitivities[at]
+        sampled.append(
+            monte_carlo(
+                lambda errors: values + errors @ slopes.T,
+                parameters.sources,
+                seed=seed,
+                level=level,
+                trials=max(trials or 0, _LINEAR_TRIALS),
+                names=answer.asked.parameters,
+            )
+        )
+    if answer.predicted is not None and rig is not None:
+        from analysis.budget_monte_carlo import NonlinearModel  # noqa: PLC0415
+
+        count = trials or _MODEL_TRIALS
+        found = answer.predicted
+        with share_progress(f"{count} draws of {', '.join(found.predictions)}", count, "draws") as told:
+            model = NonlinearModel(found, rig.physics, told, count)
+            sampled.append(
+                monte_carlo(
+                    model, found.budgets.sources, seed=seed, level=level, trials=count, names=found.budgets.names
+                )
+            )
+    checks: dict[str, dict[str, LinearCheck]] = {}
+    for result in sampled:
+        for quantity in result.quantities:
+            if quantity.name in together.names:
+                row = together[quantity.name]
+                checks[quantity.name] = {k: check_linear(row, result, _DIGITS, interval=k) for k in _KINDS}
+    return replace(answer, sampled=tuple(sampled), checks=checks)
+
+
+def _json(file: Path, rig: Rig | None, answer: Answer, level: float, settings: Sequence[str]) -> dict[str, Any]:
+    from uncertainty.rows import budget_json  # noqa: PLC0415
+
+    together = answer.together
+    shown = {each.name: budget_json(each, level) for each in together.budgets}
+    for name, by_kind in answer.checks.items():
+        spread = next(r[name] for r in answer.sampled if name in [q.name for q in r.quantities])
+        trials = next(r.trials for r in answer.sampled if name in [q.name for q in r.quantities])
+        shown[name]["monte_carlo"] = {
+            **spread.to_json(),
+            "trials": trials,
+            "verdict": by_kind[_KINDS[0]].verdict,
+            "checks": {kind: check.to_json() for kind, check in by_kind.items()},
+        }
+    parameters = set(answer.asked.parameters)
+    std = {each.name: each.std for each in together.budgets}
+    return {
+        "file": str(file),
+        "rig": None if rig is None else rig.name,
+        "parameters": {name: told for name, told in shown.items() if name in parameters},
+        "predicted": {name: told for name, told in shown.items() if name not in parameters},
+        "correlation": {"order": list(together.names), "matrix": together.correlation.tolist()},
+        "stretch": answer.of_parameters.stretch,
+        "taken_as_exact": {
+            number: {
+                name: {
+                    "change": change,
+                    "percent": _percent(change, together[name].value),
+                    "standard_uncertainties": change / std[name] if std[name] > 0 else None,
+                }
+                for name, change in changes.items()
+            }
+            for number, changes in answer.exact.items()
+        },
+        "without_budget": dict(answer.skipped),
+        "notes": list(answer.of_parameters.notes),
+        "what_if": list(settings),
+    }
+
+
+def _percent(change: float, value: float) -> float | None:
+    return 100 * change / abs(value) if value else None

@@ -1,0 +1,116 @@
+"""The command that says what to record for a wanted uncertainty."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from rig_cli.console import STDERR, print_json
+from rig_cli.options import Json, ParametersPath, Settings, what_if_words
+from rig_configs import RigFileError, load_rig
+
+if TYPE_CHECKING:
+    from identification.plan.experiment import Experiment
+    from identification.plan.planning import Answer, Plan
+
+
+def plan(
+    rig: str,
+    *,
+    want: Annotated[list[str] | None, Parameter(help="NAME=VALUE: zeta1=1%, k1=5N/m; again for more")] = None,
+    parameters: ParametersPath = None,
+    log: Annotated[list[Path] | None, Parameter(help="a log of this rig, to measure its sensors' noise in")] = None,
+    mass_std: Annotated[str, Parameter(help="relative standard uncertainty of the masses, e.g. 0.05%")] = "0%",
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Say which experiments reach a wanted uncertainty: how long, what amplitude, what rate; exit 1 when none can.
+
+    Args:
+        rig: a rig file, or the name of a shipped one; its parameters are what they are believed to be.
+    """
+    from identification.plan.planning import plan as find  # noqa: PLC0415 (numba takes seconds to import)
+    from identification.plan.sensors import Sensors  # noqa: PLC0415
+    from identification.plan.wants import parse_want  # noqa: PLC0415
+
+    if not want:
+        raise RigFileError("rig plan: say what is to be known, for example --want zeta1=1% --want c3=2%")
+    wants = [parse_want(text) for text in want]
+    mass = share(mass_std, "rig plan: --mass-std")
+    loaded = load_rig(rig, parameters, settings or [])
+    sensors = Sensors.of(loaded)
+    if log:
+        from daq.signals.run import load_run  # noqa: PLC0415
+
+        sensors = sensors.as_in([load_run(path) for path in log])
+    found = find(loaded, wants, sensors, mass, lambda text: STDERR.print(f"trying {text}"))
+    if json:
+        print_json({"rig": loaded.name, **plan_json(found), "what_if": list(settings or [])})
+    else:
+        from rig_cli.plan_page import print_plan  # noqa: PLC0415
+
+        print_plan(loaded.name, found)
+        if settings:
+            print(what_if_words(settings))
+    return 0 if found.possible else 1
+
+
+def share(text: str, where: str) -> float:
+    """A relative standard uncertainty written as 0.1% or 0.001.
+
+    Raises:
+        RigFileError: it is neither, or not from 0 to below 1.
+    """
+    number, percent, rest = text.strip().partition("%")
+    try:
+        value = float(number) / (100.0 if percent else 1.0)
+    except ValueError:
+        value = float("nan")
+    if rest or not 0 <= value < 1:
+        raise RigFileError(f"{where} expected a share such as 0.1% or 0.001, got {text!r}")
+    return value
+
+
+def plan_json(found: Plan) -> dict[str, Any]:
+    """What `rig plan --json` prints."""
+    sensors = found.sensors
+    return {
+        "possible": found.possible,
+        "record_s": found.record_s,
+        "steps": [
+            {**_experiment_json(s.experiment), "runs": s.runs, "wanted_for": list(s.wanted_for)} for s in found.steps
+        ],
+        "wants": {a.want.name: _answer_json(a) for a in found.answers},
+        "sensors": {
+            "laser_noise_m": list(sensors.laser_noise_m),
+            "laser_rate_Hz": list(sensors.laser_rate_Hz),
+            "gain_std": list(sensors.gain_std),
+            "encoder_noise_rad": sensors.encoder_noise_rad,
+            "encoder_rate_Hz": sensors.encoder_rate_Hz,
+            "measured": sensors.measured,
+        },
+        "remarks": found.remarks,
+    }
+
+
+def _experiment_json(experiment: Experiment) -> dict[str, Any]:
+    return {
+        "test": experiment.test,
+        "settings": dict(experiment.settings),
+        "relative_std": {n: experiment.relative_std(n) for n in experiment.expected.names},
+        "relative_floor": {n: experiment.floor(n) for n in experiment.expected.names},
+    }
+
+
+def _answer_json(answer: Answer) -> dict[str, Any]:
+    return {
+        "believed": answer.believed,
+        "wanted_relative_std": answer.wanted,
+        "reached_relative_std": answer.reached,
+        "possible": answer.possible,
+        "floor_relative_std": answer.floor,
+        "limited_by": answer.limited_by,
+        "best_single_run": [{**_experiment_json(e), "reaches": std} for e, std in answer.best],
+    }

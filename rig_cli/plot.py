@@ -1,0 +1,173 @@
+# pyright: strict
+"""The command that draws logs: one figure of each, or one of all, beside the model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from rig_cli.console import print_json, say
+from rig_cli.options import Json, Settings, what_if_words
+from rig_cli.share_progress import share_progress
+from daq.errors import LogError
+from rig_configs import IdentifiedParameters, RigFileError
+
+if TYPE_CHECKING:
+    from rig_cli.plotted import Wanted
+
+Kind = Literal[
+    "time",
+    "orbit",
+    "dial",
+    "bode",
+    "polar",
+    "waterfall",
+    "spectrum",
+    "orders",
+    "slip",
+    "multipliers",
+    "map",
+    "residuals",
+    "history",
+    "health",
+]
+
+
+def plot(
+    kind: Kind,
+    *logs: Path,
+    over: Annotated[Path | None, Parameter(help="a second log, drawn over the first")] = None,
+    model: Annotated[
+        Path | None, Parameter(help="parameters.toml of the model drawn beside; without it the log's own rig file")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        Parameter(name=["--output", "-o"], help="a figure (.svg, .png, .pdf, .html) or a folder; without it here"),
+    ] = None,
+    force: Annotated[bool, Parameter(negative="", help="replace figures that are there")] = False,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Draw logs: orbit, Bode, polar, waterfall and more, the model beside what was measured.
+
+    time: displacements, angles, speed. orbit: path with index mark. dial: pendulum angles. bode, polar: 1× vectors over
+    speed. waterfall: spectra over speed. spectrum: full spectrum and power densities. orders: order map. slip: angles
+    and slip order. multipliers: in the plane and along the speed. map: stability map with the logs' points. residuals:
+    what identification fitted. history: of parameters files. health: the streams of a log. An .html figure zooms and
+    needs no network.
+
+    A folder stands for its logs. Those that a kind cannot show are named, the others drawn: exit 0 where all that were
+    named themselves are drawn, 2 where one of them, an unreadable log, or every log of a folder is not.
+
+    Args:
+        logs: logs, and folders of them; of history parameters files.
+    """
+    from rig_cli.plotted import figures_of, logs_in  # noqa: PLC0415 (matplotlib and numba take seconds to import)
+
+    if not logs:
+        raise RigFileError(f"no log given; usage: rig plot {kind} LOG…")
+    known = None if model is None else IdentifiedParameters.load(model)
+    found, of_folders = logs_in(kind, logs)
+    wanted = figures_of(kind, found, over, model, known, settings or [])
+    places = _places(kind, wanted.names, output, force)
+    drawn, left = _draw_all(kind, wanted, places, force)
+    if json:
+        print_json(
+            {
+                "kind": kind,
+                "figures": drawn,
+                "over": None if over is None else str(over),
+                "model": None if model is None else str(model),
+                "what_if": list(settings or []),
+                "not_drawn": [{"log": str(each.log), "reason": each.reason} for each in left],
+            }
+        )
+    else:
+        if settings:
+            print(what_if_words(settings))
+        for figure in drawn:
+            print(f"written to {figure['file']}")
+    for each in left:
+        say(f"not drawn: {each.reason}")
+    passed_over = all(each.lacks and each.log in of_folders for each in left)
+    return 0 if drawn and passed_over else 2
+
+
+@dataclass(frozen=True)
+class _NotDrawn:
+    """A log without a figure: why, and whether it merely lacks what the kind shows."""
+
+    log: Path
+    reason: str
+    lacks: bool
+
+
+def _draw_all(
+    kind: Kind, wanted: Wanted, places: Sequence[Path], force: bool
+) -> tuple[list[dict[str, Any]], list[_NotDrawn]]:
+    """What was drawn, as JSON says it, and what was not.
+
+    Raises:
+        AnalysisError, LogError: of the only log, or of a figure of all.
+    """
+    from analysis.errors import NotEnoughData  # noqa: PLC0415
+
+    drawn, left = list[dict[str, Any]](), list[_NotDrawn]()
+    with share_progress(f"drawing {kind}") as tell:
+        for i, (place, draw) in enumerate(zip(places, wanted.draws, strict=True)):
+            try:
+                drawn.append(_drawn(place, draw(), force))
+            except (NotEnoughData, LogError) as error:
+                if len(wanted.logs) < 2:
+                    raise
+                log, reason = wanted.logs[i], str(error)
+                named = reason if log.name in reason else f"{log}: {reason}"
+                left.append(_NotDrawn(log, named, isinstance(error, NotEnoughData)))
+            tell((i + 1) / len(places))
+    return drawn, left
+
+
+def _places(kind: Kind, names: Sequence[str], output: Path | None, force: bool) -> list[Path]:
+    """A file for each figure; names that are taken or mean nothing are refused before the work."""
+    from analysis.figures.page import SUFFIXES  # noqa: PLC0415 (matplotlib)
+    from daq.exchange.staging import Staging  # noqa: PLC0415
+
+    folder = output is not None and (output.is_dir() or not output.suffix)
+    if output is None or folder:
+        found = [(output or Path()) / f"{name}.{kind}.svg" for name in names]
+    elif output.suffix.lower() not in SUFFIXES:
+        raise RigFileError(f"rig plot: -o {output}: expected a folder, or a name ending in {', '.join(SUFFIXES)}")
+    elif len(names) > 1:
+        raise RigFileError(f"rig plot: -o {output}: one file for {len(names)} figures; give a folder")
+    else:
+        found = [output]
+    if twice := sorted({str(place) for place in found if found.count(place) > 1}):
+        raise RigFileError(f"rig plot: several logs would be drawn to {', '.join(twice)}; draw them one by one with -o")
+    with Staging(force) as staging:
+        for place in found:
+            staging.place(place)
+    return found
+
+
+def _drawn(place: Path, figure: tuple[Any, dict[str, Any]], force: bool) -> dict[str, Any]:
+    """Write one figure; what JSON says of it."""
+    from analysis.figures.page import write_figure  # noqa: PLC0415 (matplotlib)
+    from daq.exchange.staging import Staging  # noqa: PLC0415
+
+    drawing, facts = figure
+    with Staging(force) as staging:
+        part = staging.place(place)
+        ending = part.with_suffix(place.suffix)  # the format is taken from the ending
+        try:
+            write_figure(ending, drawing, str(facts["title"]))
+            ending.replace(part)
+        finally:
+            ending.unlink(missing_ok=True)
+        staging.commit()
+    for text in facts.get("warnings", []):
+        say(f"warning: {text}")
+    return {"file": str(place), **facts}

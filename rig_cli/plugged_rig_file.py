@@ -1,0 +1,58 @@
+# pyright: strict
+"""The rig file of a virtual rig that runs: what its operator would write of a real one, ports and all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, cast
+
+import tomlkit
+
+from rig_cli.options import need_place
+from rig_configs import RigFileError, parse_setting
+from rig_configs.load import apply_setting, shipped_rigs
+from rig_configs.toml_text import read_text
+
+_FIRST_LINE = "# Written by `rig virtual`, which writes over it."
+
+
+def need_free(output: Path) -> None:
+    """Whether the file may be written.
+
+    Raises:
+        RigFileError: there is no such folder, or there is a file that `rig virtual` has not written.
+    """
+    need_place("--output", output)
+    if output.exists() and not read_text(output).startswith(_FIRST_LINE):
+        raise RigFileError(f"--output {output}: there is a file of this name; give another, or remove it")
+
+
+def write_plugged(rig: str, settings: Sequence[str], ports: Mapping[str, str], output: Path) -> None:
+    """Write a rig file: as it was given, with settings laid over it, with these ports and without [virtual].
+
+    Args:
+        rig: path or name.
+        settings: "key=value" texts; those of [virtual] are left out.
+        ports: of the devices by name.
+        output: the file.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    document: Any = tomlkit.parse(_text(rig))
+    del document["virtual"]
+    for text in settings:
+        key, value = parse_setting(text)
+        if key.partition(".")[0] != "virtual":
+            apply_setting(cast(dict[str, Any], document), key, value)
+    for name, port in ports.items():
+        document["devices"][name]["port"] = port
+    output.write_text(f"{_FIRST_LINE}\n{tomlkit.dumps(document)}", encoding="utf-8")
+
+
+def _text(rig: str) -> str:
+    if not Path(rig).suffix and rig in shipped_rigs():
+        return (resources.files("rig_configs") / f"{rig}.toml").read_text(encoding="utf-8")
+    return read_text(Path(rig))

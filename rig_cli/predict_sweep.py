@@ -1,0 +1,132 @@
+# pyright: strict
+"""`rig predict --sweep`: steady states along one number of a rig, and where another type becomes the stable one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rig_cli.console import print_json, wait_for_compilation
+from rig_cli.options import what_if_words
+from rig_cli.share_progress import share_progress
+from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
+
+if TYPE_CHECKING:
+    from dynamics.steady.branches import Branch, SteadyBranches
+
+
+def predict_sweep(
+    rig: str,
+    text: str,
+    known: IdentifiedParameters,
+    settings: Sequence[str],
+    speeds: tuple[str | None, float | None, float | None],
+    accuracy: float,
+    plot: Path | None,
+    *,
+    json: bool,
+) -> int:
+    """Branches over the number, its break points, the figure.
+
+    Args:
+        text: KEY=A:B:N[:log].
+        speeds: --point, --speed-rpm, --speed-ratio.
+    """
+    with wait_for_compilation("dynamics"):
+        from analysis.maps.lines import line_over  # noqa: PLC0415
+        from rig_cli.map_axes import read_axis  # noqa: PLC0415
+    axis = read_axis("--sweep", text, "rig predict")
+
+    def rig_with(more: list[str]) -> Rig:
+        return load_rig(rig, known, [*settings, *more])
+
+    loaded = rig_with([])
+    line = line_over(rig_with, axis, *_speed(loaded, *speeds), effects=known.with_effects)
+    with share_progress(f"{axis.count} values of {axis.key}") as told:
+        found = line.branches(accuracy, told)
+    if plot is not None:
+        from analysis.figures.branches import draw_branches  # noqa: PLC0415
+        from analysis.figures.style import save  # noqa: PLC0415
+
+        at = "" if axis.is_speed else f", {line.at(axis.low)[1] * 30 / math.pi:.1f} rpm"
+        title = f"{loaded.name}{at}{what_if_words(settings, '; ')}"
+        save(plot, draw_branches(found, axis.name, title, logarithmic=axis.logarithmic))
+    if json:
+        print_json(_json(found, axis.text, plot, settings))
+        return 0
+    for text_line in lines(found, axis.key):
+        print(text_line)
+    if settings:
+        print(what_if_words(settings))
+    return 0
+
+
+def _speed(
+    rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: float | None
+) -> tuple[float | None, float | None]:
+    """Speed in rad/s or as a ratio, as they were asked for."""
+    if sum(x is not None for x in (point, speed_rpm, speed_ratio)) > 1:
+        raise RigFileError("rig predict: give one of --point, --speed-rpm, --speed-ratio")
+    if point is not None:
+        if point not in rig.points:
+            raise RigFileError(f"rig predict: no point {point!r} in {rig.name}; known: {', '.join(rig.points)}")
+        return None, rig.points[point].speed_ratio
+    return None if speed_rpm is None else speed_rpm * math.pi / 30, speed_ratio
+
+
+def lines(found: SteadyBranches, key: str) -> list[str]:
+    """What a sweep found, for people."""
+    said = list[str]()
+    for branch in found.stable_branches():
+        ends = [_at(branch, i) for i in (0, -1)]
+        said.append(
+            f"{branch.type:4} stable from {key} = {branch.values[0]:.7g} to {branch.values[-1]:.7g}: "
+            f"{ends[0]} … {ends[1]}"
+        )
+    if not said:
+        said.append("no stable steady state at any value")
+    for one in found.break_points:
+        before, after = (" and ".join(types) or "none" for types in (one.before, one.after))
+        said.append(f"break point at {key} = {one.value:.7g} ± {one.error:.1g}: stable before {before}, after {after}")
+    if not found.break_points:
+        said.append("no break point: the same types are stable at all values")
+    if found.unresolved:
+        value, why = found.unresolved[0]
+        said.append(f"{len(found.unresolved)} not in the list, the first at {key} = {value:.7g}: {why}")
+    return said
+
+
+def _at(branch: Branch, i: int) -> str:
+    a, b = (math.degrees(float(angle)) % 360 for angle in branch.theta_rad[i])
+    return f"θ3 {a:.2f}° θ4 {b:.2f}° {1e3 * branch.amplitude_m[i]:.4f} mm"
+
+
+def _json(found: SteadyBranches, axis: str, plot: Path | None, settings: Sequence[str]) -> dict[str, Any]:
+    return {
+        "sweep": axis,
+        "break_points": [
+            {"value": one.value, "error": one.error, "before": list(one.before), "after": list(one.after)}
+            for one in found.break_points
+        ],
+        "branches": [
+            {
+                "type": b.type,
+                "values": b.values.tolist(),
+                "theta3_deg": [math.degrees(a) % 360 for a in b.theta_rad[:, 0].tolist()],
+                "theta4_deg": [math.degrees(a) % 360 for a in b.theta_rad[:, 1].tolist()],
+                "amplitude_mm": (1e3 * b.amplitude_m).tolist(),
+                "multiplier_max": b.multiplier_max.tolist(),
+                "stable": b.stable.tolist(),
+            }
+            for b in found.branches
+        ],
+        "values": found.values.tolist(),
+        "locked_amplitude_mm": [
+            1e3 * value if math.isfinite(value) else None for value in found.locked_amplitude_m.tolist()
+        ],
+        "unresolved": [{"value": value, "why": why} for value, why in found.unresolved],
+        "what_if": list(settings),
+        "plot": None if plot is None else str(plot),
+    }

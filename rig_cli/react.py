@@ -1,0 +1,99 @@
+# pyright: strict
+"""`rig react`: how the pendulums answer a sudden change of the rig at speed."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+
+from rig_cli.console import print_json, wait_for_compilation
+from rig_cli.numbers import Positive, PositiveRpm, PositiveSeconds
+from rig_cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from rig_cli.speed import asked_speed
+from rig_configs import IdentifiedParameters, RigFileError, load_rig
+
+if TYPE_CHECKING:
+    from dynamics.steady.reaction import Reaction
+
+
+def react(
+    rig: str,
+    *,
+    change: Annotated[
+        list[str] | None, Parameter(help="KEY=VALUE that changes at once: imbalance.radius_m=+20%")
+    ] = None,
+    point: str | None = None,
+    speed_rpm: PositiveRpm | None = None,
+    speed_ratio: Positive | None = None,
+    share: Annotated[Positive, Parameter(help="of the largest deviation, at which the reaction is over")] = 0.05,
+    seconds: Annotated[PositiveSeconds | None, Parameter(help="followed; left out: until the slowest has died")] = None,
+    plot: Annotated[Path | None, Parameter(help="write a figure: .svg, .png, .pdf, or .html, which zooms")] = None,
+    parameters: ParametersPath = None,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """How the pendulums answer a sudden change at speed: vibration, peak, and the time until it is balanced again.
+
+    The motion starts in the stable state of the rig as it is and goes on with --change laid over it, at the same speed.
+    """
+    need_place("rig react: --plot", plot)
+    if not change:
+        raise RigFileError("rig react: expected --change KEY=VALUE, as imbalance.radius_m=+20%")
+    known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
+    before = load_rig(rig, known, settings or [])
+    after = load_rig(rig, known, [*(settings or []), *change])
+    speed = asked_speed("rig react", before, point, speed_rpm, speed_ratio)
+    with wait_for_compilation("dynamics"):
+        from dynamics.steady.reaction import reaction  # noqa: PLC0415 (loads numba)
+
+        found = reaction(known.with_effects(before.physics), known.with_effects(after.physics), speed, share, seconds)
+    title = f"{before.name}, {', '.join(change)} at {speed * 30 / math.pi:.1f} rpm{what_if_words(settings, '; ')}"
+    if plot is not None:
+        from analysis.figures.page import write_figure  # noqa: PLC0415
+        from analysis.figures.reaction import draw_reaction  # noqa: PLC0415
+
+        write_figure(plot, draw_reaction(found, title, share), title)
+    result = _json(found, speed, share) | {
+        "change": list(change),
+        "what_if": list(settings or []),
+        "plot": None if plot is None else str(plot),
+    }
+    if json:
+        print_json(result)
+        return 0
+    _print(result)
+    return 0
+
+
+def _json(found: Reaction, speed: float, share: float) -> dict[str, Any]:
+    after = found.after
+    return {
+        "speed_rpm": speed * 30 / math.pi,
+        "before": found.before.type,
+        "before_mm": 1e3 * found.before.amplitude_m,
+        "reaches": None if after is None else after.type,
+        "after_mm": 1e3 * (after.amplitude_m if after is not None else float(found.amplitude_m[-1])),
+        "peak_mm": 1e3 * found.peak_m,
+        "share": share,
+        "reaction_s": found.reaction_s,
+        "time_constant_s": found.time_constant_s,
+        "followed_s": float(found.time_s[-1]),
+    }
+
+
+def _print(result: dict[str, Any]) -> None:
+    print(
+        f"at {result['speed_rpm']:.1f} rpm from {result['before']}, {result['before_mm']:.4f} mm rms; peak "
+        f"{result['peak_mm']:.4f} mm"
+    )
+    if result["reaches"] is None:
+        print(f"no stable state is reached within {result['followed_s']:.1f} s; {result['after_mm']:.4f} mm are left")
+        return
+    print(
+        f"reaches {result['reaches']}, {result['after_mm']:.4f} mm: within {100 * result['share']:g} % of the largest "
+        f"deviation after {result['reaction_s']:.2f} s; slowest time constant {result['time_constant_s']:.2f} s"
+    )

@@ -1,0 +1,331 @@
+"""`rig replay`: a log decoded again and compared, corrected, judged by interlocks, watched, or played to programs."""
+
+from __future__ import annotations
+
+import json as json_text
+import math
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from rig_cli.console import STDERR, print_json, say, show
+from rig_cli.numbers import SecondsOrNone
+from rig_cli.options import Json, Settings
+from rig_cli.replay_interlocks import show_interlocks
+from rig_cli.replay_view import ReplayView
+from rig_cli.share_progress import share_progress
+from daq.errors import LogError
+from daq.log import Log, open_log
+from daq.playback import Playback, Played, open_outlets, played_devices
+from daq.replay import Check, check
+from daq.replay.anew import Anew, decode_anew
+from daq.replay.calibration import Calibration
+from daq.replay.compare import ChannelCheck
+from daq.replay.pace import paced
+
+_PLAIN_S = 5.0  # between two lines where there is no terminal
+
+
+def replay(
+    log: Path,
+    *,
+    check: bool = False,
+    calibration: Annotated[Path | None, Parameter(help="TOML with [devices.…] calibration; needs -o")] = None,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="new log, decoded again")] = None,
+    speed: Annotated[str | None, Parameter(help="watch it at this pace: 1, a number, or max")] = None,
+    to: Annotated[str | None, Parameter(help="play the bytes to pty, tcp, or device=port,device=port")] = None,
+    linger: Annotated[SecondsOrNone | None, Parameter(help="with --to: keep ports open at the end, s at most")] = None,
+    interlocks: Annotated[bool, Parameter(negative="", help="when interlocks would have tripped")] = False,
+    all_trips: Annotated[
+        bool, Parameter(name="--all", negative="", help="with --interlocks: go on after the first trip")
+    ] = False,
+    settings: Annotated[
+        Settings, Parameter(help="with --interlocks: other limits, e.g. limits.amplitude_m=0.004")
+    ] = None,
+    json: Json = False,
+) -> int:
+    """Decode a log's raw bytes again through the same pipelines.
+
+    Alone it compares with what was decoded live and prints the result; with --check a difference is exit code 1.
+    With -o it writes a new log, with --calibration by corrected numbers. With --speed it shows the log at that pace.
+    With --to it plays the bytes to other programs, at --speed (1 if not given); one that configures its devices first
+    is answered as they would answer. With --interlocks it shows when they would have tripped, exit code 1 when one
+    would.
+    """
+    _refuse_contradictions(check, calibration, output, speed, to, linger, interlocks)
+    if interlocks:
+        return show_interlocks(log, settings or [], all_trips=all_trips, json=json)
+    if settings or all_trips:
+        raise LogError(f"{'--set' if settings else '--all'}: expected --interlocks with it; nothing else here takes it")
+    if output is not None:
+        return _anew(log, output, calibration, json)
+    if to is not None:
+        return _play(log, to, _factor(speed or "1"), linger, json)
+    if speed is not None:
+        return _watch(log, _factor(speed), json)
+    return _check(log, check, json)
+
+
+def _refuse_contradictions(
+    check: bool,
+    calibration: Path | None,
+    output: Path | None,
+    speed: str | None,
+    to: str | None,
+    linger: float | None,
+    interlocks: bool,
+) -> None:
+    if calibration is not None and output is None:
+        raise LogError("--calibration: expected -o NEW.mcap with it; a log is never changed, a new one is written")
+    if linger is not None and to is None:
+        raise LogError("--linger: expected --to with it; there are no ports to keep open")
+    jobs = {"--interlocks": interlocks, "--check": check, "-o": output is not None, "--to": to is not None}
+    given = [name for name, there in jobs.items() if there]
+    if len(given) > 1 or (speed is not None and given and given != ["--to"]):
+        named = [*given, *(["--speed"] if speed is not None else [])]
+        raise LogError(f"{' and '.join(named)}: expected one job at a time; give the commands one after the other")
+
+
+def _factor(text: str) -> float:
+    """Seconds of the log per second."""
+    try:
+        factor = math.inf if text == "max" else float(text)
+    except ValueError:
+        factor = math.nan
+    if not factor > 0:
+        raise LogError(f"--speed {text}: expected max or a number above 0, for example 1 or 8")
+    return factor
+
+
+# --- compared ----------------------------------------------------------------------------------------------------
+
+
+def _check(path: Path, wanted: bool, json: bool) -> int:
+    with share_progress("decoding again") as progress:
+        found = check(path, progress)
+    if json:
+        print_json({"log": str(path), **_check_json(found)})
+    else:
+        _print_check(found)
+    return 1 if wanted and not found.identical else 0
+
+
+def _check_json(found: Check) -> dict[str, Any]:
+    rows = [
+        {key: value for key, value in vars(row).items() if key not in ("first", "fields")}
+        | {"difference": row.difference, "fields": _fields_json(row), "first": vars(row.first) if row.first else None}
+        for row in found
+    ]
+    return {"identical": found.identical, "until_ns": found.until_ns, "notes": list(found.notes), "channels": rows}
+
+
+def _fields_json(row: ChannelCheck) -> dict[str, Any]:
+    return {
+        name: {"samples": apart.samples, "largest": apart.largest, "rms": apart.rms}
+        for name, apart in row.fields.items()
+    }
+
+
+def _print_check(found: Check) -> None:
+    for row in found:
+        same = "identical" if row.live == row.again else "identical as far as compared"
+        show(f"{row.topic:10} {row.live:9d} live {row.again:9d} again   {row.difference or same}")
+    differing = [row for row in found if row.first is not None]
+    if differing:
+        head = ("channel", "differing", "first", "time since 1970, ns", "field", "in the log", "decoded again")
+        lines = [head, *(_first_difference(row) for row in differing)]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
+        print()
+        for line in lines:
+            show("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+    for note in found.notes:
+        show(f"note: {note}")
+
+
+def _first_difference(row: ChannelCheck) -> tuple[str, ...]:
+    first = row.first
+    assert first is not None
+    sides = ("nothing" if side is None else repr(side) for side in (first.stored, first.decoded))
+    return (row.topic, str(row.differing), str(first.index), str(first.time_ns), first.field, *sides)
+
+
+# --- into a new log ----------------------------------------------------------------------------------------------
+
+
+def _anew(path: Path, output: Path, calibration: Path | None, json: bool) -> int:
+    loaded = None if calibration is None else Calibration.load(calibration)
+    with share_progress("decoding anew") as progress:
+        made = decode_anew(path, output, loaded, progress)
+    if json:
+        rows = {row.topic: {"origin": row.live, "anew": row.again, "moved": _fields_json(row)} for row in made.moved}
+        print_json(
+            {
+                "log": str(made.path),
+                "origin": str(path),
+                "channels": rows,
+                "losses": made.losses,
+                "missing": list(made.missing),
+            }
+        )
+        return 0
+    for line in _moved_lines(made):
+        show(line)
+    say(f"written to {made.path}")
+    return 0
+
+
+def _moved_lines(made: Anew) -> list[str]:
+    lines: list[str] = []
+    for row in made.moved:
+        if row.live != row.again:
+            lines.append(f"{row.topic:10} {row.again} samples, the origin has {row.live}")
+        for name, apart in row.fields.items():
+            lines.append(
+                f"{row.topic:10} {name:16} {apart.samples} of {row.compared} moved, "
+                f"at most {apart.largest:.4g}, rms {apart.rms:.4g}"
+            )
+        if row.live == row.again and not row.fields:
+            lines.append(f"{row.topic:10} {row.again} samples, all as they were")
+    return lines + [f"missing in the origin: {text}" for text in made.missing]
+
+
+# --- watched -----------------------------------------------------------------------------------------------------
+
+
+def _watch(path: Path, speed: float, json: bool) -> int:
+    started = time.monotonic()
+    ended = "end of the log"
+    with open_log(path) as log:
+        replayed = paced(log, speed)
+        view = ReplayView(log, replayed)
+        try:
+            with view:
+                for _, chunk, items in replayed:
+                    view.add(chunk.host_ns, items)
+        except KeyboardInterrupt:
+            ended = "Ctrl-C"
+        result = {"log": str(path), "ended": ended, "seconds": time.monotonic() - started, **view.totals()}
+    if json:
+        print_json(result)
+    else:
+        say(
+            f"{path}: {result['span_s']:.1f} s of the log shown, ended by {ended}, at most "
+            f"{result['most_late_s'] * 1e3:.0f} ms late"
+        )
+    return 0
+
+
+# --- played to other programs ------------------------------------------------------------------------------------
+
+
+def _play(path: Path, to: str, speed: float, linger: float | None, json: bool) -> int:
+    with open_log(path) as log:
+        devices = played_devices(log)
+        outlets = open_outlets(log, to)
+        playback = Playback(outlets, devices, speed)
+        try:
+            ports = {device: outlet.port for device, outlet in outlets.items()}
+            _announce(ports, path, speed)
+            ended = _carry_out(playback, log, speed, linger)
+        finally:
+            playback.close()
+        state = playback.state
+        played_s = max(0.0, (state.log_ns - log.start_ns) * 1e-9)
+        span = f"{played_s:.1f} s of {(log.end_ns - log.start_ns) * 1e-9:.1f} s"
+    for line in _lost_lines(state):
+        say(line)
+    if json:
+        print_json(
+            {
+                "ended": ended,
+                "configured": playback.configured,
+                "played_s": played_s,
+                "delivered_bytes": state.delivered,
+                "undelivered_bytes": state.undelivered,
+                "withheld_bytes": state.withheld,
+                "unfollowed_commands": state.unfollowed,
+                "most_late_s": state.most_late_s,
+            }
+        )
+    else:
+        say(
+            f"{path}: {sum(state.delivered.values())} bytes played, {span}, ended by {ended}, at most "
+            f"{state.most_late_s * 1e3:.0f} ms late"
+        )
+    left_early = state.cut_short or any(state.undelivered.values())
+    return 3 if left_early and not state.stopped else 0
+
+
+def _announce(ports: dict[str, str], path: Path, speed: float) -> None:
+    """The ports, as `rig virtual` prints its own."""
+    scale = speed if math.isfinite(speed) else 1.0
+    print(json_text.dumps({"ports": ports, "log": str(path), "time_scale": scale}), flush=True)
+    settings = " ".join(f"--set devices.{device}.port={port}" for device, port in ports.items())
+    say(f"for example: rig record {path} --listen --until-silent 2 -o again.mcap --time-scale {scale:g} {settings}")
+
+
+def _carry_out(playback: Playback, log: Log, speed: float, linger: float | None) -> str:
+    def ports(devices: list[str]) -> None:
+        say(f"waiting for a program to open {', '.join(devices)}" if devices else "every port is open")
+
+    def setup(waiting: Mapping[str, str]) -> None:
+        wanted = ", ".join(f"{device} ({expects})" for device, expects in waiting.items())
+        say(f"the host configures its devices; to be started yet: {wanted}" if waiting else "all devices are started")
+
+    try:
+        playback.wait_for_readers(ports)
+        playback.wait_for_setup(setup)
+        if playback.configured and math.isinf(speed):
+            say(
+                "warning: what comes before the host begins to record is past then, and at --speed max that is most; "
+                "--speed 1 plays at the log's own pace"
+            )
+        say("playing")
+        state = playback.play(log.raw_in_order(), _PlayedLines(log).tell)
+        if state.cut_short:
+            return "the host, which stopped its devices and left" if state.stopped else "the readers, who left"
+        say("all bytes are handed over; the ports stay open until their readers close them")
+        playback.hold(linger)
+    except KeyboardInterrupt:
+        return "Ctrl-C"
+    return "end of the log"
+
+
+class _PlayedLines:
+    """A line now and then about how far it is, and one at once when a reader has gone."""
+
+    def __init__(self, log: Log) -> None:
+        self._start_ns, self._span_s = log.start_ns, (log.end_ns - log.start_ns) * 1e-9
+        self._told_s = time.monotonic()
+        self._gone: set[str] = set()
+
+    def tell(self, state: Played) -> None:
+        """See Playback.play."""
+        for device in state.gone.keys() - self._gone:
+            self._gone.add(device)
+            if not state.stopped:
+                say(f"{device}: its reader has gone, {(state.gone[device] - self._start_ns) * 1e-9:.1f} s into the log")
+        if time.monotonic() - self._told_s > _PLAIN_S:
+            self._told_s = time.monotonic()
+            late = f", {state.late_s:.2f} s late: a reader is slow" if state.late_s > 0.1 else ""
+            at_s = max(0.0, (state.log_ns - self._start_ns) * 1e-9)
+            STDERR.print(f"{at_s:.1f} s of {self._span_s:.1f} s played{late}")
+
+
+def _lost_lines(state: Played) -> list[str]:
+    undelivered = {} if state.stopped else state.undelivered
+    return [
+        *(
+            f"{device}: {count} bytes were not played, nobody read them any more"
+            for device, count in undelivered.items()
+            if count
+        ),
+        *(
+            f"{device}: {count} commands were not followed, a log cannot: it did what it did"
+            for device, count in state.unfollowed.items()
+            if count
+        ),
+    ]

@@ -1,0 +1,136 @@
+# pyright: strict
+"""`rig replay LOG --interlocks`: the table of all interlocks, and when each would have tripped in a log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rig_cli.console import print_json, say, show
+from rig_cli.options import what_if_words
+from rig_cli.share_progress import share_progress
+from rig_cli.words import stdout_console
+from daq.acquisition.interlock_table import INTERLOCKS, Interlock
+from daq.log import open_log
+from daq.replay.interlocked import InterlockReplay, WouldTrip, replay_interlocks
+
+_HEAD = ("interlock", "in this log", "threshold", "deadline", "reaction", "guards", "threshold from", "role")
+_GAP = "  "
+
+
+def show_interlocks(path: Path, settings: Sequence[str], *, all_trips: bool, json: bool) -> int:
+    """Print when interlocks would have tripped.
+
+    Args:
+        path: the log.
+        settings: "key=value" laid over its rig file.
+        all_trips: go on after the first trip.
+        json: one object instead of a table.
+
+    Returns:
+        Exit code: 1 when one would have tripped.
+    """
+    with open_log(path) as log, share_progress("putting it through the interlocks") as progress:
+        found = replay_interlocks(log, settings, all_trips=all_trips, progress=progress)
+    if json:
+        print_json(_facts(path, found, settings))
+    else:
+        _print(path, found, settings)
+    return 1 if found.trips else 0
+
+
+def _facts(path: Path, found: InterlockReplay, settings: Sequence[str]) -> dict[str, Any]:
+    return {
+        "log": str(path),
+        "what_if": list(settings),
+        "tripped": bool(found.trips),
+        "trips": [_trip_facts(trip, found.start_ns) for trip in found.trips],
+        "interlocks": [
+            {**asdict(row), "threshold": row.threshold_of(found.limits), "in_this_log": _state(row, found)}
+            for row in INTERLOCKS
+        ],
+        "limits": found.limits.model_dump(),
+        "judged_s": _s(found.until_ns, found.start_ns),
+        "session_stops": [
+            {"time_s": _s(stop["time_ns"], found.start_ns), "time_ns": stop["time_ns"], "text": str(stop.get("text"))}
+            for stop in found.stops
+        ],
+        "notes": list(found.notes),
+    }
+
+
+def _trip_facts(trip: WouldTrip, start_ns: int) -> dict[str, Any]:
+    return {
+        "time_s": _s(trip.time_ns, start_ns),
+        "until_s": _s(trip.last_ns, start_ns),
+        **asdict(trip),
+    }
+
+
+def _print(path: Path, found: InterlockReplay, settings: Sequence[str]) -> None:
+    for line in _table([_HEAD, *(_row(row, found) for row in INTERLOCKS)]):
+        show(line)
+    show("")
+    for trip in found.trips:
+        for line in _trip_lines(trip, found.start_ns):
+            show(line)
+    for stop in found.stops:
+        show(f"the session itself stopped at {_s(stop['time_ns'], found.start_ns):.3f} s: {stop.get('text')}")
+    for note in found.notes:
+        show(f"note: {note}")
+    what_if = what_if_words(settings, ", ")
+    judged = f"{path}: {_s(found.until_ns, found.start_ns):.1f} s judged{what_if}"
+    if not found.trips:
+        say(f"{judged}: nothing would have tripped")
+        return
+    names = ", ".join(dict.fromkeys(trip.interlock for trip in found.trips))
+    say(f"{judged}: would have tripped at {_s(found.trips[0].time_ns, found.start_ns):.3f} s: {names}")
+
+
+def _row(row: Interlock, found: InterlockReplay) -> tuple[str, ...]:
+    threshold = row.threshold_of(found.limits)
+    return (row.name, _state(row, found), threshold, row.deadline, row.reaction, row.guards, row.source, row.role)
+
+
+def _state(row: Interlock, found: InterlockReplay) -> str:
+    """What an interlock did in the log, in a few words."""
+    if row.judge == "session":
+        return "a session alone judges it"
+    if not row.has_role(found.roles):
+        return f"not judged: no {'second ' if row.name == 'stuck sensor' else ''}{row.role or row.guards}"
+    times = [_s(trip.time_ns, found.start_ns) for trip in found.trips if trip.interlock == row.name]
+    if not times:
+        return "quiet"
+    return f"trips at {times[0]:.3f} s" + (f", {len(times)} times" if len(times) > 1 else "")
+
+
+def _trip_lines(trip: WouldTrip, start_ns: int) -> Iterable[str]:
+    lasted_s = _s(trip.last_ns, trip.time_ns)
+    again = f" (until {_s(trip.last_ns, start_ns):.3f} s)" if lasted_s else ""
+    yield f"{_s(trip.time_ns, start_ns):.3f} s  {trip.interlock}: {trip.text}{again}"
+    told = "orders unknown" if trip.told_rpm is None else f"told {trip.told_rpm:.0f} rpm"
+    speed = "speed unknown" if trip.speed_rpm is None else f"{trip.speed_rpm:.0f} rpm"
+    values = [
+        f"{topic} " + ", ".join(f"{name} {value:.6g}" for name, value in newest.items())
+        for topic, newest in trip.newest.items()
+        if newest
+    ]
+    yield f"           rotor {speed}, {told}; newest: {'; '.join(values)}"
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> Iterable[str]:
+    """Rows in columns as wide as their widest cell; columns that the terminal has no room for are left out."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    room = stdout_console().width
+    while sum(widths) + len(_GAP) * (len(widths) - 1) > room and len(widths) > 2:
+        widths.pop()
+    for row in rows:
+        yield _GAP.join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)).rstrip()
+    if left_out := _HEAD[len(widths) :]:
+        yield f"left out, the terminal being {room} columns wide: {', '.join(left_out)}. --json has them"
+
+
+def _s(time_ns: int, start_ns: int) -> float:
+    return (time_ns - start_ns) * 1e-9

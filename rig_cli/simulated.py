@@ -1,0 +1,96 @@
+"""Starting the virtual rig beside us."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+from types import TracebackType
+from typing import Any
+
+from daq.errors import DeviceError
+from daq.transports import HostClock
+from daq.transports.paced_clock import PacedClock
+from daq.virtual_rig.control import OperatorLine
+
+
+class VirtualRigProcess:
+    """A virtual rig in a process of its own.
+
+    Args:
+        rig: path or name of the rig file.
+        settings: `--set` texts to lay over it.
+        time_scale: seconds of rig time per wall second.
+        link: "pty", "tcp" or "auto".
+        waits: whether its time stands while it or we are late; who talks to it then has to use `clock`.
+
+    Attributes:
+        clock: of whoever runs the rig.
+        edge: the machine's own ports and disk.
+    """
+
+    edge = None
+
+    def __init__(
+        self, rig: str, settings: list[str], time_scale: float, link: str = "auto", waits: bool = False
+    ) -> None:
+        command = [sys.executable, "-m", "rig_cli.main", "virtual", rig, "--time-scale", str(time_scale), "--link", link]
+        command += ["--while-stdin-open"]  # it ends with us, however we end
+        for setting in settings:
+            command += ["--set", setting]
+        self.clock: HostClock = HostClock(time_scale)
+        if waits:
+            self.clock = PacedClock(time_scale)
+            command += ["--pace", str(self.clock.path)]
+        # a session of its own: Ctrl-C is ours to handle, the wires must stay until the rotor has been stopped
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=sys.platform != "win32"
+        )
+        try:
+            self.ports, self.line = self._connect()
+        except BaseException:
+            self._end()
+            raise
+
+    def _connect(self) -> tuple[dict[str, str], OperatorLine]:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        try:
+            ready = json.loads(line)
+        except ValueError:
+            raise DeviceError(f"the virtual rig did not start, it said {line!r}; its reason stands above") from None
+        return ready["ports"], OperatorLine(ready["control_port"], ready["token"])
+
+    def ask(self, do: str, **what: Any) -> dict[str, Any]:
+        """See OperatorLine."""
+        return self.line.ask(do, **what)
+
+    def port_settings(self) -> list[str]:
+        """Settings that point a rig file's devices at this process."""
+        return [f"devices.{name}.port={json.dumps(port)}" for name, port in self.ports.items()]
+
+    def __enter__(self) -> VirtualRigProcess:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            self.line.ask("quit")
+        with contextlib.suppress(OSError, ValueError):
+            self.line.close()
+        self._end()
+
+    def _end(self) -> None:
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                with contextlib.suppress(OSError):
+                    pipe.close()
+        try:
+            self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if isinstance(self.clock, PacedClock):
+            self.clock.close()

@@ -1,0 +1,156 @@
+# pyright: strict
+"""Studies of many campaigns: on the virtual rig, or of an archive of logs; on one machine or many."""
+
+from __future__ import annotations
+
+import json as json_text
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from cyclopts import App, Parameter
+from numpy.typing import NDArray
+
+from rig_cli.console import print_json, say
+from rig_cli.numbers import WholeCount
+from rig_cli.options import Json, Settings
+from rig_cli.scheduler import Scheduler, worked_out
+from rig_cli.share_progress import share_progress
+from rig_configs import RigFileError
+from rig_configs.load import rig_text
+
+if TYPE_CHECKING:
+    from studies.archive import Reidentified
+    from studies.campaigns import CampaignResults
+
+app = App(name="study", help="Run whole campaigns by the hundred, or identify an archive anew; on one machine or many.")
+Out = Annotated[Path, Parameter(name=["--out", "-o"], help="folder for results and tiles; a study there goes on")]
+
+
+@app.command
+def campaigns(
+    rig: str = "virtual",
+    *,
+    runs: Annotated[WholeCount, Parameter(help="how many campaigns")] = 100,
+    seed: Annotated[int, Parameter(help="of the first; the others' count up from it")] = 0,
+    out: Out = Path("out/campaigns"),
+    scheduler: Scheduler = None,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Run campaigns on the virtual rig: how often the truth lies in the stated intervals, and how often points pass."""
+    from studies.campaigns import CampaignResults, campaign_study, need_virtual  # noqa: PLC0415 (loads numba)
+
+    need_virtual(rig, settings or [])
+    study = campaign_study(rig_text(rig)[1], settings or [], seed, runs)
+    folder = worked_out(study, _made(out) / "tiles", scheduler, "campaigns")
+    found = CampaignResults.of(folder)
+    result = {"rig": rig, "seed": seed, "settings": list(settings or []), **_campaigns_json(found)}
+    (out / "campaigns.json").write_text(json_text.dumps(result, indent=1, ensure_ascii=False), encoding="utf-8")
+    if json:
+        print_json({**result, "file": str(out / "campaigns.json")})
+        return 0
+    print(f"{len(found.done)} campaigns, {found.passed} with every point passed")
+    print(f"{'':24}{'n':>6}{'in 95 %':>9}{'(95 % sure)':>14}{'mean z':>8}{'sd z':>7}{'max |z|':>9}")
+    for title, rows in (("parameters", found.parameter_z()), ("points", found.point_z())):
+        for name, z in [*rows.items(), (f"all {title}", np.concatenate([*rows.values(), np.empty(0)]))]:
+            if len(z):
+                print(_line(name, z))
+    for point, counts in found.verdicts().items():
+        print(f"{point}: {', '.join(f'{count} {verdict}' for verdict, count in counts.items())}")
+    for failed, why in found.failed.items():
+        say(f"seed {failed} came to no end: {why}")
+    say(f"written to {out / 'campaigns.json'}")
+    return 0
+
+
+@app.command
+def archive(
+    *folders: Path,
+    rig: str = "virtual",
+    out: Out = Path("out/archive"),
+    scheduler: Scheduler = None,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """Identify every campaign of an archive anew; the logs of one folder are one campaign."""
+    from studies.archive import Reidentified, archive_study, campaigns_in  # noqa: PLC0415 (loads numba)
+
+    if not folders:
+        raise RigFileError("no folder given; usage: rig study archive FOLDER…")
+    for each in folders:
+        if not each.is_dir():
+            raise RigFileError(f"{each}: expected a folder of logs")
+    found = campaigns_in(folders)
+    source, text = rig_text(rig)
+    with share_progress(f"digests of {sum(len(one.logs) for one in found)} logs") as progress:
+        study = archive_study(source, text, settings or [], found, progress)
+    rows = Reidentified.all_of(worked_out(study, _made(out) / "tiles", scheduler, "campaigns"))
+    written = [_written(row, out) for row in rows]
+    result = {"rig": rig, "settings": list(settings or []), "campaigns": written}
+    (out / "archive.json").write_text(json_text.dumps(result, indent=1, ensure_ascii=False), encoding="utf-8")
+    if json:
+        print_json({**result, "file": str(out / "archive.json")})
+        return 0
+    for row, entry in zip(rows, written, strict=True):
+        shown = row.text if row.parameters is None else f"{entry['file']}, {len(row.warnings)} warnings"
+        print(f"{row.name}: {shown}")
+    say(f"written to {out / 'archive.json'}")
+    return 0
+
+
+def _made(out: Path) -> Path:
+    out.mkdir(parents=True, exist_ok=True)
+    return out
+
+
+def _line(name: str, z: NDArray[np.floating]) -> str:
+    from studies.campaigns import within  # noqa: PLC0415
+    from uncertainty.binomial import binomial_interval  # noqa: PLC0415
+
+    inside = within(z)
+    low, high = binomial_interval(inside, len(z))
+    span = f"{low:.3f}…{high:.3f}"
+    return (
+        f"{name:24}{len(z):6}{inside / len(z):9.3f}{span:>14}{np.mean(z):8.2f}{np.std(z):7.2f}{np.max(np.abs(z)):9.2f}"
+    )
+
+
+def _campaigns_json(found: CampaignResults) -> dict[str, Any]:
+    from studies.campaigns import within  # noqa: PLC0415
+
+    def covered(rows: dict[str, NDArray[np.floating]]) -> dict[str, Any]:
+        return {
+            name: {
+                "n": len(z),
+                "within_95": within(z),
+                "mean": float(np.mean(z)),
+                "std": float(np.std(z)),
+                "largest": float(np.max(np.abs(z))),
+            }
+            for name, z in rows.items()
+        }
+
+    return {
+        "campaigns": len(found.done),
+        "passed": found.passed,
+        "failed": {str(seed): why for seed, why in found.failed.items()},
+        "parameters": covered(found.parameter_z()),
+        "points": covered(found.point_z()),
+        "verdicts": found.verdicts(),
+    }
+
+
+def _written(row: Reidentified, out: Path) -> dict[str, Any]:
+    """A campaign's parameters in a file of its own; what the summary says of it."""
+    if row.parameters is None:
+        return {"name": row.name, "error": row.text}
+    path = out / f"{row.name.replace('/', '-')}.toml"
+    path.write_text(row.text, encoding="utf-8")
+    std = row.parameters.std
+    return {
+        "name": row.name,
+        "file": str(path),
+        "parameters": {name: {"value": value, "std": std[name]} for name, value in row.parameters.values.items()},
+        "warnings": list(row.warnings),
+    }

@@ -1,0 +1,166 @@
+# pyright: strict
+"""The command that follows a recorded run: states and pendulum damping over time, with uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from rig_cli.console import print_json, say
+from rig_cli.options import Json, ParametersPath, Settings
+from rig_cli.setting_costs import TRACKING_HELP
+from rig_cli.share_progress import share_progress
+from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden, with_parameters
+
+if TYPE_CHECKING:
+    from rig_cli.track_files import Places
+    from rig_cli.track_page import Tracking
+    from rig_configs.schema import Rig
+
+
+def track(
+    *logs: Path,
+    rig: Annotated[str | None, Parameter(help="a rig file instead of the log's own, with the same sensors")] = None,
+    parameters: ParametersPath = None,
+    setting: Annotated[Literal["fast", "reference"], Parameter(help=TRACKING_HELP)] = "fast",
+    output: Annotated[
+        Path | None,
+        Parameter(
+            name=["--output", "-o"],
+            help="a folder, a table (.parquet, .csv, .npz; its figure beside it) or a figure (.svg, .png, .pdf)",
+        ),
+    ] = None,
+    every_ms: Annotated[float, Parameter(help="readings are handed over, and rows made, once in so many ms")] = 50.0,
+    force: Annotated[bool, Parameter(negative="", help="replace files that are there")] = False,
+    settings: Settings = None,
+    json: Json = False,
+) -> int:
+    """States and pendulum damping of a logged run over time, with uncertainty.
+
+    Spin-downs and points show the damping; rows are x, y, θ3, θ4, their rates, c3, c4 with standard deviations. The
+    start values of c3 and c4 are those of --parameters, or of the rig file, and may be ten times wrong. A bow that
+    --parameters holds acts on the motion.
+    """
+    from rig_cli.track_page import print_tracking, tracking_json  # noqa: PLC0415 (numba takes seconds to import)
+
+    if not logs:
+        raise RigFileError("no log given; usage: rig track LOG…")
+    if not 1.0 <= every_ms <= 1000.0:
+        raise RigFileError(f"rig track: --every-ms {every_ms:g}: expected 1 to 1000 ms")
+    known = None if parameters is None else IdentifiedParameters.load(parameters)
+    wanted = _places(logs, output, force)
+    found: list[Tracking] = []
+    for log, place in zip(logs, wanted, strict=True):
+        loaded = _rig_for(log, rig, known, settings or [])
+        found.append(_tracked(log, loaded, parameters, setting, every_ms, settings or [], place, force))
+    if json:
+        print_json({"setting": setting, "what_if": list(settings or []), "logs": [tracking_json(f) for f in found]})
+        return 0
+    for one in found:
+        print_tracking(one)
+    return 0
+
+
+def _places(logs: Sequence[Path], output: Path | None, force: bool) -> list[Places]:
+    """Where each log's results go; names that are taken are refused before the work."""
+    from rig_cli.track_files import places  # noqa: PLC0415 (matplotlib)
+    from daq.exchange.staging import Staging  # noqa: PLC0415
+
+    found = [places(output, log, len(logs) == 1) for log in logs]
+    with Staging(force) as staging:
+        for name in (name for place in found for name in (place.table, place.figure) if name is not None):
+            staging.place(name)
+    names = [place.table or place.figure for place in found if place.table or place.figure]
+    twice = {str(name) for name in names if names.count(name) > 1}
+    if twice:
+        raise RigFileError(
+            f"rig track: -o {output}: several logs would be written to {', '.join(sorted(twice))}; "
+            "track them one by one"
+        )
+    return found
+
+
+def _rig_for(log: Path, rig: str | None, known: IdentifiedParameters | None, settings: Sequence[str]) -> Rig:
+    """The log's own rig, or the file given instead of it, with parameters and settings laid over.
+
+    Raises:
+        RigFileError: the file's sensors are not those the log was recorded with.
+        LogError: the log has no rig file.
+    """
+    from daq.log import open_log  # noqa: PLC0415 (numba takes a third of a second to import)
+    from daq.log.snapshot import rig_of  # noqa: PLC0415
+
+    with open_log(log) as opened:
+        own = rig_of(opened)
+        chosen = load_rig(rig, known, settings) if rig else rig_of(opened, settings)
+    if rig is None and known is not None:
+        chosen = with_parameters(chosen, known.without(overridden(known, settings)))
+    _check_sensors(log, own, chosen, rig)
+    return chosen
+
+
+def _check_sensors(log: Path, own: Rig, given: Rig, name: str | None) -> None:
+    """Whether readings decoded with one rig file's sensors may be taken for another's."""
+    a, b = own.roles, given.roles
+    facts = {
+        "encoders of so many counts per revolution": (
+            a.angles and a.angles.counts_per_revolution,
+            b.angles and b.angles.counts_per_revolution,
+        ),
+        "an index mark at the angle (index_angle_deg)": (
+            a.phase and a.phase.index_angle_deg,
+            b.phase and b.phase.index_angle_deg,
+        ),
+    }
+    for what, (expected, got) in facts.items():
+        if expected != got:
+            raise RigFileError(
+                f"rig track: --rig {name}: expected {what} as {log.name} was recorded with: {_or_none(expected)}, got "
+                f"{_or_none(got)}; leave --rig out to use the log's own rig file, or give the file of that rig"
+            )
+
+
+def _or_none(value: object) -> str:
+    return "no such sensor" if value is None else f"{value}"
+
+
+def _tracked(
+    log: Path,
+    rig: Rig,
+    parameters: Path | None,
+    setting: Literal["fast", "reference"],
+    every_ms: float,
+    settings: Sequence[str],
+    place: Places,
+    force: bool,
+) -> Tracking:
+    """One log through the tracker, and into its files."""
+    from rig_cli.track_files import write_files  # noqa: PLC0415
+    from rig_cli.track_page import Tracking, trackable  # noqa: PLC0415
+    from rig_cli.tracking import imbalance_std  # noqa: PLC0415
+    from daq.signals.run import load_run  # noqa: PLC0415
+    from identification.tracking.replay import track as follow  # noqa: PLC0415
+
+    run = load_run(log)
+    warnings = trackable(run)
+    against = None if parameters is None else IdentifiedParameters.load(parameters)
+    physics = rig.physics if against is None else against.with_effects(rig.physics)
+    with share_progress(f"{setting} tracking of {log.name}") as tell:
+        found = follow(
+            run,
+            physics,
+            imbalance_std=imbalance_std(parameters, settings),
+            batch_s=1e-3 * every_ms,
+            setting=setting,
+            tell=tell,
+        )
+    result = Tracking(run, rig, found, setting, against, parameters, warnings)
+    for text in result.warnings:
+        say(f"warning: {text}")
+    files = write_files(result, place, force)
+    for file in files:
+        say(f"written to {file}")
+    return result.with_files(files)

@@ -1,0 +1,176 @@
+# pyright: strict
+"""A tracked run as a table of its steps and as a figure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.figures.style import save
+from analysis.figures.tracked import TrackedDamping, TrackedPicture, TrackedState, draw_tracked
+from rig_cli.console import plain
+from rig_cli.track_page import Tracking, tracking_json
+from daq.exchange import ExchangeError
+from daq.exchange.csv_files import CsvFiles
+from daq.exchange.parquet_files import ParquetFiles
+from daq.exchange.provenance import source_facts
+from daq.exchange.staging import Staging
+from daq.exchange.tables import Layout
+from identification.tracking.replay import SmoothedRun, TrackedRun
+from identification.tracking.tracker import STATE_NAMES
+
+Array = NDArray[np.float64]
+
+TABLES, FIGURES = (".parquet", ".csv", ".npz"), (".svg", ".png", ".pdf")
+_DAMPINGS = ("c3_Nms_per_rad", "c4_Nms_per_rad")
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where one log's results go; None: not wanted."""
+
+    table: Path | None = None
+    figure: Path | None = None
+
+
+def places(output: Path | None, log: Path, alone: bool) -> Places:
+    """What `-o` means for one log.
+
+    Args:
+        output: a folder, or a file for a log that is alone.
+    Raises:
+        ExchangeError: a file for several logs, or one with an ending that is not on offer.
+    """
+    if output is None:
+        return Places()
+    suffix = output.suffix.lower()
+    if output.is_dir() or not suffix:
+        stem = log.name.removesuffix(".part").removesuffix(".mcap")
+        return Places(output / f"{stem}.track.parquet", output / f"{stem}.track.svg")
+    if suffix not in TABLES + FIGURES:
+        raise ExchangeError(
+            f"rig track: -o {output}: expected a folder, a table ({', '.join(TABLES)}) or a figure "
+            f"({', '.join(FIGURES)})"
+        )
+    if not alone:
+        raise ExchangeError(f"rig track: -o {output}: one file for several logs; give a folder")
+    return Places(table=output, figure=output.with_suffix(".svg")) if suffix in TABLES else Places(figure=output)
+
+
+def columns(found: TrackedRun) -> dict[str, NDArray[Any]]:
+    """The table's columns, all of shape (n,): SI, the unit at the end of each name.
+
+    `std_` is one standard deviation, `low_` and `high_` are 95 % intervals, `smoothed_` is the reference setting's.
+    """
+    table: dict[str, NDArray[Any]] = {
+        "time_s": found.time_s,
+        "psi_rad": found.phase_rad,
+        "speed_rad_per_s": found.speed_rad_s,
+        **_estimates(found, ""),
+    }
+    if found.smoothed is not None:
+        table |= _estimates(found.smoothed, "smoothed_")
+    table["trusted"] = found.trusted
+    return {name: np.ascontiguousarray(values) for name, values in table.items()}
+
+
+def _estimates(found: TrackedRun | SmoothedRun, prefix: str) -> dict[str, NDArray[Any]]:
+    table: dict[str, NDArray[Any]] = {}
+    for j, name in enumerate(STATE_NAMES):
+        table[prefix + name], table[f"{prefix}std_{name}"] = found.states[:, j], found.state_std[:, j]
+    for j, name in enumerate(_DAMPINGS):
+        for what, values in (("", found.values), ("std_", found.std), ("low_", found.low), ("high_", found.high)):
+            table[f"{prefix}{what}{name}"] = values[:, j]
+    return table
+
+
+def write_table(place: Path, staging: Staging, found: TrackedRun, facts: Mapping[str, Any]) -> None:
+    """Write the steps.
+
+    Args:
+        facts: where they come from; kept in a parquet file's own metadata.
+    Raises:
+        ExchangeError: the file is there already.
+    """
+    table = columns(found)
+    part = staging.place(place)
+    if place.suffix.lower() == ".npz":
+        with part.open("wb") as file:
+            np.savez(file, allow_pickle=False, **table)
+        return
+    layout = Layout("track", {name: values.dtype for name, values in table.items()})
+    kind = ParquetFiles if place.suffix.lower() == ".parquet" else CsvFiles
+    with closing(kind([layout], {"track": part})) as writer:
+        writer.append("track", table)
+        writer.finish(facts)
+
+
+def picture(result: Tracking) -> TrackedPicture:
+    """What the figure shows: the smoothed motion where there is one."""
+    run, found = result.run, result.found
+    best = found.smoothed or found
+    turns_Hz = float(np.max(np.abs(found.speed_rad_s))) / (2 * math.pi)
+    states: list[TrackedState] = []
+    for j, name in enumerate(("θ3, °", "θ4, °")):
+        states.append(
+            TrackedState(
+                name,
+                found.time_s,
+                *_scaled(best, 2 + j, 180 / math.pi),
+                run.angle_time_s,
+                np.degrees(run.angle_rad[:, j]),
+            )
+        )
+    for j, (name, time, values) in enumerate((("x, mm", run.x_time_s, run.x_m), ("y, mm", run.y_time_s, run.y_m))):
+        if len(time):
+            value, std = _scaled(best, j, 1e3)
+            measured = np.asarray(1e3 * (values - np.nanmean(values)), np.float64)  # a laser's zero is anywhere
+            states.append(TrackedState(name, found.time_s, value - value.mean(), std, time, measured, turns_Hz))
+    dampings: dict[str, list[TrackedDamping]] = {}
+    for j, name in enumerate(("c3", "c4")):
+        dampings[name] = [
+            TrackedDamping("filtered, 95 %", found.time_s, found.values[:, j], found.low[:, j], found.high[:, j])
+        ]
+        if found.smoothed is not None:
+            s = found.smoothed
+            dampings[name].append(
+                TrackedDamping("smoothed, 95 %", found.time_s, s.values[:, j], s.low[:, j], s.high[:, j])
+            )
+    known = {name: (k.value, k.low, k.high) for name, k in result.known.items()}
+    title = f"{Path(run.source).name}: {run.test}, {result.setting} setting"
+    return TrackedPicture(title, states, dampings, found.time_s, found.trusted, known, result.known_text)
+
+
+def _scaled(found: TrackedRun | SmoothedRun, j: int, factor: float) -> tuple[Array, Array]:
+    return factor * found.states[:, j], factor * found.state_std[:, j]
+
+
+def write_files(result: Tracking, place: Places, force: bool) -> list[Path]:
+    """Table and figure, both or none; the files written.
+
+    Args:
+        force: files of those names are replaced.
+    Raises:
+        ExchangeError: there are such files already.
+        BadFigureName: a figure's ending is not on offer.
+    """
+    with Staging(force) as staging:
+        if place.table is not None:
+            facts = {**source_facts(Path(result.run.source)), **tracking_json(result)}
+            write_table(place.table, staging, result.found, plain(facts))
+        if place.figure is not None:
+            part = staging.place(place.figure)
+            drawn = part.with_suffix(place.figure.suffix)  # matplotlib takes the format from the ending
+            try:
+                save(drawn, draw_tracked(picture(result)))
+                drawn.replace(part)
+            finally:
+                drawn.unlink(missing_ok=True)
+        return staging.commit()

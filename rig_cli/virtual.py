@@ -1,0 +1,257 @@
+# pyright: strict
+"""The virtual rig: starting it, and in another terminal the hands at it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import App, Parameter
+
+from rig_cli.console import print_json, say
+from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
+from rig_cli.options import Json, Settings
+from rig_configs import RigFileError, load_rig
+
+app = App(name="virtual", help="Start a virtual rig; in another terminal, be the hands at it.")
+
+Control = Annotated[
+    Path | None, Parameter(help="the file in which the rig leaves its control port and token, where several run")
+]
+_SLOWLY_RPM_S = 20.0
+
+
+@app.default
+def start(
+    rig: str = "virtual",
+    *,
+    output: Annotated[
+        Path | None,
+        Parameter(name=["--output", "-o"], help="write its rig file: these ports, without [virtual]"),
+    ] = None,
+    time_scale: TimeScale = 1.0,
+    link: Literal["auto", "pty", "tcp"] = "auto",
+    control: Control = None,
+    settings: Settings = None,
+    while_stdin_open: Annotated[bool, Parameter(negative="", show=False)] = False,
+    pace: Annotated[Path | None, Parameter(show=False)] = None,
+    json: Json = False,
+) -> None:
+    """Start a virtual rig and print its ports as one JSON line; Ctrl-C or `rig virtual stop` ends it."""
+    from rig_cli.plugged_rig_file import need_free, write_plugged  # noqa: PLC0415
+    from daq.virtual_rig.run import VirtualRig, serve  # noqa: PLC0415 (only this command simulates)
+
+    loaded = load_rig(rig, settings=settings or [])
+    if output is not None:
+        need_free(output)
+    virtual = VirtualRig(loaded, time_scale, link, pace)
+
+    def ready(note: Path | None) -> None:
+        if output is not None:
+            write_plugged(rig, settings or [], virtual.ports(), output)
+        print_json(
+            {
+                "ports": virtual.ports(),
+                "control_port": virtual.control.port,
+                "token": virtual.token,
+                "time_scale": time_scale,
+                "control": str(note) if note else None,
+                "rig_file": str(output) if output else None,
+            }
+        )
+        if not while_stdin_open and not json:
+            _say_how(loaded.name, virtual.ports(), output, time_scale, note if control else None)
+
+    serve(virtual, ready, control, leaves_note=control is not None or not while_stdin_open, until_eof=while_stdin_open)
+
+
+def _say_how(rig: str, ports: Mapping[str, str], output: Path | None, time_scale: float, note: Path | None) -> None:
+    """What to type in other terminals."""
+    scale = "" if time_scale == 1 else f" --time-scale {time_scale:g}"
+    set_ports = "".join(f" --set devices.{name}.port={port}" for name, port in ports.items())
+    chosen = f" --control {note}" if note else ""
+    say(f"for example: rig check {output if output else rig}{scale}{'' if output else set_ports}")
+    say(f"the hands: rig virtual pluck x{chosen}, or flick, clamp, turn, fault, unplug, plug, state, stop")
+
+
+@contextmanager
+def _operator(control: Path | None) -> Generator[Any]:
+    """The line to the rig that runs; what it refuses is bad use.
+
+    Raises:
+        RigFileError: it refused.
+        DeviceError: none runs.
+    """
+    from daq.virtual_rig.running import reach  # noqa: PLC0415
+
+    _, line = reach(control)
+    try:
+        yield line
+    except ValueError as error:
+        raise RigFileError(str(error)) from error
+    finally:
+        line.close()
+
+
+def _done(json: bool, words: str, **facts: Any) -> None:
+    if json:
+        print_json({"done": True, **facts})
+    else:
+        say(words)
+
+
+def _by_hand(control: Path | None, act: Callable[[Any], None]) -> None:
+    from daq.virtual_rig.simulated_operator import SimulatedOperator  # noqa: PLC0415
+
+    with _operator(control) as line:
+        act(SimulatedOperator(line))
+
+
+@app.command
+def pluck(
+    axis: Literal["x", "y"],
+    *,
+    mm: Annotated[Positive | None, Parameter(help="how far; without it as a ring-down asks for")] = None,
+    control: Control = None,
+    json: Json = False,
+) -> None:
+    """Displace the column along an axis and let go."""
+    _by_hand(control, lambda hand: hand.pluck(axis, mm))
+    _done(json, f"plucked along {axis}")
+
+
+@app.command
+def flick(*, control: Control = None, json: Json = False) -> None:
+    """Set both pendulums spinning, one each way, slower than two turns a second."""
+    _by_hand(control, lambda hand: hand.flick())
+    _done(json, "flicked both pendulums")
+
+
+@app.command
+def clamp(
+    *,
+    release: Annotated[bool, Parameter(negative="", help="let both pendulums go")] = False,
+    control: Control = None,
+    json: Json = False,
+) -> None:
+    """Hold both pendulums at their places, A at 0° and B at 180°, where no device does; or let them go."""
+    _by_hand(control, lambda hand: hand.release() if release else hand.lock(seen=True))
+    _done(json, "let both pendulums go" if release else "holding both pendulums at their places")
+
+
+@app.command
+def turn(
+    rpm: float,
+    *,
+    ramp: Annotated[Positive, Parameter(help="rpm per second")] = _SLOWLY_RPM_S,
+    control: Control = None,
+    json: Json = False,
+) -> None:
+    """Bring the rotor to a speed and hold it there, where no drive does; 0: to rest."""
+    _by_hand(control, lambda hand: hand.turn(rpm, ramp))
+    _done(json, f"turning the rotor to {rpm:g} rpm by {ramp:g} rpm/s")
+
+
+@app.command(name="set")
+def set_(setting: str, *, control: Control = None, json: Json = False) -> None:
+    """Change the rig itself, as a moved clamp does: KEY=VALUE, e.g. suspension.k2_N_per_m=+5%."""
+    from rig_configs import parse_setting  # noqa: PLC0415
+
+    key, value = parse_setting(setting)
+    with _operator(control) as line:
+        line.ask("set", key=key, value=value)
+    _done(json, f"{key} of the virtual rig is changed: {value}")
+
+
+@app.command
+def fault(
+    kind: str | None = None,
+    device: str | None = None,
+    *,
+    value: Annotated[float | None, Parameter(help="how much; see --list")] = None,
+    seconds: Annotated[PositiveSeconds | None, Parameter(help="rig time after which it ends by itself")] = None,
+    end: Annotated[bool, Parameter(negative="", help="end it")] = False,
+    list_: Annotated[bool, Parameter(name="--list", negative="", help="what each device can have")] = False,
+    control: Control = None,
+    json: Json = False,
+) -> None:
+    """Have something go wrong with a device.
+
+    Args:
+        kind: what; words may be joined by hyphens.
+        device: its name in the rig file; may be left out where only one device can have this.
+    """
+    from rig_cli.virtual_page import show_faults  # noqa: PLC0415
+
+    with _operator(control) as line:
+        kinds: dict[str, dict[str, Any]] = line.ask("faults")["devices"]
+        if list_ or kind is None:
+            if not list_:
+                raise RigFileError(f"expected a fault; `rig virtual fault --list` shows those of {', '.join(kinds)}")
+            print_json({"devices": kinds}) if json else show_faults(kinds)
+            return
+        what, chosen = _chosen(kind, device, kinds)
+        asked: dict[str, Any] = {"device": chosen, "what": what, "end": end}
+        asked |= {name: given for name, given in (("value", value), ("seconds", seconds)) if given is not None}
+        line.ask("fail", **asked)
+    words = "ended" if end else f"placed: {kinds[chosen].get(what, {}).get('words', what)}"
+    _done(json, f"{chosen}: {what} {words}{f', for {seconds:g} s' if seconds else ''}", device=chosen, fault=what)
+
+
+def _chosen(kind: str, device: str | None, kinds: Mapping[str, Mapping[str, Any]]) -> tuple[str, str]:
+    """The fault by its own words, and the device."""
+    having = {
+        name: next((own for own in known if own.replace(" ", "-") == kind.replace(" ", "-")), "")
+        for name, known in kinds.items()
+    }
+    able = [name for name, what in having.items() if what]
+    if device is not None and device not in kinds:
+        raise RigFileError(f"no device {device!r}; this rig has {', '.join(kinds)}")
+    if not able:
+        known = ", ".join(dict.fromkeys(what for each in kinds.values() for what in each))
+        raise RigFileError(f"no device can have {kind!r}; they can have: {known}")
+    if device is None and len(able) > 1:
+        raise RigFileError(f"{kind!r}: of which device? {', '.join(able)} can have it")
+    chosen = device or able[0]
+    if chosen not in able:
+        raise RigFileError(f"{chosen} cannot have {kind!r}, only {', '.join(able)}")
+    return having[chosen], chosen
+
+
+@app.command
+def unplug(device: str, *, control: Control = None, json: Json = False) -> None:
+    """Pull a device's cable."""
+    with _operator(control) as line:
+        line.ask("unplug", device=device)
+    _done(json, f"{device}: cable pulled", device=device)
+
+
+@app.command
+def plug(device: str, *, control: Control = None, json: Json = False) -> None:
+    """Plug a device in again; its port may have another name now."""
+    with _operator(control) as line:
+        port = str(line.ask("plug", device=device)["port"])
+    _done(
+        json, f"{device}: plugged in at {port}; use it by --set devices.{device}.port={port}", device=device, port=port
+    )
+
+
+@app.command
+def state(*, control: Control = None, json: Json = False) -> None:
+    """Show what an onlooker sees: motion, ports, faults that last."""
+    from rig_cli.virtual_page import onlooker, show_state  # noqa: PLC0415
+
+    with _operator(control) as line:
+        seen = onlooker(line.ask("state"))
+    print_json(seen) if json else show_state(seen)
+
+
+@app.command
+def stop(*, control: Control = None, json: Json = False) -> None:
+    """End the rig that runs."""
+    with _operator(control) as line:
+        line.ask("quit")
+        line.wait_for_end()
+    _done(json, "the virtual rig has ended")

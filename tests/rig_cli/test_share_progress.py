@@ -1,0 +1,52 @@
+"""Progress: rate and time left, and how far the work was when it is stopped."""
+
+from __future__ import annotations
+
+import pytest
+
+from rig_cli import console
+from rig_cli.share_progress import pace_words, share_progress
+
+
+@pytest.mark.parametrize(
+    ("share", "elapsed_s", "count", "words"),
+    [
+        (0.0, 1.0, None, ""),
+        (0.25, 5.0, None, "5 %/s, 15 s left"),
+        (0.25, 5.0, 400, "20 points/s, 15 s left"),
+        (0.5, 2.0, 1_000_000, "250\u202f000 points/s, 2 s left"),
+        (0.01, 60.0, None, "0.0167 %/s, 1 h 39 min left"),
+        (0.5, 300.0, 300, "0.5 points/s, 5 min left"),
+        (1.0, 4.0, 400, "100 points/s"),
+    ],
+)
+def test_rate_and_time_left(share: float, elapsed_s: float, count: float | None, words: str) -> None:
+    assert pace_words(share, elapsed_s, count, "points") == words
+
+
+def test_without_a_terminal_a_line_says_rate_and_time_left(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr("rig_cli.share_progress.time.monotonic", lambda: now[0])
+    with share_progress("80 points", 80, "points") as told:
+        for share in (0.1, 0.3, 0.5):
+            now[0] += 6.0
+            told(share)
+    assert capsys.readouterr().err == "80 points: 30 %, 2 points/s, 28 s left\n"
+
+
+def test_stopped_work_says_how_far_it_was(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(KeyboardInterrupt), share_progress("80 points") as told:  # noqa: PT012
+        told(0.42)
+        raise KeyboardInterrupt
+    assert capsys.readouterr().err == "stopped: 80 points, 42 % done\n"
+
+
+def test_a_terminal_shows_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = console.Console(force_terminal=True, width=160, record=True)
+    monkeypatch.setattr(console, "STDERR", terminal)
+    with share_progress("80 points", 80, "points") as told:
+        told(0.5)
+        terminal.print("a line")
+    assert "points/s" in terminal.export_text()
