@@ -1,0 +1,103 @@
+"""Sphinx settings of the documentation. `make docs` builds it with warnings as errors, from the installed wheel."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+DISTRIBUTION = "pendulum-balancer-rig"
+
+project = "Pendulum-balancer rig"
+author = "The pendulum-balancer rig's founders"
+release = importlib.metadata.version(DISTRIBUTION)
+version = release
+
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx_copybutton",
+    "sphinx_design",
+]
+exclude_patterns = ["_build"]
+
+# Notebooks are executed by the test suite and kept with their outputs.
+nb_execution_mode = "off"
+nb_output_stderr = "show"
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "smartquotes"]
+myst_heading_anchors = 3
+
+html_theme = "furo"
+html_title = f"{project} {release}"
+html_static_path: list[str] = []
+
+autodoc_member_order = "groupwise"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_custom_sections = [("Source", "notes_style")]
+python_use_unqualified_type_names = True
+
+_CODE = re.compile(r"(``?)(.+?)\1")
+
+
+def _escaped(line: str) -> str:
+    """Escape reStructuredText markup in one docstring line; text in single backticks becomes a literal.
+
+    The docstrings are plain text: |z|, trailing underscores and asterisks have no markup meaning in them.
+    """
+    parts: list[str] = []
+    end = 0
+    for code in _CODE.finditer(line):
+        parts.append(_plain(line[end : code.start()]))
+        parts.append(f"``{code.group(2)}``")
+        end = code.end()
+    return "".join([*parts, _plain(line[end:])])
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"([|*`]|_(?=\W|$))", r"\\\1", text)
+
+
+def _process_docstring(app: Any, what: str, name: str, value: Any, options: Any, lines: list[str]) -> None:
+    """Convert plain-text docstrings to reStructuredText before napoleon reads their sections."""
+    inside_example = False
+    for number, line in enumerate(lines):
+        inside_example = line.lstrip().startswith(">>>") or (inside_example and bool(line.strip()))
+        if not inside_example:
+            lines[number] = _escaped(line)
+
+
+def _add_command_reference(app: Any, docname: str, source: list[str]) -> None:
+    """Append the options of every command to the page "commands"."""
+    if docname != "commands":
+        return
+    from command_reference import APP  # noqa: PLC0415 - imports every command
+
+    text = APP.generate_docs(output_format="markdown", heading_level=2)
+    commands = text[text.index("\n### rig ") :]
+    source[0] += re.sub(r"\*(?=\d)", r"\\*", commands)
+
+
+def _require_wheel(app: Any) -> None:
+    """Raise an error if the packages are imported from the working tree instead of the installed wheel."""
+    import daq  # noqa: PLC0415 - imported only while the documentation is built
+
+    if "site-packages" not in Path(daq.__file__).parts:
+        raise RuntimeError(
+            f"expected the installed wheel, imported {daq.__file__}: build the documentation with make docs"
+        )
+
+
+def setup(app: Any) -> None:
+    """Register the docstring conversion ahead of napoleon (priority 500)."""
+    app.connect("builder-inited", _require_wheel)
+    app.connect("source-read", _add_command_reference)
+    app.connect("autodoc-process-docstring", _process_docstring, priority=400)
