@@ -1,4 +1,4 @@
-"""`open_rig` and `record`: a script records a rig in two calls, also when a device fails meanwhile."""
+"""`open_rig` and `record`: a script records a rig in two calls, also when a device fails during the recording."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.errors import LinkLost, LogError
+from daq.errors import DeviceError, LogError
 from daq.log import open_log
 from daq.recording import open_rig, record
 from rig_cli.simulated import VirtualRigProcess
@@ -30,11 +30,20 @@ def test_a_script_records_in_two_calls(virtual_rig: VirtualRigProcess, tmp_path:
     assert laser.time_s[-1] - laser.time_s[0] == pytest.approx(2.0, abs=0.3)
 
 
-def test_an_unplugged_device_ends_the_recording_with_its_reason(virtual_rig: VirtualRigProcess, tmp_path: Path) -> None:
+def test_a_fault_during_the_recording_closes_the_log_with_its_reason(
+    virtual_rig: VirtualRigProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rig = load_rig("virtual", settings=virtual_rig.port_settings())
-    session = open_rig(rig, time_scale=TIME_SCALE)
-    virtual_rig.line.ask("unplug", device="laser_x")
-    with pytest.raises(LinkLost, match="laser_x"), session:
-        record(session, tmp_path / "run.mcap", 60.0)
+    looks = iter([None] * 20)
+
+    def check() -> None:
+        if next(looks, "over") == "over":
+            raise DeviceError("drive: no answer for 0.5 s")
+
+    with open_rig(rig, time_scale=TIME_SCALE) as session:
+        monkeypatch.setattr(session, "check", check)
+        with pytest.raises(DeviceError, match="no answer"):
+            record(session, tmp_path / "run.mcap", 60.0)
     with open_log(tmp_path / "run.mcap") as log:
-        assert "laser_x" in log.metadata["summary"]["ended"]
+        assert "no answer" in json.loads(log.metadata["summary"]["ended"])
+        assert len(log["laser/x"]) > 0
