@@ -1,6 +1,8 @@
 # Two commands do everything on a machine that has Python >= 3.11 and make:
 #   make demo    the main job on the built-in virtual rig, ends with a report
 #   make test    lint, types, layers and the whole test suite
+# make docs builds the documentation site from the installed wheel into out/docs, with warnings as errors.
+# make platforms resolves the dependencies from wheels alone for Linux, Windows and macOS.
 # After a change of a tutorial's code, make tutorials executes all of them anew and keeps their outputs.
 # The uv that wrote uv.lock is used: the one on the PATH if it has that version, else pip puts it into .tools.
 
@@ -14,7 +16,7 @@ UV := .tools/uv-$(UV_VERSION)/bin/uv
 UV_FILE := $(UV)
 endif
 
-.PHONY: demo test tutorials setup lint clean
+.PHONY: demo test tutorials docs platforms setup lint clean
 
 demo: setup
 	$(UV) run --no-sync rig demo --out out/demo
@@ -25,6 +27,19 @@ test: setup lint
 
 tutorials: setup
 	$(UV) run --no-sync python -m tests.tutorials.notebooks
+
+docs: | $(UV_FILE)
+	UV_PROJECT_ENVIRONMENT=out/docs-venv $(UV) sync --frozen --no-editable --no-default-groups --group docs --quiet \
+		--reinstall-package pendulum-balancer-rig
+	out/docs-venv/bin/sphinx-build --fail-on-warning --keep-going --quiet --builder html docs out/docs
+	@echo "Open out/docs/index.html"
+
+platforms: | $(UV_FILE)
+	mkdir -p out
+	for platform in linux windows macos; do for python in 3.11 3.14; do \
+		$(UV) pip compile --quiet --python-platform $$platform --python-version $$python --only-binary :all: \
+			--all-extras pyproject.toml --output-file out/requirements-$$platform-$$python.txt || exit 1; \
+	done; done
 
 lint: setup
 	$(UV) run --no-sync ruff check .
