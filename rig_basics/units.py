@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-RAD_PER_S_PER_RPM = math.pi / 30
-"""rad/s in one revolution per minute."""
+RPM = math.pi / 30
+"""One revolution per minute in rad/s: `speed_rpm * RPM` is in rad/s."""
 
-RPM_PER_RAD_PER_S = 30 / math.pi
-"""Revolutions per minute in one rad/s."""
+TO_RPM = 30 / math.pi
+"""One rad/s in revolutions per minute: `speed_rad_s * TO_RPM` is in rpm."""
