@@ -1,0 +1,83 @@
+"""The words that docs/contributing/language.md rejects are in no name, comment, docstring, message or page."""
+
+from __future__ import annotations
+
+import re
+import tokenize
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+GUIDE = ROOT / "docs/contributing/language.md"
+PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/py.typed"))
+REJECTED = {
+    "tell": r"(?<![a-z])(tell|tells|told|telling)(?![a-z])",
+    "say": r"(?<![a-z])(says|said|say|saying)(?![a-z])",
+    "know": r"(?<![a-z])(knows|knew)(?![a-z])",
+    "forget": r"\b(forgets?|forgot|forgotten|remembers?)\b",
+    "hang": r"\bhangs? on\b",
+    "believe": r"\bbeliev(es?|ed)\b",
+    "is none": r"(?<!there )\b(is|are|was|were) none\b",
+    "is no": r"\bis no (log|number)\b",
+    "nobody": r"\b(nobody|somebody|anybody|whoever|whatever)\b",
+    "anew": r"\b(anew|beside|hitherto|aught)\b",
+    "wild": r"(?<![a-z])wild(?![a-z])",
+    "let go": r"\b(lets?|letting) go\b",
+}
+RULE = re.compile("|".join(f"(?:{pattern})" for pattern in REJECTED.values()))
+# Pages whose text is still to be revised. A page that is revised leaves this list; none is added.
+OPEN_PAGES = {"docs/benchmarks.md", "docs/reproduction.md"}
+OPEN_FOLDERS = ("docs/decisions", "docs/theory", "docs/protocols")
+NAMES_IN_FILES = ("believed",)  # keys of JSON results, kept for the programs that read them
+
+
+def pages() -> list[Path]:
+    found = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    return [page for page in found if page != GUIDE and not _open(page)]
+
+
+def _open(page: Path) -> bool:
+    name = page.relative_to(ROOT).as_posix()
+    return name in OPEN_PAGES or name.startswith(OPEN_FOLDERS)
+
+
+def rejected(path: Path) -> list[str]:
+    """Lines of a file with a rejected word; of a module the names, comments and texts in it."""
+    if path.suffix == ".md":
+        parts = list(enumerate(path.read_text(encoding="utf-8").splitlines(), 1))
+    else:
+        with path.open("rb") as file:
+            tokens = [
+                t
+                for t in tokenize.tokenize(file.readline)
+                if t.type in (tokenize.NAME, tokenize.COMMENT, tokenize.STRING)
+            ]
+        parts = [(t.start[0] + i, line) for t in tokens for i, line in enumerate(t.string.splitlines())]
+    hits = [(number, text) for number, text in parts if RULE.search(text) and text.strip("\"'") not in NAMES_IN_FILES]
+    return [f"{path.relative_to(ROOT)}:{number}: {text.strip()[:100]}" for number, text in hits]
+
+
+def test_the_packages_are_found() -> None:
+    assert {"daq", "identification", "analysis", "dynamics", "rig_cli"} <= set(PACKAGES)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_module_uses_a_rejected_word(package: str) -> None:
+    assert [hit for path in sorted((ROOT / package).rglob("*.py")) for hit in rejected(path)] == []
+
+
+def test_no_page_uses_a_rejected_word() -> None:
+    assert [hit for page in pages() for hit in rejected(page)] == []
+
+
+def test_a_rejected_word_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.test_language.ROOT", tmp_path)
+    module = tmp_path / "module.py"
+    module.write_text('"""What it says."""\n\ntold = []  # a wild one\nknown = "asked for"\n')
+    assert [hit.split(": ")[0] for hit in rejected(module)] == ["module.py:1", "module.py:3", "module.py:3"]
+
+
+def test_the_guide_names_every_rejected_word() -> None:
+    table = GUIDE.read_text(encoding="utf-8").split("## Words that are rejected")[1]
+    assert [name for name in REJECTED if not re.search(rf"\b{name}s?\b", table)] == []
