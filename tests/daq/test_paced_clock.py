@@ -22,7 +22,7 @@ from daq.transports.wires import PtyWire
 from rig_configs import load_rig
 
 RATE = 8.0
-AHEAD_S, GONE_S, ALONE_S = paced_clock._AHEAD_S, paced_clock._GONE_S, paced_clock._ALONE_S
+STEP_S, HOST_GONE_S, RIG_GONE_S = paced_clock._STEP_S, paced_clock._HOST_GONE_S, paced_clock._RIG_GONE_S
 on_ptys = pytest.mark.skipif(sys.platform == "win32", reason="ptys and signals need POSIX")
 
 
@@ -98,19 +98,19 @@ def test_time_passes_at_its_rate_in_both_processes_where_nobody_is_late(two: Two
 
 def test_time_stands_while_the_rig_is_late_and_goes_on_from_there(two: Two) -> None:
     two.go(1.0)
-    assert two.go(1.0, steps=False) <= RATE * AHEAD_S + 1e-6
+    assert two.go(1.0, steps=False) <= RATE * STEP_S + 1e-6
     assert two.go(1.0) == pytest.approx(RATE, rel=0.003)
 
 
 def test_time_stands_while_bytes_wait_for_the_host(two: Two) -> None:
     two.go(1.0)
-    assert two.go(5.0, held_up=True) <= RATE * AHEAD_S + 1e-6
+    assert two.go(5.0, held_up=True) <= RATE * STEP_S + 1e-6
     assert two.go(1.0) == pytest.approx(RATE, rel=0.003)
 
 
 def test_time_stands_while_the_host_does_not_look_but_not_for_one_that_has_gone(two: Two) -> None:
     two.go(1.0)
-    assert two.go(GONE_S - 0.01, looks=False) <= 2 * RATE * AHEAD_S + 1e-6
+    assert two.go(HOST_GONE_S - 0.01, looks=False) <= 2 * RATE * STEP_S + 1e-6
     assert two.go(2.0, looks=False) > RATE * 1.9
 
 
@@ -118,7 +118,7 @@ def test_time_passes_again_where_the_rig_has_died_and_waits_come_to_their_ends(t
     two.go(1.0)
     before = two.time.now_s
     two.host.sleep(2 * RATE)
-    assert two.time.now_s - before == pytest.approx(ALONE_S + 2.0, abs=0.001)
+    assert two.time.now_s - before == pytest.approx(RIG_GONE_S + 2.0, abs=0.001)
 
 
 def test_a_sleep_is_as_long_as_rig_time_tells_it(two: Two) -> None:
@@ -131,7 +131,7 @@ def test_a_sleep_is_as_long_as_rig_time_tells_it(two: Two) -> None:
 
 def test_time_never_stands_for_whoever_does_not_share_it(two: Two) -> None:
     two.go(1.0)
-    two.go(GONE_S + 0.1, looks=False)
+    two.go(HOST_GONE_S + 0.1, looks=False)
     assert two.go(1.0, looks=False, held_up=True) == pytest.approx(RATE)
     assert two.go(0.5, looks=False, steps=False) == pytest.approx(0.5 * RATE)  # its rig catches up, too
 
