@@ -85,7 +85,7 @@ class PacedClock(HostClock):
         return self.now_ns() * 1e-9 / self.rate
 
     def sleep(self, seconds: float) -> None:
-        """See HostClock. The wait is longer by the duration of the stops. `wait` is not: readers must go on fetching."""
+        """See HostClock. The wait is longer by the duration of the stops. `wait` is not: readers must keep fetching."""
         end_ns = self.now_ns() + round(max(0.0, seconds) * 1e9)
         while (left_ns := end_ns - self.now_ns()) > 0:
             time.sleep(max(_MIN_WAIT_S, left_ns * 1e-9 / self.rate))

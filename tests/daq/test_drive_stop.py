@@ -136,8 +136,8 @@ class FarEnd:
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.drivers.running_down._NO_SLOWER_S", 0.3)
-    monkeypatch.setattr("daq.drivers.running_down._REPEAT_S", 0.02)
+    monkeypatch.setattr("daq.drivers.run_down._NO_SLOWER_S", 0.3)
+    monkeypatch.setattr("daq.drivers.run_down._REPEAT_S", 0.02)
 
 
 def test_the_watch_ends_at_rest_and_the_heartbeat_after_it() -> None:

@@ -84,7 +84,7 @@ def test_a_sensor_that_comes_back_at_another_rate_restarts_once_and_is_read_on(r
     assert pipeline.losses["samples"] <= pipeline.losses["damaged"] <= _SETTLING
     told = [e for e in after if isinstance(e, Event) and e.kind == "rate"]
     assert told[0].facts["nominal_Hz"] == 4000
-    assert "the rig file says 4000" in told[0].text
+    assert "the rig file states 4000" in told[0].text
 
 
 def test_a_rate_that_changes_while_the_sensor_measures_is_no_restart() -> None:

@@ -126,7 +126,7 @@ def test_a_stream_left_running_is_run_dry_before_the_new_one_begins() -> None:
 
 
 def test_a_sensor_that_will_not_be_silent_is_said_with_what_to_look_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.drivers.quiet._TRY_S", 0.3)
+    monkeypatch.setattr("daq.drivers.stream_stop._TRY_S", 0.3)
     with line_to(LeftStreaming(deaf=True)) as (line, _, samples):
         wait_for(lambda: sum(samples) > 100)
         with pytest.raises(

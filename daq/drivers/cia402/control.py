@@ -13,7 +13,7 @@ from daq.drivers.cia402.process_data import map_process_data
 from daq.drivers.cia402.settings import Drive
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import Pipeline, RotorGuard
-from daq.drivers.running_down import runs_down
+from daq.drivers.run_down import wait_for_rest
 from daq.errors import DeviceError, LinkLost
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock, Repeated
@@ -471,4 +471,4 @@ class DriveControl:
         if self.state == cia402.OPERATION_ENABLED:  # also at rest: it may have an order to turn
             with contextlib.suppress(LinkLost):  # one frame; it is repeated
                 self.quick_stop()
-        return runs_down(self._clock, self._guarded, self.quick_stop, told)
+        return wait_for_rest(self._clock, self._guarded, self.quick_stop, told)

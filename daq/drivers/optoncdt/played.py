@@ -1,10 +1,10 @@
-"""An optoNCDT sensor of a log while it is played."""
+"""Stand-in for an optoNCDT sensor of a log while the log is played."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
 
 import numpy as np
 
@@ -21,9 +21,9 @@ _WORD = re.compile(r"[A-Z0-9_]{1,40}")
 
 
 class WholeBlocks:
-    """A sensor's stream, handed on in whole blocks, so that an answer in between never falls into one.
+    """A sensor's stream in complete blocks, so that an answer is never inserted into a block.
 
-    What follows the last whole block waits for its end, but no longer than a block is: then it is none.
+    Bytes after the last complete block are held until the block is complete. Bytes longer than a block are passed on.
 
     Args:
         words: values in a block.
@@ -45,7 +45,7 @@ class WholeBlocks:
         return line[:end]
 
     def _end_of_blocks(self, line: bytes) -> int:
-        """Where the last whole block ends; where the block under way begins, when there is none behind it."""
+        """Return the end of the last complete block, or the beginning of the incomplete block if there is no end."""
         high = np.flatnonzero(np.frombuffer(line, np.uint8) >= 0x80)  # last bytes of values …
         first = np.flatnonzero(np.frombuffer(line, np.uint8)[high] < 0xC0)  # … and those that begin a block
         if not len(first):
@@ -61,25 +61,23 @@ class WholeBlocks:
 
 
 class PlayedLaser(PlayedDevice):
-    """An optoNCDT sensor: answers as the one of the log, its rate and output words are those of the log.
+    """An optoNCDT sensor that answers as the sensor of the log. Rate and output words are those of the log.
 
     Args:
-        identity: what it said of itself; where it said nothing the rig file counts.
-        config: its table of the rig file.
+        identity: identity of the sensor from its opening. Missing entries are taken from the rig file.
+        config: table of the sensor in the rig file.
 
     Raises:
-        LogError: an identity no sensor has.
+        LogError: the identity is impossible for such a sensor.
     """
 
     expects = "OUTPUT RS422"
 
     def __init__(self, identity: Mapping[str, Any], config: Laser) -> None:
-        words = identity.get("words", config.output_words or DEFAULT_WORDS)
-        if not isinstance(words, list | tuple) or not words or not all(_is_word(word) for word in words):
-            raise LogError(f"identities.json: expected names of output words as the sensor gives them, got {words!r}")
+        words = _words(identity.get("words", config.output_words or DEFAULT_WORDS))
         super().__init__(WholeBlocks(len(words)))
         self._sensor = SensorCommands(
-            info_lines(_told(identity, config)), float(config.rate_Hz), outputs_of(words), fixed=True
+            info_lines(_info(identity, config)), float(config.rate_Hz), outputs_of(words), fixed=True
         )
 
     @property
@@ -98,12 +96,21 @@ class PlayedLaser(PlayedDevice):
         return answers
 
 
-def _is_word(word: object) -> bool:
-    return isinstance(word, str) and _WORD.fullmatch(word) is not None
+def _words(found: object) -> list[str]:
+    """Return the output words of an identity.
+
+    Raises:
+        LogError: they are not a list of names.
+    """
+    items = cast("Sequence[object]", found) if isinstance(found, list | tuple) else ()
+    words = [word for word in items if isinstance(word, str) and _WORD.fullmatch(word)]
+    if not words or len(words) != len(items):
+        raise LogError(f"identities.json: expected names of output words as the sensor gives them, got {found!r}")
+    return words
 
 
-def _told(identity: Mapping[str, Any], config: Laser) -> optoncdt.Info:
-    """What the sensor said of itself when it was asked; a range corrected afterwards is not what it says."""
+def _info(identity: Mapping[str, Any], config: Laser) -> optoncdt.Info:
+    """Return the sensor's own identity. The range is the reported one, not one that was corrected afterwards."""
     scaling = identity.get("scaling", config.scaling or optoncdt.USUAL_SCALING)
     if not isinstance(scaling, str) or scaling not in optoncdt.SCALINGS:
         raise LogError(f"identities.json: expected a scaling, one of {', '.join(optoncdt.SCALINGS)}, got {scaling!r}")
@@ -111,5 +118,5 @@ def _told(identity: Mapping[str, Any], config: Laser) -> optoncdt.Info:
     if not isinstance(range_m, int | float) or not 0 < range_m < 100:
         raise LogError(f"identities.json: expected a measuring range in m, got {range_m!r}")
     serial, version = (str(identity.get(key, _UNKNOWN)) for key in ("serial", "version"))
-    name = str(identity.get("name", scaling))  # a host must find the scaling by it
+    name = str(identity.get("name", scaling))  # a host derives the scaling from it
     return optoncdt.Info(name=name, serial=serial, range_m=float(range_m), version=version)

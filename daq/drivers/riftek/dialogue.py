@@ -11,9 +11,9 @@ import queue
 from typing import Any
 
 from daq.drivers.contract import Talk
-from daq.drivers.quiet import run_dry
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.settings import RiftekLaser
+from daq.drivers.stream_stop import stop_stream
 from daq.errors import DeviceError
 
 _ANSWER_S = 1.0  # wall seconds
@@ -29,7 +29,7 @@ def configure(device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
         DeviceError: no answer, a parameter that does not stay as written, or a sensor that is not what the rig file
             says.
     """
-    if not run_dry(talk, wire.request(settings.address, wire.STOP) + wire.request(wire.EVERYONE, wire.STOP)):
+    if not stop_stream(talk, wire.request(settings.address, wire.STOP) + wire.request(wire.EVERYONE, wire.STOP)):
         raise DeviceError(
             f"{device} on {settings.port}: ordered several times to stop its stream, it goes on sending. Does its line "
             "carry our words too (both wire pairs of RS422), and is no other program commanding it? Switch it "

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from enum import Enum
 
 from daq.drivers.contract import Pipeline, RotorGuard
-from daq.drivers.running_down import runs_down
+from daq.drivers.run_down import wait_for_rest
 from daq.drivers.vesc import stream, wire
 from daq.drivers.vesc.ramp import Ramp
 from daq.drivers.vesc.settings import Vesc
@@ -369,4 +369,4 @@ class VescControl:
         if not self._ordered and (self._word is None or self._guarded.at_rest()):
             return True  # it was told nothing, and nothing is known to turn
         self.quick_stop()
-        return runs_down(self._clock, self._guarded, self.beat, told)
+        return wait_for_rest(self._clock, self._guarded, self.beat, told)
