@@ -184,7 +184,7 @@ def test_what_another_program_left_set_is_undone(bench: Bench) -> None:
 def test_another_sensor_than_the_rig_files_is_refused(bench: Bench) -> None:
     bench.sensor.fail("range", 50)
     with pytest.raises(
-        DeviceError, match=r"rig file says range 25 mm, the sensor 50 mm \(serial 12345\)\. Correct dev"
+        DeviceError, match=r"25 mm in the rig file and 50 mm in the sensor \(serial 12345\)\. Correct dev"
     ):
         DRIVER.open("laser_y", bench.config, bench)
 
@@ -229,7 +229,7 @@ def test_a_flipped_bit_in_an_answer_does_not_set_it_up_wrongly(bench: Bench, pla
 
 def test_answers_that_never_agree_are_said(bench: Bench) -> None:
     bench.damage = {18, 35, 52}
-    with pytest.raises(DeviceError, match="never answered twice alike"):
+    with pytest.raises(DeviceError, match="expected two equal answers"):
         DRIVER.open("laser_y", bench.config, bench)
 
 

@@ -162,7 +162,7 @@ def test_a_small_loss_is_found_late_and_its_event_says_so() -> None:
     batches, events = feed(pipeline(laser()), reads_of(numbers, 1000.0))
     (gap,) = events
     assert gap.facts["found_late"] == 8
-    assert "the times since then are early by that" in gap.text
+    assert "the times since their loss are early by that" in gap.text
     off = np.flatnonzero(column(batches, "counter") != numbers)
     assert off[0] == 3013
     assert len(off) < 1050
@@ -235,7 +235,7 @@ def test_a_host_that_slept_lost_nothing(slept_s: float) -> None:
 
 
 def test_results_that_wait_are_bounded_and_handed_out_when_the_host_speaks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(riftek, "_WAIT_ROWS", 2000)
+    monkeypatch.setattr(riftek, "_MAX_WAIT_ROWS", 2000)
     config = laser(4000.0)
     batches, _ = feed(pipeline(config), held_up(4000.0, 60_000, 4.0, 13.0))
     assert np.array_equal(column(batches, "counter"), np.arange(60_000))

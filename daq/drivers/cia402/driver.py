@@ -63,7 +63,7 @@ class Cia402:
         self, settings: Drive, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
         """See Driver: the drive's state, and what it told in emergencies."""
-        from daq.drivers.cia402.looked_at import drive_checks  # noqa: PLC0415
+        from daq.drivers.cia402.status_checks import drive_checks  # noqa: PLC0415
         from daq.drivers.cia402.stream import DrivePipeline  # noqa: PLC0415
 
         assert isinstance(pipeline, DrivePipeline)

@@ -40,7 +40,7 @@ class Riftek:
         return ()
 
     def clocks(self, settings: RiftekLaser) -> tuple[SampleClock, ...]:
-        """See Driver; its results bear no time, they are counted."""
+        """See Driver. Results contain no time; the clock's time is their number times the sampling period."""
         (channel,) = self.channels(settings)
         tick_ns = round(channels.DEVICE_TICK_S * 1e9)
         return (

@@ -60,8 +60,8 @@ class RotorLink:
     def checks(
         self, settings: EncoderNode, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
-        """See Driver: the node's own word, and how strong its frames come in."""
-        from daq.drivers.rotorlink.looked_at import node_checks  # noqa: PLC0415
+        """See Driver: the node's status, and the signal strength of its frames."""
+        from daq.drivers.rotorlink.status_checks import node_checks  # noqa: PLC0415
 
         return node_checks(settings, pipeline)
 
@@ -81,11 +81,11 @@ class RotorLink:
         """See Driver."""
 
     def open(self, device: str, settings: EncoderNode, talk: Talk) -> dict[str, Any]:
-        """See Driver; a node streams from the moment it has power."""
+        """See Driver; a node streams as soon as it has power."""
         return {"driver": self.name, "port": settings.port}
 
     def stop(self, talk: Talk) -> None:
-        """See Driver; a node goes on for as long as it has power."""
+        """See Driver; a node sends as long as it has power."""
 
     def locks(self, settings: EncoderNode, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
         """See MovesLocks."""

@@ -61,7 +61,7 @@ class VescDriver:
         self, settings: Vesc, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
         """See Driver: the controller's state, and the faults it told."""
-        from daq.drivers.vesc.looked_at import controller_checks  # noqa: PLC0415
+        from daq.drivers.vesc.status_checks import controller_checks  # noqa: PLC0415
 
         return controller_checks(control, events)
 

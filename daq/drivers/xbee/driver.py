@@ -62,7 +62,7 @@ class XBee:
         self, settings: XBeeNode, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
         """See Driver: the node's own word."""
-        from daq.drivers.rotorlink.looked_at import node_checks  # noqa: PLC0415
+        from daq.drivers.rotorlink.status_checks import node_checks  # noqa: PLC0415
 
         return node_checks(settings, pipeline)
 
