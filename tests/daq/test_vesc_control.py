@@ -265,7 +265,7 @@ def test_a_stop_while_it_is_being_enabled_wins(bench: Bench) -> None:
     """A background thread stops the rotor in the middle of enable."""
     bench.pass_time(0.1)
     bench.at_permit = bench.control.quick_stop
-    with pytest.raises(DeviceError, match="told to stop"):
+    with pytest.raises(DeviceError, match="a stop was commanded"):
         bench.control.enable()
     assert bench.control.mode is Mode.BRAKE
     assert not bench.control.enabled
@@ -326,14 +326,14 @@ def test_a_silent_one_is_told_and_not_believed_to_have_let_go(bench: Bench) -> N
     bench.control._guarded = replace(bench.control._guarded, at_rest=lambda: abs(bench.rpm) < 1)  # by the index marks
     bench.far.fail("silent reports", 1)
     bench.told.clear()
-    with pytest.raises(DeviceError, match="it does not answer: nobody can tell whether it has"):
+    with pytest.raises(DeviceError, match="it does not answer: the release is not confirmed"):
         bench.control.disable()
     assert {command.what for _, command in bench.told} == {wire.SET_CURRENT}
     told: list[str] = []
     assert bench.control.stop(told.append) is False
     assert abs(bench.rpm) < 1
     assert bench.told[-1][1] == wire.Command(wire.SET_CURRENT, 0)
-    assert "nobody can tell whether it has" in told[-1]
+    assert "the release is not confirmed" in told[-1]
 
 
 def test_an_answer_to_an_earlier_question_shows_nothing(bench: Bench) -> None:
@@ -346,12 +346,12 @@ def test_an_answer_to_an_earlier_question_shows_nothing(bench: Bench) -> None:
 
     def late(data: bytes) -> None:
         send(data)
-        if heard and data == wire.let_go() + wire.get_values():
+        if heard and data == wire.release() + wire.get_values():
             bench._feed(RX, heard.pop())
             bench.control.notice(bench.pipeline)
 
     bench.control._send = late
-    with pytest.raises(DeviceError, match="nobody can tell"):
+    with pytest.raises(DeviceError, match="not confirmed"):
         bench.control.disable()
 
 
@@ -488,7 +488,7 @@ def test_a_wire_that_breaks_shows_in_the_speed_alone_with_older_firmware(on_rig_
     bench.pass_time(SETTINGS.timeout_s + 1.0 + SETTINGS.follow_s)
     assert bench.control.dropped_out is None
     (fault,) = [event for event in bench.events if event.kind == "fault"]
-    assert "does not follow: told 600 rpm" in fault.text
+    assert "does not follow: the set-point is 600 rpm" in fault.text
 
 
 @pytest.mark.parametrize("has_status", [True, False])

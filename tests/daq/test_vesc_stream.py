@@ -51,7 +51,7 @@ def test_speed_target_and_state() -> None:
     assert [event.text for event in events(out, "drive")] == ["HOLDS SPEED"]
     pipeline.feed(TX, wire.set_brake(10.0), 3)
     assert samples(pipeline.feed(RX, answer(RUNNING), 4))[0][1:] == (0, stream.BRAKE << 8 | stream.STATUS_KNOWN)
-    pipeline.feed(TX, wire.let_go(), 5)
+    pipeline.feed(TX, wire.release(), 5)
     old = replace(RUNNING, status=None)
     assert samples(pipeline.feed(RX, answer(old), 6))[0][1:] == (0, stream.FREE << 8)
 
@@ -115,7 +115,7 @@ def test_a_rotor_that_does_not_follow_is_told_once_until_it_does() -> None:
     assert events(pipeline.feed(RX, answer(RUNNING) * 5, 5), "fault")
 
 
-@pytest.mark.parametrize("told", [wire.set_brake(1.0), wire.let_go(), b""])
+@pytest.mark.parametrize("told", [wire.set_brake(1.0), wire.release(), b""])
 def test_only_a_speed_is_followed(told: bytes) -> None:
     pipeline = VescPipeline("drive", SETTINGS)
     pipeline.feed(TX, told, 1)
@@ -149,7 +149,7 @@ def test_damage_is_counted_and_the_rest_of_an_earlier_answer_is_not() -> None:
 PIECES = st.lists(
     st.one_of(
         st.tuples(st.just(TX), st.integers(-20_000, 20_000).map(wire.set_rpm)),
-        st.tuples(st.just(TX), st.sampled_from([wire.get_values(), wire.set_brake(5.0), wire.let_go()])),
+        st.tuples(st.just(TX), st.sampled_from([wire.get_values(), wire.set_brake(5.0), wire.release()])),
         st.tuples(
             st.just(RX),
             st.builds(

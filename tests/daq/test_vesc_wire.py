@@ -156,7 +156,7 @@ def test_answers_round_trip(values: wire.Values) -> None:
 
 @given(I32, st.floats(0, 200))
 def test_commands_round_trip(erpm: int, amperes: float) -> None:
-    sent = wire.set_rpm(erpm) + wire.set_brake(amperes) + wire.let_go() + wire.alive() + wire.get_values()
+    sent = wire.set_rpm(erpm) + wire.set_brake(amperes) + wire.release() + wire.alive() + wire.get_values()
     payloads = packets.PacketDecoder().feed(sent).payloads
     assert [wire.parse_command(payload) for payload in payloads] == [
         wire.Command(wire.SET_RPM, erpm),

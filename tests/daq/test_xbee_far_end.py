@@ -139,7 +139,7 @@ def test_the_module_tells_who_it_is(kind: dict[str, Any]) -> None:
 def test_a_module_in_the_other_mode_is_named(mode: int) -> None:
     bench = Bench(settings(api_mode=3 - mode), host=settings(api_mode=mode))
     bench.pass_time(1.0)
-    with pytest.raises(DeviceError, match=f"in API mode AP={3 - mode}, the rig file says {mode}"):
+    with pytest.raises(DeviceError, match=f"in API mode AP={3 - mode}, the rig file states {mode}"):
         DRIVER.open("encoder", bench.config, bench)
 
 

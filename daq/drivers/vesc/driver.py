@@ -41,7 +41,7 @@ class VescDriver:
         return ()
 
     def clocks(self, settings: Vesc) -> tuple[SampleClock, ...]:
-        """See Driver; a controller has no clock, the host's time counts."""
+        """See Driver; a controller has no clock, its samples get the host's time."""
         return ()
 
     def pipeline(self, device: str, settings: Vesc, identity: Mapping[str, Any]) -> Pipeline:
@@ -60,7 +60,7 @@ class VescDriver:
     def checks(
         self, settings: Vesc, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
-        """See Driver: the controller's state, and the faults it told."""
+        """See Driver: the controller's state, and the faults it reported."""
         from daq.drivers.vesc.status_checks import controller_checks  # noqa: PLC0415
 
         return controller_checks(control, events)
@@ -81,13 +81,13 @@ class VescDriver:
         """See Driver."""
 
     def open(self, device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
-        """See Driver; it reports once it is asked, by who holds it (`control`)."""
+        """See Driver. The controller reports only on request, by its command (`control`)."""
         from daq.drivers.vesc.dialogue import identify  # noqa: PLC0415
 
         return {"driver": self.name, **identify(device, settings, talk)}
 
     def stop(self, talk: Talk) -> None:
-        """See Driver; who holds the controller has stopped it (`control`)."""
+        """See Driver; the controller's command (`control`) has stopped it."""
 
     def speed_source(
         self, settings: Vesc, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard

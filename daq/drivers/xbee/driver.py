@@ -61,7 +61,7 @@ class XBee:
     def checks(
         self, settings: XBeeNode, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
-        """See Driver: the node's own word."""
+        """See Driver: the node's status."""
         from daq.drivers.rotorlink.status_checks import node_checks  # noqa: PLC0415
 
         return node_checks(settings, pipeline)
@@ -82,13 +82,13 @@ class XBee:
         """See Driver."""
 
     def open(self, device: str, settings: XBeeNode, talk: Talk) -> dict[str, Any]:
-        """See Driver; the module is asked who it is, the node streams from the moment it has power."""
+        """See Driver; the module is identified. The node streams as soon as it has power."""
         from daq.drivers.xbee.dialogue import identify  # noqa: PLC0415
 
         return identify(device, settings, talk)
 
     def stop(self, talk: Talk) -> None:
-        """See Driver; a node goes on for as long as it has power."""
+        """See Driver; a node sends as long as it has power."""
 
     def locks(self, settings: XBeeNode, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
         """See MovesLocks."""
