@@ -85,7 +85,7 @@ class MappedDrive:
                 self._answer(cia402.cob_tpdo(1, NODE), report)
 
     def _answer(self, identifier: int, data: bytes) -> None:
-        self.host.heed([slcan.CanFrame(identifier, data)])
+        self.host.take_frames([slcan.CanFrame(identifier, data)])
 
     def _refusal(self, request: bytes) -> bytes:
         index, sub, value = struct.unpack_from("<HBI", request, 1)

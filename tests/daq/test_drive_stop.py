@@ -116,7 +116,7 @@ class FarEnd:
     def report(self, identifier: int, data: bytes) -> None:
         if self.silent:
             return
-        self.control.heed(self._answers.feed(slcan.encode(slcan.CanFrame(identifier, data))).frames)
+        self.control.take_frames(self._answers.feed(slcan.encode(slcan.CanFrame(identifier, data))).frames)
 
     def speak(self) -> None:
         if self.mute_reports:
@@ -136,7 +136,7 @@ class FarEnd:
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.drivers.run_down._NO_SLOWER_S", 0.3)
+    monkeypatch.setattr("daq.drivers.run_down._MAX_CONSTANT_S", 0.3)
     monkeypatch.setattr("daq.drivers.run_down._REPEAT_S", 0.02)
 
 
@@ -311,12 +311,12 @@ def test_a_silent_drive_is_told_and_not_believed_to_be_off() -> None:
             far.control.disable()
             assert far.control.stop() is True
             continue
-        with pytest.raises(DeviceError, match="it does not answer: nobody can tell whether it has"):
+        with pytest.raises(DeviceError, match="it does not answer: the end of the torque is not confirmed"):
             far.control.disable()
         assert far.controlwords()[-1] == cia402.SHUTDOWN
         told: list[str] = []
         assert far.control.stop(told.append) is False
-        assert any("nobody can tell whether it has" in text for text in told)
+        assert any("the end of the torque is not confirmed" in text for text in told)
         assert far.controlwords()[-1] == cia402.DISABLE_VOLTAGE
         assert far.control._beat is None
 
@@ -357,7 +357,7 @@ def test_a_fault_that_comes_on_the_way_is_its_operators() -> None:
     far.state = cia402.FAULT
     far._sdo.objects[cia402.ERROR_CODE, 0] = (0x2320, "<H")
     far.control._statusword = cia402.STATES[cia402.FAULT_REACTION][1]
-    far.control._word_ns = far.control._clock.now_ns()
+    far.control._reported_ns = far.control._clock.now_ns()
     threading.Timer(0.05, far.speak).start()
     with pytest.raises(DeviceError, match="error code is 0x2320"):
         far.control.enable()
@@ -515,7 +515,7 @@ def test_a_drive_whose_answers_do_not_come_keeps_its_watch() -> None:
     far = FarEnd()
     far.runs(0)
     far.report = lambda identifier, data: None  # type: ignore[method-assign]
-    far.control._word_ns = 1  # its last report is long ago
+    far.control._reported_ns = 1  # its last report is long ago
     assert far.control.stop() is False
     assert [value & 0xFFFF for value, _ in far.watched] == [CONFIG.heartbeat_timeout_ms]
 
@@ -524,7 +524,7 @@ def test_what_a_drive_said_long_ago_is_no_operation() -> None:
     far = FarEnd()
     far.runs(0)
     far.deaf_to_beats = False
-    far.control._word_ns = 1
+    far.control._reported_ns = 1
     far.speak = lambda: None  # type: ignore[method-assign]
     with pytest.raises(DeviceError, match="expected OPERATION ENABLED"):
         far.control.enable()

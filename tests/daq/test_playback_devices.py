@@ -200,7 +200,7 @@ class Bus:
         self.bring(self.drive.hear(data))
 
     def bring(self, data: bytes) -> None:
-        self.control.heed(self._lines.feed(data).frames)
+        self.control.take_frames(self._lines.feed(data).frames)
 
 
 def report(status: int, rpm: int) -> bytes:

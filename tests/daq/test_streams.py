@@ -563,7 +563,7 @@ def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
     items = []
     for k, frame in enumerate([own, *[f for other in others for f in (other, own)]]):
         items += pipeline.feed(RX, slcan.encode(frame), START_NS + k)
-        control.heed(slcan.LineDecoder().feed(slcan.encode(frame)).frames)
+        control.take_frames(slcan.LineDecoder().feed(slcan.encode(frame)).frames)
         assert (control.state, control.actual_rpm, control.emergencies) == (cia402.state(0x0627), 600.0, [])
     batches = [x for x in items if isinstance(x, Batch)]
     assert [float(b.columns["speed_rpm"][0]) for b in batches] == [600.0] * 6

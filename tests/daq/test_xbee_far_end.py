@@ -110,7 +110,7 @@ def no_check() -> None:
 def _short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dialogue, "_ANSWER_S", 0.002)
     monkeypatch.setattr(node_locks, "_TRY_S", 0.002)
-    monkeypatch.setattr(node_locks, "_LOOK_S", 0.001)
+    monkeypatch.setattr(node_locks, "_CHECK_S", 0.001)
 
 
 # --- opening ---------------------------------------------------------------------------------------------------

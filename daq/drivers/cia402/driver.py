@@ -18,7 +18,7 @@ from daq.drivers.simulated import FarEnd
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
 
-_ADAPTER_BAUD = 115_200  # of the adapter's own serial port, where it has one
+_ADAPTER_BAUD = 115_200  # line rate of the adapter's serial port, if it has one
 
 
 class Cia402:
@@ -43,7 +43,7 @@ class Cia402:
         return ()
 
     def clocks(self, settings: Drive) -> tuple[SampleClock, ...]:
-        """See Driver; a drive has no clock, the host's time counts."""
+        """See Driver; a drive has no clock, its samples get the host's time."""
         return ()
 
     def pipeline(self, device: str, settings: Drive, identity: Mapping[str, Any]) -> Pipeline:
@@ -62,7 +62,7 @@ class Cia402:
     def checks(
         self, settings: Drive, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
-        """See Driver: the drive's state, and what it told in emergencies."""
+        """See Driver: the drive's state and emergencies, and heartbeats of another node under the host's number."""
         from daq.drivers.cia402.status_checks import drive_checks  # noqa: PLC0415
         from daq.drivers.cia402.stream import DrivePipeline  # noqa: PLC0415
 
@@ -85,11 +85,11 @@ class Cia402:
         """See Driver."""
 
     def open(self, device: str, settings: Drive, talk: Talk) -> dict[str, Any]:
-        """See Driver; the network is started by who holds the drive (`control`)."""
+        """See Driver; the drive's command (`control`) starts the network."""
         return {"driver": self.name, "node_id": settings.node_id}
 
     def stop(self, talk: Talk) -> None:
-        """See Driver; who holds the drive has stopped it (`control`)."""
+        """See Driver; the drive's command (`control`) has stopped it."""
 
     def speed_source(
         self, settings: Drive, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
