@@ -136,7 +136,7 @@ def test_check_gives_a_verdict_per_device_and_exits_1_when_one_fails(
     assert "every angle would be scaled wrongly" in shown
     other = load_rig("virtual", settings=[*virtual_rig.port_settings(), "devices.encoder.counts_per_revolution=2048"])
     with (
-        pytest.raises(DeviceError, match="4096 counts per revolution, the rig file 2048"),
+        pytest.raises(DeviceError, match="4096 counts per revolution, the rig file states 2048"),
         Session(other, virtual_rig.clock) as session,
     ):
         Procedures(session, SimulatedOperator(virtual_rig.line), Path("never"), quiet).spin_down()

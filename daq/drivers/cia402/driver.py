@@ -48,13 +48,13 @@ class Cia402:
 
     def pipeline(self, device: str, settings: Drive, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.drivers.cia402.stream import DrivePipeline  # noqa: PLC0415
+        from daq.drivers.cia402.stream import DrivePipeline
 
         return DrivePipeline(device, settings)
 
     def words(self, event: Event) -> str:
         """See Driver."""
-        from daq.drivers.cia402 import wire  # noqa: PLC0415
+        from daq.drivers.cia402 import wire
 
         code = int(event.facts["error_code"])
         return wire.emergency_words(code) if code else ""
@@ -63,21 +63,21 @@ class Cia402:
         self, settings: Drive, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
         """See Driver: the drive's state and emergencies, and heartbeats of another node under the host's number."""
-        from daq.drivers.cia402.status_checks import drive_checks  # noqa: PLC0415
-        from daq.drivers.cia402.stream import DrivePipeline  # noqa: PLC0415
+        from daq.drivers.cia402.status_checks import drive_checks
+        from daq.drivers.cia402.stream import DrivePipeline
 
         assert isinstance(pipeline, DrivePipeline)
         return drive_checks(control, events, pipeline.host_beats.foreign)
 
     def far_end(self, device: str, settings: Drive, world: Any) -> FarEnd:
         """See Driver."""
-        from daq.drivers.cia402.far_end import SimulatedDrive  # noqa: PLC0415
+        from daq.drivers.cia402.far_end import SimulatedDrive
 
         return SimulatedDrive.of(settings, world)
 
     def played(self, settings: Drive, identity: Mapping[str, Any]) -> PlayedDevice:
         """See Driver."""
-        from daq.drivers.cia402.played import PlayedDrive  # noqa: PLC0415
+        from daq.drivers.cia402.played import PlayedDrive
 
         return PlayedDrive(settings)
 
@@ -95,7 +95,7 @@ class Cia402:
         self, settings: Drive, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
     ) -> SpeedSource:
         """See TurnsRotor."""
-        from daq.drivers.cia402.control import DriveControl  # noqa: PLC0415 (canopen)
+        from daq.drivers.cia402.control import DriveControl  # imports canopen
 
         return DriveControl(settings, send, clock, guard)
 

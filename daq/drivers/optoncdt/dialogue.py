@@ -29,38 +29,6 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     Raises:
         DeviceError: the sensor does not answer, refuses a command, or differs from the rig file.
     """
-
-    replies, send = talk.replies, talk.send
-
-    def command(text: str, *, may_lack: bool = False) -> list[str]:
-        """Send a command and return the lines of the answer.
-
-        If the sensor `may_lack` the command, a refusal and a missing answer are accepted. A refusal of the arguments or
-        of the access level is an error in any case.
-        """
-        while not replies.empty():
-            replies.get_nowait()
-        send(text.encode("ascii") + b"\n")
-        lines: list[str] = []
-        deadline = talk.clock.wall_s() + _ANSWER_S
-        while (left := deadline - talk.clock.wall_s()) > 0:
-            try:
-                text_line = replies.get(timeout=left)
-            except queue.Empty:
-                break
-            if text_line == optoncdt.PROMPT:
-                bad = next((x for x in lines if x[:1] == "E" and x[1:4].isdigit()), None)
-                if bad and (not may_lack or _ARGUMENT_OR_ACCESS.search(bad)):
-                    raise DeviceError(f"{device}: {text!r} refused: {bad}. Check rate and output words in the rig file")
-                return lines
-            lines.append(text_line)
-        if may_lack:
-            return lines
-        raise DeviceError(
-            f"{device} on {config.port}: no answer to {text!r} within {_ANSWER_S:g} s (got {lines}). "
-            f"Is the baud rate {config.baud} and the sensor powered?"
-        )
-
     if not stop_stream(talk, b"OUTPUT NONE\n"):
         raise DeviceError(
             f"{device} on {config.port}: sent OUTPUT NONE several times, it goes on streaming. Does its line carry "
@@ -68,9 +36,66 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
             "and on"
         )
     talk.begin_anew()
-    command("OUTPUT NONE")  # the answer to the first one may have been lost in the stream
-    command("ECHO ON")
-    info = optoncdt.parse_info(command("GETINFO"))
+    dialogue = _Dialogue(device, config, talk)
+    dialogue.command("OUTPUT NONE")  # the answer to the first one may have been lost in the stream
+    dialogue.command("ECHO ON")
+    info = optoncdt.parse_info(dialogue.command("GETINFO"))
+    scaling = _checked_scaling(device, config, info)
+    dialogue.command("OUTHOLD NONE")
+    dialogue.command("OUTREDUCEDEVICE NONE", may_lack=True)  # omitted samples would count as lost
+    dialogue.command("MASTERMV NONE", may_lack=True)  # a zero set in the sensor shifts its words
+    dialogue.command(f"MEASRATE {config.rate_Hz / 1000:g}")
+    dialogue.command("OUTADD_RS422 COUNTER TIMESTAMP")
+    words = config.output_words or _output_words(device, dialogue.command("GETOUTINFO_RS422"))
+    dialogue.command("OUTPUT RS422")
+    return {**info, "scaling": scaling, "words": list(words)}
+
+
+class _Dialogue:
+    """Commands and their answers."""
+
+    def __init__(self, device: str, config: Laser, talk: Talk) -> None:
+        self._device, self._config, self._talk = device, config, talk
+
+    def command(self, text: str, *, may_lack: bool = False) -> list[str]:
+        """Send a command and return the lines of the answer.
+
+        If the sensor `may_lack` the command, a refusal and a missing answer are accepted. A refusal of the arguments or
+        of the access level is an error in any case.
+        """
+        replies, clock = self._talk.replies, self._talk.clock
+        while not replies.empty():
+            replies.get_nowait()
+        self._talk.send(text.encode("ascii") + b"\n")
+        lines: list[str] = []
+        deadline = clock.wall_s() + _ANSWER_S
+        while (left := deadline - clock.wall_s()) > 0:
+            try:
+                line = replies.get(timeout=left)
+            except queue.Empty:
+                break
+            if line == optoncdt.PROMPT:
+                bad = next((x for x in lines if x[:1] == "E" and x[1:4].isdigit()), None)
+                if bad and (not may_lack or _ARGUMENT_OR_ACCESS.search(bad)):
+                    raise DeviceError(
+                        f"{self._device}: {text!r} refused: {bad}. Check rate and output words in the rig file"
+                    )
+                return lines
+            lines.append(line)
+        if may_lack:
+            return lines
+        raise DeviceError(
+            f"{self._device} on {self._config.port}: no answer to {text!r} within {_ANSWER_S:g} s (got {lines}). "
+            f"Is the baud rate {self._config.baud} and the sensor powered?"
+        )
+
+
+def _checked_scaling(device: str, config: Laser, info: optoncdt.Info) -> str:
+    """Return the scaling of the sensor.
+
+    Raises:
+        DeviceError: the sensor has another range than the rig file, or its scaling is unknown.
+    """
     if abs(info["range_m"] - config.range_m) > 1e-6:
         raise DeviceError(
             f"{device}: the range is {config.range_m * 1e3:g} mm in the rig file and {info['range_m'] * 1e3:g} mm in "
@@ -83,14 +108,7 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
             f"{device}: expected a sensor whose scaling is known, models {known}; got {info['name']!r} (serial "
             f"{info['serial']}). If it has the scaling of one of these, set devices.{device}.scaling"
         )
-    command("OUTHOLD NONE")
-    command("OUTREDUCEDEVICE NONE", may_lack=True)  # omitted samples would count as lost
-    command("MASTERMV NONE", may_lack=True)  # a zero set in the sensor shifts its words
-    command(f"MEASRATE {config.rate_Hz / 1000:g}")
-    command("OUTADD_RS422 COUNTER TIMESTAMP")
-    words = config.output_words or _output_words(device, command("GETOUTINFO_RS422"))
-    command("OUTPUT RS422")
-    return {**info, "scaling": scaling, "words": list(words)}
+    return scaling
 
 
 def _output_words(device: str, answer: Sequence[str]) -> tuple[str, ...]:

@@ -50,7 +50,7 @@ class XBee:
 
     def pipeline(self, device: str, settings: XBeeNode, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.drivers.xbee.stream import XBeePipeline  # noqa: PLC0415
+        from daq.drivers.xbee.stream import XBeePipeline
 
         return XBeePipeline(device, settings, identity)
 
@@ -62,19 +62,19 @@ class XBee:
         self, settings: XBeeNode, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
         """See Driver: the node's status."""
-        from daq.drivers.rotorlink.status_checks import node_checks  # noqa: PLC0415
+        from daq.drivers.rotorlink.status_checks import node_checks
 
         return node_checks(settings, pipeline)
 
     def far_end(self, device: str, settings: XBeeNode, world: Any) -> FarEnd:
         """See Driver."""
-        from daq.drivers.xbee.far_end import SimulatedXBeeNode  # noqa: PLC0415
+        from daq.drivers.xbee.far_end import SimulatedXBeeNode
 
         return SimulatedXBeeNode.of(device, settings, world)
 
     def played(self, settings: XBeeNode, identity: Mapping[str, Any]) -> PlayedDevice:
         """See Driver."""
-        from daq.drivers.xbee.played import PlayedXBee  # noqa: PLC0415
+        from daq.drivers.xbee.played import PlayedXBee
 
         return PlayedXBee(identity, settings)
 
@@ -83,7 +83,7 @@ class XBee:
 
     def open(self, device: str, settings: XBeeNode, talk: Talk) -> dict[str, Any]:
         """See Driver; the module is identified. The node streams as soon as it has power."""
-        from daq.drivers.xbee.dialogue import identify  # noqa: PLC0415
+        from daq.drivers.xbee.dialogue import identify
 
         return identify(device, settings, talk)
 
@@ -92,7 +92,7 @@ class XBee:
 
     def locks(self, settings: XBeeNode, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
         """See MovesLocks."""
-        from daq.drivers.xbee.locks import XBeeLocks  # noqa: PLC0415
+        from daq.drivers.xbee.locks import XBeeLocks
 
         return XBeeLocks(settings, send, clock)
 
