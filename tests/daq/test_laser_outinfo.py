@@ -71,8 +71,8 @@ def test_without_an_identity_the_stream_is_made_of_the_rig_files_words() -> None
     items = pipeline.feed(RX, optoncdt.encode_block(np.column_stack(columns).astype(np.uint32)), 10**18)
     assert [n for item in items if isinstance(item, Batch) for n in item.columns["counter"].tolist()] == k.tolist()
     assert not any(pipeline.losses.values())
-    told = LaserPipeline("laser_x", config, channels.LASER_X, {"words": USUAL})  # what the log says goes before
-    assert told._decoder.words == tuple(USUAL)
+    laser_with_identity = LaserPipeline("laser_x", config, channels.LASER_X, {"words": USUAL})  # the log has priority
+    assert laser_with_identity._decoder.words == tuple(USUAL)
     played = PlayedLaser({}, Laser.model_validate({**RIG_TABLE, "words": words[1:]}))
     assert b"GETOUTINFO_RS422 DIST TIMESTAMP COUNTER" in played.hear(b"GETOUTINFO_RS422\n")
 

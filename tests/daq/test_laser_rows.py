@@ -1,4 +1,4 @@
-"""A laser that measures at another rate than its rig file is read all the same, and told."""
+"""A laser that measures at another rate than in its rig file is decoded correctly, and the rate is reported."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rig_configs import load_rig
 
 LASER = load_rig("virtual").devices["laser_x"]
 START_NS = 1_700_000_000_000_000_000
-_SETTLING = 8  # rows in which a beat that nobody announced shows
+_SETTLING = 8  # rows after which another sampling period is detected
 
 
 def stream(counters: np.ndarray, rate_Hz: float, tick0: int = 0) -> bytes:
@@ -82,9 +82,9 @@ def test_a_sensor_that_comes_back_at_another_rate_restarts_once_and_is_read_on(r
     assert len(ticks_of(after)) >= 1000 - _SETTLING
     assert [e.kind for e in after if isinstance(e, Event)].count("restart") == 1
     assert pipeline.losses["samples"] <= pipeline.losses["damaged"] <= _SETTLING
-    told = [e for e in after if isinstance(e, Event) and e.kind == "rate"]
-    assert told[0].facts["nominal_Hz"] == 4000
-    assert "the rig file states 4000" in told[0].text
+    reported = [e for e in after if isinstance(e, Event) and e.kind == "rate"]
+    assert reported[0].facts["nominal_Hz"] == 4000
+    assert "the rig file states 4000" in reported[0].text
 
 
 def test_a_rate_that_changes_while_the_sensor_measures_is_no_restart() -> None:

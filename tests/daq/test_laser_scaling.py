@@ -62,21 +62,21 @@ def test_words_above_the_valid_ones_are_no_readings_for_either_scaling() -> None
         assert pipeline.losses["invalid"] == np.count_nonzero(codes > most)
 
 
-def test_a_log_that_does_not_tell_its_scaling_is_decoded_as_ever() -> None:
+def test_a_log_without_a_scaling_is_decoded_with_the_default() -> None:
     codes = np.random.default_rng(3).integers(0, 65_600, 500)
     expected = np.where(codes <= 65_520, (102.0 / 65_520 * codes - 1.0) * RANGE_M / 100.0, np.nan) - 0.5 * RANGE_M
     for identity in ({}, {"name": "ILD1900-25"}, {"scaling": "ILD1420"}):
         assert displacement(laser(identity), codes).tobytes() == expected.tobytes()
 
 
-def test_without_an_identity_the_rig_file_tells() -> None:
+def test_without_an_identity_the_rig_file_decides() -> None:
     assert displacement(laser(scaling="ILD1900"), [131_000] * 20) == pytest.approx(0.0, abs=1e-12)
-    told = laser({"scaling": "ILD1420"}, scaling="ILD1900")  # what the log says goes before
-    assert np.isnan(displacement(told, [131_000] * 20)).all()
+    laser_with_identity = laser({"scaling": "ILD1420"}, scaling="ILD1900")  # the log has priority
+    assert np.isnan(displacement(laser_with_identity, [131_000] * 20)).all()
 
 
 @pytest.mark.parametrize("scaling", ["ILD1402", "", 1420, None, ["ILD1420"], {}])
-def test_a_scaling_that_is_none_is_refused_in_words(scaling: object) -> None:
+def test_an_invalid_scaling_is_refused_with_a_message(scaling: object) -> None:
     with pytest.raises(DeviceError, match=r"laser_x: expected .*ILD1420, ILD1900.*got"):
         laser({"scaling": scaling})
     with pytest.raises(LogError, match=r"ILD1420, ILD1900"):
@@ -131,7 +131,7 @@ def test_a_lone_jump_is_marked_above_the_1420s_words_too() -> None:
         ("ILD1900-2", "ILD1900"),
     ],
 )
-def test_the_name_tells_the_scaling(name: str, scaling: str) -> None:
+def test_the_scaling_is_derived_from_the_name(name: str, scaling: str) -> None:
     assert HandMadeLaser(name).set_up()["scaling"] == scaling
 
 

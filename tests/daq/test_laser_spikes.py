@@ -33,7 +33,7 @@ def marked(codes: NDArray[np.floating], invalid: NDArray[np.bool_] | None = None
 
 
 def pluck(time: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Held for half a second, let go, every ten seconds; m."""
+    """Held for half a second and released, every ten seconds; m."""
     t = np.mod(time, 10.0) - 0.5
     free = 5e-3 * np.exp(-1.2 * t) * np.cos(58.4 * t) + 0.5e-3 * np.exp(-t) * np.sin(188.5 * t)
     return np.where(t < 0, 5e-3, free)
@@ -116,8 +116,8 @@ def test_the_flags_do_not_depend_on_the_reads(cuts: list[int], places: set[int],
         pipeline = laser()
         items = [item for i, part in enumerate(parts) for item in pipeline.feed(RX, part, START_NS + i)]
         found = [int(flag) for item in items if isinstance(item, Batch) for flag in item.columns["flags"]]
-        told = sum(item.facts["suspect"] for item in items if isinstance(item, Event) and item.kind == "suspect")
-        assert pipeline.losses["suspect"] == told == sum(found)
+        reported = sum(item.facts["suspect"] for item in items if isinstance(item, Event) and item.kind == "suspect")
+        assert pipeline.losses["suspect"] == reported == sum(found)
         return found
 
     edges = [0, *sorted(cut * 5 % len(data) for cut in cuts), len(data)]
@@ -138,7 +138,7 @@ def test_a_false_sample_is_kept_as_it_came_marked_and_counted() -> None:
     assert {kind: n for kind, n in pipeline.losses.items() if n} == {"suspect": 1}
 
 
-def test_identification_sees_no_marked_sample_and_the_log_keeps_it(tmp_path: Path) -> None:
+def test_identification_excludes_marked_samples_and_the_log_keeps_them(tmp_path: Path) -> None:
     from daq.log import open_log
     from daq.log.file import LogFile
     from daq.log.losses import losses_of

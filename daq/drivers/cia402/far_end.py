@@ -29,7 +29,6 @@ _QUICK_STOP_RPM_S = 4000.0
 _COAST_RPM_S = 30.0  # deceleration by bearings and windage, without torque
 _RAD_S = math.pi / 30
 _STATUS = {name: value for name, (_, value) in cia402.STATES.items()}
-_HEARTBEAT_ERROR = 0x8130
 _MAKERS = {(0x1018, 1): (0x0000_0A11, "<I"), (0x1018, 4): (24601, "<I"), (0x6085, 0): (int(_QUICK_STOP_RPM_S), "<I")}
 
 
@@ -276,7 +275,7 @@ class SimulatedDrive(FarEnd):
         self._heard_s = None
         if self.state == cia402.OPERATION_ENABLED:
             self._quick_stop()
-        self._emergency(_HEARTBEAT_ERROR)
+        self._emergency(cia402.HEARTBEAT_ERROR)
 
     def _cyclic(self, now_s: float) -> None:
         every = self._objects[0x1017, 0][0] * 1e-3
