@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from daq import channels
 from daq.drivers.items import RX, Batch
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.played import PlayedLaser
 from daq.drivers.optoncdt.settings import Laser
@@ -103,5 +104,5 @@ def test_words_that_give_no_samples_are_refused_by_the_rig_file(words: object) -
 def test_the_most_words_a_block_can_have_are_taken() -> None:
     names = ["DIST", "COUNTER", "TIMESTAMP", *(f"W{i}" for i in range(28))]
     config = Laser.model_validate({**RIG_TABLE, "words": names})
-    assert len(config.output_words) == optoncdt.MAX_WORDS
+    assert len(config.output_words) == sensor_answers.MAX_WORDS
     assert LaserPipeline("laser_x", config, channels.LASER_X, {})._decoder.words == config.output_words

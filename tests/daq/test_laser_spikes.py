@@ -14,19 +14,20 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.channels import suspects
 from daq.drivers.items import RX, Batch, Event
+from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from rig_configs import load_rig
 
-STEP_M = 0.025 * 1.02 / optoncdt.CODE_MAX
+STEP_M = 0.025 * 1.02 / distance_words.CODE_MAX
 MIDDLE = 32_760
 START_NS = 1_700_000_000_000_000_000
 
 
 def marked(codes: NDArray[np.floating], invalid: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:
     """Which samples are marked in a stream of codes, in one read."""
-    words = np.clip(np.rint(codes), 0, optoncdt.CODE_MAX).astype(np.uint32)
+    words = np.clip(np.rint(codes), 0, distance_words.CODE_MAX).astype(np.uint32)
     if invalid is not None:
         words[invalid] = 262_078
     return np.flatnonzero(suspects(SpikeWatch().feed(words, np.arange(len(words)) % optoncdt.COUNTER_WRAP)))
@@ -69,7 +70,7 @@ def test_no_real_motion_is_marked(rate: int, motion, noise_codes: float) -> None
 def test_leaving_the_range_at_resonance_marks_nothing() -> None:
     time = np.arange(160_000) / 4000
     codes = MIDDLE + 1.3 * run_up(time) / STEP_M + np.random.default_rng(3).standard_normal(len(time))
-    beyond = (codes < 0) | (codes > optoncdt.CODE_MAX)
+    beyond = (codes < 0) | (codes > distance_words.CODE_MAX)
     assert beyond.any()
     assert len(marked(codes, beyond)) == 0
 
@@ -89,7 +90,7 @@ def test_flipped_bits_are_marked_from_some_size_on(rate: int, noise_codes: float
     for bit in range(least_bit, 16):
         flipped = words.copy()
         flipped[places] ^= 1 << bit
-        seen = places[flipped[places] <= optoncdt.CODE_MAX]  # the others are error codes
+        seen = places[flipped[places] <= distance_words.CODE_MAX]  # the others are error codes
         found = marked(flipped)
         assert len(np.setdiff1d(found, places)) == 0
         assert len(np.intersect1d(found, seen)) > 0.9 * len(seen)

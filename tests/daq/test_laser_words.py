@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from daq import channels
 from daq.drivers.items import RX, Batch, Event
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import DEFAULT_WORDS, LaserPipeline
 from daq.errors import DeviceError
@@ -32,7 +33,7 @@ def answer(*names: str) -> bytes:
 
 def stream(names: tuple[str, ...] | list[str], counter: np.ndarray) -> bytes:
     """Blocks of these outputs at 4 kHz, the distance growing with the counter."""
-    words = optoncdt.parse_outinfo(" ".join(("GETOUTINFO_RS422", *names)))
+    words = sensor_answers.parse_outinfo(" ".join(("GETOUTINFO_RS422", *names)))
     ticks = 25 * counter
     columns = {
         "DIST": 30_000 + 3 * counter % 1000,
@@ -102,7 +103,7 @@ def test_a_true_answer_holds_from_its_own_place_on(announced: tuple[str, ...], c
     rows, events = fed([data[i : i + cut] for i in range(0, len(data), cut)], laser)
     assert [row[:3] for row in rows] == [(30_000 + 3 * k % 1000, k % 2**18, 25 * k) for k in K.tolist()]
     assert not any(laser.losses.values())
-    changed = optoncdt.parse_outinfo("GETOUTINFO_RS422 " + " ".join(announced)) != DEFAULT_WORDS
+    changed = sensor_answers.parse_outinfo("GETOUTINFO_RS422 " + " ".join(announced)) != DEFAULT_WORDS
     assert [event.kind for event in events].count("words") == changed
 
 
@@ -212,7 +213,7 @@ def test_an_invalid_identity_is_refused_with_a_message(identity: dict[str, objec
 
 
 def test_the_distance_is_found_wherever_it_stands() -> None:
-    words = optoncdt.parse_outinfo
+    words = sensor_answers.parse_outinfo
     assert words("GETOUTINFO_RS422 LINEAR COUNTER")[0] == "DIST"
     assert words("GETOUTINFO_RS422 COUNTER DIST_RAW DIST1") == ("COUNTER", "DIST_RAW", "DIST")
     assert "DIST" not in words("GETOUTINFO_RS422 SHUTTER INTENSITY")

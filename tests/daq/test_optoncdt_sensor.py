@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines, outputs_of
 
-INFO = optoncdt.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
+INFO = sensor_answers.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
 
 
 def sensor(fixed: bool = False) -> SensorCommands:
@@ -80,14 +80,14 @@ def test_a_stream_that_is_what_it_is_takes_no_other_rate_and_no_other_words() ->
 
 @given(st.lists(st.sampled_from(["COUNTER", "TIMESTAMP", "SHUTTER", "INTENSITY"]), unique=True))
 def test_words_and_outputs_are_inverse(outputs: list[str]) -> None:
-    words = optoncdt.parse_outinfo(" ".join(["GETOUTINFO_RS422 DIST", *outputs]))
+    words = sensor_answers.parse_outinfo(" ".join(["GETOUTINFO_RS422 DIST", *outputs]))
     assert outputs_of(words) == tuple(outputs)
 
 
 @given(st.integers(1, 10**9))
 def test_the_range_comes_back_bit_for_bit(nanometres: int) -> None:
     range_m = float(f"{nanometres / 1e6:.6f}") / 1000.0  # as it was read from some sensor's answer
-    assert optoncdt.parse_info(info_lines({**INFO, "range_m": range_m})) == {**INFO, "range_m": range_m}
+    assert sensor_answers.parse_info(info_lines({**INFO, "range_m": range_m})) == {**INFO, "range_m": range_m}
 
 
 def test_a_name_is_one_line_of_the_sensors_alphabet() -> None:

@@ -18,6 +18,7 @@ from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.played import PlayedDrive
 from daq.drivers.items import RX, TX
 from daq.drivers.optoncdt import dialogue as lasers
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.played import PlayedLaser, WholeBlocks
 from daq.drivers.rotorlink import wire as rotorlink
@@ -134,7 +135,7 @@ def test_the_rig_file_replaces_a_missing_identity() -> None:
         "serial": "unknown",
         "version": "unknown",
         "range_m": LASER.range_m,
-        "words": list(optoncdt.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP")),
+        "words": list(sensor_answers.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP")),
     }
 
 

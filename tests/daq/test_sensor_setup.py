@@ -15,6 +15,7 @@ from daq.drivers.contract import Pipeline
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Event
 from daq.drivers.optoncdt import dialogue as lasers
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.errors import DeviceError
@@ -22,7 +23,7 @@ from daq.transports import HostClock, open_link
 from daq.transports.wires import TcpWire
 from rig_configs import load_rig
 
-INFO = optoncdt.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
+INFO = sensor_answers.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
 
 
 CLOCK = HostClock()

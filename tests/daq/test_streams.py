@@ -17,6 +17,7 @@ from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
+from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.rotorlink import wire as rotorlink
@@ -32,7 +33,7 @@ START_NS = 1_700_000_000_000_000_000
 def blocks(counters: np.ndarray, metres: np.ndarray) -> np.ndarray:
     ticks = counters * 25
     return np.column_stack(
-        [optoncdt.code(metres + 0.0125, 0.025), counters % 2**18, ticks & 0xFFFF, (ticks >> 16) & 0xFFFF]
+        [distance_words.code(metres + 0.0125, 0.025), counters % 2**18, ticks & 0xFFFF, (ticks >> 16) & 0xFFFF]
     ).astype(np.uint32)
 
 

@@ -14,11 +14,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.spikes import compile_watch
 
 _COUNTER_WRAP, _TIMESTAMP_WRAP = optoncdt.COUNTER_WRAP, optoncdt.TIMESTAMP_WRAP
-_USUAL = optoncdt.SCALINGS[optoncdt.USUAL_SCALING]
+_USUAL = distance_words.SCALINGS[distance_words.USUAL_SCALING]
 
 
 class CleanBlocks(NamedTuple):
@@ -75,7 +76,7 @@ def _take(
 
 
 def take_clean_blocks(
-    data: bytes, places: optoncdt.Places, last_counter: int, last_tick: int, nominal_ticks: float
+    data: bytes, places: sensor_answers.Places, last_counter: int, last_tick: int, nominal_ticks: float
 ) -> CleanBlocks:
     """Decode the blocks at the beginning of `data` that are complete and undamaged and continue one another.
 
@@ -100,7 +101,7 @@ def _measure(
     to_disk: float,
     displacement: NDArray[np.float64],
 ) -> int:  # pragma: no cover - compiled
-    """Fill in displacements, m, by the operations of `optoncdt.metres` in their order; return the number of NaNs."""
+    """Fill in displacements, m, by the operations of `distance_words.metres` in their order; return the NaN count."""
     most, gain, zero, whole = formula
     invalid = 0
     for i in range(len(code)):
@@ -114,7 +115,7 @@ def _measure(
 
 
 def measure(
-    code: NDArray[np.uint32], range_m: float, to_disk: float, scaling: optoncdt.Scaling = _USUAL
+    code: NDArray[np.uint32], range_m: float, to_disk: float, scaling: distance_words.Scaling = _USUAL
 ) -> tuple[NDArray[np.float64], int]:
     """Convert distance words to displacements of the disk.
 
@@ -134,7 +135,7 @@ def measure(
 
 def compile_loop() -> None:
     """Load or compile the compiled code before the first byte arrives."""
-    take_clean_blocks(bytes(12), optoncdt.Places(4, 0, 1, 2, 3), 0, 0, 25.0)
+    take_clean_blocks(bytes(12), sensor_answers.Places(4, 0, 1, 2, 3), 0, 0, 25.0)
     measure(np.zeros(1, np.uint32), 1.0, 1.0)
     compile_watch()
 

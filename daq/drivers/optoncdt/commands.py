@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import sensor_answers
 
 RATES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
 OUTPUTS = ("COUNTER", "TIMESTAMP")
@@ -63,7 +63,7 @@ class SensorCommands:
             "GETINFO": lambda _: self._info,
             "OUTPUT": self._output,
             "OUTADD_RS422": self._outadd,
-            "GETOUTINFO_RS422": lambda _: [" ".join(("GETOUTINFO_RS422", optoncdt.DISTANCE, *self.outputs))],
+            "GETOUTINFO_RS422": lambda _: [" ".join(("GETOUTINFO_RS422", sensor_answers.DISTANCE, *self.outputs))],
             "MEASRATE": self._measrate,
             "OUTHOLD": lambda _: [],
             "OUTREDUCEDEVICE": lambda _: [],
@@ -80,7 +80,7 @@ class SensorCommands:
     def _answer(self, line: str) -> bytes:
         name, *args = line.replace("(", " ").replace(")", " ").split() or [""]
         if not name:
-            return optoncdt.PROMPT.encode()
+            return sensor_answers.PROMPT.encode()
         command = self._commands.get(name.upper())
         if command is None:
             lines = [f"E200 Unknown command {name}"]
@@ -91,7 +91,7 @@ class SensorCommands:
                     lines = [f"{line} ok"]
             except ValueError as refusal:
                 lines = [f"E210 {refusal}"]
-        text = "".join(f"{each}\r\n" for each in lines) + optoncdt.PROMPT
+        text = "".join(f"{each}\r\n" for each in lines) + sensor_answers.PROMPT
         return text.encode("ascii", "replace")
 
     def _set_echo(self, args: list[str]) -> list[str]:
@@ -129,8 +129,8 @@ class SensorCommands:
         return []
 
 
-def info_lines(info: optoncdt.Info) -> list[str]:
-    """Return the answer to GETINFO that `optoncdt.parse_info` converts to the same `info`."""
+def info_lines(info: sensor_answers.Info) -> list[str]:
+    """Return the answer to GETINFO that `sensor_answers.parse_info` converts to the same `info`."""
     millimetres = f"{info['range_m'] * 1e3:.2f}"
     if float(millimetres) / 1000.0 != info["range_m"]:
         millimetres = f"{info['range_m'] * 1e3:.12f}"
@@ -143,10 +143,9 @@ def info_lines(info: optoncdt.Info) -> list[str]:
 
 
 def outputs_of(words: Sequence[str]) -> tuple[str, ...]:
-    """Return the outputs after the distance that give a stream of these words; inverse of `optoncdt.parse_outinfo`."""
-    return tuple(
-        "TIMESTAMP" if word == optoncdt.TIMESTAMP_LO else word for word in words[1:] if word != optoncdt.TIMESTAMP_HI
-    )
+    """Return the outputs after the distance that give a stream of these words; inverse of `parse_outinfo`."""
+    low, high = sensor_answers.TIMESTAMP_LO, sensor_answers.TIMESTAMP_HI
+    return tuple("TIMESTAMP" if word == low else word for word in words[1:] if word != high)
 
 
 def _text(value: str) -> str:

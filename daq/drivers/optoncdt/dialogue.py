@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from daq.drivers.contract import Talk
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.stream_stop import stop_stream
 from daq.errors import DeviceError
@@ -39,7 +39,7 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     dialogue = _Dialogue(device, config, talk)
     dialogue.command("OUTPUT NONE")  # the answer to the first one may have been lost in the stream
     dialogue.command("ECHO ON")
-    info = optoncdt.parse_info(dialogue.command("GETINFO"))
+    info = sensor_answers.parse_info(dialogue.command("GETINFO"))
     scaling = _checked_scaling(device, config, info)
     dialogue.command("OUTHOLD NONE")
     dialogue.command("OUTREDUCEDEVICE NONE", may_lack=True)  # omitted samples would count as lost
@@ -74,7 +74,7 @@ class _Dialogue:
                 line = replies.get(timeout=left)
             except queue.Empty:
                 break
-            if line == optoncdt.PROMPT:
+            if line == sensor_answers.PROMPT:
                 bad = next((x for x in lines if x[:1] == "E" and x[1:4].isdigit()), None)
                 if bad and (not may_lack or _ARGUMENT_OR_ACCESS.search(bad)):
                     raise DeviceError(
@@ -90,7 +90,7 @@ class _Dialogue:
         )
 
 
-def _checked_scaling(device: str, config: Laser, info: optoncdt.Info) -> str:
+def _checked_scaling(device: str, config: Laser, info: sensor_answers.Info) -> str:
     """Return the scaling of the sensor.
 
     Raises:
@@ -101,9 +101,9 @@ def _checked_scaling(device: str, config: Laser, info: optoncdt.Info) -> str:
             f"{device}: the range is {config.range_m * 1e3:g} mm in the rig file and {info['range_m'] * 1e3:g} mm in "
             f"the sensor (serial {info['serial']}). Correct devices.{device}.range_m or plug in the right sensor"
         )
-    scaling = config.scaling or optoncdt.scaling_of(info["name"])
+    scaling = config.scaling or distance_words.scaling_of(info["name"])
     if scaling is None:
-        known = "; ".join(f"{', '.join(each.models)} as {key}" for key, each in optoncdt.SCALINGS.items())
+        known = "; ".join(f"{', '.join(each.models)} as {key}" for key, each in distance_words.SCALINGS.items())
         raise DeviceError(
             f"{device}: expected a sensor whose scaling is known, models {known}; got {info['name']!r} (serial "
             f"{info['serial']}). If it has the scaling of one of these, set devices.{device}.scaling"
@@ -117,8 +117,8 @@ def _output_words(device: str, answer: Sequence[str]) -> tuple[str, ...]:
     Raises:
         DeviceError: no line has distance, counter and timestamp.
     """
-    announced = [words for line in answer if (words := optoncdt.announced(line)) is not None]
-    readable = [words for words in announced if optoncdt.places_of(words) is not None]
+    announced = [words for line in answer if (words := sensor_answers.announced(line)) is not None]
+    readable = [words for words in announced if sensor_answers.places_of(words) is not None]
     if not readable:
         raise DeviceError(
             f"{device}: expected distance, counter and timestamp among its output words, got {list(answer)!r:.200} in "

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.drivers.optoncdt.settings import Laser
@@ -54,9 +55,9 @@ class SimulatedLaser(FarEnd):
         self.fault_code: int | None = None
         self._next = 0  # index of the next sample on the device's clock
         self._counter = int(rng.integers(0, optoncdt.COUNTER_WRAP))
-        model = config.scaling or optoncdt.USUAL_SCALING
-        self._scaling = optoncdt.SCALINGS[model]
-        self._info = optoncdt.Info(name=model, serial=serial, range_m=config.range_m, version="001.019")
+        model = config.scaling or distance_words.USUAL_SCALING
+        self._scaling = distance_words.SCALINGS[model]
+        self._info = sensor_answers.Info(name=model, serial=serial, range_m=config.range_m, version="001.019")
         self._commands = self._fresh_commands()
 
     def _fresh_commands(self) -> SensorCommands:
@@ -135,7 +136,7 @@ class SimulatedLaser(FarEnd):
     ) -> NDArray[np.uint32]:
         half = 0.5 * self._config.range_m
         distance = np.clip(reading, -half, half) + half
-        codes = optoncdt.code(distance, self._config.range_m, self._scaling).astype(np.int64)
+        codes = distance_words.code(distance, self._config.range_m, self._scaling).astype(np.int64)
         codes[reading > half] = _ERROR_BEHIND
         codes[reading < -half] = _ERROR_BEFORE
         if self.fault_code is not None:

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from daq.channels import RX
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines, outputs_of
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import DEFAULT_WORDS
@@ -92,7 +92,7 @@ class PlayedLaser(PlayedDevice):
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice."""
         answers = self._sensor.receive(data)
-        self.commands += answers.count(optoncdt.PROMPT.encode())
+        self.commands += answers.count(sensor_answers.PROMPT.encode())
         return answers
 
 
@@ -109,14 +109,16 @@ def _words(found: object) -> list[str]:
     return words
 
 
-def _info(identity: Mapping[str, Any], config: Laser) -> optoncdt.Info:
+def _info(identity: Mapping[str, Any], config: Laser) -> sensor_answers.Info:
     """Return the sensor's own identity. The range is the reported one, not one that was corrected afterwards."""
-    scaling = identity.get("scaling", config.scaling or optoncdt.USUAL_SCALING)
-    if not isinstance(scaling, str) or scaling not in optoncdt.SCALINGS:
-        raise LogError(f"identities.json: expected a scaling, one of {', '.join(optoncdt.SCALINGS)}, got {scaling!r}")
+    scaling = identity.get("scaling", config.scaling or distance_words.USUAL_SCALING)
+    if not isinstance(scaling, str) or scaling not in distance_words.SCALINGS:
+        raise LogError(
+            f"identities.json: expected a scaling, one of {', '.join(distance_words.SCALINGS)}, got {scaling!r}"
+        )
     range_m = identity.get("told_range_m", identity.get("range_m", config.range_m))
     if not isinstance(range_m, int | float) or not 0 < range_m < 100:
         raise LogError(f"identities.json: expected a measuring range in m, got {range_m!r}")
     serial, version = (str(identity.get(key, _UNKNOWN)) for key in ("serial", "version"))
     name = str(identity.get("name", scaling))  # a host derives the scaling from it
-    return optoncdt.Info(name=name, serial=serial, range_m=float(range_m), version=version)
+    return sensor_answers.Info(name=name, serial=serial, range_m=float(range_m), version=version)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules, steps_from
 from daq.drivers.items import TX, Batch, Event
+from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.blocks import CleanBlocks, may_begin_block, measure, take_clean_blocks
 from daq.drivers.optoncdt.rows import RowOrder
@@ -37,12 +38,12 @@ class LaserPipeline:
         self.losses = {"samples": 0, "bytes": 0, "damaged": 0, "invalid": 0, "suspect": 0, "unusable": 0}
         self._device, self._channel = device, channel
         self._range_m = _range(device, identity.get("range_m", config.range_m))
-        usual = config.scaling or optoncdt.USUAL_SCALING  # logs of earlier versions do not contain it
+        usual = config.scaling or distance_words.USUAL_SCALING  # logs of earlier versions do not contain it
         self._scaling = _scaling(device, identity.get("scaling", usual))
         self._to_disk = 1.0 / config.lever_ratio
         words = _words(device, identity.get("words", config.output_words or DEFAULT_WORDS))
         self._decoder = optoncdt.StreamDecoder(words, follow_answers=True)
-        self._places = optoncdt.places_of(words)
+        self._places = sensor_answers.places_of(words)
         self._trial: WordsTrial | None = None
         self._reported_lines = 0  # lines already reported that the decoder has not reached yet
         self._unusable_reported = False
@@ -113,7 +114,7 @@ class LaserPipeline:
             text = f"from here on the stream's words are {' '.join(words)}, no longer {' '.join(self._decoder.words)}"
             out.append(Event("words", self._device, text))
             self._decoder.set_words(words)
-            self._places, self._unusable_reported = optoncdt.places_of(words), False
+            self._places, self._unusable_reported = sensor_answers.places_of(words), False
         elif not decided:
             text = f"an answer announces the words {' '.join(words)}, the stream does not consist of them: ignored"
             out.append(Event("words", self._device, text))
@@ -245,7 +246,7 @@ class LaserPipeline:
         return out
 
 
-def _columns(values: NDArray[np.uint32], places: optoncdt.Places) -> CleanBlocks:
+def _columns(values: NDArray[np.uint32], places: sensor_answers.Places) -> CleanBlocks:
     """Return distance word, counter and timestamp of rows of words."""
     ticks = optoncdt.timestamp_ticks(values[:, places.low], values[:, places.high]).astype(np.int64)
     return CleanBlocks(values[:, places.distance], values[:, places.counter], ticks)
@@ -258,19 +259,19 @@ def _range(device: str, found: object) -> float:
     raise DeviceError(f"{device}: expected a measuring range in m above 0 in its identity, got range_m {found!r:.80}")
 
 
-def _scaling(device: str, found: object) -> optoncdt.Scaling:
+def _scaling(device: str, found: object) -> distance_words.Scaling:
     """Return the scaling of an identity; raise DeviceError if it is unknown."""
-    if isinstance(found, str) and found in optoncdt.SCALINGS:
-        return optoncdt.SCALINGS[found]
+    if isinstance(found, str) and found in distance_words.SCALINGS:
+        return distance_words.SCALINGS[found]
     raise DeviceError(
-        f"{device}: expected a scaling in its identity, one of {', '.join(optoncdt.SCALINGS)}, got {found!r:.80}"
+        f"{device}: expected a scaling in its identity, one of {', '.join(distance_words.SCALINGS)}, got {found!r:.80}"
     )
 
 
 def _words(device: str, found: object) -> tuple[str, ...]:
     """Return the output words of an identity; raise DeviceError if they are invalid."""
     items = cast("Sequence[object]", found) if isinstance(found, list | tuple) else ()
-    if 0 < len(items) <= optoncdt.MAX_WORDS:
+    if 0 < len(items) <= sensor_answers.MAX_WORDS:
         words = tuple(word for word in items if isinstance(word, str))
         if len({*words}) == len(items) and {*DEFAULT_WORDS} <= {*words}:
             return words

@@ -12,18 +12,13 @@ therefore returned when the byte after its LF has arrived. Only the prompt ``->`
 returned immediately. Source: ILD1420 manual, measurement data format and scaling pages.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from daq.errors import DeviceError
-
-PROMPT = "->"
-DISTANCE, COUNTER, TIMESTAMP_LO, TIMESTAMP_HI = "DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"
+from daq.drivers.optoncdt.sensor_answers import PROMPT, announced
 
 COUNTER_WRAP = 2**18
 """The measurement counter restarts at 0 after this many measurements."""
@@ -31,33 +26,8 @@ TIMESTAMP_WRAP = 2**32
 """The timestamp restarts at 0 after this many ticks: 11 h 55 min 49.67 s."""
 TICK_S = 1e-5
 """One timestamp tick, s."""
-CODE_MAX = 65520
-"""Largest distance code of an ILD1420; anything above is an error code."""
-
-OUT_OF_RANGE = (262077, 262078)
-"""Codes of a target before or behind the measuring range."""
-
-ERROR_CODES = {
-    262073: "scaling underflow",
-    262074: "scaling overflow",
-    262075: "too much data for the baud rate",
-    262076: "no peak",
-    262077: "peak before the measuring range",
-    262078: "peak behind the measuring range",
-    262079: "cannot be calculated",
-    262080: "cannot be calculated",
-    262081: "peak too large",
-    262082: "laser is off",
-}
-"""Distance words that are error codes, and their meaning (18 bits; never mask them to 16 bits before the test)."""
-
-_NO_PEAK, _BEFORE_RANGE, _BEHIND_RANGE = 262076, 262077, 262078
 _LF, _CR, _TAB, _DASH, _ANGLE = b"\n\r\t->"
 _TEXT = frozenset(range(0x20, 0x7F)) | {_LF, _CR, _TAB}
-_OUTINFO = "GETOUTINFO_RS422 "
-_NOT_DISTANCE = ("SHUTTER", "COUNTER", "TIMESTAMP", "INTENSITY", "STATE", "DIST_RAW", "TEMP")  # other outputs
-MAX_WORDS = 32
-"""Largest number of words in a block; sensors have about ten."""
 _LINE_LIMIT = 1024  # bytes; the longest known answers are GETINFO lines well under 100
 _MAX_LINE_AGE = 256  # values without a text byte after which an unterminated line counts as damage
 _WINDOW, _WINDOW_LIMIT = 16, 4096  # blocks that the fast path tests at once: few after damage, more without
@@ -299,164 +269,7 @@ def encode_block(values: ArrayLike) -> bytes:
     return out.tobytes()
 
 
-class Scaling(NamedTuple):
-    """Scaling of a distance word x: d = (span / steps · x − zero) · range / whole, without mastering.
-
-    Attributes:
-        models: numbers of the models with this scaling.
-        most: largest word that is a distance; larger words are error codes.
-        span, steps, zero, whole: constants of the formula, dimensionless.
-    """
-
-    models: tuple[str, ...]
-    most: int
-    span: float
-    steps: float
-    zero: float
-    whole: float
-
-
-SCALINGS = {
-    "ILD1420": Scaling(("1220", "1320", "1420", "2300"), CODE_MAX, 102.0, float(CODE_MAX), 1.0, 100.0),
-    "ILD1900": Scaling(("1750", "1900"), 230_604, 1.0, 1.0, 98_232.0, 65_536.0),
-}
-"""Scalings, by a model that has it. Sources: ILD1420 manual, scaling of the 16-bit distance, −1 … 101 % of the range;
-for the ILD1750 and ILD1900, of 18 bits, the manuals of the IF2030 and IF2035 field-bus converters."""
-USUAL_SCALING = "ILD1420"
-"""Scaling for logs that do not contain one."""
-
-
-def scaling_of(name: str) -> str | None:
-    """Return the key in `SCALINGS` for a sensor's name, like ``ILD1420-25``; None if its model is unknown."""
-    model = re.search(r"(?<!\d)\d{4}(?!\d)", name)
-    return next((key for key, scaling in SCALINGS.items() if model and model[0] in scaling.models), None)
-
-
-def metres(code: ArrayLike, range_m: float, scaling: Scaling = SCALINGS[USUAL_SCALING]) -> NDArray[np.float64]:
-    """Convert distance words to distances from the start of the measuring range.
-
-    Args:
-        code: distance words, any shape.
-        range_m: measuring range, m.
-        scaling: scaling of the sensor's model.
-
-    Returns:
-        Distance, m, same shape; NaN for error codes.
-    """
-    words = np.asarray(code, np.float64)
-    distance = (scaling.span / scaling.steps * words - scaling.zero) * range_m / scaling.whole
-    return np.where(words <= scaling.most, distance, np.nan)
-
-
-def code(metres: ArrayLike, range_m: float, scaling: Scaling = SCALINGS[USUAL_SCALING]) -> NDArray[np.uint32]:
-    """Convert distances to the words that a sensor sends; inverse of `metres` to half a step (range · 7.8e-6).
-
-    Args:
-        metres: distance from the start of the measuring range, m, any shape; NaN without a target.
-        range_m: measuring range, m.
-        scaling: scaling of the sensor's model.
-
-    Returns:
-        uint32, same shape; error code 262077 below the first word that is a distance (ILD1420: −1 % of the range),
-        262078 above the last (101 %), 262076 for NaN.
-    """
-    distance = np.asarray(metres, np.float64)
-    exact = np.rint((distance * scaling.whole / range_m + scaling.zero) * (scaling.steps / scaling.span))
-    words = np.where(exact < 0, _BEFORE_RANGE, np.where(exact > scaling.most, _BEHIND_RANGE, exact))
-    return np.where(np.isnan(exact), _NO_PEAK, words).astype(np.uint32)
-
-
 def timestamp_ticks(lo: ArrayLike, hi: ArrayLike) -> NDArray[np.uint32]:
     """Return the sensor time in ticks of 10 µs from the two 16-bit timestamp words; it wraps at `TIMESTAMP_WRAP`."""
     low, high = np.asarray(lo, np.uint32), np.asarray(hi, np.uint32)
     return ((low & 0xFFFF) | (high & 0xFFFF) << 16).astype(np.uint32)
-
-
-class Info(TypedDict):
-    """Contents of the answer to GETINFO: name, serial number, measuring range in m, firmware version."""
-
-    name: str
-    serial: str
-    range_m: float
-    version: str
-
-
-def parse_info(lines: Sequence[str]) -> Info:
-    """Parse the answer to GETINFO.
-
-    Raises:
-        DeviceError: the measuring range is missing or is not a positive number of mm.
-    """
-    fields = {key.strip().lower(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
-    text = fields.get("measuring range", "")
-    match = re.fullmatch(r"(\d+(?:\.\d*)?)\s*mm", text, re.IGNORECASE)
-    if match is None or float(match[1]) <= 0:
-        raise DeviceError(
-            f"expected a line like 'Measuring range: 25.00mm' in the answer to GETINFO, got {text!r} "
-            f"in {list(lines)!r}: is this an optoNCDT sensor, and was the stream stopped before asking?"
-        )
-    name, serial, version = (fields.get(key, "") for key in ("name", "serial", "version"))
-    return Info(name=name, serial=serial, range_m=float(match[1]) / 1000.0, version=version)
-
-
-def parse_outinfo(line: str) -> tuple[str, ...]:
-    """Parse the answer to GETOUTINFO_RS422, like ``GETOUTINFO_RS422 DIST COUNTER TIMESTAMP``.
-
-    Returns:
-        Word names in stream order. The distance is named ``DIST`` independent of the firmware: it is the first output,
-        or, if that is another known output, the first whose name begins with DIST. TIMESTAMP is two words, low half
-        first. Other names are kept.
-
-    Raises:
-        DeviceError: the line is another answer, no output is selected, or there are more than `MAX_WORDS` words.
-    """
-    head, *names = line.upper().replace(",", " ").split() or [""]
-    if names and names[-1] == "OK":
-        names.pop()
-    if head != _OUTINFO.strip() or not names or names == ["NONE"]:
-        raise DeviceError(
-            f"expected 'GETOUTINFO_RS422 DIST …', got {line!r}: select an output with OUTPUT RS422 / OUTADD_RS422"
-        )
-    distance = next(
-        (i for i, name in enumerate(names) if i == 0 or name.startswith("DIST") if name not in _NOT_DISTANCE), -1
-    )
-    words: list[str] = []
-    for i, name in enumerate(names):
-        words += [TIMESTAMP_LO, TIMESTAMP_HI] if name == "TIMESTAMP" else [DISTANCE if i == distance else name]
-    if len(words) > MAX_WORDS:
-        raise DeviceError(f"expected at most {MAX_WORDS} output words, got {len(words)} in {line!r:.80}")
-    return tuple(words)
-
-
-def announced(line: str) -> tuple[str, ...] | None:
-    """Return the words that a line of text announces; None if it is not an answer to GETOUTINFO_RS422."""
-    if not line.upper().startswith(_OUTINFO):
-        return None
-    try:
-        return parse_outinfo(line)
-    except DeviceError:
-        return None
-
-
-class Places(NamedTuple):
-    """Positions of a sample's words in a block.
-
-    Attributes:
-        words: number of words in a block.
-        distance, counter, low, high: positions from 0; low and high are the halves of the timestamp.
-    """
-
-    words: int
-    distance: int
-    counter: int
-    low: int
-    high: int
-
-
-def places_of(words: Sequence[str]) -> Places | None:
-    """Return the positions of distance, counter and timestamp in a block; None if one of them is missing."""
-    try:
-        found = [words.index(name) for name in (DISTANCE, COUNTER, TIMESTAMP_LO, TIMESTAMP_HI)]
-    except ValueError:
-        return None
-    return Places(len(words), *found)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 
 _MIN_BLOCKS = 3  # consecutive blocks that decide
@@ -46,7 +47,7 @@ class _Reading:
         found = self.decoder.feed(byte)
         if found.skipped_bytes:
             self.row, self.chain, self.last = 0, 0, None
-        places = optoncdt.places_of(self.decoder.words)
+        places = sensor_answers.places_of(self.decoder.words)
         for values in found.values:
             self.row += 1
             if places is None:
@@ -102,7 +103,7 @@ class WordsTrial:
             ended = self._old.feed(byte, self._follows)
             self._new.feed(byte, self._follows)
             for line in ended:
-                if (announced := optoncdt.announced(line)) is not None:
+                if (announced := sensor_answers.announced(line)) is not None:
                     self._compare(announced)
             lines += ended
             old, new = self._old.rank, self._new.rank
