@@ -21,6 +21,7 @@ from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.errors import DeviceError
 from daq.transports import HostClock, slcan
@@ -344,7 +345,7 @@ def test_a_status_within_a_long_block_is_no_restart(period_us: int) -> None:
 
 def _numbered(frame: bytes | rotorlink.Status, seq: int) -> bytes:
     """A frame with its place in the sender's sequence."""
-    found = rotorlink.FrameDecoder().feed(frame).frames[0] if isinstance(frame, bytes) else frame
+    found = FrameDecoder().feed(frame).frames[0] if isinstance(frame, bytes) else frame
     assert isinstance(found, rotorlink.EncoderBlock | rotorlink.Status)
     return rotorlink.wire(replace(found, seq=seq).pack())
 
@@ -353,7 +354,7 @@ def _numbered(frame: bytes | rotorlink.Status, seq: int) -> bytes:
 def test_a_dongle_that_starts_again_has_lost_nothing(dongle_seq: int) -> None:
     sent = []
     for k, (s, frame) in enumerate(blocks_from(0.0, 100)):
-        inner = rotorlink.FrameDecoder().feed(frame).frames[0]
+        inner = FrameDecoder().feed(frame).frames[0]
         seq, dongle_s = (dongle_seq + k, 3600 + s) if k < 50 else (k - 50, s - 1.0)
         sent.append((s, rotorlink.wire(rotorlink.Wrapped(1, seq % 2**16, round(dongle_s * 1e6), -60, inner).pack())))
     pipeline, found, events = decoded(sent)
@@ -371,7 +372,7 @@ def test_an_intact_frame_of_an_unknown_type_is_not_lost(wrapped: bool) -> None:
             strange = rotorlink.encode_frame(bytes((0x17, 1)) + k.to_bytes(2, "little") + b"something")
             sent[-1] = (s, rotorlink.wire(strange))
         if wrapped:
-            (inner,) = rotorlink.FrameDecoder().feed(sent[-1][1]).frames
+            (inner,) = FrameDecoder().feed(sent[-1][1]).frames
             damaged = strange if isinstance(inner, rotorlink.Skipped) else b""
             outer = rotorlink.Wrapped(1, k, round(s * 1e6), -60, None if damaged else inner, damaged)
             sent[-1] = (s, rotorlink.wire(outer.pack()))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.simulated import FarEnd, FaultKind, Stretch
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import DeviceClock, World
@@ -174,7 +175,7 @@ class SimulatedNode(FarEnd):
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Take bytes the host sent to the dongle."""
         for run in data.split(b"\x00")[:-1] if not self._run else (bytes(self._run) + data).split(b"\x00")[:-1]:
-            decoded = rotorlink.FrameDecoder().feed(run + b"\x00")
+            decoded = FrameDecoder().feed(run + b"\x00")
             for frame in decoded.frames:
                 self.hear(frame, now_s)
         tail = (bytes(self._run) + data).split(b"\x00")[-1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.line import FrameDecoder
 
 
 class PlayedNode(PlayedDevice):
@@ -12,7 +13,7 @@ class PlayedNode(PlayedDevice):
 
     def __init__(self) -> None:
         super().__init__()
-        self._frames = rotorlink.FrameDecoder()
+        self._frames = FrameDecoder()
 
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice."""

@@ -12,8 +12,10 @@ from daq import channels
 from daq.clock import ClockMap, ClockSeed, clock_rules
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.repeats import Arrived, Repeats
 from daq.drivers.rotorlink.sender_clock import SenderClock
+from daq.drivers.rotorlink.sequence import SequenceCounter
 from daq.errors import DeviceError
 from rig_configs.device import RotorNodeSettings
 
@@ -53,8 +55,8 @@ class NodePipeline:
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
         self._tolerance_ppm, self._rules = config.clock_tolerance_ppm, clock_rules(identity)
-        self._decoder = rotorlink.FrameDecoder()
-        self._cable = rotorlink.SequenceCounter()
+        self._decoder = FrameDecoder()
+        self._cable = SequenceCounter()
         self._cable_lost = 0  # frames lost on the cable since the last node frame; they may have contained node frames
         self._joined = False
         self._last_dongle_us: int | None = None
@@ -76,7 +78,7 @@ class NodePipeline:
         return {} if self._node is None else {"node": self._node}
 
     def _restart(self) -> None:
-        self._air = rotorlink.SequenceCounter()
+        self._air = SequenceCounter()
         self._time = SenderClock()
         self._clock = ClockMap(self._tolerance_ppm, self._rules)
         self._next_index: int | None = None

@@ -18,13 +18,11 @@ from cobs import cobs
 from numpy.typing import NDArray
 
 _cobs_encode = cast("Callable[[bytes], bytes]", cobs.encode)  # pyright: ignore[reportUnknownMemberType]  # no types
-_cobs_decode = cast("Callable[[bytes], bytes]", cobs.decode)  # pyright: ignore[reportUnknownMemberType]  # no types
 
 COUNTS_DTYPE = np.dtype("<i4")
 MAX_SAMPLES = 29
 MAX_PAYLOAD_BYTES = 250
 MAX_WRAPPED_BYTES = MAX_PAYLOAD_BYTES + 11  # a dongle's wrapper is sent over the cable only, never on air
-RUN_LIMIT_BYTES = 300
 NO_COMMAND = 0xFFFF
 
 FLAG_FAULT_A, FLAG_FAULT_B, FLAG_SAMPLES_LOST, FLAG_LOW_BATTERY = 1 << 0, 1 << 1, 1 << 2, 1 << 3
@@ -358,122 +356,3 @@ def parse(payload: bytes) -> Frame:
     except BadFrame as fault:
         own = fault.skipped is not None and fault.skipped.kind in Skipped.NODES
         return Wrapped(*head, inner=fault.skipped if own else None, damaged=rest, damage=fault.reason)
-
-
-@dataclass(frozen=True)
-class Decoded:
-    """Result of one call of `FrameDecoder.feed`.
-
-    Attributes:
-        frames: intact frames in order, including a `Wrapped` around a damaged payload, and `Skipped` frames, which are
-            in `bad` too.
-        bad: reason and bytes of what is not a frame; ``inner …`` reasons belong to a `Wrapped` that is in `frames`.
-    """
-
-    frames: list[Frame]
-    bad: list[tuple[str, bytes]]
-
-
-class FrameDecoder:
-    """Decode the bytes of a serial line to frames. The result does not depend on the split into calls.
-
-    Memory is bounded.
-    """
-
-    def __init__(self) -> None:
-        self._run = bytearray()
-        self._overlong = False
-
-    def feed(self, data: bytes) -> Decoded:
-        """Decode the next bytes of the line.
-
-        Args:
-            data: any number of bytes, in the order of arrival.
-        """
-        found = Decoded([], [])
-        *ended, rest = data.split(b"\x00")
-        for run in ended:
-            self._extend(run, found)
-            if self._run and not self._overlong:
-                _decode_run(bytes(self._run), found)
-            self._run.clear()
-            self._overlong = False
-        self._extend(rest, found)
-        return found
-
-    def _extend(self, run: bytes, found: Decoded) -> None:
-        """Extend the present run; a run that is too long for a frame is reported once and dropped."""
-        if self._overlong:
-            return
-        self._run += run[: RUN_LIMIT_BYTES + 1 - len(self._run)]
-        if len(self._run) > RUN_LIMIT_BYTES:
-            found.bad.append(("overlong", bytes(self._run[:RUN_LIMIT_BYTES])))
-            self._run.clear()
-            self._overlong = True
-
-
-def _decode_run(run: bytes, found: Decoded) -> None:
-    try:
-        payload = _cobs_decode(run)
-    except cobs.DecodeError:
-        found.bad.append(("cobs", run))
-        return
-    try:
-        frame = parse(payload)
-    except BadFrame as fault:
-        found.bad.append((fault.reason, payload))
-        if fault.skipped is not None:
-            found.frames.append(fault.skipped)
-        return
-    found.frames.append(frame)
-    if isinstance(frame, Wrapped) and frame.damage:
-        found.bad.append((f"inner {frame.damage}", frame.damaged))
-
-
-class SequenceCounter:
-    """Counts the frames missing from one sender's seq, which wraps at 65536.
-
-    A step back by up to `LATE` is a repeated frame. A larger step back by up to half the wrap is a restart of the
-    sender. A restart that looks like a step forward cannot be distinguished from losses: call `reset` if the sender's
-    time shows it.
-    """
-
-    LATE: ClassVar[int] = 16
-
-    def __init__(self) -> None:
-        self.lost = 0
-        self.repeats = 0
-        self.restarts = 0
-        self._last: int | None = None
-
-    def reset(self) -> None:
-        """Take note of a restart of the sender: the next seq has no predecessor. The totals are kept."""
-        self._last = None
-
-    def go_on(self, seq: int) -> int:
-        """Take the next seq after a long silence; return the number of lost frames modulo 65536."""
-        lost = 0 if self._last is None else (seq - self._last - 1) & 0xFFFF
-        self._last = seq
-        self.lost += lost
-        return lost
-
-    def feed(self, seq: int, *, again: bool = False) -> tuple[int, bool]:
-        """Take the seq of the next frame.
-
-        Args:
-            seq: number of the frame.
-            again: whether the content was sent before: then an old seq does not indicate a restart.
-
-        Returns:
-            Number of frames lost directly before it, and whether it is a repeated frame to be dropped.
-        """
-        step = 1 if self._last is None else (seq - self._last) & 0xFFFF
-        if step == 0 or step >= (0x8000 if again else 0x10000 - self.LATE):
-            self.repeats += 1
-            return 0, True
-        self._last = seq
-        if step >= 0x8000:
-            self.restarts += 1
-            return 0, False
-        self.lost += step - 1
-        return step - 1, False
