@@ -98,8 +98,8 @@ class TellsItself(Protocol):
 
     Attributes:
         told: whether the device has reported it.
-        complaint: the contradiction between this report and the rig file that makes the samples invalid; empty if
-            there is none.
+        complaint: the contradiction between this report and the rig file that makes the samples invalid; empty
+            without a contradiction.
     """
 
     told: bool
@@ -324,7 +324,7 @@ class SpeedSource(Protocol):
     """An open device that turns the rotor."""
 
     was_reset: str
-    """Text for the operator about a fault that `enable` found and reset; empty if there was none."""
+    """Text for the operator about a fault that `enable` found and reset; empty without such a fault."""
 
     @property
     def actual_rpm(self) -> float:

@@ -47,7 +47,7 @@ class DriveControl:
 
     Attributes:
         dropped_out: state that the drive entered by itself while it should have been running; None if it did not.
-        was_reset: text for the operator about a fault that `enable` found and reset; empty if there was none.
+        was_reset: text for the operator about a fault that `enable` found and reset; empty without such a fault.
         emergencies: error codes since the set-up, without those that were reset.
     """
 

@@ -145,7 +145,7 @@ class SimulatedDrive(FarEnd):
     def power(self, on: bool, now_s: float) -> None:
         """See FarEnd. The supply is that of the drive; the adapter is supplied by the host and continues.
 
-        Without supply there is no torque. After power-up the objects have their initial values.
+        Without supply the torque is 0. After power-up the objects have their initial values.
         """
         self._without_supply = not on
         if on:

@@ -33,7 +33,7 @@ _T = TypeVar("_T")
 class _SendOnlyBus(can.BusABC):
     """Bus on which canopen sends: frames are written as slcan text to the recorded link.
 
-    The link's reader thread passes received frames to canopen (Network.notify), so there is no second reader.
+    The link's reader thread passes received frames to canopen (Network.notify), so a second reader is not needed.
     """
 
     def __init__(self, send: Callable[[bytes], None]) -> None:

@@ -32,7 +32,7 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     if not stop_stream(talk, b"OUTPUT NONE\n"):
         raise DeviceError(
             f"{device} on {config.port}: sent OUTPUT NONE several times, it goes on streaming. Does its line carry "
-            "commands too (both wire pairs of RS422), and is no other program or master commanding it? Switch it off "
+            "commands too (both wire pairs of RS422), and does another program or master command it? Switch it off "
             "and on"
         )
     talk.begin_anew()

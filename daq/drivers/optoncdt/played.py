@@ -45,7 +45,7 @@ class WholeBlocks:
         return line[:end]
 
     def _end_of_blocks(self, line: bytes) -> int:
-        """Return the end of the last complete block, or the beginning of the incomplete block if there is no end."""
+        """Return the end of the last complete block, or otherwise the beginning of the incomplete block."""
         high = np.flatnonzero(np.frombuffer(line, np.uint8) >= 0x80)  # last bytes of values …
         first = np.flatnonzero(np.frombuffer(line, np.uint8)[high] < 0xC0)  # … and those that begin a block
         if not len(first):

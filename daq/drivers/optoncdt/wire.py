@@ -41,7 +41,7 @@ class Decoded:
         values: raw 18-bit words of the complete blocks, uint32 of shape (blocks, words).
         text: answer lines without their line end; the prompt ``"->"`` is a separate item.
         skipped_bytes: number of bytes skipped to find the next block.
-        skipped_first: number of those before the first block; all of them if there is no block.
+        skipped_first: number of those before the first block; all of them without a block.
         announced: other words that an answer announced; decoding stopped after that answer. None if no answer did.
         rest: bytes that were not decoded.
     """

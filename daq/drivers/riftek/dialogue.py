@@ -33,7 +33,7 @@ def configure(device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
     if not stop_stream(talk, wire.request(settings.address, wire.STOP) + wire.request(wire.EVERYONE, wire.STOP)):
         raise DeviceError(
             f"{device} on {settings.port}: ordered several times to stop its stream, it goes on sending. Does its line "
-            "carry commands too (both wire pairs of RS422), and is no other program commanding it? Switch it "
+            "carry commands too (both wire pairs of RS422), and does another program command it? Switch it "
             "off and on"
         )
     talk.begin_anew()

@@ -328,7 +328,7 @@ class NodePipeline:
 
 
 def _node_of(identity: Mapping[str, Any]) -> int | None:
-    """Return the number of the node in an identity, which earlier logs have chosen; None if there is none."""
+    """Return the number of the node in an identity, which earlier logs have chosen; None if it is missing."""
     node = identity.get("node")
     if node is None or (type(node) is int and 0 <= node < _NODES):
         return node

@@ -214,7 +214,7 @@ class VescControl:
         """Hold speed 0; a turning rotor is slowed down along the ramp.
 
         The controller has no enabled state. It obeys if it reports neither fault nor timeout after a command has
-        reached it. Firmware without a status byte only shows that there is no fault.
+        reached it. Firmware without a status byte only shows the absence of a fault.
 
         Raises:
             DeviceError: the controller has a fault or does not obey.

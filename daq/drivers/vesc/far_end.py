@@ -121,7 +121,7 @@ class SimulatedVesc(FarEnd):
                 super().fail(what, value)
 
     def power(self, on: bool, now_s: float) -> None:
-        """See FarEnd. Without supply there is no torque; after power-up the controller has received no command."""
+        """See FarEnd. Without supply the torque is 0; after power-up the controller has received no command."""
         super().power(on, now_s)
         self._start()
 

@@ -160,7 +160,7 @@ _PARTS: dict[int, tuple[int, bool, Callable[[bytes], ApiFrame]]] = {
     0x8A: (2, True, lambda d: ModemStatus(d[1])),
     0x88: (5, False, lambda d: AtAnswer(d[1], d[2:4].decode("latin-1"), d[4], d[5:])),
 }
-"""By type: number of bytes before the variable part, whether there is no variable part, constructor of the frame."""
+"""By type: number of bytes before the variable part, whether the size is fixed, constructor of the frame."""
 
 
 def parse(data: bytes) -> ApiFrame:
