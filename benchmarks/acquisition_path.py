@@ -31,7 +31,7 @@ from daq.acquisition.recent import Recent
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.items import RX, Batch, joined
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.log.file import LogFile
 from rig_configs import load_rig
@@ -126,7 +126,7 @@ def _laser(data: bytes) -> tuple[dict[str, np.ndarray], bytes]:
     words = np.frombuffer(data[:whole], np.uint8).reshape(-1, 4, 3).astype(np.uint32) & 0x3F
     value = words[..., 0] | words[..., 1] << 6 | words[..., 2] << 12
     ticks = (value[:, 2] & 0xFFFF | (value[:, 3] & 0xFFFF) << 16).astype(np.uint64)
-    metres = optoncdt.metres(value[:, 0], 0.025) - 0.0125
+    metres = distance_words.metres(value[:, 0], 0.025) - 0.0125
     own = {"displacement_m": metres, "code": value[:, 0], "counter": value[:, 1], "device_ticks": ticks}
     return {**own, "flags": np.zeros(len(value), np.uint32)}, data[whole:]
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.drivers.items import RX, Batch
+from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from rig_configs import load_rig
@@ -57,7 +58,7 @@ def laser_reads(count: int, seed: int = 1) -> Iterator[tuple[bytes, int]]:
     number = np.arange(count)
     time_s = number / RATE_HZ
     ring_down = 1e-3 * np.exp(-time_s / 40.0) * np.sin(2 * np.pi * 1.9 * time_s)
-    codes = optoncdt.code(0.0125 + ring_down + NOISE_M * rng.standard_normal(count), 0.025)
+    codes = distance_words.code(0.0125 + ring_down + NOISE_M * rng.standard_normal(count), 0.025)
     ticks = np.rint(time_s * (1 + 1e-6 * _SENSOR_PPM) / optoncdt.TICK_S).astype(np.int64) + 123_456
     words = np.column_stack([codes, number % optoncdt.COUNTER_WRAP, ticks & 0xFFFF, ticks >> 16 & 0xFFFF]).astype(
         np.uint32

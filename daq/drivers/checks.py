@@ -1,5 +1,5 @@
 # pyright: strict
-"""One thing looked at on a device, held against what it should be."""
+"""One check of a device: a value compared with its expected value."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Check:
-    """One thing looked at.
+    """One check of a device.
 
     Attributes:
-        value: what was seen; None when nothing was.
-        expected: what the rig file says, or what a healthy device does; None where any value will do.
-        passed: the verdict.
-        note: what to know or to do.
+        value: value found; None if none was found.
+        expected: value in the rig file, or of a healthy device; None if any value is accepted.
+        passed: whether the check passed.
+        note: explanation, or what to do next; may be empty.
     """
 
     value: Any
@@ -24,7 +24,7 @@ class Check:
     note: str = ""
 
     def facts(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the check as a JSON object."""
         note = {"note": self.note} if self.note else {}
         return {"value": self.value, "expected": self.expected, "verdict": "pass" if self.passed else "fail", **note}
 

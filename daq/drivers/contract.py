@@ -1,9 +1,8 @@
 # pyright: strict
-"""What a driver brings, and all that anything above it may ask.
+"""The interface of a driver: everything that the layers above may use of a device.
 
 A driver is one object, found by its name in the entry-point group `rig.drivers` (`daq.drivers.registry`). It holds no
-state of a device: what belongs to an open device is in its pipeline. Settings are the device's own table of the rig
-file.
+state of a device: the state of an open device is in its pipeline. Settings are the device's table of the rig file.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Line:
-    """What carries a device's bytes.
+    """The line that carries a device's bytes.
 
     Attributes:
-        port: as `daq.transports.open_link` takes it.
-        baud: of a serial port.
-        bitrate: of the CAN bus behind an adapter, bit/s; None where there is none.
-        parity: of a serial port: none, even or odd.
+        port: port in the notation of `daq.transports.open_link`.
+        baud: line rate of a serial port, baud.
+        bitrate: bit rate of the CAN bus behind an adapter, bit/s; None without a bus.
+        parity: parity of a serial port: none, even or odd.
     """
 
     port: str
@@ -44,14 +43,15 @@ class Line:
 
 @dataclass(frozen=True)
 class SampleClock:
-    """A channel whose samples bear the time of a clock in the device.
+    """A channel whose samples contain the time of a clock in the device.
 
     Attributes:
-        topic: of the channel.
-        rate_Hz: how many samples a second the device is set to.
-        tolerance_ppm: standard uncertainty of the clock's rate.
-        field, tick_ns: the channel's field that holds its time, and that field's unit.
-        count_wrap: where the sequence number of the samples wraps.
+        topic: topic of the channel.
+        rate_Hz: sample rate to which the device is set, Hz.
+        tolerance_ppm: standard uncertainty of the clock's rate, ppm.
+        field: the channel's field that contains the clock's time.
+        tick_ns: unit of that field, ns.
+        count_wrap: modulus of the samples' sequence number.
     """
 
     topic: str
@@ -63,36 +63,43 @@ class SampleClock:
 
 
 FOREIGN = "foreign_"
+"""Prefix of the kinds of `Pipeline.losses` that count messages of other devices."""
 
 
 class Pipeline(Protocol):
-    """What turns one device's bytes into samples. It does no I/O and reads no clock.
+    """Decoder of one device's bytes to samples and events. It does no I/O and reads no clock.
 
-    Live recording and replay run the same object on the same bytes with the same host times, so that a log's raw
-    bytes decoded again give its decoded channels bit for bit.
+    Live recording and replay run the same object on the same bytes with the same host times. Decoding the raw bytes of
+    a log again therefore reproduces its decoded channels bit for bit.
 
     Attributes:
-        losses: counted so far, by kind. A kind that begins with `FOREIGN` counts messages of other devices, which are
-            no loss.
+        losses: number of losses so far, by kind. A kind that begins with `FOREIGN` counts messages of other devices,
+            which are not losses.
     """
 
     losses: dict[str, int]
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
-        """Take one read (RX) or one write (TX) with the host time it happened.
+        """Decode the bytes of one read (RX) or one write (TX).
 
-        A read without bytes tells that the log ends: what still waits for bytes to come is handed out.
+        A read without bytes marks the end of the log: samples that were held back are returned.
+
+        Args:
+            direction: RX or TX.
+            data: the bytes.
+            host_ns: host time of the read or write, ns since 1970.
         """
         ...
 
 
 @runtime_checkable
 class TellsItself(Protocol):
-    """A pipeline of a device that says now and then what it is, unasked.
+    """A pipeline of a device that reports its own configuration from time to time without a request.
 
     Attributes:
-        told: whether it has.
-        complaint: what of it the rig file says otherwise, so that its samples cannot be believed; empty when nothing.
+        told: whether the device has reported it.
+        complaint: the contradiction between this report and the rig file that makes the samples invalid; empty
+            without a contradiction.
     """
 
     told: bool
@@ -101,7 +108,7 @@ class TellsItself(Protocol):
 
 @runtime_checkable
 class KeepsTime(Protocol):
-    """A pipeline that knows how its device's clock stands: the next log's begins with it, in its identity."""
+    """A pipeline that maps its device's clock. The next log starts with this mapping, as part of the identity."""
 
     @property
     def clock_seed(self) -> ClockSeed | None:
@@ -111,53 +118,53 @@ class KeepsTime(Protocol):
 
 @runtime_checkable
 class LearnsIdentity(Protocol):
-    """A pipeline of a device that is known by what it sends, where nobody can ask it."""
+    """A pipeline of a device that cannot be queried and is identified by the bytes that it sends."""
 
     @property
     def learned(self) -> Mapping[str, str | int]:
-        """What it is by its own bytes: part of its identity from the next log on."""
+        """Identity derived from the received bytes: part of the device's identity from the next log on."""
         ...
 
 
 @runtime_checkable
 class CountsFrames(Protocol):
-    """A pipeline of frames that came by radio.
+    """A pipeline of frames that are received by radio.
 
     Attributes:
-        heard_frames: numbers, modulo 65536, of the first and of the newest frame; None before the first.
+        heard_frames: numbers, modulo 65536, of the first and of the newest received frame; None before the first.
     """
 
     heard_frames: tuple[int, int] | None
 
 
 class Talk(Protocol):
-    """An open device while a driver talks to it."""
+    """An open device during a dialogue of its driver: set-up, identification or stop."""
 
     @property
     def clock(self) -> HostClock:
-        """What a dialogue waits by."""
+        """Clock for every wait of the dialogue."""
         ...
 
     @property
     def replies(self) -> queue.Queue[str]:
-        """Its answers, lines as the pipeline finds them."""
+        """Answers of the device: the texts of the pipeline's `reply` events."""
         ...
 
     @property
     def bytes_in(self) -> int:
-        """How many bytes have come so far."""
+        """Number of bytes received so far."""
         ...
 
     def send(self, data: bytes) -> None:
-        """Write to it.
+        """Write bytes to the device.
 
         Raises:
-            LinkLost: it is gone.
+            LinkLost: the connection to the device is lost.
         """
         ...
 
     def begin_anew(self) -> None:
-        """Forget what was decoded so far: a fresh pipeline takes what comes from here on."""
+        """Discard the state of decoding: a new pipeline decodes the bytes from here on."""
         ...
 
 
@@ -166,63 +173,65 @@ class Driver(Protocol):
 
     @property
     def name(self) -> str:
-        """As in a rig file's `driver = "…"`."""
+        """Name of the driver in a rig file's `driver = "…"`."""
         ...
 
     @property
     def settings(self) -> type[DeviceSettings]:
-        """Of a device's table in the rig file; they say which roles the device plays."""
+        """Class of a device's table in the rig file. The settings define the roles of the device."""
         ...
 
     @property
     def rest_s(self) -> float:
-        """How long its reader may rest between two looks at the line, rig s: short where the host's time counts."""
+        """Longest pause of the reader between two reads, rig s; short if samples get the host's time."""
         ...
 
     def line(self, settings: Any) -> Line:
-        """What carries the bytes of a device with these settings."""
+        """Return the line of a device with these settings."""
         ...
 
     def channels(self, settings: Any) -> tuple[Channel, ...]:
-        """Those that a healthy device fills all the time."""
+        """Return the channels that a healthy device fills continuously."""
         ...
 
     def occasional(self, settings: Any) -> tuple[Channel, ...]:
-        """Those that it fills now and then: index marks come only from a rotor that turns."""
+        """Return the channels that the device fills occasionally, such as index marks, which need a turning rotor."""
         ...
 
     def clocks(self, settings: Any) -> tuple[SampleClock, ...]:
-        """Of its channels, those on a clock of its own."""
+        """Return the clocks of those channels whose samples contain the time of a clock in the device."""
         ...
 
     def pipeline(self, device: str, settings: Any, identity: Mapping[str, Any]) -> Pipeline:
-        """A fresh one.
+        """Make a new pipeline.
 
         Args:
             device: the device's name in the rig file.
-            identity: what the device said of itself when it was opened; empty where nobody asked.
+            identity: the device's identity from `open`; empty if the device was not queried.
 
         Raises:
-            DeviceError: an identity that no such device can have.
+            DeviceError: the identity is impossible for such a device.
         """
         ...
 
     def words(self, event: Event) -> str:
-        """An emergency of a device, for its operator; empty when it is one that has passed."""
+        """Return the text of an emergency event for the operator; empty if the emergency has ended."""
         ...
 
     def checks(self, settings: Any, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]) -> Checks:
-        """What only it can look at in an open device, beside what every device of its roles is looked at for.
+        """Return the checks of an open device that are specific to this driver.
+
+        They are added to the checks that apply to every device of the same roles.
 
         Args:
-            pipeline: of the device, after some seconds of stream.
-            control: who holds the device, where it turns the rotor.
-            events: of the device in those seconds.
+            pipeline: pipeline of the device after some seconds of stream.
+            control: command of the device if it turns the rotor, otherwise None.
+            events: events of the device in those seconds.
         """
         ...
 
     def far_end(self, device: str, settings: Any, world: Any) -> FarEnd:
-        """A simulated device.
+        """Make a simulated device.
 
         Args:
             world: a `daq.virtual_rig.world.World`.
@@ -230,80 +239,80 @@ class Driver(Protocol):
         ...
 
     def played(self, settings: Any, identity: Mapping[str, Any]) -> PlayedDevice:
-        """What stands in for a device of a log while it is played.
+        """Make the stand-in for a device of a log while the log is played.
 
         Raises:
-            LogError: an identity no such device has.
+            LogError: the identity is impossible for such a device.
         """
         ...
 
     def prepare(self) -> None:
-        """Load what takes long to load, before any byte waits for it."""
+        """Load slow modules and compiled code before the first byte arrives."""
         ...
 
     def open(self, device: str, settings: Any, talk: Talk) -> dict[str, Any]:
-        """Ask who it is, set it up, start its stream.
+        """Query the device's identity, set the device up and start its stream.
 
         Returns:
-            Its identity, plain words and numbers: all that its pipeline has to know beside the settings.
+            Identity as strings and numbers: everything that the pipeline needs in addition to the settings.
 
         Raises:
-            DeviceError: no answer, a refusal, or a device that is not what the rig file says.
+            DeviceError: the device does not answer, refuses a command, or differs from the rig file.
         """
         ...
 
     def stop(self, talk: Talk) -> None:
-        """End its stream; it may be gone.
+        """End the stream of the device. The device may be disconnected.
 
         Raises:
-            LinkLost, DeviceError: it is.
+            LinkLost, DeviceError: the device is disconnected.
         """
         ...
 
 
-# --- what a driver may state of itself -------------------------------------------------------------------------
+# --- optional attributes of a driver ---------------------------------------------------------------------------
 #
-# A driver may have three attributes more. A test kit and a list of drivers read them; nothing else does.
+# A driver may have three additional attributes. Only the test kit and the list of drivers read them.
 
 
 def example_of(driver: Driver) -> dict[str, Any]:
-    """The optional attribute `example`: settings of a device, by name, beside `driver` and `port`.
+    """Return the optional attribute `example`: settings of a device by name, in addition to `driver` and `port`.
 
-    It is needed where the settings class has fields without a default; without it those fields are all there are.
+    A driver needs it if its settings class has fields without a default.
     """
     return dict(getattr(driver, "example", {}))
 
 
 CLAIMS = {
-    "checksum": "every message bears a check of 16 bits or more: a damaged one gives no sample",
-    "counts exactly": 'losses["samples"] is the number of samples that are missing between two that came',
+    "checksum": "every message contains a check of 16 bits or more: a damaged message gives no sample",
+    "counts exactly": 'losses["samples"] is the number of missing samples between two received samples',
     "falls silent": "after its stop the device sends nothing until it is opened again",
 }
-"""What a driver may claim of its device's wire, and what each claim means. A claim makes tests stricter."""
+"""Claims of a driver about its device's wire, with their meaning. A claim makes tests stricter."""
 
 
 def claims_of(driver: Driver) -> frozenset[str]:
-    """The optional attribute `claims`: words of CLAIMS; none by default."""
+    """Return the optional attribute `claims`: keys of CLAIMS; empty by default."""
     return frozenset(getattr(driver, "claims", ()))
 
 
 def is_verified(driver: Driver) -> bool:
-    """The optional attribute `verified`: whether the driver has been tried on the hardware itself; False by default."""
+    """Return the optional attribute `verified`: whether the driver was tested on the hardware; False by default."""
     return bool(getattr(driver, "verified", False))
 
 
-# --- what a device can be asked to do --------------------------------------------------------------------------
+# --- commands of a device --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class RotorGuard:
-    """What a speed source asks before it turns the rotor, and while it stops it.
+    """Conditions that a speed source queries before it turns the rotor and while it stops the rotor.
 
     Attributes:
-        permit: called with each speed, rpm, before the device is told, with None before it is enabled; raises where the
-            rotor must not turn so.
-        at_rest: whether the rotor stands, by all that is known; None when nobody can tell.
-        speed_rpm: how fast it turns, by all that is known; NaN when nobody can tell.
+        permit: called with each speed, rpm, before it is sent, and with None before the device is enabled. It raises
+            if the rotor must not turn at that speed.
+        at_rest: returns whether the rotor stands, from all devices; None if unknown.
+        speed_rpm: returns the speed of the rotor, rpm, from all devices; NaN if unknown.
     """
 
     permit: Callable[[float | None], None]
@@ -315,42 +324,42 @@ class SpeedSource(Protocol):
     """An open device that turns the rotor."""
 
     was_reset: str
-    """What `enable` found and reset, for whoever runs the rig; empty when nothing."""
+    """Text for the operator about a fault that `enable` found and reset; empty without such a fault."""
 
     @property
     def actual_rpm(self) -> float:
-        """Its own word on its speed; NaN where that is too old to be one."""
+        """Speed as the device reports it, rpm; NaN if the newest report is too old."""
         ...
 
     @property
     def enabled(self) -> bool:
-        """Whether it holds the rotor's speed, by its own newest word."""
+        """Whether the device holds the rotor's speed, from its newest report."""
         ...
 
     @property
     def dropped_out(self) -> str | None:
-        """The state it fell into by itself while it should have been running."""
+        """State that the device entered by itself while it should have been running; None if it did not."""
         ...
 
     def notice(self, pipeline: Pipeline) -> None:
-        """Its reader has just fed its pipeline."""
+        """Read the new reports from the pipeline. The device's reader calls this after each `feed`."""
         ...
 
     @property
     def state(self) -> str:
-        """Its state as it last told, in its own words."""
+        """State in the device's newest report."""
         ...
 
     def fault_code(self) -> int | None:
-        """Why it stands in a fault, asked anew; None when it does not tell."""
+        """Query the code of the present fault; None if the device does not report it."""
         ...
 
     def why(self) -> str:
-        """What it says of why it stopped, to stand behind a message; empty when nothing."""
+        """Return the reported cause of a stop, to be appended to a message; empty if none was reported."""
         ...
 
     def start(self) -> None:
-        """Set it up, rotor at rest."""
+        """Set up the device while the rotor stands."""
         ...
 
     def enable(self) -> None:
@@ -358,33 +367,37 @@ class SpeedSource(Protocol):
         ...
 
     def set_ramp(self, rpm_per_s: float) -> None:
-        """How fast it speeds up and slows down."""
+        """Set the rate of speeding up and slowing down, rpm/s."""
         ...
 
     def set_speed(self, rpm: float) -> None:
-        """Ramp to a speed."""
+        """Ramp to a speed, rpm."""
         ...
 
     def disable(self) -> None:
-        """Let go of the rotor, which stands.
+        """Release the rotor, which stands.
 
         Raises:
-            DeviceError: it keeps hold of it, or does not answer whether it does.
-            LinkLost: it is gone.
+            DeviceError: the device does not release it, or does not confirm the release.
+            LinkLost: the connection to the device is lost.
         """
         ...
 
     def quick_stop(self) -> None:
-        """Stop as fast as it can."""
+        """Stop the rotor as fast as the device can."""
         ...
 
-    def stop(self, told: Callable[[str], None] = ...) -> bool:
-        """Stop the rotor, then let go of it; whether it is known to stand, and the device to have let go of it.
+    def stop(self, notify: Callable[[str], None] = ...) -> bool:
+        """Stop the rotor, then release it. The commands are also sent to a device that does not answer.
 
-        A device that does not answer is told all the same; `told` learns in words what could not be confirmed.
+        Args:
+            notify: called with a text about each step that is waited for or could not be confirmed.
+
+        Returns:
+            Whether it is confirmed that the rotor stands and that the device has released it.
 
         Raises:
-            LinkLost, DeviceError: it is gone.
+            LinkLost, DeviceError: the connection to the device is lost.
         """
         ...
 
@@ -393,19 +406,20 @@ class PendulumLocks(Protocol):
     """An open device that locks and releases the pendulums."""
 
     def command(self, action: str, check: Callable[[], None]) -> None:
-        """Have it do something, until it says that it does.
+        """Send a command until the device acknowledges it.
 
         Args:
-            action: "lock both", "release both", "lock A", …, or "zero": take the angles now for those of closed locks.
-            check: called while it waits; raises to give up.
+            action: "lock both", "release both", "lock A", …, or "zero": define the present angles as those of closed
+                locks.
+            check: called during the wait; it raises to end the wait.
 
         Raises:
-            DeviceError: refused, or no answer.
+            DeviceError: the device refuses or does not answer.
         """
         ...
 
     def heard(self, event: Event) -> None:
-        """An acknowledgement came."""
+        """Take an acknowledgement of the device."""
         ...
 
 
@@ -416,7 +430,7 @@ class TurnsRotor(Protocol):
     def speed_source(
         self, settings: Any, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
     ) -> SpeedSource:
-        """The command of an open device."""
+        """Make the command interface of an open device."""
         ...
 
 
@@ -425,5 +439,5 @@ class MovesLocks(Protocol):
     """A driver of devices that lock and release the pendulums."""
 
     def locks(self, settings: Any, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
-        """The command of an open device."""
+        """Make the command interface of an open device."""
         ...

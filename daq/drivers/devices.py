@@ -18,7 +18,7 @@ from rig_configs.device import DeviceSettings, StoredDevice
 
 @dataclass(frozen=True)
 class Device:
-    """One device of a rig: its name and settings in the rig file, and the driver these ask for."""
+    """One device of a rig: its name and settings in the rig file, and the driver that the settings name."""
 
     name: str
     settings: DeviceSettings
@@ -58,7 +58,7 @@ class Device:
 
 
 def devices_of(devices: Mapping[str, DeviceSettings]) -> dict[str, Device]:
-    """All devices of a rig file, by name, in the file's order.
+    """Return all devices of a rig file by name, in the file's order.
 
     Raises:
         DeviceError: a driver is not installed.
@@ -67,12 +67,12 @@ def devices_of(devices: Mapping[str, DeviceSettings]) -> dict[str, Device]:
 
 
 def installed_of(devices: Mapping[str, DeviceSettings]) -> dict[str, DeviceSettings]:
-    """Those whose driver is installed here: a log may hold others."""
+    """Return the devices whose driver is installed. A log may contain devices of drivers that are not."""
     return {name: device for name, device in devices.items() if not isinstance(device, StoredDevice)}
 
 
 def channels_of(devices: Mapping[str, DeviceSettings]) -> dict[str, Channel]:
-    """Every channel that a log of these devices may hold, by topic: the usual ones, then what drivers add."""
+    """Return every channel that a log of these devices may contain, by topic: the standard ones, then the drivers'."""
     found = dict(CHANNELS)
     for device in devices_of(installed_of(devices)).values():
         found |= {channel.topic: channel for channel in (*device.channels, *device.occasional)}
@@ -85,15 +85,15 @@ def make_pipelines(
     rules: int = NEWEST_RULES,
     seeds: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, Pipeline]:
-    """Fresh pipelines for all devices of a rig.
+    """Make new pipelines for all devices of a rig.
 
     Args:
-        identities: what each device said of itself when it was opened ("words" of a laser, for instance).
-        rules: of the clock maps; those of the log whose bytes are decoded again.
-        seeds: how each device's clock stands, as far as it is known: tables of `ClockSeed`.
+        identities: identity of each device from its opening, by device ("words" of a laser, for instance).
+        rules: version of the clock maps' rules: that of the log whose bytes are decoded again.
+        seeds: known state of each device's clock, by device: tables of `ClockSeed`.
 
     Raises:
-        DeviceError: an identity that no such device can have.
+        DeviceError: an identity is impossible for its device.
     """
     known = seeds or {}
     return {

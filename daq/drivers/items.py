@@ -1,4 +1,4 @@
-"""What pipelines give: samples in batches, and events."""
+"""Output of pipelines: batches of samples, and events."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Batch:
         channel: the log channel.
         time_ns: sample times on the common clock, int64, shape (n,).
         sequence: device counters, uint32, shape (n,).
-        columns: the channel's fields, each of shape (n,).
+        columns: values of the channel's fields, by name, each of shape (n,).
     """
 
     channel: channels.Channel
@@ -33,24 +33,29 @@ class Batch:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened on a device: a gap, a released lock, an answer, damage.
+    """An event of a device: a gap, a released lock, an answer, damage.
 
     Attributes:
         kind: "gap", "damage", "restart", "lock", "acknowledge", "reply", "status", "emergency", "drive", "fault".
-        facts: numbers and words that go into the log with it.
+        device: name of the device in the rig file.
+        text: description for the log and the operator; of a reply the answer itself.
+        facts: numbers and strings that are written to the log with the event.
     """
 
     kind: str
     device: str
     text: str
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
 def joined(arrived: Sequence[tuple[Batch, int]]) -> tuple[Batch, NDArray[np.int64]]:
-    """Batches of one channel as one, and the host time of each sample.
+    """Join batches of one channel.
 
     Args:
-        arrived: at least one batch, each with its host time, ns.
+        arrived: at least one batch, each with its host time, ns since 1970.
+
+    Returns:
+        The joined batch, and the host time of each of its samples, ns since 1970, shape (n,).
     """
     batches = [batch for batch, _ in arrived]
     columns = {name: np.concatenate([b.columns[name] for b in batches]) for name in batches[0].columns}

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What most drivers of sensors say alike, so that a driver's own file holds what is its own."""
+"""Base class with the parts that most drivers of sensors have in common."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from daq.drivers.played import PlayedDevice
 
 
 class PlainDriver:
-    """A driver of a sensor on a serial line that sends by itself; whatever is otherwise is overridden.
+    """Driver of a sensor on a serial line that sends without a request. Subclasses override what differs.
 
-    To be added: `name`, `settings` (with a field `baud`), `channels`, `pipeline` and `far_end`; see Driver.
+    A subclass must define `name`, `settings` (with a field `baud`), `channels`, `pipeline` and `far_end`; see Driver.
     """
 
     rest_s = 0.02
 
     def line(self, settings: Any) -> Line:
-        """See Driver: the settings' port and baud."""
+        """See Driver: `port` and `baud` of the settings."""
         return Line(settings.port, settings.baud)
 
     def occasional(self, settings: Any) -> tuple[Channel, ...]:
@@ -30,27 +30,27 @@ class PlainDriver:
         return ()
 
     def clocks(self, settings: Any) -> tuple[SampleClock, ...]:
-        """See Driver: none, the host's time counts."""
+        """See Driver: none; samples get the host's time."""
         return ()
 
     def words(self, event: Event) -> str:
-        """See Driver: the event's own."""
+        """See Driver: the text of the event."""
         return event.text
 
     def checks(self, settings: Any, pipeline: Any, control: SpeedSource | None, events: Sequence[Event]) -> Checks:
-        """See Driver: nothing beside what every device is looked at for."""
+        """See Driver: no check in addition to those of every device."""
         return {}
 
     def played(self, settings: Any, identity: Mapping[str, Any]) -> PlayedDevice:
-        """See Driver: its bytes, whatever it is told."""
+        """See Driver: plays the bytes of the log and ignores all commands."""
         return PlayedDevice()
 
     def prepare(self) -> None:
-        """See Driver: nothing takes long to load."""
+        """See Driver: no module is slow to load."""
 
     def open(self, device: str, settings: Any, talk: Talk) -> dict[str, Any]:
-        """See Driver: nothing is asked."""
+        """See Driver: the device is not queried."""
         return {}
 
     def stop(self, talk: Talk) -> None:
-        """See Driver: it goes on for as long as it has power."""
+        """See Driver: the device cannot be stopped; it sends as long as it has power."""

@@ -1,9 +1,9 @@
 # pyright: strict
-"""A device of a log at the far end of a port while the log is played: its bytes, and answers to what it is told.
+"""Stand-in for a device of a log at the far end of a port while the log is played.
 
-A device that a host configures first behaves as it would: it is silent until it is told to send. Whatever is asked is
-answered as the device of the log would answer; whatever would change its bytes is refused, or, where there is no way to
-refuse, let pass and counted.
+It sends the bytes of the log and answers commands. A device that a host configures first is silent until it is
+commanded to send. Queries are answered as the device of the log would answer. Commands that would change the bytes of
+the log are refused. If the protocol has no refusal, they are ignored and counted.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from daq.channels import RX
 
 
 class BytesFromDevice(Protocol):
-    """Turns what was recorded into what is played."""
+    """Filter from recorded bytes to the bytes that are played."""
 
     def feed(self, direction: int, data: bytes) -> bytes:
-        """Bytes to play for bytes that went one way or the other."""
+        """Return the bytes to play for recorded bytes of one direction."""
         ...
 
     def rest(self) -> bytes:
-        """What is still to be played when nothing follows."""
+        """Return the remaining bytes to play at the end of the log."""
         ...
 
 
 class OneWay:
-    """A serial line has a pair of wires: one who listens to the device does not hear what it is told."""
+    """Filter for a serial line with one wire for each direction: only the device's bytes are played."""
 
     def feed(self, direction: int, data: bytes) -> bytes:
         """See BytesFromDevice."""
@@ -38,16 +38,16 @@ class OneWay:
 
 
 class PlayedDevice:
-    """One device of a log while it is played. This one needs no set-up and takes no commands; others are kinds of it.
+    """One device of a log while it is played. This base class needs no set-up and ignores commands.
 
     Attributes:
-        expects: what it must be told before it sends; empty when it sends by itself.
-        commands: how many it has heard.
-        unfollowed: how many of them asked for what a log cannot do.
-        withheld_bytes: of the log, while it was not told to send.
+        expects: description of the command after which it sends; empty if it sends without a command.
+        commands: number of received commands.
+        unfollowed: number of received commands that a log cannot follow.
+        withheld_bytes: number of bytes of the log that were not sent because no command to send had come.
 
     Args:
-        source: which bytes of the log are its.
+        source: filter that selects the device's bytes from those of the log.
     """
 
     expects = ""
@@ -58,22 +58,22 @@ class PlayedDevice:
 
     @property
     def sending(self) -> bool:
-        """Whether its bytes go out."""
+        """Whether the bytes of the log are sent."""
         return True
 
     def begin(self) -> None:
-        """Send from now on, whatever it was told: whoever listens configures nothing."""
+        """Send from now on without a command: a host that only receives does not configure the device."""
 
     def hear(self, data: bytes) -> bytes:
-        """Take what the host sends; returns the answer."""
+        """Take bytes from the host and return the answer."""
         return b""
 
     def play(self, direction: int, data: bytes) -> bytes:
-        """What goes out now of bytes of the log; between two calls an answer may stand."""
+        """Return the bytes to send now for bytes of the log. An answer may be inserted between two calls."""
         return self._pass(self._source.feed(direction, data))
 
     def rest(self) -> bytes:
-        """What goes out when nothing follows."""
+        """Return the remaining bytes to send at the end of the log."""
         return self._pass(self._source.rest())
 
     def _pass(self, data: bytes) -> bytes:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Drivers by name, found among the entry points of what is installed."""
+"""Drivers by name, found among the entry points of the installed packages."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from rig_configs.drivers import load_driver
 
 
 def driver(name: str) -> Driver:
-    """The driver of a name.
+    """Return the driver of a name.
 
     Raises:
-        DeviceError: none of that name is installed, or it cannot be loaded.
+        DeviceError: no driver of that name is installed, or it cannot be loaded.
     """
     try:
         found: Driver = load_driver(name)

@@ -1,7 +1,7 @@
 # pyright: strict
-"""The far end of a device's line: what speaks its bytes when the rig is simulated.
+"""The far end of a device's line: the simulated device that sends and receives the bytes of the real one.
 
-A far end knows the device's wire and a motion; it knows no port and reads no clock. Time is the rig's, s.
+A far end has the device's codec and a motion of the rig. It opens no port and reads no clock. Times are rig time, s.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ Array = NDArray[np.floating[Any]]
 
 
 class Stretch(Protocol):
-    """Motion of the rig over a short time.
+    """Motion of the rig over a short interval.
 
     Attributes:
-        time_s: instants, shape (n,).
-        rows: x, y, θ3, θ4, their rates, ψ and its rate at each, shape (n, 10); m, rad, s.
+        time_s: instants, rig s, shape (n,).
+        rows: x, y, θ3, θ4, their rates, ψ and its rate at each instant, shape (n, 10); m, rad, s.
     """
 
     @property
@@ -35,19 +35,25 @@ class Stretch(Protocol):
         ...
 
     def at(self, time_s: Array, value: int, rate: int) -> Array:
-        """A column between the instants, from its values and those of its rate."""
+        """Interpolate a column at times between the instants.
+
+        Args:
+            time_s: times, rig s.
+            value: index of the column.
+            rate: index of the column with its rate.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class FaultKind:
-    """Something that can go wrong with a simulated device.
+    """A fault of a simulated device.
 
     Attributes:
-        words: what happens, a sentence without its full stop.
-        value: what `FarEnd.fail` takes where nobody asks for another value.
-        end: the value that ends it; None where it happens once, or lasts until the host has mended it.
-        meaning: of the value, with its unit; empty where it is only on or off.
+        words: description, a sentence without its full stop.
+        value: default value for `FarEnd.fail`.
+        end: value that ends the fault; None if it happens once or lasts until the host has reset it.
+        meaning: meaning of the value, with its unit; empty if the fault is only on or off.
         limits: smallest and largest value.
     """
 
@@ -59,43 +65,47 @@ class FaultKind:
 
 
 class FarEnd:
-    """A simulated device; this one is silent.
+    """Base class of simulated devices; it sends nothing.
 
     Attributes:
-        fault_kinds: what can go wrong with it, by the words that `fail` takes.
-        line_alive: whether its line carries bytes; the rig drops them where it does not.
+        fault_kinds: faults of the device, by the name that `fail` takes.
+        line_alive: whether the line carries bytes; otherwise the rig drops them.
     """
 
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {}
     line_alive: bool = True
 
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """Take what the host sends; returns what the device answers at once."""
+        """Take bytes from the host and return the bytes that the device answers immediately."""
         return b""
 
     def step(self, now_s: float) -> bytes:
-        """What it does by itself before the rig moves on from now: mechanisms, control loops, reports."""
+        """Update mechanisms and control loops before the rig advances from `now_s`; return reports that are due."""
         return b""
 
     def sample(self, motion: Stretch) -> bytes:
-        """What it sends of a stretch of motion."""
+        """Return the bytes that the device sends for an interval of motion."""
         return b""
 
     def fail(self, what: str, value: Any) -> None:
-        """Something goes wrong with it, or is mended.
+        """Start, change or end a fault.
+
+        Args:
+            what: name of the fault, a key of `fault_kinds`.
+            value: see FaultKind.
 
         Raises:
-            ValueError: no such fault.
+            ValueError: the device has no such fault.
         """
-        raise ValueError(f"this device knows no fault {what!r}")
+        raise ValueError(f"this device has no fault {what!r}")
 
     def power(self, on: bool, now_s: float) -> None:
-        """Its supply fails, or comes back at now_s: then it begins anew, as the device does.
+        """Switch the supply off, or on at `now_s`. A device starts again when its supply returns.
 
-        This one falls silent and goes on where it was. `step` and `sample` are called without supply, too.
+        The base class becomes silent and continues where it was. `step` and `sample` are also called without supply.
         """
         self.line_alive = on
 
     def facts(self) -> Mapping[str, Any]:
-        """What a test may know of it that no byte says."""
+        """Return internal state for tests that the bytes do not contain."""
         return {}

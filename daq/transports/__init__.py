@@ -1,4 +1,4 @@
-"""Byte streams in and out, and the host's clock. Nothing above may ask what is behind them."""
+"""Byte streams in and out, and the host's clock. The layers above do not depend on what is behind a link."""
 
 from daq.transports.host_clock import HostClock
 from daq.transports.link import Link, open_link

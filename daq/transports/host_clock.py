@@ -1,8 +1,8 @@
 # pyright: strict
 """The host's time: the common clock of all device clocks, and every wait of the acquisition.
 
-Whatever waits, repeats itself or takes answers out of a queue does it through a `HostClock`: drivers, sessions, guided
-tests. So another clock (`daq.lockstep.clock`) runs them all on simulated time, in one thread.
+Drivers, sessions and guided tests wait, repeat actions and take answers out of queues only through a `HostClock`.
+Another clock (`daq.lockstep.clock`) therefore runs them all on simulated time, in one thread.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from typing import Any, Protocol
 
 
 class Repeated(Protocol):
-    """Something that is done again and again."""
+    """A periodic action."""
 
     def stop(self, wall_seconds: float | None = 2.0) -> None:
-        """End it, and wait until it has ended.
+        """End the periodic action and wait until it has ended.
 
         Args:
-            wall_seconds: the longest wait; None: without limit.
+            wall_seconds: maximum wait, wall s; None: no limit.
         """
         ...
 
 
 class HostClock:
-    """Nanoseconds since 1970 that never step back, and waits by them.
+    """Time in nanoseconds since 1970 that never steps back, and waits on this time.
 
     Args:
-        rate: seconds of rig time per wall second; 1 on a rig, more where the rig behind the links runs faster.
+        rate: rig time per wall time, s/s; 1 on a real rig, greater than 1 for a simulated rig that runs faster.
     """
 
     def __init__(self, rate: float = 1.0) -> None:
@@ -51,45 +51,48 @@ class HostClock:
         return self.now_ns() * 1e-9
 
     def wall_s(self) -> float:
-        """Wall time since some instant, s; it never steps."""
+        """Wall time since an arbitrary fixed instant, s; it never steps."""
         return time.monotonic()
 
     def wall(self, seconds: float) -> float:
-        """How many wall seconds some rig time takes."""
+        """Convert a duration in rig seconds to wall seconds."""
         return seconds / self.rate
 
     def patience(self, wall_seconds: float) -> float:
-        """A time-out that guards against a stalled host or cable, as rig time.
+        """Return the rig time, s, of a timeout that guards against a stalled host or cable.
 
-        Such a time-out is a promise in wall time (the host's scheduler does not run faster because the rig does).
+        Such a timeout is defined in wall time, because the host's scheduler does not run faster with the rig.
+
+        Args:
+            wall_seconds: timeout, wall s.
         """
         return wall_seconds * max(1.0, self.rate)
 
     # --- waiting -----------------------------------------------------------------------------------------------
 
     def sleep(self, seconds: float) -> None:
-        """Wait for some rig time."""
+        """Wait for a duration in rig seconds."""
         self.wait(max(0.0, seconds) / self.rate)
 
     def wait(self, wall_seconds: float) -> None:
-        """Wait for some wall time."""
+        """Wait for a duration in wall seconds."""
         time.sleep(max(0.0, wall_seconds))
 
     def every(
         self, wall_seconds: float, do: Callable[[], object], name: str, failed: Callable[[Exception], None]
     ) -> Repeated:
-        """Do something again and again, the first time after one period, beside whatever else is done.
+        """Call a function periodically in the background, the first time after one period.
 
         Args:
-            wall_seconds: the period.
-            do: what; it must not wait.
-            name: of the thread.
-            failed: called with the exception that `do` raised; it is not done any more then.
+            wall_seconds: period, wall s.
+            do: function that is called; it must not wait.
+            name: name of the thread.
+            failed: called with the exception that `do` raised. `do` is not called again after an exception.
         """
         return _RepeatingThread(wall_seconds, do, name, failed)
 
     def queue(self) -> queue.Queue[Any]:
-        """A queue whose `get` waits by this clock (its time-out: wall seconds)."""
+        """Return a queue whose `get` waits on this clock; the timeout of `get` is in wall seconds."""
         return queue.Queue()
 
 

@@ -1,4 +1,4 @@
-"""A device's byte stream: serial ports and ptys, TCP, and CAN adapters, all behind one small protocol."""
+"""Byte stream of a device: serial ports and ptys, TCP ports and CAN adapters behind one protocol, `Link`."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ import serial
 from daq.errors import LinkLost
 from daq.transports import slcan
 
-_READ_BYTES = 65536  # into one buffer: room of this size made anew for every read tears holes into the heap
+_READ_BYTES = 65536  # size of the one reused buffer: allocating this size for every read fragments the heap
 _POLL_S = 0.1
-_TAKEN = (errno.EAGAIN, errno.EBUSY)  # another program's lock on a serial port
-_HANG_UP_S = 0.05  # within which a far end that serves someone else hangs up, wall seconds
+_LOCKED_ERRNOS = (errno.EAGAIN, errno.EBUSY)  # another program holds the lock of the serial port
+_REJECT_WAIT_S = 0.05  # wall s within which a far end that serves another program closes a new connection
 
 
 class Link(Protocol):
@@ -29,10 +29,13 @@ class Link(Protocol):
     name: str
 
     def read(self, timeout_s: float) -> bytes:
-        """What has arrived; b"" when nothing came within timeout_s (wall seconds).
+        """Return the bytes that have arrived; b"" if none arrived within `timeout_s`.
+
+        Args:
+            timeout_s: maximum wait, wall s.
 
         Raises:
-            LinkLost: the device is gone.
+            LinkLost: the connection to the device is lost.
         """
         ...
 
@@ -40,7 +43,7 @@ class Link(Protocol):
         """Send all bytes.
 
         Raises:
-            LinkLost: the device is gone.
+            LinkLost: the connection to the device is lost.
         """
         ...
 
@@ -50,16 +53,17 @@ class Link(Protocol):
 
 
 def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N") -> Link:
-    """Open the link a rig file names.
+    """Open the link that a rig file names.
 
     Args:
-        port: a serial device or pty ("/dev/ttyUSB0", "COM3"), "socket://host:port", any URL pyserial knows, or
-            "can:INTERFACE:CHANNEL" for an adapter python-can drives ("can:socketcan:can0").
-        baud: line rate of a serial port.
-        bitrate: of the CAN bus, for "can:" ports.
-        parity: of a serial port: "N", "E" or "O".
+        port: serial device or pty ("/dev/ttyUSB0", "COM3"), "socket://host:port", any other URL that pyserial
+            supports, or "can:INTERFACE:CHANNEL" for an adapter that python-can supports ("can:socketcan:can0").
+        baud: line rate of a serial port, baud.
+        bitrate: bit rate of the CAN bus for "can:" ports, bit/s.
+        parity: parity of a serial port: "N", "E" or "O".
+
     Raises:
-        LinkLost: the port cannot be opened; the message says why and what to look at.
+        LinkLost: the port cannot be opened. The message contains the cause and what to check.
     """
     try:
         if port.startswith("can:"):
@@ -70,9 +74,9 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
             return SocketLink(host, int(number))
         return SerialLink(port, baud, parity)
     except (OSError, ValueError, serial.SerialException, can.CanError) as error:
-        if isinstance(error, OSError) and error.errno in _TAKEN:
+        if isinstance(error, OSError) and error.errno in _LOCKED_ERRNOS:
             raise LinkLost(
-                f"{port}: another program has it open ({error}). End that one first: a line has one master"
+                f"{port}: another program has it open ({error}). End that program first: a line has one master"
             ) from error
         raise LinkLost(
             f"{port}: cannot be opened ({error}). Is the device plugged in, the port's name right, "
@@ -81,7 +85,7 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
 
 
 def _check_parity(port: Any) -> None:
-    """Have the port drop bytes of a wrong parity: pyserial sends it and does not look at what comes."""
+    """Configure the port to drop received bytes with a wrong parity; pyserial only generates parity when sending."""
     if sys.platform == "win32":
         return
     import termios  # noqa: PLC0415 (not on Windows)
@@ -93,7 +97,7 @@ def _check_parity(port: Any) -> None:
 
 
 class SerialLink:
-    """A serial port through pyserial, read as soon as bytes are there."""
+    """A serial port through pyserial. `read` returns as soon as bytes have arrived."""
 
     def __init__(self, port: str, baud: int, parity: str = "N") -> None:
         self.name = port
@@ -103,8 +107,8 @@ class SerialLink:
         self._port.open()
         with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):
             self._port.set_low_latency_mode(True)
-        if sys.platform == "win32":  # 4096 by default: less than comes between two looks at a quick sensor
-            with contextlib.suppress(AttributeError):  # a port behind a URL
+        if sys.platform == "win32":  # default 4096: less than a fast sensor sends between two reads
+            with contextlib.suppress(AttributeError):  # a port behind a URL has no such buffer
                 self._port.set_buffer_size(rx_size=_READ_BYTES)
         self._buffer = memoryview(bytearray(_READ_BYTES))
         self._descriptor = None
@@ -118,7 +122,7 @@ class SerialLink:
     def read(self, timeout_s: float) -> bytes:
         """See Link."""
         try:
-            if self._descriptor is None:  # no descriptor to wait on: the port's own time-out, set once, does
+            if self._descriptor is None:  # no descriptor to wait on: the port's own timeout (_POLL_S) applies
                 first = self._port.read(1)
                 return first + self._port.read(self._port.in_waiting) if first else b""
             ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
@@ -146,23 +150,26 @@ class SerialLink:
 
 
 class SocketLink:
-    """A device behind a TCP port (a serial server, or a simulated rig where there are no ptys)."""
+    """A device behind a TCP port: a serial server, or a simulated rig on a system without ptys."""
 
     def __init__(self, host: str, port: int) -> None:
         self.name = f"socket://{host}:{port}"
         self._socket = socket.create_connection((host, port), timeout=5.0)
         try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if self._hung_up_at_once():
-                raise ConnectionRefusedError("the far end hung up at once: it serves one program, and that is another")
+            if self._is_rejected():
+                raise ConnectionRefusedError(
+                    "the far end closed the connection at once: it serves one program at a time, and another program "
+                    "is connected"
+                )
         except BaseException:
             self._socket.close()
             raise
         self._buffer = memoryview(bytearray(_READ_BYTES))
         self._lock = threading.Lock()
 
-    def _hung_up_at_once(self) -> bool:
-        ready, _, _ = select.select([self._socket], [], [], _HANG_UP_S)
+    def _is_rejected(self) -> bool:
+        ready, _, _ = select.select([self._socket], [], [], _REJECT_WAIT_S)
         return bool(ready) and not self._socket.recv(1, socket.MSG_PEEK)
 
     def read(self, timeout_s: float) -> bytes:
@@ -194,7 +201,7 @@ class SocketLink:
 
 
 class CanLink:
-    """Any adapter python-can drives, spoken to in slcan text so that everything above sees one kind of CAN."""
+    """Any CAN adapter that python-can supports. Its bytes are slcan text, so all layers above handle one CAN format."""
 
     def __init__(self, interface: str, channel: str, bitrate: int) -> None:
         self.name = f"can:{interface}:{channel}"
@@ -208,7 +215,7 @@ class CanLink:
         try:
             message = self._bus.recv(timeout_s)
             while message is not None and len(lines) < 1000:
-                if message.is_error_frame:  # the adapter's own report, no frame of the bus
+                if message.is_error_frame:  # a report of the adapter, not a frame of the bus
                     message = self._bus.recv(0)
                     continue
                 lines.append(
@@ -227,7 +234,7 @@ class CanLink:
         return b"".join(lines)
 
     def write(self, data: bytes) -> None:
-        """See Link. Lines that are no frames (adapter set-up) are this adapter's own business and dropped."""
+        """See Link. Lines that are not frames (adapter set-up) are dropped: python-can sets up the adapter."""
         with self._lock:
             try:
                 for frame in self._decoder.feed(data).frames:

@@ -1,14 +1,16 @@
 # pyright: strict
-"""Time that a simulated rig and its host share, and that stands while either of them is late.
+"""Time that a simulated rig and its host share. It stops while either of them is late.
 
-A rig that runs faster than life asks for most of a machine. Where other programs want their part of it, rig or host
-falls behind, and the interlocks stop what looks like a blind rig: in eightfold time three quarters of a second without
-a processor are six seconds of silence. And eight times as late are the bytes: clocks that are told by their arrival
-wander by milliseconds, and a steady speed seems to change. So here time passes a few hundredths of a second at a time,
-and stands then until the rig has moved so far and the host has fetched every byte: the last ones never arrive late.
+A rig that runs faster than real time needs most of the processor time of a machine. If other programs take part of it,
+the rig or the host falls behind, and the interlocks stop the run for missing data: at rate 8, 0.75 s without processor
+are 6 s without samples. The bytes are late by the same factor. Device clocks that are mapped by the arrival of their
+bytes then wander by milliseconds, and a constant speed seems to change.
 
-Both processes map one small file. What is read of it at one instant gives one time in both: the monotonic clock of a
-machine is that of all its processes.
+Time therefore advances in steps of `_STEP_S`. It stops after each step until the rig has simulated the motion up to
+that time and the host has fetched every byte.
+
+Both processes map one small file. The monotonic clock is common to all processes of a machine, so the words of the file
+at one instant give the same time in both processes.
 """
 
 from __future__ import annotations
@@ -22,21 +24,21 @@ from pathlib import Path
 
 from daq.transports.host_clock import HostClock
 
-_AHEAD_S = 0.02  # wall s that time passes before it stands for those who are late
-_LATE_S = 0.01  # wall s without a look at the clock: the host is late
-_GONE_S = 2.0  # wall s without one: there is none that time would have to wait for …
-_UNSHARED_S = 60.0  # … and whoever else talks to the rig has a clock that never stands
-_ALONE_S = 2.0  # wall s without the rig's word: it is gone, and time passes again, so that waits come to their ends
-_LEAST_WAIT_S = 0.0005
-_FROM, _END, _LOOKED, _WORDS = 0, 1, 2, 3  # places in the file, 8 bytes each
+_STEP_S = 0.02  # wall s that time advances before it stops until rig and host have caught up
+_HOST_LATE_S = 0.01  # wall s since the host's last reading of the clock after which the host is late
+_HOST_GONE_S = 2.0  # wall s since that reading after which no host shares the clock, and time does not wait for one
+_UNSHARED_STEP_S = 60.0  # step without such a host: other programs connected to the rig use a clock that never stops
+_RIG_GONE_S = 2.0  # wall s without an update by the rig's process after which time runs on, so that every wait ends
+_MIN_WAIT_S = 0.0005
+_OFFSET, _END, _READ_AT, _WORDS = 0, 1, 2, 3  # indices of the 8-byte words in the file, and their number
 
 
 class PacedClock(HostClock):
     """See the module.
 
     Args:
-        rate: seconds of rig time per wall second, where nobody is late.
-        path: of the file that is shared; None: a new one is made, and the clock is the host's.
+        rate: rig time per wall time while neither side is late, s/s.
+        path: shared file, given to the rig's process. None: the host's clock, which creates the file.
     """
 
     def __init__(self, rate: float, path: Path | None = None) -> None:
@@ -53,66 +55,68 @@ class PacedClock(HostClock):
             self._map = mmap.mmap(descriptor, 8 * _WORDS)
         finally:
             os.close(descriptor)
-        self._page = memoryview(self._map).cast("q")  # a word of it is read and written at once
+        self._page = memoryview(self._map).cast("q")  # each word is read and written atomically
         if not self._leads:
             now_ns = super().now_ns()
-            self._page[_END] = now_ns + self._ns(_AHEAD_S)
-            self._page[_FROM] = now_ns - self._ns(time.monotonic())
+            self._page[_END] = now_ns + self._ns(_STEP_S)
+            self._page[_OFFSET] = now_ns - self._ns(time.monotonic())
 
     def _ns(self, wall_s: float) -> int:
-        """Rig time that passes meanwhile, ns."""
+        """Rig time that corresponds to a wall time, ns."""
         return round(wall_s * 1e9 * self.rate)
 
     def now_ns(self) -> int:
         """See HostClock."""
         if not self._leads:
-            self._page[_LOOKED] = round(time.monotonic() * 1e9)
-        return self._seen()[0]
+            self._page[_READ_AT] = round(time.monotonic() * 1e9)
+        return self._times()[0]
 
-    def _seen(self) -> tuple[int, float]:
-        """Time now, ns, and the monotonic clock's, s."""
+    def _times(self) -> tuple[int, float]:
+        """Return the rig time now, ns, and the reading of the monotonic clock, s."""
         while True:
             end_ns = self._page[_END]
             monotonic_s = time.monotonic()
-            unhindered_ns = self._page[_FROM] + self._ns(monotonic_s)
-            if self._page[_END] == end_ns:  # else the rig has just written
-                return max(min(unhindered_ns, end_ns), unhindered_ns - self._ns(_ALONE_S)), monotonic_s
+            unhindered_ns = self._page[_OFFSET] + self._ns(monotonic_s)
+            if self._page[_END] == end_ns:  # otherwise the rig's process has just written: read again
+                return max(min(unhindered_ns, end_ns), unhindered_ns - self._ns(_RIG_GONE_S)), monotonic_s
 
     def wall_s(self) -> float:
-        """See HostClock; it stands when rig time does, so nobody's patience ends meanwhile."""
+        """See HostClock; it stops while rig time stops, so no timeout expires during a stop."""
         return self.now_ns() * 1e-9 / self.rate
 
     def sleep(self, seconds: float) -> None:
-        """See HostClock; longer by the time that has stood. `wait` goes on then: who fetches bytes must not stand."""
+        """See HostClock. The wait is longer by the duration of the stops. `wait` is not: readers must keep fetching."""
         end_ns = self.now_ns() + round(max(0.0, seconds) * 1e9)
         while (left_ns := end_ns - self.now_ns()) > 0:
-            time.sleep(max(_LEAST_WAIT_S, left_ns * 1e-9 / self.rate))
+            time.sleep(max(_MIN_WAIT_S, left_ns * 1e-9 / self.rate))
 
     def go_on(self, held_up: Callable[[], bool]) -> bool:
-        """Let time pass on, as the rig's process, once it stands and the host is not late; call it again and again.
+        """Advance time by the next step if it has stopped and the host is not late.
+
+        The rig's process calls this periodically.
 
         Args:
-            held_up: whether bytes wait in a cable for the host; asked when time stands.
+            held_up: returns whether bytes in a cable wait for the host; called when time has stopped.
 
         Returns:
-            Whether time passes.
+            Whether time is running.
         """
-        now_ns, monotonic_s = self._seen()
-        unlooked_s = monotonic_s - self._page[_LOOKED] * 1e-9
-        shared = unlooked_s < _GONE_S
-        end_ns = now_ns + self._ns(_AHEAD_S if shared else _UNSHARED_S)
+        now_ns, monotonic_s = self._times()
+        unread_s = monotonic_s - self._page[_READ_AT] * 1e-9
+        shared = unread_s < _HOST_GONE_S
+        end_ns = now_ns + self._ns(_STEP_S if shared else _UNSHARED_STEP_S)
         if now_ns < self._page[_END]:
             self._page[_END] = min(self._page[_END], end_ns) if shared else end_ns
             return True
         self._page[_END] = now_ns
-        self._page[_FROM] = now_ns - self._ns(monotonic_s)
-        if shared and (unlooked_s > _LATE_S or held_up()):
+        self._page[_OFFSET] = now_ns - self._ns(monotonic_s)
+        if shared and (unread_s > _HOST_LATE_S or held_up()):
             return False
         self._page[_END] = end_ns
         return True
 
     def close(self) -> None:
-        """Let go of the file; who made it removes it."""
+        """Unmap the file. The process that created it also removes it."""
         self._page.release()
         self._map.close()
         if not self._leads:

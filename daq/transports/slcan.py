@@ -1,9 +1,9 @@
-"""LAWICEL text (slcan): how CAN frames look at the byte seam, whatever adapter sits below.
+"""LAWICEL text (slcan): the representation of CAN frames at the byte seam, independent of the adapter.
 
     tIIILDD…   11-bit identifier     TIIIIIIIILDD…   29-bit identifier     r…, R…   remote request, no data
 
-Every line ends with CR; a bare BEL (0x07) is the adapter's "no". Behind the data four hex digits of adapter time may
-stand, which are ignored. Source: LAWICEL CAN232 manual.
+Every line ends with CR. A single BEL (0x07) is the adapter's negative acknowledgement. Four hex digits of adapter time
+may follow the data; they are ignored. Source: LAWICEL CAN232 manual.
 """
 
 import re
@@ -25,10 +25,10 @@ class CanFrame:
     """One classic CAN frame.
 
     Attributes:
-        arbitration_id: 11 bits, or 29 bits when `extended`.
-        data: 0 … 8 bytes; for a remote request that many zeros as data are wanted.
-        extended: 29-bit identifier.
-        remote: a request for data.
+        arbitration_id: identifier of 11 bits, or of 29 bits if `extended`.
+        data: 0 … 8 bytes; for a remote request as many zeros as bytes are requested.
+        extended: whether the identifier has 29 bits.
+        remote: whether the frame is a request for data.
     """
 
     arbitration_id: int
@@ -39,13 +39,13 @@ class CanFrame:
 
 @dataclass(frozen=True)
 class Decoded:
-    """What one `LineDecoder.feed` found.
+    """Result of one call of `LineDecoder.feed`.
 
     Attributes:
         frames: CAN frames in order.
-        other_lines: an adapter's answers without CR, ``""`` (done), ``"z"``/``"Z"`` (sent), ``"V1013"`` …, BEL as
-            ``"\\a"``; of a host its orders to the adapter.
-        damaged: lines that were neither: no known letter, wrong digits, wrong length, foreign bytes, overlong.
+        other_lines: answers of an adapter without CR: ``""`` (done), ``"z"``/``"Z"`` (sent), ``"V1013"`` …, BEL as
+            ``"\\a"``. From a host: its commands to the adapter.
+        damaged: number of lines that are neither: unknown letter, wrong digits, wrong length, foreign bytes, too long.
     """
 
     frames: list[CanFrame]
@@ -54,7 +54,7 @@ class Decoded:
 
 
 def encode(frame: CanFrame) -> bytes:
-    """The frame as a line, CR included.
+    """Encode a frame as a line, including its CR.
 
     Raises:
         ValueError: the identifier or the data do not fit a classic CAN frame.
@@ -72,16 +72,18 @@ def encode(frame: CanFrame) -> bytes:
 
 
 def first_line_end(data: bytes) -> int:
-    """How many bytes the first line has, its end included; 0 when it does not end in them."""
+    """Return the number of bytes of the first line including its end; 0 if the line is incomplete."""
     end = _LINE_END.search(data)
     return end.end() if end else 0
 
 
 class LineDecoder:
-    """Bytes of an adapter in, CAN frames out; any split into calls, bounded memory, never raises.
+    """Decode the bytes of an adapter to CAN frames. The result does not depend on the split into calls.
+
+    Memory is bounded. `feed` does not raise.
 
     Args:
-        of_host: the bytes are a host's, so that orders to an adapter may stand among them, not answers.
+        of_host: whether the bytes were sent by a host: they may contain commands to an adapter, but no answers.
     """
 
     def __init__(self, *, of_host: bool = False) -> None:
@@ -93,7 +95,7 @@ class LineDecoder:
         """Decode the next bytes.
 
         Args:
-            data: any number of bytes, as they came.
+            data: any number of bytes, in the order of arrival.
         """
         frames: list[CanFrame] = []
         other: list[str] = []
@@ -117,7 +119,7 @@ class LineDecoder:
         return Decoded(frames, other, damaged)
 
     def _plain_lines(self, data: bytes) -> Decoded:
-        """What a quiet bus with a quiet adapter sends, nearly always: lines that end with CR, none begun before."""
+        """Decode lines that end with CR when no line is incomplete: the usual case, without BEL and LF."""
         frames: list[CanFrame] = []
         other: list[str] = []
         *lines, rest = data.split(b"\r")
@@ -137,18 +139,18 @@ class LineDecoder:
 
 
 def _take(line: bytes, words: re.Pattern[bytes], frames: list[CanFrame], other: list[str]) -> int:
-    """Sort one line; returns 1 when it is damaged."""
-    what = _read(line, words)
-    if isinstance(what, CanFrame):
-        frames.append(what)
-    elif what is not None:
-        other.append(what)
-    return what is None
+    """Append one line to the frames or to the other lines; return 1 if it is damaged, otherwise 0."""
+    content = _read(line, words)
+    if isinstance(content, CanFrame):
+        frames.append(content)
+    elif content is not None:
+        other.append(content)
+    return content is None
 
 
 @lru_cache(4096)
 def _read(line: bytes, words: re.Pattern[bytes]) -> CanFrame | str | None:
-    """A frame, another line, or None of a damaged one. On a bus nearly every line has been there just before."""
+    """Return a frame, another line, or None if the line is damaged. Cached: most lines on a bus repeat recent ones."""
     if line[:1] not in (b"t", b"T", b"r", b"R"):
         return line.decode("ascii") if words.fullmatch(line) else None
     match = _FRAME.fullmatch(line)

@@ -1,7 +1,7 @@
 """The device's end of a cable: a pty or a TCP port that a host opens.
 
-`send` is for what happens now and will not wait: what the host does not fetch in time is dropped and counted, as an
-adapter does. `offer` is for what can wait: it takes what there is room for and leaves the rest to the caller.
+`send` is used for real-time data: bytes that the host does not fetch in time are dropped and counted, as an adapter
+does. `offer` is used for data that can wait: it sends as many bytes as fit and leaves the rest to the caller.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from typing import Protocol
 from daq.errors import LinkLost
 
 KINDS = ("pty", "tcp")
-"""Kinds of wire there are; ptys not on every system."""
+"""Kinds of wire. Windows has no ptys."""
 
-_BUFFER_BYTES = 4 * 1024 * 1024  # an adapter's driver queue, generous: a host may stall …
-_OLD_S = 1.5  # … this long, on the wall's clock
-_FETCHES_S = 0.5  # wall s: a host that has not fetched all for so long is no longer waited for
+_BUFFER_BYTES = 4 * 1024 * 1024  # size of the send queue; larger than an adapter's, because a host may stall …
+_MAX_AGE_S = 1.5  # … for this long, wall s: older bytes are dropped
+_HOLD_UP_LIMIT_S = 0.5  # wall s without an empty queue after which simulated time does not wait for the host
 
 
 class Wire(Protocol):
@@ -33,11 +33,11 @@ class Wire(Protocol):
     overrun_bytes: int
 
     def descriptor(self) -> int | None:
-        """What to wait on for incoming bytes; None when nobody is connected."""
+        """Return the file descriptor to wait on for incoming bytes; None if no host is connected."""
         ...
 
     def receive(self) -> bytes:
-        """What the host sent; never blocks."""
+        """Return the bytes that the host sent; never blocks."""
         ...
 
     def send(self, data: bytes) -> None:
@@ -45,15 +45,18 @@ class Wire(Protocol):
         ...
 
     def offer(self, data: bytes) -> int:
-        """Send what there is room for, queueing nothing; how many bytes that were; never blocks.
+        """Send as many bytes as fit without queueing; never blocks.
+
+        Returns:
+            Number of bytes sent.
 
         Raises:
-            LinkLost: the host is gone.
+            LinkLost: the host has closed the port.
         """
         ...
 
     def held_up(self) -> bool:
-        """Whether bytes wait for a host that had fetched all of them a moment ago."""
+        """Whether bytes wait for a host that had fetched all bytes within the last `_HOLD_UP_LIMIT_S`."""
         ...
 
     def connected(self) -> bool:
@@ -61,45 +64,48 @@ class Wire(Protocol):
         ...
 
     def pull(self) -> None:
-        """Pull the cable: the port is gone. Where the system lets it, its name stays taken until `close`: whoever asks
-        for it meanwhile finds nothing, not a port that another program was given under the same name."""
+        """Remove the port, as if the cable were pulled.
+
+        If the system allows it, the port's name stays reserved until `close`. A program that opens it in the meantime
+        gets an error, not a port of another program under the same name.
+        """
         ...
 
     def close(self) -> None:
-        """Pull the cable and give its port's name back."""
+        """Remove the port and release its name."""
         ...
 
 
 class _Outbox:
-    """A bounded queue of bytes that could not be sent yet; what is old or too much is dropped and counted.
+    """A bounded queue of bytes that could not be sent yet. Bytes beyond its size or age limit are dropped and counted.
 
-    The oldest goes first: whoever connects to a port that nobody read wants to see now, not some minutes ago.
+    The oldest bytes are dropped first: a host that connects to a port without a reader receives current data.
     """
 
     def __init__(self) -> None:
         self.overrun_bytes = 0
         self._parts: deque[tuple[float, bytes]] = deque()
         self._size = 0
-        self._fetched_s = 0.0  # when nothing was seen to wait
+        self._fetched_s = 0.0  # monotonic time at which no bytes waited
 
-    def _underway(self) -> int:
-        """How many bytes are in the cable, as far as can be told."""
+    def _in_cable(self) -> int:
+        """Number of bytes in the cable; 0 if the kind of wire does not provide it."""
         return 0
 
     def held_up(self) -> bool:
         """See Wire."""
         now = time.monotonic()
-        waiting = bool(self._parts) or self._underway() > 0
+        waiting = bool(self._parts) or self._in_cable() > 0
         if not waiting:
             self._fetched_s = now
-        return waiting and now - self._fetched_s < _FETCHES_S
+        return waiting and now - self._fetched_s < _HOLD_UP_LIMIT_S
 
     def _queue(self, data: bytes) -> None:
         now = time.monotonic()
         if data:
             self._parts.append((now, data))
             self._size += len(data)
-        while self._parts and (self._size > _BUFFER_BYTES or now - self._parts[0][0] > _OLD_S):
+        while self._parts and (self._size > _BUFFER_BYTES or now - self._parts[0][0] > _MAX_AGE_S):
             dropped = len(self._parts.popleft()[1])
             self._size -= dropped
             self.overrun_bytes += dropped
@@ -122,8 +128,8 @@ class PtyWire(_Outbox):
     """A pseudo-terminal; the host opens `port` as a serial line.
 
     Args:
-        notice_host: whether `connected` is to tell when a host opens and closes the port. Otherwise it counts as open
-            always, as a cable does that nobody has plugged in at the other end.
+        notice_host: whether `connected` follows the host's opening and closing of the port. Otherwise the port is
+            always reported as connected, like a cable whose other end is not plugged in.
     """
 
     def __init__(self, notice_host: bool = False) -> None:
@@ -131,14 +137,14 @@ class PtyWire(_Outbox):
         import tty  # noqa: PLC0415 (POSIX only)
 
         self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)  # before anyone opens it: a cooked line would echo our own bytes back
+        tty.setraw(self._slave)  # before a host opens it: a line in cooked mode would echo the sent bytes
         os.set_blocking(self._master, False)
         self.port = os.ttyname(self._slave)
-        if notice_host:  # our own hold on the host's end would hide that nobody else has it
+        if notice_host:  # an own descriptor of the host's end would hide that no host has it open
             os.close(self._slave)
             self._slave = -1
 
-    def _underway(self) -> int:
+    def _in_cable(self) -> int:
         if self._master < 0 or self._slave < 0:
             return 0
         import fcntl  # noqa: PLC0415 (POSIX only)
@@ -178,11 +184,11 @@ class PtyWire(_Outbox):
         if self._master < 0:
             return False
         watch = select.poll()
-        watch.register(self._master, 0)  # a hang-up is told unasked
-        return not any(what & select.POLLHUP for _, what in watch.poll(0))
+        watch.register(self._master, 0)  # poll reports POLLHUP without being requested
+        return not any(events & select.POLLHUP for _, events in watch.poll(0))
 
     def pull(self) -> None:
-        """See Wire. Linux keeps a pty's number while anybody has the host's end open."""
+        """See Wire. Linux keeps a pty's number reserved while any process has the host's end open."""
         self._master = _closed(self._master)
 
     def close(self) -> None:
@@ -207,11 +213,11 @@ class TcpWire(_Outbox):
         self._listener.setblocking(False)
         self.port = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
         self._peer: socket.socket | None = None
-        self._unread = b""  # of a host that has gone
+        self._unread = b""  # last bytes of a host that has disconnected
 
     def _accept(self) -> None:
-        """Serve who waits, or hang up on him at once while another host is served: a line has one master."""
-        with contextlib.suppress(OSError):  # nobody waits, or the cable is pulled
+        """Accept a waiting host, or close its connection while another host is served: a line has one master."""
+        with contextlib.suppress(OSError):  # no host waits, or the cable is pulled
             peer, _ = self._listener.accept()
             if self._still_served():
                 peer.close()
@@ -223,7 +229,7 @@ class TcpWire(_Outbox):
             self._size = 0
 
     def _still_served(self) -> bool:
-        """Whether the host is still there; what a host that has gone sent last is kept for `receive`."""
+        """Whether the host is still connected; the last bytes of a disconnected host are kept for `receive`."""
         while self._peer is not None:
             try:
                 data = self._peer.recv(65536)
@@ -232,21 +238,21 @@ class TcpWire(_Outbox):
             except OSError:
                 data = b""
             if not data:
-                self._hang_up()
+                self._disconnect()
             self._unread += data
         return False
 
-    def _hang_up(self) -> None:
+    def _disconnect(self) -> None:
         if self._peer is not None:
             self._peer.close()
             self._peer = None
 
-    def _gone(self) -> None:
-        """The host has gone, as writing has shown; what it sent last waits in its socket."""
+    def _keep_last_bytes(self) -> None:
+        """Read the last bytes of a host whose connection failed on writing, and disconnect it."""
         with contextlib.suppress(OSError):
             while self._peer is not None and (data := self._peer.recv(65536)):
                 self._unread += data
-        self._hang_up()
+        self._disconnect()
 
     def descriptor(self) -> int | None:
         """See Wire."""
@@ -267,18 +273,18 @@ class TcpWire(_Outbox):
         except OSError:
             data = b""
         if not data:
-            self._hang_up()
+            self._disconnect()
         return data
 
     def send(self, data: bytes) -> None:
-        """See Wire. Without a host the bytes go nowhere, as on an open cable."""
+        """See Wire. Without a host the bytes are discarded, as on an open cable."""
         if self._peer is None:
             return
         self._queue(data)
         try:
             self._drain(self._peer.send)
         except OSError:
-            self._gone()
+            self._keep_last_bytes()
 
     def offer(self, data: bytes) -> int:
         """See Wire."""
@@ -289,7 +295,7 @@ class TcpWire(_Outbox):
         except BlockingIOError:
             return 0
         except OSError as error:
-            self._gone()
+            self._keep_last_bytes()
             raise LinkLost(f"{self.port}: lost while writing ({error})") from error
 
     def connected(self) -> bool:
@@ -298,20 +304,24 @@ class TcpWire(_Outbox):
         return self._peer is not None
 
     def pull(self) -> None:
-        """See Wire. A TCP port's number is free at once; the system gives another one to who asks next."""
+        """See Wire. The number of a TCP port is not kept reserved: the system may assign it again."""
         self.close()
 
     def close(self) -> None:
         """See Wire."""
-        self._hang_up()
+        self._disconnect()
         self._listener.close()
 
 
 def make_wire(kind: str, notice_host: bool = False) -> Wire:
-    """A wire of a kind: "pty", "tcp", or "auto" (ptys where the system has them).
+    """Make a wire.
 
     Args:
-        notice_host: see PtyWire; a TCP port always does.
+        kind: "pty", "tcp", or "auto" (a pty if the system has them).
+        notice_host: see PtyWire; a TCP port always follows its host.
+
+    Raises:
+        OSError: "pty" on a system without ptys.
     """
     has_pty = sys.platform != "win32"
     if kind == "pty" and not has_pty:

@@ -17,10 +17,10 @@ STEP_S = 0.02
 
 
 class Bench:
-    """Far ends that are stepped by hand; what the interlocks say is kept.
+    """Far ends that are stepped by hand, with the stops of the interlocks.
 
     Attributes:
-        stops: what they say, each with the rig time, s.
+        stops: texts of the stops, each with the rig time, s.
         events: what belongs into a log.
     """
 
@@ -51,7 +51,7 @@ class Bench:
         return START_NS + round(self.now_s * 1e9)
 
     def pass_time(self, seconds: float, until_stop: bool = False) -> float:
-        """Let rig time pass; returns how long until the first stop when that was asked for."""
+        """Let rig time pass; return the time until the first stop if `until_stop` is set, s."""
         begun = self.now_s
         while self.now_s < begun + seconds - 1e-9 and not (until_stop and self.stops):
             self._step()
@@ -99,7 +99,7 @@ class Bench:
         self.pass_time(rpm / 400 + 1.0 if seconds is None else seconds)
 
     def quick_stop(self) -> None:
-        """As the session does when it is told to stop."""
+        """Stop the rotor as the session does."""
         self.interlocks.told(0.0)
         node = self.rig.devices["drive"].node_id
         self._to_drive(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(cia402.QUICK_STOP, 0))
@@ -109,7 +109,7 @@ class Bench:
         self.far.far_ends[device].fail(what, value)
 
     def why(self) -> str:
-        """What the first stop says."""
+        """Text of the first stop."""
         return self.stops[0][1].text if self.stops else ""
 
     def __enter__(self) -> Bench:

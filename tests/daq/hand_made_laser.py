@@ -42,8 +42,8 @@ class HandMadeLaser:
     def send(self, data: bytes) -> None:
         for command in data.decode("ascii").splitlines():
             self.heard.append(command)
-            told = self._answers.get(command, self._answers.get(command.split()[0], f"{command} ok"))
-            answer = f"{told}\r\n->".encode()
+            answer = self._answers.get(command, self._answers.get(command.split()[0], f"{command} ok"))
+            answer = f"{answer}\r\n->".encode()
             self.bytes_in += len(answer)
             for line in self._decoder.feed(answer).text:
                 self.replies.put(line)

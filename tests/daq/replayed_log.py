@@ -14,6 +14,7 @@ from daq.channels import HEALTH_TOPIC
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
+from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.log.file import LogFile
@@ -35,7 +36,7 @@ Read = tuple[str, int, bytes, int]  # device, direction, bytes, host time in ns
 
 def _laser(rng: np.random.Generator, step: int, lost: set[int], restarts_at: int | None) -> bytes:
     number = 40 * step + np.arange(40)
-    codes = optoncdt.code(0.0125 + 1e-3 * np.sin(0.05 * number) + 4e-6 * rng.standard_normal(40), 0.025)
+    codes = distance_words.code(0.0125 + 1e-3 * np.sin(0.05 * number) + 4e-6 * rng.standard_normal(40), 0.025)
     if restarts_at is not None and step >= restarts_at:
         number = number - 40 * restarts_at
     ticks = 25 * number + 1000

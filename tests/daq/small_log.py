@@ -11,6 +11,7 @@ from daq.acquisition.recorder import Recorder
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Batch
+from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.transports import HostClock, slcan
@@ -24,7 +25,7 @@ def device_bytes(steps: int = 10, opened_at: int | None = None, told: tuple[int,
     for step in range(steps):
         number = 40 * step + np.arange(40)
         ticks = 25 * number + 1000
-        codes = optoncdt.code(0.0125 + 1e-3 * np.sin(0.05 * number), 0.025)
+        codes = distance_words.code(0.0125 + 1e-3 * np.sin(0.05 * number), 0.025)
         words = np.column_stack([codes, number, ticks & 0xFFFF, ticks >> 16]).astype(np.uint32)
         counts = np.column_stack([10 * step + np.arange(10), np.full(10, 2048)]).astype(np.int32)
         is_open = opened_at is not None and step >= opened_at

@@ -75,10 +75,10 @@ def test_the_network_starts_and_stops_this_node_or_all() -> None:
         (b"\x82\x05", cia402.Heartbeat.PRE_OPERATIONAL),
         (b"\x77\x05", cia402.Heartbeat.PRE_OPERATIONAL),
     ):
-        heeded = node.heed(slcan.CanFrame(0, data))
-        assert heeded == (data[0] if len(data) == 2 and data[1] in (0, 5) else None)
+        followed = node.follow(slcan.CanFrame(0, data))
+        assert followed == (data[0] if len(data) == 2 and data[1] in (0, 5) else None)
         assert node.state == state
-    assert node.heed(slcan.CanFrame(0x205, b"\x01\x05")) is None
+    assert node.follow(slcan.CanFrame(0x205, b"\x01\x05")) is None
 
 
 def test_an_adapter_answers_for_itself() -> None:

@@ -92,7 +92,7 @@ def test_connection_set_of_node_5():
         (0xA000, "0xA000, unknown to CiA 301 and 402"),
     ],
 )
-def test_an_emergency_is_told_with_its_meaning(code, words):
+def test_an_emergency_is_reported_with_its_meaning(code, words):
     assert cia.emergency_words(code) == words
 
 

@@ -12,10 +12,10 @@ from daq.acquisition.device_check import AnglesSeen, Look, SpeedSeen, common_fac
 from daq.acquisition.rate_watch import Rate
 from daq.drivers.checks import Checks
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.looked_at import drive_checks
+from daq.drivers.cia402.status_checks import drive_checks
 from daq.drivers.items import Event
 from daq.drivers.rotorlink import wire as rotorlink
-from daq.drivers.rotorlink.looked_at import node_checks
+from daq.drivers.rotorlink.status_checks import node_checks
 from daq.drivers.rotorlink.stream import NodePipeline
 from rig_configs import load_rig
 

@@ -1,4 +1,4 @@
-"""How a drive is set up when it is opened: its process data as we pack it, whatever its maker mapped."""
+"""Set-up of a drive at its opening: its process data as the host packs it, for any mapping of its maker."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _STATE, _ACCESS = 0x08000022, 0x06010000  # abort codes of CiA 301
 
 
 class MappedDrive:
-    """A drive that guards its process data as CiA 301 asks.
+    """A drive that protects its process data as CiA 301 requires.
 
     Mapping, transmission type and identifier are changed only while the PDO is off, entries only at count 0.
     """
@@ -85,7 +85,7 @@ class MappedDrive:
                 self._answer(cia402.cob_tpdo(1, NODE), report)
 
     def _answer(self, identifier: int, data: bytes) -> None:
-        self.host.heed([slcan.CanFrame(identifier, data)])
+        self.host.take_frames([slcan.CanFrame(identifier, data)])
 
     def _refusal(self, request: bytes) -> bytes:
         index, sub, value = struct.unpack_from("<HBI", request, 1)
@@ -150,7 +150,7 @@ kinds = st.sampled_from([0, 1, 240, 252, 253, 254, 255])
     ),
     timer=st.sampled_from([0, 5, 100]),
 )
-def test_whatever_is_mapped_orders_are_taken_and_speeds_reported(
+def test_for_any_mapping_commands_are_taken_and_speeds_reported(
     counts: tuple[int, int],
     entries: tuple[int, int, int, int],
     kinds: tuple[int, int],
@@ -256,7 +256,7 @@ def test_another_pdo_that_bears_our_identifier_is_refused(index: int, identifier
     assert opened({(index, 1): OFF | identifier}).network_orders[0] == NMT_START
 
 
-def test_a_drive_in_torque_is_not_mapped_anew() -> None:
+def test_the_mapping_of_a_drive_with_torque_is_not_changed() -> None:
     had = {(cia402.TPDO1_MAPPING, 0): 1, (cia402.TPDO1, 5): 20}
     drive = MappedDrive(had)
     drive.state = cia402.QUICK_STOP_ACTIVE
@@ -266,7 +266,7 @@ def test_a_drive_in_torque_is_not_mapped_anew() -> None:
     assert {where: drive.value(*where) for where in had} == had
 
 
-def test_all_that_a_drive_had_is_put_back_whatever_ends_the_set_up() -> None:
+def test_the_drive_s_mapping_is_restored_for_any_end_of_the_set_up() -> None:
     had = {(cia402.RPDO1_MAPPING, 0): 1, (cia402.RPDO1, 2): 1, (cia402.TPDO1_MAPPING, 0): 1, (cia402.TPDO1, 3): 20_000}
     for ending in (KeyboardInterrupt, LinkLost):
         drive = MappedDrive(had)

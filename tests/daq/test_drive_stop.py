@@ -1,4 +1,4 @@
-"""How the host lets go of a drive: its watch over our heartbeat ends at rest and not before."""
+"""Release of a drive: its watch over the host's heartbeat ends at rest and not before."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ WATCH = (cia402.CONSUMER_HEARTBEAT, 1)
 
 
 class FarEnd:
-    """A drive that answers at once and keeps the order of what it was told; it reports what it is made to report."""
+    """A drive that answers immediately and keeps the received frames in order; its reports are set by the test."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[int, bytes]] = []
+        self.received: list[tuple[int, bytes]] = []
         self.watched: list[tuple[int, float]] = []  # each write of 1016h, with the speed at that time
         self.rpm, self.state = 0, cia402.SWITCH_ON_DISABLED
         self.refused: set[int] = set()
@@ -86,7 +86,7 @@ class FarEnd:
             if self.deaf_to_beats and frame.arbitration_id == cia402.cob_heartbeat(CONFIG.host_node_id):
                 self.beats_refused += 1
                 raise LinkLost("no buffer space")
-            self.told.append((frame.arbitration_id, frame.data))
+            self.received.append((frame.arbitration_id, frame.data))
             if frame.arbitration_id == 0 and not self.deaf:
                 self.network = cia402.Heartbeat.OPERATIONAL
             if frame.arbitration_id == cia402.cob_sdo_request(CONFIG.node_id):
@@ -116,7 +116,7 @@ class FarEnd:
     def report(self, identifier: int, data: bytes) -> None:
         if self.silent:
             return
-        self.control.heed(self._answers.feed(slcan.encode(slcan.CanFrame(identifier, data))).frames)
+        self.control.take_frames(self._answers.feed(slcan.encode(slcan.CanFrame(identifier, data))).frames)
 
     def speak(self) -> None:
         if self.mute_reports:
@@ -131,24 +131,24 @@ class FarEnd:
 
     def controlwords(self) -> list[int]:
         pdo = cia402.cob_rpdo(1, CONFIG.node_id)
-        return [cia402.unpack_rpdo1(data)[0] for identifier, data in self.told if identifier == pdo]
+        return [cia402.unpack_rpdo1(data)[0] for identifier, data in self.received if identifier == pdo]
 
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.drivers.running_down._NO_SLOWER_S", 0.3)
-    monkeypatch.setattr("daq.drivers.running_down._REPEAT_S", 0.02)
+    monkeypatch.setattr("daq.drivers.run_down._MAX_CONSTANT_S", 0.3)
+    monkeypatch.setattr("daq.drivers.run_down._REPEAT_S", 0.02)
 
 
 def test_the_watch_ends_at_rest_and_the_heartbeat_after_it() -> None:
     far = FarEnd()
     far.runs(300)
-    assert far.told[0][0] == cia402.cob_heartbeat(CONFIG.host_node_id)  # it beats before it is watched
+    assert far.received[0][0] == cia402.cob_heartbeat(CONFIG.host_node_id)  # it beats before it is watched
     assert far.control.stop() is True
     assert [value & 0xFFFF for value, _ in far.watched] == [CONFIG.heartbeat_timeout_ms, 0]
     assert far.watched[-1] == (0, 0)
     assert far.controlwords()[-1] == cia402.DISABLE_VOLTAGE
-    assert far.told[-1] == (0, bytes([0x80, CONFIG.node_id]))
+    assert far.received[-1] == (0, bytes([0x80, CONFIG.node_id]))
 
 
 def test_a_rotor_that_does_not_stop_keeps_torque_and_watch() -> None:
@@ -212,7 +212,7 @@ def test_out_of_operation_it_is_stopped_through_its_objects() -> None:
     far.shows(cia402.Heartbeat.PRE_OPERATIONAL)
     far.control.quick_stop()
     assert (far.rpm, far.state) == (0, cia402.QUICK_STOP_ACTIVE)
-    assert (0, bytes([NMT_START, CONFIG.node_id])) in far.told[-3:]
+    assert (0, bytes([NMT_START, CONFIG.node_id])) in far.received[-3:]
     far.control.stop()
 
 
@@ -225,9 +225,9 @@ def test_a_drive_that_heeds_nothing_is_left_to_its_own_watch() -> None:
     for _ in range(10):
         far.control.quick_stop()
         clock.wait(0.05)
-    beats = [identifier for identifier, _ in far.told].count(cia402.cob_heartbeat(CONFIG.host_node_id))
+    beats = [identifier for identifier, _ in far.received].count(cia402.cob_heartbeat(CONFIG.host_node_id))
     clock.wait(3e-3 * CONFIG.heartbeat_ms)
-    now = [identifier for identifier, _ in far.told].count(cia402.cob_heartbeat(CONFIG.host_node_id))
+    now = [identifier for identifier, _ in far.received].count(cia402.cob_heartbeat(CONFIG.host_node_id))
     assert (far.rpm, now) == (50, beats)
 
 
@@ -283,13 +283,13 @@ def test_a_drive_that_keeps_its_torque_keeps_its_watch() -> None:
     far = FarEnd()
     far.runs(0)
     far.keeps_torque = True
-    told: list[str] = []
-    assert far.control.stop(told.append) is False
+    messages: list[str] = []
+    assert far.control.stop(messages.append) is False
     assert far.watched[-1][0] & 0xFFFF == CONFIG.heartbeat_timeout_ms
-    assert any("stays in QUICK STOP ACTIVE" in text for text in told)
+    assert any("stays in QUICK STOP ACTIVE" in text for text in messages)
 
 
-def test_torque_is_taken_away_until_the_drives_own_word_says_so() -> None:
+def test_the_command_to_remove_torque_is_repeated_until_the_drive_reports_it() -> None:
     far = FarEnd()
     far.runs(0)
     far.keeps_torque = True
@@ -302,7 +302,7 @@ def test_torque_is_taken_away_until_the_drives_own_word_says_so() -> None:
     assert far.control.stop() is True
 
 
-def test_a_silent_drive_is_told_and_not_believed_to_be_off() -> None:
+def test_a_silent_drive_is_commanded_and_not_assumed_to_be_off() -> None:
     for answers in ("nothing", "its objects"):
         far = FarEnd()
         far.runs(0)
@@ -311,12 +311,12 @@ def test_a_silent_drive_is_told_and_not_believed_to_be_off() -> None:
             far.control.disable()
             assert far.control.stop() is True
             continue
-        with pytest.raises(DeviceError, match="it does not answer: nobody can tell whether it has"):
+        with pytest.raises(DeviceError, match="it does not answer: the end of the torque is not confirmed"):
             far.control.disable()
         assert far.controlwords()[-1] == cia402.SHUTDOWN
-        told: list[str] = []
-        assert far.control.stop(told.append) is False
-        assert any("nobody can tell whether it has" in text for text in told)
+        messages: list[str] = []
+        assert far.control.stop(messages.append) is False
+        assert any("the end of the torque is not confirmed" in text for text in messages)
         assert far.controlwords()[-1] == cia402.DISABLE_VOLTAGE
         assert far.control._beat is None
 
@@ -338,7 +338,7 @@ def test_a_heartbeat_that_did_not_go_out_once_goes_on() -> None:
 
 
 def test_nothing_is_turned_while_the_heartbeat_does_not_go_out() -> None:
-    """A drive that was told to watch does so from the next heartbeat on: without one it watches nothing."""
+    """The watch of a drive begins with the next heartbeat after its set-up; without one it has no effect."""
     far = FarEnd()
     far.control.start()
     far.speak()
@@ -357,7 +357,7 @@ def test_a_fault_that_comes_on_the_way_is_its_operators() -> None:
     far.state = cia402.FAULT
     far._sdo.objects[cia402.ERROR_CODE, 0] = (0x2320, "<H")
     far.control._statusword = cia402.STATES[cia402.FAULT_REACTION][1]
-    far.control._word_ns = far.control._clock.now_ns()
+    far.control._reported_ns = far.control._clock.now_ns()
     threading.Timer(0.05, far.speak).start()
     with pytest.raises(DeviceError, match="error code is 0x2320"):
         far.control.enable()
@@ -365,18 +365,18 @@ def test_a_fault_that_comes_on_the_way_is_its_operators() -> None:
     far.control.stop()
 
 
-def test_a_drive_found_in_operation_is_told_to_stand() -> None:
+def test_a_drive_found_in_operation_gets_the_target_0() -> None:
     far = FarEnd()
     far.control.start()
     far.rpm, far.state = 300, cia402.OPERATION_ENABLED
     far.speak()
     far.control.enable()
-    orders = [d for i, d in far.told if i == cia402.cob_rpdo(1, CONFIG.node_id)]
+    orders = [d for i, d in far.received if i == cia402.cob_rpdo(1, CONFIG.node_id)]
     assert [cia402.unpack_rpdo1(d) for d in orders] == [(cia402.ENABLE_OPERATION, 0)]
     far.control.stop()
 
 
-def test_a_watch_over_another_nodes_heartbeat_is_none() -> None:
+def test_a_watch_over_another_nodes_heartbeat_does_not_count() -> None:
     far = FarEnd()
     far.control.start()
     far.speak()
@@ -404,7 +404,7 @@ def test_nothing_is_taken_from_a_drive_found_turning_when_its_set_up_fails() -> 
     assert far.watched[-1] == (0, 0)  # the watch, and at what speed it ended
 
 
-def test_a_silent_line_is_told_nothing() -> None:
+def test_a_silent_line_gets_no_command() -> None:
     far = FarEnd()
     far.deaf = True
     with pytest.raises(DeviceError, match="no answer"):
@@ -515,16 +515,16 @@ def test_a_drive_whose_answers_do_not_come_keeps_its_watch() -> None:
     far = FarEnd()
     far.runs(0)
     far.report = lambda identifier, data: None  # type: ignore[method-assign]
-    far.control._word_ns = 1  # its last report is long ago
+    far.control._reported_ns = 1  # its last report is long ago
     assert far.control.stop() is False
     assert [value & 0xFFFF for value, _ in far.watched] == [CONFIG.heartbeat_timeout_ms]
 
 
-def test_what_a_drive_said_long_ago_is_no_operation() -> None:
+def test_an_old_report_does_not_count_as_operation() -> None:
     far = FarEnd()
     far.runs(0)
     far.deaf_to_beats = False
-    far.control._word_ns = 1
+    far.control._reported_ns = 1
     far.speak = lambda: None  # type: ignore[method-assign]
     with pytest.raises(DeviceError, match="expected OPERATION ENABLED"):
         far.control.enable()
@@ -533,7 +533,7 @@ def test_what_a_drive_said_long_ago_is_no_operation() -> None:
 
 
 @pytest.mark.parametrize("watch", [0x0001_FFFF, 0x0081_01F4])
-def test_a_watch_that_is_far_too_patient_or_over_no_node_is_none(watch: int) -> None:
+def test_a_watch_with_a_far_too_long_timeout_or_without_a_node_does_not_count(watch: int) -> None:
     far = FarEnd()
     far.control.start()
     far.speak()

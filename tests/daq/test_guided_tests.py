@@ -136,7 +136,7 @@ def test_check_gives_a_verdict_per_device_and_exits_1_when_one_fails(
     assert "every angle would be scaled wrongly" in shown
     other = load_rig("virtual", settings=[*virtual_rig.port_settings(), "devices.encoder.counts_per_revolution=2048"])
     with (
-        pytest.raises(DeviceError, match="4096 counts per revolution, the rig file 2048"),
+        pytest.raises(DeviceError, match="4096 counts per revolution, the rig file states 2048"),
         Session(other, virtual_rig.clock) as session,
     ):
         Procedures(session, SimulatedOperator(virtual_rig.line), Path("never"), quiet).spin_down()
@@ -160,7 +160,7 @@ class FaultyDrive:
     def _hear(self, data: bytes) -> None:
         for frame in self._lines.feed(data).frames:
             if frame.arbitration_id == cia402.cob_sdo_request(5):
-                self.host.heed([slcan.CanFrame(cia402.cob_sdo_answer(5), self._sdo.answer(frame.data))])
+                self.host.take_frames([slcan.CanFrame(cia402.cob_sdo_answer(5), self._sdo.answer(frame.data))])
             elif frame.arbitration_id == cia402.cob_rpdo(1, 5):
                 word, before = cia402.unpack_rpdo1(frame.data)[0], self.control
                 self.control = word
@@ -174,7 +174,7 @@ class FaultyDrive:
 
     def _report(self) -> None:
         word = cia402.STATES[self.state][1]
-        self.host.heed([slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(word, 0))])
+        self.host.take_frames([slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(word, 0))])
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_a_fault_that_is_only_a_gone_hosts_is_reset_and_said(reason: dict) -> No
 
 @pytest.mark.parametrize(
     ("reason", "words"),
-    [({(0x603F, 0): (0x3220, "<H")}, "error code is 0x3220"), ({(0x1001, 0): (0x05, "<B")}, "does not tell why")],
+    [({(0x603F, 0): (0x3220, "<H")}, "error code is 0x3220"), ({(0x1001, 0): (0x05, "<B")}, "reports no cause")],
 )
 def test_any_other_fault_is_its_operators_to_mend(reason: dict, words: str) -> None:
     drive = FaultyDrive(reason)

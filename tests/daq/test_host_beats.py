@@ -1,4 +1,4 @@
-"""Heartbeats under the host's number that the host did not send: seen, and an adapter's echo is none of them."""
+"""Heartbeats under the host's number that the host did not send are detected; an adapter's echo does not count."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Bus:
 
 
 @pytest.mark.parametrize("phase_ms", [40.0, 60.0, 99.0])
-def test_another_node_that_bears_the_host_s_number_is_a_fault_within_three_beats_and_told_each_second(
+def test_another_node_with_the_host_s_number_is_a_fault_within_three_beats_and_reported_each_second(
     phase_ms: float,
 ) -> None:
     bus = Bus()
@@ -69,7 +69,7 @@ def test_one_in_step_with_the_host_is_seen_once_the_adapter_is_known_not_to_echo
 
 
 @pytest.mark.parametrize("late_ms", [0.3, 25.0])
-def test_an_adapter_that_hands_back_what_it_sends_is_none(late_ms: float) -> None:
+def test_the_echo_of_an_adapter_is_not_another_node(late_ms: float) -> None:
     bus = Bus()
     for count in range(200):
         stalled = 30.0 if count % 20 == 7 else 0.0  # a host that is late now and then
@@ -84,7 +84,7 @@ def test_another_node_behind_an_adapter_that_echoes_is_seen() -> None:
     assert bus.faults
 
 
-def test_who_only_listens_sees_the_host_s_heartbeat() -> None:
+def test_a_session_that_only_receives_gets_the_host_s_heartbeat() -> None:
     bus = Bus()
     for count in range(30):
         bus.at(100.0 * count, RX, BEAT + REPORT)

@@ -11,7 +11,7 @@ import pytest
 from daq.acquisition.interlock_table import CHANNELS, INTERLOCKS, SESSION, interlock
 from daq.acquisition.recorder import BACKLOG_BYTES
 from daq.drivers.items import Event
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words
 from rig_configs import load_rig
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits
@@ -37,7 +37,7 @@ def swings_out_of_sight(bench: Bench) -> None:
     """Last seen at 9 mm, then not any more: for less time than makes a sensor blind."""
     sensor = bench.rig.roles.along("x")
     assert sensor is not None
-    seen = optoncdt.code([0.5 * sensor.range_m + 9e-3 * sensor.lever_ratio], sensor.range_m)
+    seen = distance_words.code([0.5 * sensor.range_m + 9e-3 * sensor.lever_ratio], sensor.range_m)
     bench.fails("laser_x", "code", int(seen[0]))
     bench.pass_time(0.06)
     bench.fails("laser_x", "code", 262076)

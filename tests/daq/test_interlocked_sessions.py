@@ -156,7 +156,7 @@ def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig
 def test_a_rotor_that_still_turns_at_the_end_is_said(
     far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("daq.drivers.running_down._RUN_DOWN_S", 1.0)
+    monkeypatch.setattr("daq.drivers.run_down._MAX_RUN_DOWN_S", 1.0)
     said: list[str] = []
     still = "the rotor still turns"
     with pytest.raises(DeviceError, match=still), Session(rig, far_end.clock, say=said.append) as session:  # noqa: PT012

@@ -84,8 +84,8 @@ def test_a_line_that_only_looks_like_one_in_thinned_samples_is_none() -> None:
 
 
 def test_sentences_name_all_with_figures() -> None:
-    said = sentences("laser x", Wander(5.8e-6, 1.1), [SteadyLine(50.003, 3e-5), SteadyLine(150.0, 6e-6)])
-    assert said == [
+    found = sentences("laser x", Wander(5.8e-6, 1.1), [SteadyLine(50.003, 3e-5), SteadyLine(150.0, 6e-6)])
+    assert found == [
         "laser x wanders: 5.8 µm rms below 1 Hz, spectrum about 1/f",
         "laser x shows steady lines at 50.00 Hz, 30 µm: mains hum?; 150.00 Hz, 6 µm: mains hum?",
     ]

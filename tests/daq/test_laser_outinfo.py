@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from daq import channels
 from daq.drivers.items import RX, Batch
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.played import PlayedLaser
 from daq.drivers.optoncdt.settings import Laser
@@ -71,8 +72,8 @@ def test_without_an_identity_the_stream_is_made_of_the_rig_files_words() -> None
     items = pipeline.feed(RX, optoncdt.encode_block(np.column_stack(columns).astype(np.uint32)), 10**18)
     assert [n for item in items if isinstance(item, Batch) for n in item.columns["counter"].tolist()] == k.tolist()
     assert not any(pipeline.losses.values())
-    told = LaserPipeline("laser_x", config, channels.LASER_X, {"words": USUAL})  # what the log says goes before
-    assert told._decoder.words == tuple(USUAL)
+    laser_with_identity = LaserPipeline("laser_x", config, channels.LASER_X, {"words": USUAL})  # the log has priority
+    assert laser_with_identity._decoder.words == tuple(USUAL)
     played = PlayedLaser({}, Laser.model_validate({**RIG_TABLE, "words": words[1:]}))
     assert b"GETOUTINFO_RS422 DIST TIMESTAMP COUNTER" in played.hear(b"GETOUTINFO_RS422\n")
 
@@ -103,5 +104,5 @@ def test_words_that_give_no_samples_are_refused_by_the_rig_file(words: object) -
 def test_the_most_words_a_block_can_have_are_taken() -> None:
     names = ["DIST", "COUNTER", "TIMESTAMP", *(f"W{i}" for i in range(28))]
     config = Laser.model_validate({**RIG_TABLE, "words": names})
-    assert len(config.output_words) == optoncdt.MOST_WORDS
+    assert len(config.output_words) == sensor_answers.MAX_WORDS
     assert LaserPipeline("laser_x", config, channels.LASER_X, {})._decoder.words == config.output_words

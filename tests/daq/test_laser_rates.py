@@ -119,12 +119,12 @@ def test_at_any_rate_a_lost_byte_costs_at_most_two_samples(rate_Hz: float, block
 
 
 @pytest.mark.parametrize(
-    ("rate_Hz", "said"), [(300.0, "0.3"), (1500, "1.5"), (7500.0, "7.5"), (49_020.0, "49.02"), (20_000, "20")]
+    ("rate_Hz", "text"), [(300.0, "0.3"), (1500, "1.5"), (7500.0, "7.5"), (49_020.0, "49.02"), (20_000, "20")]
 )
-def test_the_rate_is_asked_for_in_kHz(rate_Hz: float, said: str) -> None:
+def test_the_rate_is_commanded_in_kHz(rate_Hz: float, text: str) -> None:
     sensor = HandMadeLaser()
     sensor.set_up(rate_Hz=rate_Hz)
-    assert f"MEASRATE {said}" in sensor.heard
+    assert f"MEASRATE {text}" in sensor.heard
 
 
 def test_a_rate_the_sensor_has_not_is_refused_in_its_own_words() -> None:
@@ -135,6 +135,6 @@ def test_a_rate_the_sensor_has_not_is_refused_in_its_own_words() -> None:
 
 
 @pytest.mark.parametrize("rate_Hz", [0, -1.0, 0.1, 60_000, float("nan"), float("inf"), "4 kHz", True])
-def test_a_rate_that_is_none_is_refused_by_the_rig_file(rate_Hz: object) -> None:
+def test_an_invalid_rate_is_refused_by_the_rig_file(rate_Hz: object) -> None:
     with pytest.raises(ValidationError, match="rate_Hz"):
         Laser.model_validate({"driver": "optoncdt", "port": "p", "axis": "x", "rate_Hz": rate_Hz})

@@ -1,4 +1,4 @@
-"""A laser that measures at another rate than its rig file is read all the same, and told."""
+"""A laser that measures at another rate than in its rig file is decoded correctly, and the rate is reported."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from daq import channels
 from daq.drivers.items import RX, Batch, Event
+from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.blocks import measure
 from daq.drivers.optoncdt.stream import LaserPipeline
@@ -16,13 +17,13 @@ from rig_configs import load_rig
 
 LASER = load_rig("virtual").devices["laser_x"]
 START_NS = 1_700_000_000_000_000_000
-_SETTLING = 8  # rows in which a beat that nobody announced shows
+_SETTLING = 8  # rows after which another sampling period is detected
 
 
 def stream(counters: np.ndarray, rate_Hz: float, tick0: int = 0) -> bytes:
     """Blocks of these samples, made at this rate; the first sample of all is counter 0 at `tick0`."""
     ticks = tick0 + np.rint(counters * (1e5 / rate_Hz)).astype(np.int64)
-    codes = optoncdt.code(np.full(len(counters), 0.0125), 0.025)
+    codes = distance_words.code(np.full(len(counters), 0.0125), 0.025)
     return optoncdt.encode_block(
         np.column_stack([codes, counters % 2**18, ticks & 0xFFFF, ticks >> 16 & 0xFFFF]).astype(np.uint32)
     )
@@ -82,9 +83,9 @@ def test_a_sensor_that_comes_back_at_another_rate_restarts_once_and_is_read_on(r
     assert len(ticks_of(after)) >= 1000 - _SETTLING
     assert [e.kind for e in after if isinstance(e, Event)].count("restart") == 1
     assert pipeline.losses["samples"] <= pipeline.losses["damaged"] <= _SETTLING
-    told = [e for e in after if isinstance(e, Event) and e.kind == "rate"]
-    assert told[0].facts["nominal_Hz"] == 4000
-    assert "the rig file says 4000" in told[0].text
+    reported = [e for e in after if isinstance(e, Event) and e.kind == "rate"]
+    assert reported[0].facts["nominal_Hz"] == 4000
+    assert "the rig file states 4000" in reported[0].text
 
 
 def test_a_rate_that_changes_while_the_sensor_measures_is_no_restart() -> None:
@@ -99,12 +100,12 @@ def test_a_rate_that_changes_while_the_sensor_measures_is_no_restart() -> None:
     assert not any(pipeline.losses.values())
 
 
-@given(st.lists(st.integers(0, optoncdt.CODE_MAX + 20), min_size=1), st.floats(1e-3, 0.5), st.floats(0.2, 5.0))
+@given(st.lists(st.integers(0, distance_words.CODE_MAX + 20), min_size=1), st.floats(1e-3, 0.5), st.floats(0.2, 5.0))
 def test_compiled_displacement_is_that_of_the_protocol_bit_by_bit(
     codes: list[int], range_m: float, to_disk: float
 ) -> None:
     words = np.array(codes, np.uint32)
     found, invalid = measure(words, range_m, to_disk)
-    expected = (optoncdt.metres(words, range_m) - 0.5 * range_m) * to_disk
+    expected = (distance_words.metres(words, range_m) - 0.5 * range_m) * to_disk
     assert found.tobytes() == expected.tobytes()
-    assert invalid == np.count_nonzero(words > optoncdt.CODE_MAX)
+    assert invalid == np.count_nonzero(words > distance_words.CODE_MAX)

@@ -10,6 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from daq import channels
 from daq.drivers.items import RX, Batch
+from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.blocks import measure
 from daq.drivers.optoncdt.far_end import SimulatedLaser
@@ -22,7 +23,7 @@ from tests.daq.hand_made_laser import HandMadeLaser
 
 START_NS = 1_700_000_000_000_000_000
 RANGE_M = 0.025
-ERRORS = [*optoncdt.ERROR_CODES]
+ERRORS = [*distance_words.ERROR_CODES]
 RIG_TABLE = {"driver": "optoncdt", "port": "p", "axis": "x"}
 
 
@@ -62,37 +63,39 @@ def test_words_above_the_valid_ones_are_no_readings_for_either_scaling() -> None
         assert pipeline.losses["invalid"] == np.count_nonzero(codes > most)
 
 
-def test_a_log_that_does_not_tell_its_scaling_is_decoded_as_ever() -> None:
+def test_a_log_without_a_scaling_is_decoded_with_the_default() -> None:
     codes = np.random.default_rng(3).integers(0, 65_600, 500)
     expected = np.where(codes <= 65_520, (102.0 / 65_520 * codes - 1.0) * RANGE_M / 100.0, np.nan) - 0.5 * RANGE_M
     for identity in ({}, {"name": "ILD1900-25"}, {"scaling": "ILD1420"}):
         assert displacement(laser(identity), codes).tobytes() == expected.tobytes()
 
 
-def test_without_an_identity_the_rig_file_tells() -> None:
+def test_without_an_identity_the_rig_file_decides() -> None:
     assert displacement(laser(scaling="ILD1900"), [131_000] * 20) == pytest.approx(0.0, abs=1e-12)
-    told = laser({"scaling": "ILD1420"}, scaling="ILD1900")  # what the log says goes before
-    assert np.isnan(displacement(told, [131_000] * 20)).all()
+    laser_with_identity = laser({"scaling": "ILD1420"}, scaling="ILD1900")  # the log has priority
+    assert np.isnan(displacement(laser_with_identity, [131_000] * 20)).all()
 
 
 @pytest.mark.parametrize("scaling", ["ILD1402", "", 1420, None, ["ILD1420"], {}])
-def test_a_scaling_that_is_none_is_refused_in_words(scaling: object) -> None:
+def test_an_invalid_scaling_is_refused_with_a_message(scaling: object) -> None:
     with pytest.raises(DeviceError, match=r"laser_x: expected .*ILD1420, ILD1900.*got"):
         laser({"scaling": scaling})
     with pytest.raises(LogError, match=r"ILD1420, ILD1900"):
         PlayedLaser({"scaling": scaling}, Laser.model_validate(RIG_TABLE))
 
 
-@pytest.mark.parametrize("name", sorted(optoncdt.SCALINGS))
+@pytest.mark.parametrize("name", sorted(distance_words.SCALINGS))
 def test_words_and_metres_are_inverse(name: str) -> None:
-    scaling = optoncdt.SCALINGS[name]
+    scaling = distance_words.SCALINGS[name]
     codes = np.arange(scaling.most + 1, dtype=np.uint32)
     for range_m in (0.002, 0.025, 0.5):
-        assert np.array_equal(optoncdt.code(optoncdt.metres(codes, range_m, scaling), range_m, scaling), codes)
+        assert np.array_equal(
+            distance_words.code(distance_words.metres(codes, range_m, scaling), range_m, scaling), codes
+        )
 
 
 @given(
-    st.sampled_from(sorted(optoncdt.SCALINGS)),
+    st.sampled_from(sorted(distance_words.SCALINGS)),
     arrays(np.uint32, 20, elements=st.integers(0, 2**18 - 1)),
     st.floats(1e-3, 0.5),
     st.floats(0.2, 5.0),
@@ -100,9 +103,9 @@ def test_words_and_metres_are_inverse(name: str) -> None:
 def test_compiled_and_plain_scaling_agree_bit_by_bit(
     name: str, codes: np.ndarray, range_m: float, to_disk: float
 ) -> None:
-    scaling = optoncdt.SCALINGS[name]
+    scaling = distance_words.SCALINGS[name]
     found, invalid = measure(codes, range_m, to_disk, scaling)
-    expected = (optoncdt.metres(codes, range_m, scaling) - 0.5 * range_m) * to_disk
+    expected = (distance_words.metres(codes, range_m, scaling) - 0.5 * range_m) * to_disk
     assert found.tobytes() == expected.tobytes()
     assert invalid == np.count_nonzero(codes > scaling.most)
 
@@ -131,7 +134,7 @@ def test_a_lone_jump_is_marked_above_the_1420s_words_too() -> None:
         ("ILD1900-2", "ILD1900"),
     ],
 )
-def test_the_name_tells_the_scaling(name: str, scaling: str) -> None:
+def test_the_scaling_is_derived_from_the_name(name: str, scaling: str) -> None:
     assert HandMadeLaser(name).set_up()["scaling"] == scaling
 
 
@@ -181,12 +184,12 @@ def test_a_simulated_sensor_is_of_the_model_whose_scaling_the_rig_file_forces(sc
     config = Laser.model_validate({**RIG_TABLE, "scaling": scaling})
     rng = np.random.default_rng(1)
     far_end = SimulatedLaser(config, np.array([1.0, 0.0]), 0.0, 0.0, DeviceClock(0.0, 0.0), rng, serial="1")
-    info = optoncdt.parse_info(far_end.receive(b"GETINFO\n").decode().splitlines())
+    info = sensor_answers.parse_info(far_end.receive(b"GETINFO\n").decode().splitlines())
     assert info["name"] == (scaling or "ILD1420")
     seen = np.array([-0.005, 0.0, 0.005])
     codes = far_end._words(seen, np.arange(3), np.arange(3) * 1e-3)[:, 0]
-    model = optoncdt.SCALINGS[info["name"]]
-    assert optoncdt.metres(codes, RANGE_M, model) - RANGE_M / 2 == pytest.approx(seen, abs=1e-6)
+    model = distance_words.SCALINGS[info["name"]]
+    assert distance_words.metres(codes, RANGE_M, model) - RANGE_M / 2 == pytest.approx(seen, abs=1e-6)
 
 
 def test_a_played_sensor_without_a_name_bears_that_of_its_scaling() -> None:

@@ -14,26 +14,27 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.channels import suspects
 from daq.drivers.items import RX, Batch, Event
+from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from rig_configs import load_rig
 
-STEP_M = 0.025 * 1.02 / optoncdt.CODE_MAX
+STEP_M = 0.025 * 1.02 / distance_words.CODE_MAX
 MIDDLE = 32_760
 START_NS = 1_700_000_000_000_000_000
 
 
 def marked(codes: NDArray[np.floating], invalid: NDArray[np.bool_] | None = None) -> NDArray[np.intp]:
     """Which samples are marked in a stream of codes, in one read."""
-    words = np.clip(np.rint(codes), 0, optoncdt.CODE_MAX).astype(np.uint32)
+    words = np.clip(np.rint(codes), 0, distance_words.CODE_MAX).astype(np.uint32)
     if invalid is not None:
         words[invalid] = 262_078
     return np.flatnonzero(suspects(SpikeWatch().feed(words, np.arange(len(words)) % optoncdt.COUNTER_WRAP)))
 
 
 def pluck(time: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Held for half a second, let go, every ten seconds; m."""
+    """Held for half a second and released, every ten seconds; m."""
     t = np.mod(time, 10.0) - 0.5
     free = 5e-3 * np.exp(-1.2 * t) * np.cos(58.4 * t) + 0.5e-3 * np.exp(-t) * np.sin(188.5 * t)
     return np.where(t < 0, 5e-3, free)
@@ -69,7 +70,7 @@ def test_no_real_motion_is_marked(rate: int, motion, noise_codes: float) -> None
 def test_leaving_the_range_at_resonance_marks_nothing() -> None:
     time = np.arange(160_000) / 4000
     codes = MIDDLE + 1.3 * run_up(time) / STEP_M + np.random.default_rng(3).standard_normal(len(time))
-    beyond = (codes < 0) | (codes > optoncdt.CODE_MAX)
+    beyond = (codes < 0) | (codes > distance_words.CODE_MAX)
     assert beyond.any()
     assert len(marked(codes, beyond)) == 0
 
@@ -89,7 +90,7 @@ def test_flipped_bits_are_marked_from_some_size_on(rate: int, noise_codes: float
     for bit in range(least_bit, 16):
         flipped = words.copy()
         flipped[places] ^= 1 << bit
-        seen = places[flipped[places] <= optoncdt.CODE_MAX]  # the others are error codes
+        seen = places[flipped[places] <= distance_words.CODE_MAX]  # the others are error codes
         found = marked(flipped)
         assert len(np.setdiff1d(found, places)) == 0
         assert len(np.intersect1d(found, seen)) > 0.9 * len(seen)
@@ -116,8 +117,8 @@ def test_the_flags_do_not_depend_on_the_reads(cuts: list[int], places: set[int],
         pipeline = laser()
         items = [item for i, part in enumerate(parts) for item in pipeline.feed(RX, part, START_NS + i)]
         found = [int(flag) for item in items if isinstance(item, Batch) for flag in item.columns["flags"]]
-        told = sum(item.facts["suspect"] for item in items if isinstance(item, Event) and item.kind == "suspect")
-        assert pipeline.losses["suspect"] == told == sum(found)
+        reported = sum(item.facts["suspect"] for item in items if isinstance(item, Event) and item.kind == "suspect")
+        assert pipeline.losses["suspect"] == reported == sum(found)
         return found
 
     edges = [0, *sorted(cut * 5 % len(data) for cut in cuts), len(data)]
@@ -138,7 +139,7 @@ def test_a_false_sample_is_kept_as_it_came_marked_and_counted() -> None:
     assert {kind: n for kind, n in pipeline.losses.items() if n} == {"suspect": 1}
 
 
-def test_identification_sees_no_marked_sample_and_the_log_keeps_it(tmp_path: Path) -> None:
+def test_identification_excludes_marked_samples_and_the_log_keeps_them(tmp_path: Path) -> None:
     from daq.log import open_log
     from daq.log.file import LogFile
     from daq.log.losses import losses_of

@@ -1,4 +1,4 @@
-"""Text on a laser's line: whatever it says and wherever it stands, the stream decides what its words are."""
+"""Text on a laser's line: for any content and position, the stream decides its words."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from daq import channels
 from daq.drivers.items import RX, Batch, Event
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import DEFAULT_WORDS, LaserPipeline
 from daq.errors import DeviceError
@@ -32,7 +33,7 @@ def answer(*names: str) -> bytes:
 
 def stream(names: tuple[str, ...] | list[str], counter: np.ndarray) -> bytes:
     """Blocks of these outputs at 4 kHz, the distance growing with the counter."""
-    words = optoncdt.parse_outinfo(" ".join(("GETOUTINFO_RS422", *names)))
+    words = sensor_answers.parse_outinfo(" ".join(("GETOUTINFO_RS422", *names)))
     ticks = 25 * counter
     columns = {
         "DIST": 30_000 + 3 * counter % 1000,
@@ -73,9 +74,9 @@ USUAL = ("DIST", "COUNTER", "TIMESTAMP")
 @example(["DIST"], 40, [])
 @example(["DIST", "TIMESTAMP", "COUNTER"], 40, [])
 @example(["NONE"], 40, [])
-def test_an_answer_that_is_not_true_costs_nothing(told: list[str], at: int, cuts: list[int]) -> None:
+def test_an_answer_that_is_not_true_costs_nothing(announced: list[str], at: int, cuts: list[int]) -> None:
     # three blocks behind an answer decide; fewer, at a log's very end, wait undecoded
-    data = stream(USUAL, K[:at]) + answer(*told) + stream(USUAL, K[at:])
+    data = stream(USUAL, K[:at]) + answer(*announced) + stream(USUAL, K[at:])
     laser = pipeline()
     rows, events = fed(split(data, cuts), laser)
     assert [row[1] for row in rows] == (K % 2**18).tolist()
@@ -85,7 +86,7 @@ def test_an_answer_that_is_not_true_costs_nothing(told: list[str], at: int, cuts
 
 
 @pytest.mark.parametrize(
-    "told",
+    "announced",
     [
         ("DIST", "TIMESTAMP", "COUNTER"),
         ("DIST", "INTENSITY", "COUNTER", "TIMESTAMP"),
@@ -96,18 +97,18 @@ def test_an_answer_that_is_not_true_costs_nothing(told: list[str], at: int, cuts
     ],
 )
 @pytest.mark.parametrize("cut", [1, 13, 10_000])
-def test_a_true_answer_holds_from_its_own_place_on(told: tuple[str, ...], cut: int) -> None:
-    data = stream(USUAL, K[:40]) + answer(*told) + stream(told, K[40:])
+def test_a_true_answer_holds_from_its_own_place_on(announced: tuple[str, ...], cut: int) -> None:
+    data = stream(USUAL, K[:40]) + answer(*announced) + stream(announced, K[40:])
     laser = pipeline()
     rows, events = fed([data[i : i + cut] for i in range(0, len(data), cut)], laser)
     assert [row[:3] for row in rows] == [(30_000 + 3 * k % 1000, k % 2**18, 25 * k) for k in K.tolist()]
     assert not any(laser.losses.values())
-    changed = optoncdt.parse_outinfo("GETOUTINFO_RS422 " + " ".join(told)) != DEFAULT_WORDS
+    changed = sensor_answers.parse_outinfo("GETOUTINFO_RS422 " + " ".join(announced)) != DEFAULT_WORDS
     assert [event.kind for event in events].count("words") == changed
 
 
 @pytest.mark.parametrize(
-    "told",
+    "announced",
     [
         ("DIST",),
         ("DIST", "COUNTER"),
@@ -116,9 +117,9 @@ def test_a_true_answer_holds_from_its_own_place_on(told: tuple[str, ...], cut: i
         ("DIST", "STATE", "SHUTTER", "TEMP"),
     ],
 )
-def test_words_without_counter_and_timestamp_are_counted_as_unusable(told: tuple[str, ...]) -> None:
+def test_words_without_counter_and_timestamp_are_counted_as_unusable(announced: tuple[str, ...]) -> None:
     laser = pipeline()
-    rows, events = fed([stream(USUAL, K[:40]) + answer(*told) + stream(told, K[40:])], laser)
+    rows, events = fed([stream(USUAL, K[:40]) + answer(*announced) + stream(announced, K[40:])], laser)
     assert len(rows) == 40
     assert {name: n for name, n in laser.losses.items() if n} == {"unusable": 40}
     assert any("no samples without" in event.text for event in events)
@@ -126,8 +127,10 @@ def test_words_without_counter_and_timestamp_are_counted_as_unusable(told: tuple
 
 @settings(max_examples=40, deadline=None)
 @given(ORDERS, ORDERS, st.data())
-def test_no_words_and_no_text_invent_losses_or_break_it(true: list[str], told: list[str], data: st.DataObject) -> None:
-    wire = bytearray(stream(USUAL, K[:20]) + answer(*told) + stream(true, K[20:]) + stream(USUAL, K[:9] + 80))
+def test_no_words_and_no_text_invent_losses_or_break_it(
+    true: list[str], announced: list[str], data: st.DataObject
+) -> None:
+    wire = bytearray(stream(USUAL, K[:20]) + answer(*announced) + stream(true, K[20:]) + stream(USUAL, K[:9] + 80))
     for place in data.draw(st.lists(st.integers(0, len(wire) - 1), max_size=3)):
         how = data.draw(st.sampled_from(["flip", "drop", "answer", "half an answer"]))
         if how == "flip":
@@ -135,7 +138,7 @@ def test_no_words_and_no_text_invent_losses_or_break_it(true: list[str], told: l
         elif how == "drop":
             del wire[place % len(wire)]
         else:
-            wire[place:place] = answer(*told)[: None if how == "answer" else 25]
+            wire[place:place] = answer(*announced)[: None if how == "answer" else 25]
     cuts = data.draw(st.lists(st.integers(0, len(wire)), max_size=20))
     whole, by_byte, parts = pipeline(), pipeline(), pipeline()
     rows, _ = fed([bytes(wire)], whole)
@@ -154,7 +157,7 @@ def test_a_gap_longer_than_the_host_waited_is_a_restart_and_no_loss() -> None:
 
 @pytest.mark.parametrize("seconds", [2.3, 7.0, 29.0])
 @pytest.mark.parametrize("first", [0, 70_000, 250_000])
-def test_a_gap_that_a_busy_host_saw_late_is_a_loss_and_no_restart(seconds: float, first: int) -> None:
+def test_a_gap_that_a_busy_host_read_late_is_a_loss_not_a_restart(seconds: float, first: int) -> None:
     laser = pipeline()
     k, lost = np.arange(first, first + 80), round(4000 * seconds)
     rows, events = fed([stream(USUAL, k), stream(USUAL, k + 80 + lost)], laser)  # within a few milliseconds
@@ -204,13 +207,13 @@ def test_an_endless_flow_of_answers_keeps_nothing() -> None:
         {"range_m": None},
     ],
 )
-def test_an_identity_that_is_none_is_refused_in_words(identity: dict[str, object]) -> None:
+def test_an_invalid_identity_is_refused_with_a_message(identity: dict[str, object]) -> None:
     with pytest.raises(DeviceError, match="laser_x: expected"):
         pipeline(identity)
 
 
 def test_the_distance_is_found_wherever_it_stands() -> None:
-    words = optoncdt.parse_outinfo
+    words = sensor_answers.parse_outinfo
     assert words("GETOUTINFO_RS422 LINEAR COUNTER")[0] == "DIST"
     assert words("GETOUTINFO_RS422 COUNTER DIST_RAW DIST1") == ("COUNTER", "DIST_RAW", "DIST")
     assert "DIST" not in words("GETOUTINFO_RS422 SHUTTER INTENSITY")

@@ -8,6 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt import wire as nc
 from daq.errors import DeviceError
 
@@ -145,19 +146,25 @@ def test_words_can_change():
 
 
 def test_scaling_at_the_marks():
-    marks = nc.metres([0, 642.3529411764706, 65520], 0.025)
+    marks = distance_words.metres([0, 642.3529411764706, 65520], 0.025)
     assert marks == pytest.approx([-0.00025, 0.0, 0.02525], abs=1e-12)
-    assert nc.metres(np.array([[32760]]), 0.025) == pytest.approx(np.array([[0.0125]]))
-    assert np.isnan(nc.metres([65521, *nc.ERROR_CODES], 0.025)).all()
+    assert distance_words.metres(np.array([[32760]]), 0.025) == pytest.approx(np.array([[0.0125]]))
+    assert np.isnan(distance_words.metres([65521, *distance_words.ERROR_CODES], 0.025)).all()
 
 
-@given(arrays(np.uint32, 20, elements=st.integers(0, nc.CODE_MAX)), st.sampled_from([0.01, 0.025, 0.5]))
+@given(arrays(np.uint32, 20, elements=st.integers(0, distance_words.CODE_MAX)), st.sampled_from([0.01, 0.025, 0.5]))
 def test_code_inverts_metres(codes, range_m):
-    assert np.array_equal(nc.code(nc.metres(codes, range_m), range_m), codes)
+    assert np.array_equal(distance_words.code(distance_words.metres(codes, range_m), range_m), codes)
 
 
 def test_what_is_not_seen_has_its_error_code():
-    assert nc.code([np.nan, -1.0, 1.0, -np.inf, np.inf], 0.025).tolist() == [262076, 262077, 262078, 262077, 262078]
+    assert distance_words.code([np.nan, -1.0, 1.0, -np.inf, np.inf], 0.025).tolist() == [
+        262076,
+        262077,
+        262078,
+        262077,
+        262078,
+    ]
 
 
 def test_timestamp():
@@ -174,15 +181,24 @@ def test_encode_refuses_what_does_not_fit():
 
 def test_parse_info():
     lines = ["Name:       ILD1420-25", "Serial:  01234567", "Measuring range: 25.00mm", "Version: 001.013", "->"]
-    assert nc.parse_info(lines) == {"name": "ILD1420-25", "serial": "01234567", "range_m": 0.025, "version": "001.013"}
+    assert sensor_answers.parse_info(lines) == {
+        "name": "ILD1420-25",
+        "serial": "01234567",
+        "range_m": 0.025,
+        "version": "001.013",
+    }
     for broken in ([], ["Measuring range: wide"], ["Measuring range: 0.00mm"]):
         with pytest.raises(DeviceError, match="Measuring range"):
-            nc.parse_info(broken)
+            sensor_answers.parse_info(broken)
 
 
 def test_parse_outinfo():
-    assert nc.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP") == WORDS
-    assert nc.parse_outinfo("GETOUTINFO_RS422 DIST1, TIMESTAMP ok") == ("DIST", "TIMESTAMP_LO", "TIMESTAMP_HI")
+    assert sensor_answers.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP") == WORDS
+    assert sensor_answers.parse_outinfo("GETOUTINFO_RS422 DIST1, TIMESTAMP ok") == (
+        "DIST",
+        "TIMESTAMP_LO",
+        "TIMESTAMP_HI",
+    )
     for broken in ("", "E202 Access denied", "GETOUTINFO_RS422", "GETOUTINFO_RS422 NONE"):
         with pytest.raises(DeviceError, match="GETOUTINFO_RS422"):
-            nc.parse_outinfo(broken)
+            sensor_answers.parse_outinfo(broken)

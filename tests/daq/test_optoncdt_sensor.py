@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines, outputs_of
 
-INFO = optoncdt.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
+INFO = sensor_answers.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
 
 
 def sensor(fixed: bool = False) -> SensorCommands:
@@ -44,7 +44,7 @@ def test_a_command_and_its_answer(command: bytes, answer: list[str]) -> None:
     assert lines(sensor().receive(command)) == answer
 
 
-def test_without_the_echo_only_what_was_asked_comes_back() -> None:
+def test_without_the_echo_only_requested_values_are_answered() -> None:
     quiet = sensor()
     assert lines(quiet.receive(b"ECHO OFF\n")) == []
     assert lines(quiet.receive(b"MEASRATE 2\n")) == []
@@ -52,16 +52,18 @@ def test_without_the_echo_only_what_was_asked_comes_back() -> None:
     assert lines(quiet.receive(b"ECHO ON\n")) == ["ECHO ON ok"]
 
 
-def test_what_it_was_told_is_what_it_will_do() -> None:
+def test_commands_change_the_state_of_the_sensor() -> None:
     happened: list[str] = []
-    told = SensorCommands(
+    commands = SensorCommands(
         [], 4000.0, rate_set=lambda: happened.append("rate"), counter_reset=lambda: happened.append("counter")
     )
-    told.receive(b"MEASRATE 1\nOUTADD_RS422 TIMESTAMP COUNTER\nRESETCNT MEASCNT\nRESETCNT TIMESTAMP\nOUTPUT RS422\n")
-    assert (told.rate_Hz, told.outputs, told.streaming) == (1000.0, ("COUNTER", "TIMESTAMP"), True)
+    commands.receive(
+        b"MEASRATE 1\nOUTADD_RS422 TIMESTAMP COUNTER\nRESETCNT MEASCNT\nRESETCNT TIMESTAMP\nOUTPUT RS422\n"
+    )
+    assert (commands.rate_Hz, commands.outputs, commands.streaming) == (1000.0, ("COUNTER", "TIMESTAMP"), True)
     assert happened == ["rate", "counter"]
-    told.receive(b"OUTADD_RS422 NONE\nOUTPUT NONE\n")
-    assert (told.outputs, told.streaming) == ((), False)
+    commands.receive(b"OUTADD_RS422 NONE\nOUTPUT NONE\n")
+    assert (commands.outputs, commands.streaming) == ((), False)
 
 
 def test_a_stream_that_is_what_it_is_takes_no_other_rate_and_no_other_words() -> None:
@@ -78,20 +80,20 @@ def test_a_stream_that_is_what_it_is_takes_no_other_rate_and_no_other_words() ->
 
 @given(st.lists(st.sampled_from(["COUNTER", "TIMESTAMP", "SHUTTER", "INTENSITY"]), unique=True))
 def test_words_and_outputs_are_inverse(outputs: list[str]) -> None:
-    words = optoncdt.parse_outinfo(" ".join(["GETOUTINFO_RS422 DIST", *outputs]))
+    words = sensor_answers.parse_outinfo(" ".join(["GETOUTINFO_RS422 DIST", *outputs]))
     assert outputs_of(words) == tuple(outputs)
 
 
 @given(st.integers(1, 10**9))
 def test_the_range_comes_back_bit_for_bit(nanometres: int) -> None:
     range_m = float(f"{nanometres / 1e6:.6f}") / 1000.0  # as it was read from some sensor's answer
-    assert optoncdt.parse_info(info_lines({**INFO, "range_m": range_m})) == {**INFO, "range_m": range_m}
+    assert sensor_answers.parse_info(info_lines({**INFO, "range_m": range_m})) == {**INFO, "range_m": range_m}
 
 
 def test_a_name_is_one_line_of_the_sensors_alphabet() -> None:
-    told = info_lines({**INFO, "name": "A\r\n->\nMeasuring range: 99.00mm µ"})
-    assert len(told) == 4
-    assert told[0] == "Name: A??->?Measuring range: 99.00mm ?"
+    lines = info_lines({**INFO, "name": "A\r\n->\nMeasuring range: 99.00mm µ"})
+    assert len(lines) == 4
+    assert lines[0] == "Name: A??->?Measuring range: 99.00mm ?"
 
 
 @given(st.binary(max_size=300), st.lists(st.integers(1, 30), min_size=1))

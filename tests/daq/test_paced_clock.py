@@ -1,4 +1,4 @@
-"""A clock of two processes that stands while either is late: on made-up time, and around a rig that is stopped."""
+"""A clock of two processes that stops while either is late: on simulated time, and around a rig that is stopped."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from daq.transports.wires import PtyWire
 from rig_configs import load_rig
 
 RATE = 8.0
-AHEAD_S, GONE_S, ALONE_S = paced_clock._AHEAD_S, paced_clock._GONE_S, paced_clock._ALONE_S
+STEP_S, HOST_GONE_S, RIG_GONE_S = paced_clock._STEP_S, paced_clock._HOST_GONE_S, paced_clock._RIG_GONE_S
 on_ptys = pytest.mark.skipif(sys.platform == "win32", reason="ptys and signals need POSIX")
 
 
@@ -57,7 +57,7 @@ class Two:
         self.start_ns = self.host.now_ns()
 
     def passed_s(self) -> float:
-        """Rig time since the beginning, as the rig sees it, s."""
+        """Rig time since the beginning by the rig's clock, s."""
         return (self.rig.now_ns() - self.start_ns) * 1e-9
 
     def go(self, wall_s: float, looks: bool = True, held_up: bool = False, steps: bool = True) -> float:
@@ -90,7 +90,7 @@ def two() -> Iterator[Two]:
         yield both
 
 
-def test_time_passes_at_its_rate_in_both_processes_where_nobody_is_late(two: Two) -> None:
+def test_time_passes_at_its_rate_in_both_processes_while_neither_is_late(two: Two) -> None:
     assert two.go(10.0) == pytest.approx(80.0, abs=1e-6)
     assert two.host.now_ns() == two.rig.now_ns()
     assert two.host.wall_s() == pytest.approx(two.host.now_ns() * 1e-9 / RATE)
@@ -98,19 +98,19 @@ def test_time_passes_at_its_rate_in_both_processes_where_nobody_is_late(two: Two
 
 def test_time_stands_while_the_rig_is_late_and_goes_on_from_there(two: Two) -> None:
     two.go(1.0)
-    assert two.go(1.0, steps=False) <= RATE * AHEAD_S + 1e-6
+    assert two.go(1.0, steps=False) <= RATE * STEP_S + 1e-6
     assert two.go(1.0) == pytest.approx(RATE, rel=0.003)
 
 
 def test_time_stands_while_bytes_wait_for_the_host(two: Two) -> None:
     two.go(1.0)
-    assert two.go(5.0, held_up=True) <= RATE * AHEAD_S + 1e-6
+    assert two.go(5.0, held_up=True) <= RATE * STEP_S + 1e-6
     assert two.go(1.0) == pytest.approx(RATE, rel=0.003)
 
 
 def test_time_stands_while_the_host_does_not_look_but_not_for_one_that_has_gone(two: Two) -> None:
     two.go(1.0)
-    assert two.go(GONE_S - 0.01, looks=False) <= 2 * RATE * AHEAD_S + 1e-6
+    assert two.go(HOST_GONE_S - 0.01, looks=False) <= 2 * RATE * STEP_S + 1e-6
     assert two.go(2.0, looks=False) > RATE * 1.9
 
 
@@ -118,10 +118,10 @@ def test_time_passes_again_where_the_rig_has_died_and_waits_come_to_their_ends(t
     two.go(1.0)
     before = two.time.now_s
     two.host.sleep(2 * RATE)
-    assert two.time.now_s - before == pytest.approx(ALONE_S + 2.0, abs=0.001)
+    assert two.time.now_s - before == pytest.approx(RIG_GONE_S + 2.0, abs=0.001)
 
 
-def test_a_sleep_is_as_long_as_rig_time_tells_it(two: Two) -> None:
+def test_a_sleep_lasts_its_duration_in_rig_time(two: Two) -> None:
     two.go(1.0)
     begun_ns = two.host.now_ns()
     two.host.sleep(1.0)  # no word of the rig: 0.2 s pass, then it takes until the rig counts as gone
@@ -129,9 +129,9 @@ def test_a_sleep_is_as_long_as_rig_time_tells_it(two: Two) -> None:
     two.host.sleep(-1.0)
 
 
-def test_time_never_stands_for_whoever_does_not_share_it(two: Two) -> None:
+def test_time_does_not_stop_for_programs_that_do_not_share_it(two: Two) -> None:
     two.go(1.0)
-    two.go(GONE_S + 0.1, looks=False)
+    two.go(HOST_GONE_S + 0.1, looks=False)
     assert two.go(1.0, looks=False, held_up=True) == pytest.approx(RATE)
     assert two.go(0.5, looks=False, steps=False) == pytest.approx(0.5 * RATE)  # its rig catches up, too
 
@@ -146,7 +146,7 @@ def test_time_never_steps_back_nor_runs_faster_than_its_rate(steps: list[tuple[f
                 assert two.host.now_ns() == two.rig.now_ns()
             if what != "look":
                 before = two.rig.now_ns()
-                two.rig.go_on(lambda: what == "held up")  # noqa: B023 (asked at once)
+                two.rig.go_on(lambda: what == "held up")  # noqa: B023 (called at once)
                 assert abs(two.rig.now_ns() - before) <= 1
             now_ns = two.rig.now_ns()
             assert -1 <= now_ns - last_ns <= RATE * 1e9 * (two.time.now_s - last_s) + 10
@@ -169,7 +169,7 @@ def test_a_cable_holds_time_up_until_its_host_has_fetched_all_or_does_not_fetch(
         assert not wire.held_up()
         wire.send(b"y")
         assert _soon(wire.held_up)
-        time.now_s += 0.6  # nobody reads it …
+        time.now_s += 0.6  # no program reads it …
         assert not wire.held_up()
         wire.send(b"z")
         assert not wire.held_up()
@@ -178,7 +178,7 @@ def test_a_cable_holds_time_up_until_its_host_has_fetched_all_or_does_not_fetch(
             fetched += len(link.read(1.0))
         assert not wire.held_up()
         wire.send(b"z")
-        assert _soon(wire.held_up)  # … until somebody does
+        assert _soon(wire.held_up)  # … until one does
         link.close()
         wire.close()
 

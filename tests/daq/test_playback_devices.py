@@ -18,6 +18,7 @@ from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.played import PlayedDrive
 from daq.drivers.items import RX, TX
 from daq.drivers.optoncdt import dialogue as lasers
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.played import PlayedLaser, WholeBlocks
 from daq.drivers.rotorlink import wire as rotorlink
@@ -119,12 +120,12 @@ def test_our_own_set_up_finds_the_sensor_of_the_log() -> None:
     assert laser.unfollowed == 0
 
 
-def test_a_corrected_range_is_not_what_the_sensor_says() -> None:
+def test_a_corrected_range_is_not_the_reported_one() -> None:
     laser = PlayedLaser({**IDENTITY, "range_m": 0.02503, "told_range_m": 0.025}, LASER)
     assert b"Measuring range: 25.00mm\r\n" in laser.hear(b"GETINFO\n")
 
 
-def test_of_a_sensor_that_was_never_asked_the_rig_file_tells() -> None:
+def test_the_rig_file_replaces_a_missing_identity() -> None:
     laser = PlayedLaser({}, LASER)
     talk = Asking(laser)
     identity = lasers.configure("laser_x", LASER, talk)
@@ -134,7 +135,7 @@ def test_of_a_sensor_that_was_never_asked_the_rig_file_tells() -> None:
         "serial": "unknown",
         "version": "unknown",
         "range_m": LASER.range_m,
-        "words": list(optoncdt.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP")),
+        "words": list(sensor_answers.parse_outinfo("GETOUTINFO_RS422 DIST COUNTER TIMESTAMP")),
     }
 
 
@@ -145,7 +146,7 @@ def test_a_log_has_no_other_rate() -> None:
         lasers.configure("laser_x", LASER, talk)
 
 
-def test_it_sends_from_when_it_is_told_until_it_is_told_and_resets_no_counter() -> None:
+def test_it_sends_between_two_commands_and_resets_no_counter() -> None:
     laser = PlayedLaser(IDENTITY, LASER)
     stream = blocks(40)
     assert laser.play(RX, stream[:125]) == b""
@@ -200,7 +201,7 @@ class Bus:
         self.bring(self.drive.hear(data))
 
     def bring(self, data: bytes) -> None:
-        self.control.heed(self._lines.feed(data).frames)
+        self.control.take_frames(self._lines.feed(data).frames)
 
 
 def report(status: int, rpm: int) -> bytes:
@@ -223,10 +224,10 @@ def test_our_own_control_starts_and_stops_a_played_drive() -> None:
     bus.control.stop()
     assert not drive.sending
     assert drive.play(RX, report(0x237, 100)) == b""
-    assert drive.unfollowed == 2  # torque and speed; that it was to stop in the end is no wish that was refused
+    assert drive.unfollowed == 2  # torque and speed; the stop at the end can be followed
 
 
-def test_what_it_measures_is_what_the_log_said_last() -> None:
+def test_it_reports_the_newest_values_of_the_log() -> None:
     drive = PlayedDrive(RIG.devices["drive"])
     bus = Bus(drive)
     bus.control.start()
@@ -261,7 +262,7 @@ def test_an_answer_stands_between_two_lines_of_the_bus() -> None:
 
 
 @given(st.lists(st.binary(max_size=60), max_size=10))
-def test_whatever_a_host_sends_nothing_breaks(pieces: list[bytes]) -> None:
+def test_any_bytes_of_a_host_are_handled(pieces: list[bytes]) -> None:
     for device in (PlayedLaser(IDENTITY, LASER), PlayedNode(), PlayedDrive(RIG.devices["drive"]), PlayedDevice()):
         for piece in pieces:
             assert isinstance(device.hear(piece), bytes)
@@ -283,7 +284,7 @@ def test_every_device_of_a_log_has_its_stand_in(log: Log) -> None:
     assert b"Serial: 2\r\n" in devices["laser_y"].hear(b"GETINFO\n")
 
 
-def test_an_identity_that_cannot_be_is_told_with_log_and_device(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_impossible_identity_is_reported_with_log_and_device(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daq.playback.devices.identities_of", lambda _: {"laser_y": {"words": []}})
     with pytest.raises(LogError, match=r"a.mcap: .*laser_y: .*output words"):
         played_devices(log)

@@ -44,7 +44,7 @@ class BenchTime(HostClock):
 
 
 class Bench:
-    """A sensor on its line and whoever reads it; time passes while the dialogue rests.
+    """A sensor on its line and its reader; time passes while the dialogue waits.
 
     Attributes:
         motion: y in m at a time in s.
@@ -164,7 +164,9 @@ def test_a_stream_left_running_is_run_dry_first(bench: Bench) -> None:
 
 @pytest.mark.parametrize("rate_Hz", [10_000.0, 4000.0, 1000.0, 250.0, 40.0, 16.0])
 @pytest.mark.parametrize("before", [100, 255, 256, 5000, 65_535])
-def test_the_period_is_set_whatever_it_was(monkeypatch: pytest.MonkeyPatch, rate_Hz: float, before: int) -> None:
+def test_the_period_is_set_from_any_previous_value(
+    monkeypatch: pytest.MonkeyPatch, rate_Hz: float, before: int
+) -> None:
     bench = at_bench(monkeypatch, laser(rate_Hz=rate_Hz))
     bench.sensor.parameters |= {wire.PERIOD: before & 0xFF, wire.PERIOD + 1: before >> 8}
     DRIVER.open("laser_y", bench.config, bench)
@@ -184,25 +186,25 @@ def test_what_another_program_left_set_is_undone(bench: Bench) -> None:
 def test_another_sensor_than_the_rig_files_is_refused(bench: Bench) -> None:
     bench.sensor.fail("range", 50)
     with pytest.raises(
-        DeviceError, match=r"rig file says range 25 mm, the sensor 50 mm \(serial 12345\)\. Correct dev"
+        DeviceError, match=r"25 mm in the rig file and 50 mm in the sensor \(serial 12345\)\. Correct dev"
     ):
         DRIVER.open("laser_y", bench.config, bench)
 
 
-def test_a_sensor_that_does_not_answer_is_said_with_what_to_look_at(bench: Bench) -> None:
+def test_the_error_for_a_silent_sensor_contains_what_to_check(bench: Bench) -> None:
     bench.sensor.fail("deaf")
     with pytest.raises(DeviceError, match=r"no answer to request 1 of address 1 within .* its parity E, its address"):
         DRIVER.open("laser_y", bench.config, bench)
 
 
-def test_a_sensor_that_will_not_be_silent_is_said(bench: Bench) -> None:
+def test_a_sensor_that_does_not_stop_raises(bench: Bench) -> None:
     bench.sensor.receive(wire.request(0, wire.START))
     bench.sensor.fail("deaf")
     with pytest.raises(DeviceError, match="ordered several times to stop its stream, it goes on sending"):
         DRIVER.open("laser_y", bench.config, bench)
 
 
-def test_a_parameter_that_does_not_stay_as_written_is_said(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_parameter_that_does_not_stay_as_written_raises(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench.sensor, "_write", lambda parameter, value: None)
     with pytest.raises(DeviceError, match=r"wrote low byte of zero point 0|wrote .* integration time \d+ .*can this"):
         DRIVER.open("laser_y", bench.config, bench)
@@ -227,9 +229,9 @@ def test_a_flipped_bit_in_an_answer_does_not_set_it_up_wrongly(bench: Bench, pla
     assert (identity["serial"], identity["range_m"], bench.sensor.period_us) == ("12345", 0.025, 250)
 
 
-def test_answers_that_never_agree_are_said(bench: Bench) -> None:
+def test_answers_that_never_agree_raise(bench: Bench) -> None:
     bench.damage = {18, 35, 52}
-    with pytest.raises(DeviceError, match="never answered twice alike"):
+    with pytest.raises(DeviceError, match="expected two equal answers"):
         DRIVER.open("laser_y", bench.config, bench)
 
 

@@ -87,10 +87,10 @@ def test_the_range_is_the_identitys() -> None:
     assert batch.columns["displacement_m"][0] == pytest.approx(0.1 * 1024 / 16384)
 
 
-@pytest.mark.parametrize("told", [0, -1.0, "0.025", None, True, float("inf"), float("nan")])
-def test_a_range_that_is_none_is_refused(told: object) -> None:
+@pytest.mark.parametrize("range_m", [0, -1.0, "0.025", None, True, float("inf"), float("nan")])
+def test_an_invalid_range_is_refused(range_m: object) -> None:
     with pytest.raises(DeviceError, match="expected a measuring range"):
-        pipeline(laser(), {"range_m": told})
+        pipeline(laser(), {"range_m": range_m})
 
 
 def test_no_target_full_scale_and_old_results_are_nan_and_counted() -> None:
@@ -157,12 +157,12 @@ def test_a_long_gap_is_where_it_was_and_no_sample_bears_a_wrong_number() -> None
     assert gap.facts["span_s"] == pytest.approx(0.5)
 
 
-def test_a_small_loss_is_found_late_and_its_event_says_so() -> None:
+def test_a_small_loss_is_found_late_and_its_event_states_it() -> None:
     numbers = without(6000, 3013, 8)
     batches, events = feed(pipeline(laser()), reads_of(numbers, 1000.0))
     (gap,) = events
     assert gap.facts["found_late"] == 8
-    assert "the times since then are early by that" in gap.text
+    assert "the times since their loss are early by that" in gap.text
     off = np.flatnonzero(column(batches, "counter") != numbers)
     assert off[0] == 3013
     assert len(off) < 1050
@@ -235,7 +235,7 @@ def test_a_host_that_slept_lost_nothing(slept_s: float) -> None:
 
 
 def test_results_that_wait_are_bounded_and_handed_out_when_the_host_speaks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(riftek, "_WAIT_ROWS", 2000)
+    monkeypatch.setattr(riftek, "_MAX_WAIT_ROWS", 2000)
     config = laser(4000.0)
     batches, _ = feed(pipeline(config), held_up(4000.0, 60_000, 4.0, 13.0))
     assert np.array_equal(column(batches, "counter"), np.arange(60_000))
@@ -335,7 +335,7 @@ def test_no_bytes_and_no_times_break_it(reads: list[tuple[int, bytes, int]]) -> 
         pipe.feed(direction, data, START_NS + after_ns)
 
 
-def test_what_the_driver_says_of_its_settings() -> None:
+def test_what_the_driver_derives_from_its_settings() -> None:
     config = laser(4000.0)
     assert DRIVER.settings is RiftekLaser
     assert DRIVER.line(config).baud == 921_600

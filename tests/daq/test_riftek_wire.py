@@ -1,4 +1,4 @@
-"""RF60x bytes: the manual's own examples, packets told apart however the bytes are cut, damage found and counted."""
+"""RF60x bytes: the examples of the manual, packets for any split of the bytes, damage found and counted."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def decode(data: bytes, cut: int | None = None, decoder: StreamDecoder | None = 
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("encoded", "expected"),
     [
         (wire.request(1, wire.IDENTIFY), "01 81"),
         (wire.request(1, wire.READ, b"\x02"), "01 82 82 80"),
@@ -62,15 +62,15 @@ def decode(data: bytes, cut: int | None = None, decoder: StreamDecoder | None = 
         (wire.request(wire.EVERYONE, wire.STOP), "00 88"),
     ],
 )
-def test_requests_of_the_manual(asked: bytes, told: str) -> None:
-    assert asked == bytes.fromhex(told)
+def test_requests_of_the_manual(encoded: bytes, expected: str) -> None:
+    assert encoded == bytes.fromhex(expected)
 
 
 def test_a_result_of_the_manual() -> None:
-    told = bytes.fromhex("F5 FA F2 F0")
-    assert wire.results([677], [3]) == told == wire.packet(b"\xa5\x02", 3, updated=True)
+    expected = bytes.fromhex("F5 FA F2 F0")
+    assert wire.results([677], [3]) == expected == wire.packet(b"\xa5\x02", 3, updated=True)
     assert wire.metres(677, 0.05) == pytest.approx(2.066e-3, abs=1e-6)
-    assert rows(decode(told + b"\xc0")) == [(677, True, 1, 0)]
+    assert rows(decode(expected + b"\xc0")) == [(677, True, 1, 0)]
 
 
 def test_an_identification_of_the_manual() -> None:
@@ -205,7 +205,7 @@ def distinct(count: int, rng: random.Random) -> bytes:
     return wire.results(rng.sample(range(1, wire.FULL_SCALE), count), np.arange(count) + rng.randrange(4))
 
 
-def test_a_flipped_bit_beside_the_data_gives_no_wrong_result() -> None:
+def test_a_flipped_bit_outside_the_data_gives_no_wrong_result() -> None:
     rng = random.Random(1)
     for _ in range(MUTATIONS // 5):
         data = distinct(12, rng)
@@ -214,8 +214,8 @@ def test_a_flipped_bit_beside_the_data_gives_no_wrong_result() -> None:
         assert wrong(data, bytes(damaged)) == (0, 0)
 
 
-def test_a_flipped_bit_of_the_data_is_a_wrong_result_that_no_decoder_can_tell() -> None:
-    """14 of 32: the two highest bits make a result beyond full scale, which is no reading."""
+def test_a_flipped_bit_of_the_data_is_an_undetected_wrong_result() -> None:
+    """14 of 32: the two highest bits make a result beyond full scale, which is not a reading."""
     rng = random.Random(2)
     accepted = 0
     for _ in range(MUTATIONS):

@@ -9,6 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.drivers.rotorlink import wire as rl
+from daq.drivers.rotorlink.line import FrameDecoder
+from daq.drivers.rotorlink.sequence import SequenceCounter
 
 U8, U16, U32 = st.integers(0, 255), st.integers(0, 2**16 - 1), st.integers(0, 2**32 - 1)
 I8, I16 = st.integers(-128, 127), st.integers(-(2**15), 2**15 - 1)
@@ -53,7 +55,7 @@ ENCODER_WIRE = (
 
 
 def decode(pieces):
-    decoder = rl.FrameDecoder()
+    decoder = FrameDecoder()
     frames, bad = [], []
     for piece in pieces:
         found = decoder.feed(piece)
@@ -155,7 +157,7 @@ def test_the_largest_block_fits_wrapped_too():
 
 
 def test_an_endless_run_is_dropped_once_and_the_stream_goes_on():
-    decoder = rl.FrameDecoder()
+    decoder = FrameDecoder()
     reports = [decoder.feed(b"\x55" * 100).bad for _ in range(50)]
     assert sum(map(len, reports)) == 1
     assert len(decoder._run) == 0
@@ -164,7 +166,7 @@ def test_an_endless_run_is_dropped_once_and_the_stream_goes_on():
 
 @given(st.integers(0, 2**16 - 1), st.lists(st.integers(1, 1000), max_size=50))
 def test_sequence_counts_losses_across_the_wrap(start, steps):
-    counter, seq, lost = rl.SequenceCounter(), start, 0
+    counter, seq, lost = SequenceCounter(), start, 0
     counter.feed(seq)
     for step in steps:
         seq = (seq + step) % 2**16
@@ -175,7 +177,7 @@ def test_sequence_counts_losses_across_the_wrap(start, steps):
 
 
 def test_sequence_late_frame_and_restart():
-    counter = rl.SequenceCounter()
+    counter = SequenceCounter()
     for seq in (30_000, 30_001):
         counter.feed(seq)
     assert counter.feed(29_999) == (0, True)

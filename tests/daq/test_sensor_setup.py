@@ -15,6 +15,7 @@ from daq.drivers.contract import Pipeline
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, Event
 from daq.drivers.optoncdt import dialogue as lasers
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.errors import DeviceError
@@ -22,14 +23,14 @@ from daq.transports import HostClock, open_link
 from daq.transports.wires import TcpWire
 from rig_configs import load_rig
 
-INFO = optoncdt.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
+INFO = sensor_answers.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
 
 
 CLOCK = HostClock()
 
 
 class LeftStreaming:
-    """A sensor in mid-stream; each OUTPUT RS422 begins its counter and timestamp anew, as after a power cut."""
+    """A sensor during its stream; each OUTPUT RS422 restarts its counter and timestamp, as after a power cut."""
 
     def __init__(self, deaf: bool = False) -> None:
         self.wire = TcpWire()
@@ -41,13 +42,13 @@ class LeftStreaming:
 
     def _run(self) -> None:
         while not self._ending.wait(0.005):
-            said = self.wire.receive()
+            sent = self.wire.receive()
             streamed = self._commands.streaming
-            answer = b"" if self._deaf else self._commands.receive(said)
+            answer = b"" if self._deaf else self._commands.receive(sent)
             if streamed and not self._commands.streaming:
                 self.wire.send(self._blocks(200))  # what its own buffer still held
             self.wire.send(answer)
-            if b"OUTPUT RS422" in said:
+            if b"OUTPUT RS422" in sent:
                 self._number = 0
             if self._commands.streaming:
                 self.wire.send(self._blocks(20))
@@ -113,20 +114,20 @@ def test_a_stream_left_running_is_run_dry_before_the_new_one_begins() -> None:
         wait_for(lambda: sum(samples) > 100)  # in mid-stream, as a killed host leaves it
         rig = load_rig("virtual")
 
-        def forget() -> None:
+        def clear() -> None:
             with line.reader.lock:
                 line.pipeline = make_pipelines(rig.devices, {})["laser_x"]
                 samples.clear()
 
-        identity = lasers.configure("laser_x", rig.devices["laser_x"], OpenDevice(line.reader, CLOCK, forget))
+        identity = lasers.configure("laser_x", rig.devices["laser_x"], OpenDevice(line.reader, CLOCK, clear))
         assert identity["serial"] == "14200001"
         wait_for(lambda: sum(samples) > 400)
         assert [e.text for e in events if e.kind in ("restart", "damage", "gap")] == []
         assert not any(line.pipeline.losses.values())
 
 
-def test_a_sensor_that_will_not_be_silent_is_said_with_what_to_look_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.drivers.quiet._TRY_S", 0.3)
+def test_the_error_for_a_sensor_that_does_not_stop_contains_what_to_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq.drivers.stream_stop._TRY_S", 0.3)
     with line_to(LeftStreaming(deaf=True)) as (line, _, samples):
         wait_for(lambda: sum(samples) > 100)
         with pytest.raises(

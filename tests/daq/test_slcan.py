@@ -49,7 +49,7 @@ def test_any_split_gives_the_same(pieces):
 
 
 @given(st.lists(st.one_of(FRAMES.map(encode), st.binary(max_size=200)), max_size=6))
-def test_a_sound_line_survives_whatever_came_before(pieces):
+def test_an_intact_line_is_decoded_after_any_bytes(pieces):
     wanted = CanFrame(0x123, b"\x01\x02")
     assert decode([*pieces, b"\r", encode(wanted)]).frames[-1] == wanted
 

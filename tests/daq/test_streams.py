@@ -17,9 +17,11 @@ from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
 from daq.drivers.items import RX, TX, Batch, Event
+from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.errors import DeviceError
 from daq.transports import HostClock, slcan
@@ -32,7 +34,7 @@ START_NS = 1_700_000_000_000_000_000
 def blocks(counters: np.ndarray, metres: np.ndarray) -> np.ndarray:
     ticks = counters * 25
     return np.column_stack(
-        [optoncdt.code(metres + 0.0125, 0.025), counters % 2**18, ticks & 0xFFFF, (ticks >> 16) & 0xFFFF]
+        [distance_words.code(metres + 0.0125, 0.025), counters % 2**18, ticks & 0xFFFF, (ticks >> 16) & 0xFFFF]
     ).astype(np.uint32)
 
 
@@ -63,11 +65,11 @@ def test_laser_gaps_are_counted_exactly(lengths: list[int], gaps: list[int]) -> 
     used = gaps[: len(lengths) - 1]
     assert pipeline.losses["samples"] == sum(used)
     assert sum(len(b.time_ns) for b in batches) == sum(lengths)
-    told = [e.facts for e in events if e.kind == "gap"]
-    assert [facts["samples"] for facts in told] == [g for g in used if g]
-    assert [facts["span_s"] for facts in told] == pytest.approx([g * 250e-6 for g in used if g])
+    reported = [e.facts for e in events if e.kind == "gap"]
+    assert [facts["samples"] for facts in reported] == [g for g in used if g]
+    assert [facts["span_s"] for facts in reported] == pytest.approx([g * 250e-6 for g in used if g])
     first_after = [int(batch.time_ns[0]) for batch, gap in zip(batches[1:], used, strict=True) if gap]
-    assert [facts["time_ns"] for facts in told] == first_after
+    assert [facts["time_ns"] for facts in reported] == first_after
     values = np.concatenate([b.columns["displacement_m"] for b in batches])
     assert np.allclose(values, 1e-3, atol=2e-7)
     times = np.concatenate([b.time_ns for b in batches])
@@ -191,7 +193,7 @@ def test_a_gap_longer_than_the_counter_is_counted_by_the_timestamp() -> None:
     assert pipeline.losses["samples"] == 2**18 + 5
 
 
-def test_a_node_with_other_encoders_than_the_rig_file_says_is_a_fault() -> None:
+def test_a_node_with_other_encoders_than_in_the_rig_file_is_a_fault() -> None:
     pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
     status = rotorlink.Status(1, 0, 1000, 3700, 250, 10, 0, 1, 4, 1024)
     _, events = feed(pipeline, [rotorlink.wire(status.pack())])
@@ -333,8 +335,8 @@ def test_a_status_within_a_long_block_is_no_restart(period_us: int) -> None:
         (0.9 * k, 0, rotorlink.Status(1, 0, round(9e5 * k), 3700, 250, 0, 0, 1, 1, 4096))
         for k in range(int(33 * length_s))
     ]
-    told = sorted([*frames, *status], key=lambda each: each[:2])
-    sent = [(s, _numbered(frame, k)) for k, (s, _, frame) in enumerate(told) if s <= 30 * length_s]
+    reported = sorted([*frames, *status], key=lambda each: each[:2])
+    sent = [(s, _numbered(frame, k)) for k, (s, _, frame) in enumerate(reported) if s <= 30 * length_s]
     pipeline, found, events = decoded(sent)
     assert found == list(range(870))
     assert {event.kind for event in events} == {"status"}
@@ -343,7 +345,7 @@ def test_a_status_within_a_long_block_is_no_restart(period_us: int) -> None:
 
 def _numbered(frame: bytes | rotorlink.Status, seq: int) -> bytes:
     """A frame with its place in the sender's sequence."""
-    found = rotorlink.FrameDecoder().feed(frame).frames[0] if isinstance(frame, bytes) else frame
+    found = FrameDecoder().feed(frame).frames[0] if isinstance(frame, bytes) else frame
     assert isinstance(found, rotorlink.EncoderBlock | rotorlink.Status)
     return rotorlink.wire(replace(found, seq=seq).pack())
 
@@ -352,7 +354,7 @@ def _numbered(frame: bytes | rotorlink.Status, seq: int) -> bytes:
 def test_a_dongle_that_starts_again_has_lost_nothing(dongle_seq: int) -> None:
     sent = []
     for k, (s, frame) in enumerate(blocks_from(0.0, 100)):
-        inner = rotorlink.FrameDecoder().feed(frame).frames[0]
+        inner = FrameDecoder().feed(frame).frames[0]
         seq, dongle_s = (dongle_seq + k, 3600 + s) if k < 50 else (k - 50, s - 1.0)
         sent.append((s, rotorlink.wire(rotorlink.Wrapped(1, seq % 2**16, round(dongle_s * 1e6), -60, inner).pack())))
     pipeline, found, events = decoded(sent)
@@ -362,7 +364,7 @@ def test_a_dongle_that_starts_again_has_lost_nothing(dongle_seq: int) -> None:
 
 
 @pytest.mark.parametrize("wrapped", [False, True])
-def test_a_sound_frame_of_a_type_that_nobody_knows_is_no_lost_one(wrapped: bool) -> None:
+def test_an_intact_frame_of_an_unknown_type_is_not_lost(wrapped: bool) -> None:
     sent = []
     for k, (s, frame) in enumerate(blocks_from(0.0, 100)):
         sent.append((s, frame))
@@ -370,7 +372,7 @@ def test_a_sound_frame_of_a_type_that_nobody_knows_is_no_lost_one(wrapped: bool)
             strange = rotorlink.encode_frame(bytes((0x17, 1)) + k.to_bytes(2, "little") + b"something")
             sent[-1] = (s, rotorlink.wire(strange))
         if wrapped:
-            (inner,) = rotorlink.FrameDecoder().feed(sent[-1][1]).frames
+            (inner,) = FrameDecoder().feed(sent[-1][1]).frames
             damaged = strange if isinstance(inner, rotorlink.Skipped) else b""
             outer = rotorlink.Wrapped(1, k, round(s * 1e6), -60, None if damaged else inner, damaged)
             sent[-1] = (s, rotorlink.wire(outer.pack()))
@@ -395,7 +397,7 @@ def test_only_one_node_is_listened_to() -> None:
     assert batches[0].columns["index"][0] == 200
 
 
-def test_the_node_of_one_log_is_that_of_the_next_whoever_is_heard_first_there() -> None:
+def test_the_node_of_one_log_is_that_of_the_next_independent_of_the_first_frame() -> None:
     first, *_ = decoded(blocks_from(0.0, 10, node=7))
     again = NodePipeline("encoder", DEVICES["encoder"], json.loads(json.dumps(first.learned)))
     neighbour, ours = blocks_from(1.0, 1, node=2), blocks_from(1.0, 10, 10, 200, node=7)
@@ -474,12 +476,12 @@ def test_lost_cable_frames_say_how_many_and_over_how_long() -> None:
         inner = rotorlink.IndexMark(1, i, 50_000 * i, i)
         parts.append(rotorlink.wire(rotorlink.Wrapped(1, seq, 50_000 * i, -60, inner).pack()))
     _, events = feed(pipeline, parts)
-    told = [(set(e.facts) - {"span_s"}, e.facts["span_s"]) for e in events if e.kind == "gap"]
-    assert told == [({"cable_frames"}, pytest.approx(0.15))], "the air had brought what the cable lost"
+    reported = [(set(e.facts) - {"span_s"}, e.facts["span_s"]) for e in events if e.kind == "gap"]
+    assert reported == [({"cable_frames"}, pytest.approx(0.15))], "the air had brought what the cable lost"
 
 
-def test_losses_of_air_and_cable_are_told_apart() -> None:
-    """Four frames of the node are missing; the dongle's numbers say that it had handed over two frames, or one more."""
+def test_losses_of_air_and_cable_are_counted_separately() -> None:
+    """Four frames of the node are missing; by the dongle's numbers it had passed on two frames, or one more."""
     pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
     sent = [(7, 0), (10, 5), (11, 7)]
     wire = [
@@ -507,9 +509,9 @@ def test_the_quick_way_through_undamaged_blocks_gives_what_the_full_decoder_give
     parts = [bytes(wire[a:b]) for a, b in itertools.pairwise([0, *cuts, len(wire)])]
     quick, full = laser(), laser()
     full._clean = lambda data, host_ns: None  # type: ignore[method-assign]
-    (some, told), (same, also_told) = feed(quick, parts), feed(full, parts)
+    (some, reported), (same, also_reported) = feed(quick, parts), feed(full, parts)
     assert quick.losses == full.losses
-    assert told == also_told
+    assert reported == also_reported
     for field in ("displacement_m", "code", "counter", "device_ticks", "flags"):
         one, other = (np.concatenate([b.columns[field] for b in x] or [[]]) for x in (some, same))
         assert np.array_equal(one, other, equal_nan=True)
@@ -520,7 +522,7 @@ def test_the_quick_way_is_taken_and_a_split_block_waits_for_its_rest() -> None:
     wire = optoncdt.encode_block(blocks(np.arange(100, 140), np.zeros(40)))
     pipeline = laser()
     pipeline.feed(RX, wire[:60], START_NS)
-    # the decoder is not asked any more, but for its words
+    # only the words of the decoder are used any more
     pipeline._decoder = type("Idle", (), {"idle": True, "words": ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")})()
     batches, events = feed(pipeline, [wire[60:301], wire[301:302], wire[302:]])
     assert events == []
@@ -540,10 +542,15 @@ def test_a_drive_that_starts_again_or_leaves_operation_is_an_event() -> None:
     beat = cia402.cob_heartbeat(DEVICES["drive"].node_id)
     states = [0x05, 0x05, 0x85, 0x00, 0x7F, 0x7F, 0x05, 0x04, 0x33]
     events = heard(*((beat, bytes([state])) for state in states))
-    told = [(e.kind, e.facts.get("network_state"), e.facts.get("operational")) for e in events]
-    assert told == [("restart", None, None), ("network", 0x7F, False), ("network", 0x05, True), ("network", 4, False)]
+    reported = [(e.kind, e.facts.get("network_state"), e.facts.get("operational")) for e in events]
+    assert reported == [
+        ("restart", None, None),
+        ("network", 0x7F, False),
+        ("network", 0x05, True),
+        ("network", 4, False),
+    ]
     assert heard((beat + 1, b"\x00"), (beat, b""), (beat, b"\x05")) == []
-    assert [e.facts["network_state"] for e in heard((beat, b"\x04"))] == [4]  # found so: nobody started it
+    assert [e.facts["network_state"] for e in heard((beat, b"\x04"))] == [4]  # found in this state, not started
 
 
 def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
@@ -563,7 +570,7 @@ def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
     items = []
     for k, frame in enumerate([own, *[f for other in others for f in (other, own)]]):
         items += pipeline.feed(RX, slcan.encode(frame), START_NS + k)
-        control.heed(slcan.LineDecoder().feed(slcan.encode(frame)).frames)
+        control.take_frames(slcan.LineDecoder().feed(slcan.encode(frame)).frames)
         assert (control.state, control.actual_rpm, control.emergencies) == (cia402.state(0x0627), 600.0, [])
     batches = [x for x in items if isinstance(x, Batch)]
     assert [float(b.columns["speed_rpm"][0]) for b in batches] == [600.0] * 6
@@ -571,7 +578,7 @@ def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
     assert [x.kind for x in items if isinstance(x, Event)] == ["drive"]
 
 
-def test_a_report_may_be_longer_and_one_that_is_too_short_is_told() -> None:
+def test_a_report_may_be_longer_and_one_that_is_too_short_is_an_event() -> None:
     identifier = cia402.cob_tpdo(1, DEVICES["drive"].node_id)
     pipeline = DrivePipeline("drive", DEVICES["drive"])
     items = []

@@ -1,4 +1,4 @@
-"""What every Link must do, asked of a pty, a TCP port and a CAN adapter."""
+"""Requirements of a Link, tested with a pty, a TCP port and a CAN adapter."""
 
 from __future__ import annotations
 
@@ -93,15 +93,15 @@ def test_a_pulled_cable_is_link_lost(peer: Peer) -> None:
         _arrives(lambda: peer.link.read(0.2), b"x" * 100)
 
 
-def test_a_port_that_is_not_there_says_what_to_look_at() -> None:
+def test_the_error_for_a_missing_port_contains_what_to_check() -> None:
     with pytest.raises(LinkLost, match="plugged in"):
         open_link("/dev/no-such-port", 921_600)
     with pytest.raises(LinkLost, match="plugged in"):
         open_link("socket://127.0.0.1:1", 921_600)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems may give a pty's name to the next who asks")
-def test_the_name_of_a_pulled_port_is_nobody_else_s() -> None:
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems may assign a pty's name again")
+def test_the_name_of_a_pulled_port_is_not_given_to_another_program() -> None:
     pulled = PtyWire()
     pulled.pull()
     others = [PtyWire() for _ in range(8)]

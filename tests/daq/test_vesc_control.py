@@ -51,11 +51,11 @@ class RigTime(HostClock):
 
 
 class Bench:
-    """Controller, pipeline and host; whoever sleeps lets rig time pass.
+    """Controller, pipeline and host; every sleep lets rig time pass.
 
     Attributes:
-        told: commands to the motor, each with the rig time, s.
-        permitted: speeds the guard was asked for.
+        commands: commands to the motor, each with the rig time, s.
+        permitted: speeds with which the guard was called.
         refuse: raised by the guard.
     """
 
@@ -64,7 +64,7 @@ class Bench:
         self.motion = Motion(PHYSICS, SLIP, 0.08)
         self.far = SimulatedVesc(settings, self.motion, **far)  # type: ignore[arg-type]
         self.pipeline = DRIVER.pipeline("drive", settings, {})
-        self.told: list[tuple[float, wire.Command]] = []
+        self.commands: list[tuple[float, wire.Command]] = []
         self.permitted: list[float | None] = []
         self.refuse: Exception | None = None
         self.at_permit: Callable[[], None] = lambda: None
@@ -92,7 +92,7 @@ class Bench:
         self._feed(TX, data)
         for payload in self._host.feed(data).payloads:
             if (command := wire.parse_command(payload)) is not None:
-                self.told.append((self.clock.rig_s, command))
+                self.commands.append((self.clock.rig_s, command))
         if answer := self.far.receive(data, self.motion.time_s):
             self._feed(RX, answer)
             self.control.notice(self.pipeline)
@@ -107,7 +107,7 @@ class Bench:
                 self.events.append(item)
 
     def pass_time(self, seconds: float, host: bool = True) -> None:
-        """Rig time passes; the host's thread beats, unless there is none any more."""
+        """Let rig time pass; the host's thread beats unless it has ended."""
         for _ in range(max(1, round(seconds / STEP_S))):
             self.clock.rig_s += STEP_S
             self.far.step(self.motion.time_s)
@@ -161,9 +161,9 @@ def test_it_is_a_speed_source(bench: Bench) -> None:
     assert source.was_reset == ""
 
 
-def test_before_it_is_enabled_it_is_asked_and_told_nothing(bench: Bench) -> None:
+def test_before_it_is_enabled_it_is_polled_and_not_commanded(bench: Bench) -> None:
     bench.pass_time(0.5)
-    assert bench.told == []
+    assert bench.commands == []
     assert len(bench.rows) > 15
     assert bench.control.actual_rpm == 0
     assert not bench.control.enabled
@@ -187,10 +187,10 @@ def test_it_goes_up_the_ramp_and_down(bench: Bench) -> None:
     bench.control.set_speed(0.0)
     bench.pass_time(3.0)
     assert abs(bench.rpm) < 0.01
-    steps = [b.number - a.number for (_, a), (_, b) in pairwise(bench.told) if a.what == b.what == wire.SET_RPM]
+    steps = [b.number - a.number for (_, a), (_, b) in pairwise(bench.commands) if a.what == b.what == wire.SET_RPM]
     assert max(map(abs, steps)) <= 7 * 200 * 0.07
-    assert {command.number for _, command in bench.told if command.what == wire.SET_BRAKE} == {5000}
-    assert min(abs(c.number) for _, c in bench.told if c.what == wire.SET_RPM) >= 700
+    assert {command.number for _, command in bench.commands if command.what == wire.SET_BRAKE} == {5000}
+    assert min(abs(c.number) for _, c in bench.commands if c.what == wire.SET_RPM) >= 700
     assert bench.control.dropped_out is None
     assert set(bench.kinds()) == {"drive"}
 
@@ -203,12 +203,12 @@ def test_it_turns_backwards_too(bench: Bench) -> None:
 def test_a_command_is_repeated_well_within_the_time_out(bench: Bench) -> None:
     bench.runs(300.0)
     bench.pass_time(2.0)
-    times = [at for at, _ in bench.told]
+    times = [at for at, _ in bench.commands]
     assert max(b - a for a, b in pairwise(times)) < SETTINGS.timeout_s / 4
     assert bench.control.state == "HOLDS SPEED"
 
 
-def test_every_speed_is_permitted_before_it_is_told(bench: Bench) -> None:
+def test_every_speed_is_permitted_before_it_is_commanded(bench: Bench) -> None:
     bench.runs(300.0)
     assert bench.permitted[0] is None
     assert bench.permitted[-1] == 300
@@ -224,7 +224,7 @@ def test_every_speed_is_permitted_before_it_is_told(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("rpm", [99.0, -50.0, 0.1, math.nan, math.inf, 1e10])
-def test_a_speed_it_cannot_hold_is_refused_before_anyone_is_asked(bench: Bench, rpm: float) -> None:
+def test_a_speed_it_cannot_hold_is_refused_before_the_guard_is_called(bench: Bench, rpm: float) -> None:
     bench.pass_time(0.1)
     bench.control.enable()
     bench.permitted.clear()
@@ -241,10 +241,10 @@ def test_a_speed_is_refused_while_it_is_not_enabled(bench: Bench) -> None:
     bench.control.quick_stop()
     with pytest.raises(DeviceError, match="not enabled"):
         bench.control.set_speed(300.0)
-    assert bench.told[-1][1].what == wire.SET_BRAKE
+    assert bench.commands[-1][1].what == wire.SET_BRAKE
 
 
-def test_a_ramp_that_is_none_is_refused(bench: Bench) -> None:
+def test_an_invalid_ramp_is_refused(bench: Bench) -> None:
     for rate in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(DeviceError, match="ramp"):
             bench.control.set_ramp(rate)
@@ -253,7 +253,7 @@ def test_a_ramp_that_is_none_is_refused(bench: Bench) -> None:
 def test_a_quick_stop_brakes_at_once(bench: Bench) -> None:
     bench.runs(600.0)
     bench.control.quick_stop()
-    assert bench.told[-1][1] == wire.Command(wire.SET_BRAKE, 5000)
+    assert bench.commands[-1][1] == wire.Command(wire.SET_BRAKE, 5000)
     assert not bench.control.enabled
     bench.pass_time(1.0)
     assert abs(bench.rpm) < 1
@@ -265,7 +265,7 @@ def test_a_stop_while_it_is_being_enabled_wins(bench: Bench) -> None:
     """A background thread stops the rotor in the middle of enable."""
     bench.pass_time(0.1)
     bench.at_permit = bench.control.quick_stop
-    with pytest.raises(DeviceError, match="told to stop"):
+    with pytest.raises(DeviceError, match="a stop was commanded"):
         bench.control.enable()
     assert bench.control.mode is Mode.BRAKE
     assert not bench.control.enabled
@@ -300,14 +300,14 @@ def test_a_rotor_found_turning_is_led_down_the_ramp(bench: Bench) -> None:
 
 def test_stop_brakes_and_then_lets_go(bench: Bench) -> None:
     bench.runs(600.0)
-    bench.told.clear()
+    bench.commands.clear()
     assert bench.control.stop() is True
     assert abs(bench.rpm) < 1
-    assert {command.what for _, command in bench.told[:-1]} == {wire.SET_BRAKE}
-    assert bench.told[-1][1] == wire.Command(wire.SET_CURRENT, 0)
+    assert {command.what for _, command in bench.commands[:-1]} == {wire.SET_BRAKE}
+    assert bench.commands[-1][1] == wire.Command(wire.SET_CURRENT, 0)
     count = len(bench.log)
     bench.control.quick_stop()  # a late one of another thread
-    assert bench.told[-1][1].what == wire.SET_BRAKE
+    assert bench.commands[-1][1].what == wire.SET_BRAKE
     assert len(bench.log) > count
 
 
@@ -315,25 +315,25 @@ def test_a_rotor_that_does_not_stop_is_not_let_go_of(bench: Bench) -> None:
     bench.runs(300.0)
     bench.far.fail("deaf", 1)
     bench.far._timeout_s = math.inf
-    told: list[str] = []
-    assert bench.control.stop(told.append) is False
-    assert bench.told[-1][1].what == wire.SET_BRAKE
-    assert told[0] == "waiting for the rotor to stop, 299 rpm"
+    messages: list[str] = []
+    assert bench.control.stop(messages.append) is False
+    assert bench.commands[-1][1].what == wire.SET_BRAKE
+    assert messages[0] == "waiting for the rotor to stop, 299 rpm"
 
 
-def test_a_silent_one_is_told_and_not_believed_to_have_let_go(bench: Bench) -> None:
+def test_a_silent_one_is_commanded_and_its_release_is_not_confirmed(bench: Bench) -> None:
     bench.runs(300.0)
     bench.control._guarded = replace(bench.control._guarded, at_rest=lambda: abs(bench.rpm) < 1)  # by the index marks
     bench.far.fail("silent reports", 1)
-    bench.told.clear()
-    with pytest.raises(DeviceError, match="it does not answer: nobody can tell whether it has"):
+    bench.commands.clear()
+    with pytest.raises(DeviceError, match="it does not answer: the release is not confirmed"):
         bench.control.disable()
-    assert {command.what for _, command in bench.told} == {wire.SET_CURRENT}
-    told: list[str] = []
-    assert bench.control.stop(told.append) is False
+    assert {command.what for _, command in bench.commands} == {wire.SET_CURRENT}
+    messages: list[str] = []
+    assert bench.control.stop(messages.append) is False
     assert abs(bench.rpm) < 1
-    assert bench.told[-1][1] == wire.Command(wire.SET_CURRENT, 0)
-    assert "nobody can tell whether it has" in told[-1]
+    assert bench.commands[-1][1] == wire.Command(wire.SET_CURRENT, 0)
+    assert "the release is not confirmed" in messages[-1]
 
 
 def test_an_answer_to_an_earlier_question_shows_nothing(bench: Bench) -> None:
@@ -346,20 +346,20 @@ def test_an_answer_to_an_earlier_question_shows_nothing(bench: Bench) -> None:
 
     def late(data: bytes) -> None:
         send(data)
-        if heard and data == wire.let_go() + wire.get_values():
+        if heard and data == wire.release() + wire.get_values():
             bench._feed(RX, heard.pop())
             bench.control.notice(bench.pipeline)
 
     bench.control._send = late
-    with pytest.raises(DeviceError, match="nobody can tell"):
+    with pytest.raises(DeviceError, match="not confirmed"):
         bench.control.disable()
 
 
-def test_nothing_told_is_nothing_to_stop(bench: Bench) -> None:
+def test_without_a_command_there_is_nothing_to_stop(bench: Bench) -> None:
     assert bench.control.stop() is True
     bench.pass_time(0.1)
     assert bench.control.stop() is True
-    assert bench.told == []
+    assert bench.commands == []
 
 
 def test_a_line_that_is_gone_is_let_go_of(bench: Bench) -> None:
@@ -447,14 +447,14 @@ def test_a_fault_that_stands_is_no_start(bench: Bench) -> None:
     bench.pass_time(0.1)
     with pytest.raises(DeviceError, match="over-temperature of the motor"):
         bench.control.enable()
-    assert bench.told == []
+    assert bench.commands == []
 
 
 def test_one_that_does_not_answer_is_no_start(bench: Bench) -> None:
     bench.far.fail("silent reports", 1)
     with pytest.raises(DeviceError, match="does not answer"):
         bench.control.enable()
-    assert bench.told == []
+    assert bench.commands == []
 
 
 def test_one_that_no_command_reaches_is_no_start(bench: Bench) -> None:
@@ -488,11 +488,11 @@ def test_a_wire_that_breaks_shows_in_the_speed_alone_with_older_firmware(on_rig_
     bench.pass_time(SETTINGS.timeout_s + 1.0 + SETTINGS.follow_s)
     assert bench.control.dropped_out is None
     (fault,) = [event for event in bench.events if event.kind == "fault"]
-    assert "does not follow: told 600 rpm" in fault.text
+    assert "does not follow: the set-point is 600 rpm" in fault.text
 
 
 @pytest.mark.parametrize("has_status", [True, False])
-def test_a_restart_is_noticed_and_it_is_not_told_to_go_on(
+def test_after_a_restart_the_speed_is_not_commanded_again(
     on_rig_time: Callable[[Bench], Bench], has_status: bool
 ) -> None:
     bench = on_rig_time(Bench(has_status=has_status))
@@ -518,11 +518,11 @@ def test_a_word_has_an_age(bench: Bench) -> None:
     bench.far.fail("silent reports", 0)
     bench.pass_time(0.2)
     assert bench.control.actual_rpm == pytest.approx(300, rel=0.01)
-    assert 0 < bench.pipeline.losses["unanswered"] < 10  # asked less often while nothing comes
+    assert 0 < bench.pipeline.losses["unanswered"] < 10  # polled less often without answers
     assert "gap" in bench.kinds()
 
 
-def test_one_that_tells_a_wrong_speed_is_not_believed(bench: Bench) -> None:
+def test_a_wrong_reported_speed_is_detected(bench: Bench) -> None:
     bench.runs(300.0)
     bench.far.fail("reported share", 0.5)
     bench.pass_time(0.1)
@@ -539,7 +539,7 @@ def test_one_that_runs_away_is_braked(bench: Bench) -> None:
     bench.control.quick_stop()
     bench.pass_time(1.5)
     assert bench.rpm < 1
-    with pytest.raises(ValueError, match="knows no fault"):
+    with pytest.raises(ValueError, match="has no fault"):
         bench.far.fail("network", 1)
 
 
@@ -548,10 +548,10 @@ def test_a_host_that_was_asleep_goes_on_where_the_ramp_was(bench: Bench) -> None
     bench.control.enable()
     bench.control.set_speed(1000.0)
     bench.pass_time(0.5)
-    before = bench.told[-1][1].number
+    before = bench.commands[-1][1].number
     bench.pass_time(0.9, host=False)
     bench.pass_time(STEP_S)
-    assert bench.told[-1][1].number - before <= 7 * 400 * 0.3
+    assert bench.commands[-1][1].number - before <= 7 * 400 * 0.3
 
 
 # --- log, thread, dialogue ------------------------------------------------------------------------------------
@@ -570,13 +570,13 @@ def test_the_log_replays_to_the_same_rows(bench: Bench) -> None:
     assert again.pipeline.losses == bench.pipeline.losses
 
 
-def test_its_thread_asks_and_ends() -> None:
-    asked, before = threading.Event(), set(threading.enumerate())
-    control = VescControl(SETTINGS, lambda data: asked.set(), HostClock())
+def test_its_thread_polls_and_ends() -> None:
+    polled, before = threading.Event(), set(threading.enumerate())
+    control = VescControl(SETTINGS, lambda data: polled.set(), HostClock())
     control.start()
     control.start()
-    asked.clear()
-    assert asked.wait(10.0)
+    polled.clear()
+    assert polled.wait(10.0)
     assert [thread.name for thread in set(threading.enumerate()) - before] == ["vesc"]
     control._end()
     assert set(threading.enumerate()) <= before
@@ -642,7 +642,7 @@ class Talk:
     def begin_anew(self) -> None: ...
 
 
-def test_it_tells_who_it_is() -> None:
+def test_it_is_identified() -> None:
     talk = Talk([wire.pack_firmware(wire.Firmware(6, 5, "60_MK5", "ab" * 12))])
     talk.replies.put("stale")
     known = DRIVER.open("drive", SETTINGS, talk)
@@ -656,7 +656,7 @@ def test_it_tells_who_it_is() -> None:
     }
 
 
-def test_the_far_end_tells_who_it_is() -> None:
+def test_the_far_end_is_identified() -> None:
     far = Bench().far
     (payload,) = packets.PacketDecoder().feed(far.receive(wire.firmware_version(), 0.0)).payloads
     assert identify("drive", SETTINGS, Talk([payload]))["hardware"] == "60_MK5"

@@ -51,13 +51,13 @@ def test_speed_target_and_state() -> None:
     assert [event.text for event in events(out, "drive")] == ["HOLDS SPEED"]
     pipeline.feed(TX, wire.set_brake(10.0), 3)
     assert samples(pipeline.feed(RX, answer(RUNNING), 4))[0][1:] == (0, stream.BRAKE << 8 | stream.STATUS_KNOWN)
-    pipeline.feed(TX, wire.let_go(), 5)
+    pipeline.feed(TX, wire.release(), 5)
     old = replace(RUNNING, status=None)
     assert samples(pipeline.feed(RX, answer(old), 6))[0][1:] == (0, stream.FREE << 8)
 
 
 @pytest.mark.parametrize(
-    ("values", "told", "text"),
+    ("values", "command", "text"),
     [
         (wire.Values(), stream.NOTHING, "NOT COMMANDED"),
         (wire.Values(), stream.BRAKE, "BRAKES"),
@@ -67,11 +67,11 @@ def test_speed_target_and_state() -> None:
         (wire.Values(status=3, fault=255), stream.SPEED, "FAULT"),
     ],
 )
-def test_states(values: wire.Values, told: int, text: str) -> None:
-    assert stream.state(stream.statusword(values, told)) == text
+def test_states(values: wire.Values, command: int, text: str) -> None:
+    assert stream.state(stream.statusword(values, command)) == text
 
 
-def test_a_fault_is_an_emergency_with_words_and_its_end_is_none() -> None:
+def test_a_fault_is_an_emergency_with_its_meaning_and_its_end_has_none() -> None:
     pipeline = VescPipeline("drive", SETTINGS)
     pipeline.feed(RX, answer(RUNNING), 1)
     (fault,) = events(pipeline.feed(RX, answer(replace(RUNNING, fault=4)) * 3, 2), "emergency")
@@ -81,11 +81,11 @@ def test_a_fault_is_an_emergency_with_words_and_its_end_is_none() -> None:
     assert DRIVER.words(passed) == ""
 
 
-def test_a_fault_that_stands_from_the_first_report_is_told() -> None:
+def test_a_fault_in_the_first_report_is_an_event() -> None:
     assert events(VescPipeline("drive", SETTINGS).feed(RX, answer(replace(RUNNING, fault=1)), 1), "emergency")
 
 
-def test_a_restart_is_told_once() -> None:
+def test_a_restart_is_reported_once() -> None:
     pipeline = VescPipeline("drive", SETTINGS)
     later = replace(RUNNING, turned=3, charges=(0, 0, 0, 0))
     out = pipeline.feed(RX, answer(RUNNING) + answer(later) + answer(later), 1)
@@ -100,11 +100,13 @@ def test_polls_without_an_answer_are_counted() -> None:
     (gap,) = events(pipeline.feed(RX, answer(RUNNING), 2), "gap")
     assert gap.facts["samples"] == pipeline.losses["unanswered"] == 3
     pipeline.feed(TX, wire.get_values(), 3)
-    assert events(pipeline.feed(RX, answer(RUNNING) * 2, 4), "gap") == []  # one more than asked for is none less
+    assert (
+        events(pipeline.feed(RX, answer(RUNNING) * 2, 4), "gap") == []
+    )  # a surplus answer does not replace a missing one
     assert pipeline.losses["unanswered"] == 3
 
 
-def test_a_rotor_that_does_not_follow_is_told_once_until_it_does() -> None:
+def test_a_rotor_that_does_not_follow_is_reported_once_until_it_does() -> None:
     pipeline = VescPipeline("drive", SETTINGS)
     pipeline.feed(TX, wire.set_rpm(7000), 1)
     assert not events(pipeline.feed(RX, answer(RUNNING) * 4, 2), "fault")
@@ -115,10 +117,10 @@ def test_a_rotor_that_does_not_follow_is_told_once_until_it_does() -> None:
     assert events(pipeline.feed(RX, answer(RUNNING) * 5, 5), "fault")
 
 
-@pytest.mark.parametrize("told", [wire.set_brake(1.0), wire.let_go(), b""])
-def test_only_a_speed_is_followed(told: bytes) -> None:
+@pytest.mark.parametrize("command", [wire.set_brake(1.0), wire.release(), b""])
+def test_only_a_speed_is_followed(command: bytes) -> None:
     pipeline = VescPipeline("drive", SETTINGS)
-    pipeline.feed(TX, told, 1)
+    pipeline.feed(TX, command, 1)
     assert not events(pipeline.feed(RX, answer(RUNNING) * 20, 2), "fault")
 
 
@@ -149,7 +151,7 @@ def test_damage_is_counted_and_the_rest_of_an_earlier_answer_is_not() -> None:
 PIECES = st.lists(
     st.one_of(
         st.tuples(st.just(TX), st.integers(-20_000, 20_000).map(wire.set_rpm)),
-        st.tuples(st.just(TX), st.sampled_from([wire.get_values(), wire.set_brake(5.0), wire.let_go()])),
+        st.tuples(st.just(TX), st.sampled_from([wire.get_values(), wire.set_brake(5.0), wire.release()])),
         st.tuples(
             st.just(RX),
             st.builds(
@@ -195,8 +197,8 @@ def test_any_split_gives_the_same_samples_and_losses(pieces: list[tuple[int, byt
             other += split.feed(direction, data[at : at + size], 7)
     assert samples(one) == samples(other)
     assert whole.losses == split.losses
-    told = [[(e.kind, e.text) for e in items if isinstance(e, Event) and e.kind != "damage"] for items in (one, other)]
-    assert told[0] == told[1]
+    texts = [[(e.kind, e.text) for e in items if isinstance(e, Event) and e.kind != "damage"] for items in (one, other)]
+    assert texts[0] == texts[1]
 
 
 def test_columns_have_the_channels_types() -> None:

@@ -156,7 +156,7 @@ def test_answers_round_trip(values: wire.Values) -> None:
 
 @given(I32, st.floats(0, 200))
 def test_commands_round_trip(erpm: int, amperes: float) -> None:
-    sent = wire.set_rpm(erpm) + wire.set_brake(amperes) + wire.let_go() + wire.alive() + wire.get_values()
+    sent = wire.set_rpm(erpm) + wire.set_brake(amperes) + wire.release() + wire.alive() + wire.get_values()
     payloads = packets.PacketDecoder().feed(sent).payloads
     assert [wire.parse_command(payload) for payload in payloads] == [
         wire.Command(wire.SET_RPM, erpm),
@@ -245,7 +245,7 @@ def test_byte_by_byte() -> None:
 
 
 @pytest.mark.parametrize("at", [-1, -2, -3, 1, 10])
-def test_a_packet_with_one_wrong_byte_is_none(at: int) -> None:
+def test_a_packet_with_one_wrong_byte_is_dropped(at: int) -> None:
     data = bytearray(REAL)
     data[at] ^= 1
     assert packets.PacketDecoder().feed(bytes(data)).payloads == []
@@ -335,7 +335,7 @@ def test_settings_that_cannot_be_are_refused(change: dict[str, object], why: str
 
 
 @pytest.mark.parametrize("name", ["pole_pairs", "timeout_s", "brake_A"])
-def test_what_only_the_operator_knows_has_no_default(name: str) -> None:
+def test_values_that_only_the_operator_has_have_no_default(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         Vesc(**{key: value for key, value in TABLE.items() if key != name})
 

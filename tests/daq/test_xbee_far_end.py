@@ -44,7 +44,7 @@ def settings(**changed: Any) -> XBeeNode:
 
 
 class Bench:
-    """Far end, pipeline and locks in one thread: whatever is sent is answered before `send` returns. Also a Talk."""
+    """Far end, pipeline and locks in one thread: everything sent is answered before `send` returns. Also a Talk."""
 
     def __init__(self, config: XBeeNode, air: Radio = CLEAR_AIR, host: XBeeNode | None = None) -> None:
         rig = load_rig("virtual")
@@ -110,14 +110,14 @@ def no_check() -> None:
 def _short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dialogue, "_ANSWER_S", 0.002)
     monkeypatch.setattr(node_locks, "_TRY_S", 0.002)
-    monkeypatch.setattr(node_locks, "_LOOK_S", 0.001)
+    monkeypatch.setattr(node_locks, "_CHECK_S", 0.001)
 
 
 # --- opening ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_module_tells_who_it_is(kind: dict[str, Any]) -> None:
+def test_the_module_is_identified(kind: dict[str, Any]) -> None:
     bench = Bench(settings(**kind))
     bench.pass_time(0.2)
     identity = DRIVER.open("encoder", bench.config, bench)
@@ -139,11 +139,11 @@ def test_the_module_tells_who_it_is(kind: dict[str, Any]) -> None:
 def test_a_module_in_the_other_mode_is_named(mode: int) -> None:
     bench = Bench(settings(api_mode=3 - mode), host=settings(api_mode=mode))
     bench.pass_time(1.0)
-    with pytest.raises(DeviceError, match=f"in API mode AP={3 - mode}, the rig file says {mode}"):
+    with pytest.raises(DeviceError, match=f"in API mode AP={3 - mode}, the rig file states {mode}"):
         DRIVER.open("encoder", bench.config, bench)
 
 
-def test_no_answer_says_what_to_look_at() -> None:
+def test_the_error_without_an_answer_contains_what_to_check() -> None:
     bench = Bench(settings())
     bench.deaf = True
     with pytest.raises(DeviceError, match=r"no answer to the AT command AP.*baud rate 115200"):
@@ -184,7 +184,7 @@ def test_what_the_driver_is() -> None:
 
 
 @pytest.mark.parametrize("fault", ["dead", "out of reach"])
-def test_stop_works_whatever_the_node_does(fault: str) -> None:
+def test_stop_does_not_depend_on_the_node(fault: str) -> None:
     bench = Bench(settings())
     bench.far.fail(fault, 1)
     DRIVER.stop(bench)
@@ -326,7 +326,7 @@ def test_what_is_not_delivered_is_sent_again_and_then_given_up(kind: dict[str, A
     bench.locks.command("release both", no_check)  # the next one is not blamed for it
 
 
-def test_an_address_nobody_has() -> None:
+def test_an_address_of_no_module() -> None:
     bench = Bench(settings(), host=settings(node_address="0013A20011111111"))
     with pytest.raises(DeviceError, match="no module of this address"):
         bench.locks.command("release both", no_check)
@@ -352,7 +352,7 @@ def command(answer: Callable[[Any, int, int], None], tries: list[int]) -> None:
     locks.command("release both", no_check)
 
 
-def test_the_nodes_acknowledgement_counts_whatever_the_module_says() -> None:
+def test_the_nodes_acknowledgement_counts_for_any_transmit_status() -> None:
     def answer(locks: Any, frame_id: int, seq: int) -> None:
         locks.heard(undelivered(frame_id))
         locks.heard(acknowledged(0, seq))
@@ -375,7 +375,7 @@ def test_a_frame_that_was_not_delivered_is_sent_again_with_the_same_seq() -> Non
     assert len(set(seqs)) == 1, "the node acts once"
 
 
-def test_a_silent_node_is_asked_again_with_the_same_seq_and_a_new_frame_id() -> None:
+def test_a_command_is_repeated_with_the_same_seq_and_a_new_frame_id() -> None:
     seqs: list[int] = []
 
     def answer(locks: Any, frame_id: int, seq: int) -> None:
@@ -440,7 +440,7 @@ def test_frame_ids_wrap_without_zero() -> None:
     assert bench.locks._frame_id == 1
 
 
-def test_frames_that_ask_for_nothing_or_are_none_are_passed_over() -> None:
+def test_other_frames_and_damaged_ones_are_ignored() -> None:
     bench = Bench(settings(api_mode=1))
     encode = partial(framing.encode, escaped=False)
     request = wire.transmit_request(0, wire.Address.parse(NODE), b"no RotorLink payload")

@@ -1,4 +1,4 @@
-"""A node's payloads out of API frames: the same samples as over a dongle's line, and what only a module can say."""
+"""A node's payloads in API frames: the same samples as over a dongle's line, and the reports of a module."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def api(payload: bytes, mode: int = 2, kind: int = 0x90, source: str = NODE, rss
     return framing.encode(bytes((kind,)) + heads[kind] + payload, escaped=mode == 2)
 
 
-def said(data: str, mode: int = 2) -> bytes:
+def module_frame(data: str, mode: int = 2) -> bytes:
     return framing.encode(bytes.fromhex(data), escaped=mode == 2)
 
 
@@ -116,7 +116,7 @@ def test_the_split_into_reads_changes_nothing_but_host_times(cuts: list[int], mo
     assert parts.losses == whole.losses
 
 
-def test_the_same_bytes_fed_anew_give_the_same_samples_at_the_same_times() -> None:
+def test_the_same_bytes_fed_again_give_the_same_samples_at_the_same_times() -> None:
     parts = [api(block(i)) for i in range(30) if i % 7]
     first, second = feed(pipeline(), parts), feed(pipeline(), parts)
     assert same(first[0], second[0])
@@ -132,7 +132,7 @@ def test_lost_frames_are_counted_across_the_wrap(lost: set[int]) -> None:
     assert column(batches, "index").tolist() == [k for i in range(40) if i not in lost for k in range(5 * i, 5 * i + 5)]
 
 
-def test_a_repeated_frame_gives_no_sample_twice_and_a_restart_begins_anew() -> None:
+def test_a_repeated_frame_gives_no_sample_twice_and_a_restart_restarts_the_counts() -> None:
     into = pipeline()
     late = rotorlink.EncoderBlock(1, 900, 10, 2_000_000, 4000, 96, np.zeros((5, 2), np.int32)).pack()
     batches, events = feed(
@@ -142,7 +142,7 @@ def test_a_repeated_frame_gives_no_sample_twice_and_a_restart_begins_anew() -> N
     assert [event.kind for event in events] == ["restart"]
 
 
-def test_frames_from_elsewhere_are_counted_and_told_once() -> None:
+def test_frames_from_elsewhere_are_counted_and_reported_once() -> None:
     into = pipeline()
     strange = [api(block(i), source=STRANGER) for i in range(10)]
     batches, events = feed(into, [strange[0], api(block(0)), *strange[1:], api(block(1))])
@@ -152,10 +152,10 @@ def test_frames_from_elsewhere_are_counted_and_told_once() -> None:
     assert NODE in events[0].text
 
 
-def test_many_strangers_fill_neither_log_nor_memory() -> None:
+def test_many_foreign_frames_fill_neither_log_nor_memory() -> None:
     into = pipeline()
     _, events = feed(into, [api(block(0), source=f"0013A200{i:08X}") for i in range(200)])
-    assert len(events) == len(into._strangers) < 20
+    assert len(events) == len(into._foreign) < 20
     assert into.losses["foreign_frames"] == 200
 
 
@@ -177,9 +177,17 @@ def test_signal_strength_of_a_frame_an_answer_or_the_opening() -> None:
     assert into.rssi_dBm == -70
     feed(into, [api(block(0), kind=0x80, rssi_dBm=-61)])
     assert into.rssi_dBm == -61
-    feed(into, [said("88 07 44 42 00 28")])
+    feed(into, [module_frame("88 07 44 42 00 28")])
     assert into.rssi_dBm == -40
-    feed(into, [said("88 07 44 42 00 00"), said("88 07 44 42 01"), said("88 07 44 42 00"), api(block(1))])
+    feed(
+        into,
+        [
+            module_frame("88 07 44 42 00 00"),
+            module_frame("88 07 44 42 01"),
+            module_frame("88 07 44 42 00"),
+            api(block(1)),
+        ],
+    )
     assert into.rssi_dBm == -40
     assert pipeline(rssi_dBm="strong").rssi_dBm is None
 
@@ -202,7 +210,7 @@ def test_signal_strength_of_a_frame_an_answer_or_the_opening() -> None:
 )
 def test_words_of_the_module(data: str, kind: str, text: str, facts: dict[str, Any]) -> None:
     into = pipeline()
-    (event,) = into.feed(RX, said(data), START_NS)
+    (event,) = into.feed(RX, module_frame(data), START_NS)
     assert isinstance(event, Event)
     assert (event.kind, event.facts, event.device) == (kind, facts, "encoder")
     assert text in event.text
@@ -210,7 +218,7 @@ def test_words_of_the_module(data: str, kind: str, text: str, facts: dict[str, A
 
 
 def test_a_delivered_request_is_no_acknowledgement() -> None:
-    assert pipeline().feed(RX, said("8B 05 FF FE 00 00 00") + said("89 05 00"), START_NS) == []
+    assert pipeline().feed(RX, module_frame("8B 05 FF FE 00 00 00") + module_frame("89 05 00"), START_NS) == []
 
 
 def test_what_went_out_gives_nothing() -> None:
@@ -230,7 +238,7 @@ def test_damage_is_counted_with_its_reason() -> None:
         bytes(torn),
         b"\x01\x02",
         api(wrapped),
-        said("8B 05"),
+        module_frame("8B 05"),
         api(b""),
         api(block(5)),
     ]

@@ -155,7 +155,7 @@ def test_a_lost_byte_costs_its_frame_alone_and_is_one_damage(lost: int, escaped:
 
 @given(FRAME_DATA, st.integers(0, 10_000), st.booleans())
 def test_a_flipped_bit_that_moves_no_byte_never_gives_other_data(data: bytes, bit: int, escaped: bool) -> None:
-    """A flip in the length, into or out of an escape, or beside a start in the data: another sum fits once in 256."""
+    """A flip in the length, into or out of an escape, or next to a start in the data: another sum fits once in 256."""
     line = bytearray(framing.encode(data, escaped=escaped))
     bit %= 8 * len(line)
     before = line[bit // 8]

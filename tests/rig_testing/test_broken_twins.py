@@ -131,7 +131,7 @@ class TakesSilenceForOff(VescDriver):
 
     def speed_source(self, settings: Any, send: Any, clock: Any, guard: RotorGuard) -> Any:
         control = super().speed_source(settings, send, clock, guard)
-        control._lets_go = lambda: True
+        control._release = lambda: True
         return control
 
 

@@ -1,8 +1,8 @@
-"""A CANopen node's end of the bus, behind an slcan adapter: what it answers to a host, whatever turns behind it.
+"""A CANopen node's end of the bus behind an slcan adapter: its answers to a host, independent of the motor.
 
-For whatever stands in for a drive: one that is simulated, one whose frames come from a log. `Adapter` answers the
-adapter's own commands, `SdoServer` reads and writes of objects (expedited transfers), `NmtState` follows the network
-commands. Sources: LAWICEL CAN232 manual; CiA 301, SDO protocol and NMT.
+Used by the simulated drive and by the stand-in for a drive of a log. `Adapter` answers the adapter's own commands,
+`SdoServer` answers reads and writes of objects (expedited transfers), `NmtState` follows the network commands. Sources:
+LAWICEL CAN232 manual; CiA 301, SDO protocol and NMT.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Adapter:
     """The slcan adapter between a host and the bus.
 
     Attributes:
-        open: whether the host has opened the bus; otherwise no frame goes to the host.
+        open: whether the host has opened the bus; otherwise no frame is sent to the host.
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ class Adapter:
         self._lines = slcan.LineDecoder(of_host=True)
 
     def receive(self, data: bytes) -> tuple[list[slcan.CanFrame], bytes]:
-        """Take the host's text; returns the frames that go out on the bus, and the adapter's own answers."""
+        """Take the host's text; return the frames for the bus, and the adapter's own answers."""
         found = self._lines.feed(data)
         answers = slcan.BEL.encode() * found.damaged
         for line in found.other_lines:
@@ -53,12 +53,12 @@ class Adapter:
 
 
 class SdoServer:
-    """A node's objects.
+    """Server of a node's objects.
 
     Args:
-        objects: that can be read and written; changed in place.
-        measured: objects that are read from elsewhere.
-        written: told index, sub-index and value after each write.
+        objects: objects that can be read and written; changed in place.
+        measured: functions that return the bytes of objects that are only read.
+        written: called with index, sub-index and value after each write.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class SdoServer:
         self.objects, self._measured, self._written = objects, measured, written
 
     def answer(self, request: bytes) -> bytes:
-        """The 8 bytes that answer 8 bytes of request."""
+        """Return the 8 bytes of the answer to the 8 bytes of a request."""
         command, index, sub = struct.unpack_from("<BHB", request)
         head = struct.pack("<HB", index, sub)
         if command == 0x40:
@@ -100,18 +100,18 @@ class SdoServer:
 
 
 class NmtState:
-    """The state network commands put a node into.
+    """Network state of a node, which follows network commands.
 
     Attributes:
-        state: as its heartbeat says.
+        state: NMT state, as in the node's heartbeat.
     """
 
     def __init__(self, node: int) -> None:
         self.state = cia402.Heartbeat.PRE_OPERATIONAL
         self._node = node
 
-    def heed(self, frame: slcan.CanFrame) -> int | None:
-        """Follow a frame; returns the command when it is one for this node."""
+    def follow(self, frame: slcan.CanFrame) -> int | None:
+        """Take a frame; return its command if it is a network command for this node, otherwise None."""
         if frame.arbitration_id != 0 or len(frame.data) != 2 or frame.data[1] not in (0, self._node):
             return None
         command = frame.data[0]
@@ -120,7 +120,7 @@ class NmtState:
 
 
 def drive_objects(node: int) -> Objects:
-    """What a velocity-mode drive has at least, with the values of a fresh one: ramps 100 rpm/s, no reports at rest."""
+    """Return the minimum objects of a velocity-mode drive with initial values: ramps 100 rpm/s, no reports at rest."""
     return {
         (cia402.RPDO1, 1): (cia402.cob_rpdo(1, node), "<I"),
         (cia402.RPDO1, 2): (255, "<B"),

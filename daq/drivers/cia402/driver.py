@@ -18,7 +18,7 @@ from daq.drivers.simulated import FarEnd
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
 
-_ADAPTER_BAUD = 115_200  # of the adapter's own serial port, where it has one
+_ADAPTER_BAUD = 115_200  # line rate of the adapter's serial port, if it has one
 
 
 class Cia402:
@@ -43,18 +43,18 @@ class Cia402:
         return ()
 
     def clocks(self, settings: Drive) -> tuple[SampleClock, ...]:
-        """See Driver; a drive has no clock, the host's time counts."""
+        """See Driver; a drive has no clock, its samples get the host's time."""
         return ()
 
     def pipeline(self, device: str, settings: Drive, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.drivers.cia402.stream import DrivePipeline  # noqa: PLC0415
+        from daq.drivers.cia402.stream import DrivePipeline
 
         return DrivePipeline(device, settings)
 
     def words(self, event: Event) -> str:
         """See Driver."""
-        from daq.drivers.cia402 import wire  # noqa: PLC0415
+        from daq.drivers.cia402 import wire
 
         code = int(event.facts["error_code"])
         return wire.emergency_words(code) if code else ""
@@ -62,22 +62,22 @@ class Cia402:
     def checks(
         self, settings: Drive, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
-        """See Driver: the drive's state, and what it told in emergencies."""
-        from daq.drivers.cia402.looked_at import drive_checks  # noqa: PLC0415
-        from daq.drivers.cia402.stream import DrivePipeline  # noqa: PLC0415
+        """See Driver: the drive's state and emergencies, and heartbeats of another node under the host's number."""
+        from daq.drivers.cia402.status_checks import drive_checks
+        from daq.drivers.cia402.stream import DrivePipeline
 
         assert isinstance(pipeline, DrivePipeline)
         return drive_checks(control, events, pipeline.host_beats.foreign)
 
     def far_end(self, device: str, settings: Drive, world: Any) -> FarEnd:
         """See Driver."""
-        from daq.drivers.cia402.far_end import SimulatedDrive  # noqa: PLC0415
+        from daq.drivers.cia402.far_end import SimulatedDrive
 
         return SimulatedDrive.of(settings, world)
 
     def played(self, settings: Drive, identity: Mapping[str, Any]) -> PlayedDevice:
         """See Driver."""
-        from daq.drivers.cia402.played import PlayedDrive  # noqa: PLC0415
+        from daq.drivers.cia402.played import PlayedDrive
 
         return PlayedDrive(settings)
 
@@ -85,17 +85,17 @@ class Cia402:
         """See Driver."""
 
     def open(self, device: str, settings: Drive, talk: Talk) -> dict[str, Any]:
-        """See Driver; the network is started by who holds the drive (`control`)."""
+        """See Driver; the drive's command (`control`) starts the network."""
         return {"driver": self.name, "node_id": settings.node_id}
 
     def stop(self, talk: Talk) -> None:
-        """See Driver; who holds the drive has stopped it (`control`)."""
+        """See Driver; the drive's command (`control`) has stopped it."""
 
     def speed_source(
         self, settings: Drive, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
     ) -> SpeedSource:
         """See TurnsRotor."""
-        from daq.drivers.cia402.control import DriveControl  # noqa: PLC0415 (canopen)
+        from daq.drivers.cia402.control import DriveControl  # imports canopen
 
         return DriveControl(settings, send, clock, guard)
 

@@ -24,20 +24,26 @@ from daq.transports import slcan
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import World
 
-_LATE_S = 0.05  # what a stalled simulation leaves out, a real drive would have sent
+_MAX_LATE_S = 0.05  # longest time, rig s, for which a stalled simulation sends its reports afterwards
 _QUICK_STOP_RPM_S = 4000.0
-_COAST_RPM_S = 30.0  # bearings and windage, when there is no torque
+_COAST_RPM_S = 30.0  # deceleration by bearings and windage, without torque
 _RAD_S = math.pi / 30
 _STATUS = {name: value for name, (_, value) in cia402.STATES.items()}
-_HEARTBEAT_ERROR = 0x8130
 _MAKERS = {(0x1018, 1): (0x0000_0A11, "<I"), (0x1018, 4): (24601, "<I"), (0x6085, 0): (int(_QUICK_STOP_RPM_S), "<I")}
 
 
 class SimulatedDrive(FarEnd):
-    """Turns the rotor as the wire says; stops it by itself when the host's heartbeat stays away.
+    """Drive that turns the rotor as commanded, and stops it by itself if the host's heartbeat is missing.
 
     Args:
-        report_s: period of its speed report.
+        config: table of the drive in the rig file.
+        motion: motion of the rotor.
+        report_s: period of the speed report, rig s.
+
+    Attributes:
+        state: CiA 402 state.
+        emergencies: error codes of the emergencies so far.
+        frames_sent: number of CAN frames sent to the host.
     """
 
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
@@ -45,13 +51,13 @@ class SimulatedDrive(FarEnd):
             "it sends an emergency and goes on", 0x4210, end=None, meaning="the error code", limits=(0, 0xFFFF)
         ),
         "fault": FaultKind(
-            "it falls into FAULT: no torque", 0x4210, end=None, meaning="the error code", limits=(0, 0xFFFF)
+            "it enters FAULT: no torque", 0x4210, end=None, meaning="the error code", limits=(0, 0xFFFF)
         ),
-        "restart": FaultKind("it starts anew at once", end=None),
+        "restart": FaultKind("it starts again at once", end=None),
         "network": FaultKind(
             "it is in another network state", 4, end=5, meaning="4 stopped, 5 operational", limits=(4, 5)
         ),
-        "silent reports": FaultKind("it reports neither state nor speed; its heartbeat goes on"),
+        "silent reports": FaultKind("it reports neither state nor speed; its heartbeat continues"),
         "second host": FaultKind("another node on the bus sends the host's heartbeat"),
         "reported share": FaultKind(
             "it reports a wrong speed", 0.5, end=1, meaning="share of the true speed", limits=(-2, 2)
@@ -79,7 +85,7 @@ class SimulatedDrive(FarEnd):
         self._heard_s: float | None = None  # last host heartbeat; None until the first
         self._tpdo_due = self._heartbeat_due = 0.0
         self._without_supply = False
-        self._objects = self._fresh()
+        self._objects = self._initial_objects()
         measured = {
             (cia402.STATUSWORD, 0): lambda: struct.pack("<H", _STATUS[self.state]),
             (cia402.ACTUAL_VELOCITY, 0): lambda: struct.pack("<h", self._reported_rpm),
@@ -88,13 +94,13 @@ class SimulatedDrive(FarEnd):
         self._sdo = SdoServer(self._objects, measured, self._written)
         self._out: list[slcan.CanFrame] = []
 
-    def _fresh(self) -> Objects:
+    def _initial_objects(self) -> Objects:
         timer_ms = max(1, round(self._report_s * 1e3))
         return drive_objects(self._node) | _MAKERS | {(cia402.TPDO1, 5): (timer_ms, "<H")}
 
     @classmethod
     def of(cls, config: Drive, world: World) -> SimulatedDrive:
-        """The drive of a simulated rig."""
+        """Make the drive of a simulated rig."""
         return cls(config, world.motion, world.virtual.drive.report_s)
 
     def facts(self) -> dict[str, Any]:
@@ -117,7 +123,7 @@ class SimulatedDrive(FarEnd):
                 self._emergency(int(value))
             case "restart":
                 self._objects[cia402.CONSUMER_HEARTBEAT, 1] = (0, "<I")
-                self._start_anew()
+                self._restart()
             case "network":
                 self._nmt.state = cia402.Heartbeat(int(value))
             case "silent reports":
@@ -131,20 +137,20 @@ class SimulatedDrive(FarEnd):
             case _:
                 super().fail(what, value)
 
-    def _start_anew(self) -> None:
+    def _restart(self) -> None:
         self.state, self._target_rpm, self._heard_s = cia402.SWITCH_ON_DISABLED, 0, None
         self._nmt.state = cia402.Heartbeat.PRE_OPERATIONAL
         self._out.append(slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([cia402.Heartbeat.BOOT_UP])))
 
     def power(self, on: bool, now_s: float) -> None:
-        """See FarEnd: the drive's supply; its adapter hangs on the host's and goes on.
+        """See FarEnd. The supply is that of the drive; the adapter is supplied by the host and continues.
 
-        Without supply there is no torque. When it comes back the objects are those of a fresh drive.
+        Without supply the torque is 0. After power-up the objects have their initial values.
         """
         self._without_supply = not on
         if on:
-            self._objects.update(self._fresh())
-            self._start_anew()
+            self._objects.update(self._initial_objects())
+            self._restart()
 
     def _emergency(self, code: int) -> None:
         self.emergencies.append(code)
@@ -153,7 +159,7 @@ class SimulatedDrive(FarEnd):
 
     @property
     def watchdog_ms(self) -> int:
-        """How long the host's heartbeat may stay away (1016h); 0 when it is not watched."""
+        """Longest accepted interval of the host's heartbeat (1016h), ms; 0 if it is not watched."""
         return self._objects[cia402.CONSUMER_HEARTBEAT, 1][0] & 0xFFFF
 
     @property
@@ -162,11 +168,11 @@ class SimulatedDrive(FarEnd):
 
     @property
     def speed_rpm(self) -> float:
-        """True speed."""
+        """True speed of the rotor, rpm."""
         return self._motion.speed_rad_s / _RAD_S
 
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """Take slcan text from the host; returns the adapter's answers."""
+        """Take slcan text from the host; return the adapter's answers."""
         frames, answers = self._adapter.receive(data)
         for frame in [] if self._without_supply else frames:
             self._frame(frame, now_s)
@@ -181,7 +187,7 @@ class SimulatedDrive(FarEnd):
 
     def _frame(self, frame: slcan.CanFrame, now_s: float) -> None:
         identifier, data = frame.arbitration_id, frame.data
-        if (command := self._nmt.heed(frame)) is not None:
+        if (command := self._nmt.follow(frame)) is not None:
             self._react(command)
         elif identifier == cia402.cob_sdo_request(self._node) and len(data) == 8:
             self._out.append(slcan.CanFrame(cia402.cob_sdo_answer(self._node), self._sdo.answer(data)))
@@ -207,7 +213,7 @@ class SimulatedDrive(FarEnd):
         if (index, sub) == (cia402.TARGET_VELOCITY, 0):
             self._target_rpm = value
         if (index, sub) == (cia402.CONSUMER_HEARTBEAT, 1):
-            self._heard_s = None  # watched from the next heartbeat on (CiA 301)
+            self._heard_s = None  # the watch begins with the next heartbeat (CiA 301)
 
     def _control(self, word: int) -> None:
         s = self.state
@@ -231,12 +237,12 @@ class SimulatedDrive(FarEnd):
         self.state = cia402.QUICK_STOP_ACTIVE
 
     def step(self, now_s: float) -> bytes:
-        """Drive logic up to now: watchdog, ramps, cyclic frames."""
+        """Update watchdog, ramps and state up to `now_s`; return the frames that are due."""
         if self._without_supply:
             self._motion.target_rad_s, self._motion.ramp_rad_s2 = 0.0, _COAST_RPM_S * _RAD_S
             self._motion.braking = False
             return b""
-        self._hear_second_host(now_s)
+        self._send_as_second_host(now_s)
         self._watch(now_s)
         enabled = self.state == cia402.OPERATION_ENABLED
         in_mode = self._objects[0x6060, 0][0] == cia402.MODE_VELOCITY
@@ -253,11 +259,11 @@ class SimulatedDrive(FarEnd):
         self._cyclic(now_s)
         return self._take()
 
-    def _hear_second_host(self, now_s: float) -> None:
-        """A node that bears the host's number: the drive cannot tell it from the host."""
+    def _send_as_second_host(self, now_s: float) -> None:
+        """Send the heartbeat of another node with the host's number; the drive cannot distinguish the two."""
         if not self._second_host or now_s < self._second_due_s:
             return
-        self._second_due_s = now_s + 0.97e-3 * self._config.heartbeat_ms  # a clock of its own
+        self._second_due_s = now_s + 0.97e-3 * self._config.heartbeat_ms  # the other node has its own clock
         beat = slcan.CanFrame(cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL]))
         self._out.append(beat)
         self._frame(beat, now_s)
@@ -269,7 +275,7 @@ class SimulatedDrive(FarEnd):
         self._heard_s = None
         if self.state == cia402.OPERATION_ENABLED:
             self._quick_stop()
-        self._emergency(_HEARTBEAT_ERROR)
+        self._emergency(cia402.HEARTBEAT_ERROR)
 
     def _cyclic(self, now_s: float) -> None:
         every = self._objects[0x1017, 0][0] * 1e-3
@@ -280,6 +286,6 @@ class SimulatedDrive(FarEnd):
             self._tpdo_due = now_s
             return
         while now_s >= self._tpdo_due:
-            self._tpdo_due = max(self._tpdo_due + self._report_s, now_s - _LATE_S)
+            self._tpdo_due = max(self._tpdo_due + self._report_s, now_s - _MAX_LATE_S)
             data = cia402.pack_tpdo1(_STATUS[self.state], self._reported_rpm)
             self._out.append(slcan.CanFrame(cia402.cob_tpdo(1, self._node), data))

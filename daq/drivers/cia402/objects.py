@@ -1,5 +1,5 @@
 # pyright: strict
-"""The objects of a drive, written and read by canopen's SDO client over our own recorded link."""
+"""Access to the objects of a drive by canopen's SDO client over the recorded link."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from daq.errors import DeviceError
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock
 
-logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it meets is said by us, in our words
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # its errors are reported by DeviceError
 
-_ANSWER_S = 0.3  # wall seconds to wait for an answer
+_ANSWER_S = 0.3  # wall s to wait for an answer
 _TRIES = 3
 _READ = struct.Struct("<BHBI")
-_EXPEDITED = 0x42  # an answer that holds the value itself, under the mask 0xE2
+_EXPEDITED = 0x42  # command byte, under the mask 0xE2, of an answer that contains the value itself
 
 _T = TypeVar("_T")
 
 
 class _SendOnlyBus(can.BusABC):
-    """What canopen needs to send: frames leave as slcan text through the recorded link.
+    """Bus on which canopen sends: frames are written as slcan text to the recorded link.
 
-    Received frames come to canopen from the link's reader thread (Network.notify), so there is no second reader.
+    The link's reader thread passes received frames to canopen (Network.notify), so a second reader is not needed.
     """
 
     def __init__(self, send: Callable[[bytes], None]) -> None:
         super().__init__(channel="recorded link")
         self._send_bytes = send
-        self._is_shutdown = True  # it owns no hardware: nothing to shut down, and no warning about it
+        self._is_shutdown = True  # without hardware there is nothing to shut down; this avoids the warning
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send one frame."""
@@ -48,7 +48,7 @@ class _SendOnlyBus(can.BusABC):
 
 
 class _SdoClient(SdoClient):
-    """canopen's client of a node's objects, whose wait for an answer is the host clock's."""
+    """canopen's client of a node's objects, which waits for answers by the host clock."""
 
     RESPONSE_TIMEOUT = _ANSWER_S
 
@@ -57,37 +57,37 @@ class _SdoClient(SdoClient):
         super().__init__(cia402.cob_sdo_request(node_id), answers, canopen.ObjectDictionary())
         self.network = network
         self.responses: queue.Queue[bytes] = clock.queue()
-        self._asked = b""  # index and sub-index, as they stand in a request; empty where no answer is waited for
+        self._requested = b""  # index and sub-index as in the request; empty if no answer is expected
         network.subscribe(answers, self.on_response)
 
     def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """Take an answer, unless it is late and of another object, or of an order that is not waited for."""
-        if bytes(data[1:4]) == self._asked:
-            super().on_response(can_id, data, timestamp)  # pyright: ignore[reportUnknownMemberType] (untyped)
+        """Take an answer, unless it is a late answer about another object, or no answer is expected."""
+        if bytes(data[1:4]) == self._requested:
+            super().on_response(can_id, data, timestamp)  # pyright: ignore[reportUnknownMemberType]  # untyped
 
     def request_response(self, sdo_request: bytes) -> bytes:
-        """Send a request and wait for its answer; one that comes late is not taken for the next one's."""
+        """Send a request and wait for its answer; a late answer to an earlier request is dropped."""
         with contextlib.suppress(queue.Empty):
             while True:
                 self.responses.get_nowait()
-        self._asked = bytes(sdo_request[1:4])
-        self.send_request(sdo_request)  # pyright: ignore[reportUnknownMemberType]
+        self._requested = bytes(sdo_request[1:4])
+        self.send_request(sdo_request)  # pyright: ignore[reportUnknownMemberType]  # untyped
         try:
-            return bytes(self.read_response())  # pyright: ignore[reportUnknownArgumentType] (untyped)
+            return bytes(self.read_response())  # pyright: ignore[reportUnknownArgumentType]  # untyped
         except SdoCommunicationError:
             self.abort(ABORT_TIMED_OUT)
             raise
         finally:
-            self._asked = b""
+            self._requested = b""
 
 
 class NodeObjects:
-    """A node's objects, and the bus it is on.
+    """A node's objects, and its bus.
 
     Args:
-        node_id: of the drive.
+        node_id: node number of the drive.
         send: writes bytes to the drive's link (and to the log).
-        clock: for time-outs.
+        clock: clock for timeouts.
     """
 
     def __init__(self, node_id: int, send: Callable[[bytes], None], clock: HostClock) -> None:
@@ -96,20 +96,20 @@ class NodeObjects:
         self._sdo = _SdoClient(node_id, self._network, clock)
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Send a frame of any kind."""
+        """Send a frame."""
         self._network.send_message(identifier, data)
 
-    def heed(self, data: bytes) -> None:
+    def take_answer(self, data: bytes) -> None:
         """Take an answer of the node, 8 bytes."""
         self._network.notify(cia402.cob_sdo_answer(self.node_id), bytearray(data), self._clock.now_s())
 
     def write(self, index: int, sub: int, value: int, size: int) -> None:
-        """Write an object of so many bytes, and wait until the drive confirms it.
+        """Write an object of `size` bytes and wait until the drive confirms it.
 
         Raises:
-            DeviceError: it does not answer, or refuses the value.
+            DeviceError: the drive does not answer, or refuses the value.
         """
-        self._tried(f"writing {index:04X}h sub {sub}", lambda: self._download(index, sub, value, size))
+        self._retry(f"writing {index:04X}h sub {sub}", lambda: self._download(index, sub, value, size))
 
     def _download(self, index: int, sub: int, value: int, size: int) -> None:
         try:
@@ -118,24 +118,25 @@ class NodeObjects:
             raise DeviceError(f"drive: refused {value} at {index:04X}h sub {sub}: {error}") from error
 
     def read(self, index: int, sub: int) -> int | None:
-        """The value of an object of up to 4 bytes, unsigned; None when the drive does not have it or does not tell.
+        """Return the unsigned value of an object of up to 4 bytes; None if the drive has no such object or refuses it.
 
         Raises:
-            DeviceError: it does not answer.
+            DeviceError: the drive does not answer.
         """
-        return self._tried(f"reading {index:04X}h sub {sub}", lambda: self._upload(index, sub))
+        return self._retry(f"reading {index:04X}h sub {sub}", lambda: self._upload(index, sub))
 
     def _upload(self, index: int, sub: int) -> int | None:
         try:
             answer = self._sdo.request_response(_READ.pack(0x40, index, sub, 0))
         except SdoAbortedError:
             return None
-        if answer[0] & 0xE2 != _EXPEDITED:  # longer than what is asked for here
+        if answer[0] & 0xE2 != _EXPEDITED:  # the object has more than 4 bytes
             return None
         size = 4 - (answer[0] >> 2 & 3) if answer[0] & 1 else 4
         return int.from_bytes(answer[4 : 4 + size], "little")
 
-    def _tried(self, what: str, request: Callable[[], _T]) -> _T:
+    def _retry(self, what: str, request: Callable[[], _T]) -> _T:
+        """Repeat a request until it is answered, up to `_TRIES` times."""
         attempt = 1
         while True:
             try:

@@ -1,4 +1,4 @@
-"""A CiA 402 drive of a log while it is played."""
+"""Stand-in for a CiA 402 drive of a log while the log is played."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from daq.drivers.played import PlayedDevice
 from daq.transports import slcan
 
 _LINE_ENDS = b"\r\x07"
-_TAIL_BYTES = 4096  # noise without an end of line is held back no longer than this
+_MAX_TAIL_BYTES = 4096  # bytes without an end of line that are held back
 
 
 class BothWays:
-    """A CAN bus carries both: frames of the host stand between those of the drive, line by line.
+    """Filter for a CAN bus, which carries both directions: the host's frames are inserted between the drive's lines.
 
-    A read may end in the middle of a line. Its beginning waits for its end, so that no frame of the host falls into it;
-    the drive's line was not complete before that frame went out either. What the host told its own adapter (open,
-    close, bit rate) is not on the bus and not played.
+    A read may end in the middle of a line. The incomplete line is held until its end, so that no frame of the host is
+    inserted into it; the drive's line was not complete before that frame either. Commands of the host to its own
+    adapter (open, close, bit rate) are not on the bus and are not played.
 
     Args:
-        host_node_id: the recorded host's.
+        host_node_id: node number of the recorded host.
 
     Attributes:
-        host_is_there: whether a host has taken the recorded one's place; its heartbeat alone is on the bus then.
+        host_is_there: whether a host has replaced the recorded one; then the recorded heartbeats are omitted.
     """
 
     def __init__(self, host_node_id: int) -> None:
@@ -47,11 +47,11 @@ class BothWays:
         """See BytesFromDevice."""
         if direction != RX:
             frames = self._host.feed(data).frames
-            left_out = self._beat if self.host_is_there else None
-            return b"".join(slcan.encode(frame) for frame in frames if frame.arbitration_id != left_out)
+            omitted = self._beat if self.host_is_there else None
+            return b"".join(slcan.encode(frame) for frame in frames if frame.arbitration_id != omitted)
         line = self._tail + data
         end = 1 + max(line.rfind(_LINE_ENDS[:1]), line.rfind(_LINE_ENDS[1:]))
-        if len(line) - end > _TAIL_BYTES:
+        if len(line) - end > _MAX_TAIL_BYTES:
             end = len(line)
         self._tail = line[end:]
         return line[:end]
@@ -63,10 +63,10 @@ class BothWays:
 
 
 class PlayedDrive(PlayedDevice):
-    """A drive behind its adapter: takes settings, follows the network's start and stop, turns as it did.
+    """A drive behind its adapter. It accepts settings and follows network commands; its speed is that of the log.
 
     Args:
-        config: its table of the rig file.
+        config: table of the drive in the rig file.
     """
 
     expects = "the network's start"
@@ -96,7 +96,7 @@ class PlayedDrive(PlayedDevice):
         self._adapter.open, self._nmt.state = True, cia402.Heartbeat.OPERATIONAL
 
     def hear(self, data: bytes) -> bytes:
-        """See PlayedDevice. What only the adapter is told configures no drive."""
+        """See PlayedDevice. Commands to the adapter alone do not count as commands to the drive."""
         frames, answers = self._adapter.receive(data)
         self.commands += len(frames)
         self._bus.host_is_there |= any(frame.arbitration_id == self._host_beat for frame in frames)
@@ -110,7 +110,7 @@ class PlayedDrive(PlayedDevice):
 
     def _answer(self, frame: slcan.CanFrame) -> slcan.CanFrame | None:
         identifier, data = frame.arbitration_id, frame.data
-        if self._nmt.heed(frame) in (NMT_RESET, NMT_RESET_COMMUNICATION):
+        if self._nmt.follow(frame) in (NMT_RESET, NMT_RESET_COMMUNICATION):
             return slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([cia402.Heartbeat.BOOT_UP]))
         if identifier == cia402.cob_sdo_request(self._node) and len(data) == 8:
             return slcan.CanFrame(cia402.cob_sdo_answer(self._node), self._sdo.answer(data))
@@ -123,5 +123,5 @@ class PlayedDrive(PlayedDevice):
             self._turn(value)
 
     def _turn(self, controlword: int) -> None:
-        """Torque and speed are as they were; that a host takes them away at its end is no wish a log refuses."""
+        """Count a command to operate, which a log cannot follow. Commands that end operation are not counted."""
         self.unfollowed += controlword & 0x0F == cia402.ENABLE_OPERATION

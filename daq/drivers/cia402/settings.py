@@ -15,8 +15,15 @@ class Drive(DeviceSettings):
     """The CiA 402 motor drive behind a CAN adapter.
 
     Attributes:
-        ramp_bits: the controlword's bits 4 … 6 are set while it runs (007Fh for 000Fh), as some drives ask.
-        rest_rpm: its reading of a standing rotor may be up to this.
+        bitrate: bit rate of the CAN bus, bit/s.
+        node_id: CANopen node number of the drive.
+        host_node_id: CANopen node number of the host.
+        heartbeat_ms: period of the heartbeats of host and drive, ms.
+        heartbeat_timeout_ms: time without the host's heartbeat after which the drive stops, ms.
+        ramp_rpm_per_s: rate of the rotor's ramp, rpm/s.
+        ramp_bits: whether bits 4 … 6 of the controlword are set during operation (007Fh in place of 000Fh), which some
+            drives require.
+        rest_rpm: largest reading of a standing rotor, rpm.
     """
 
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 500_000

@@ -1,4 +1,4 @@
-"""slcan text to the drive's speed word, its state and its emergencies."""
+"""Pipeline of a CiA 402 drive: slcan text to speed, state and emergencies."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ _AGAIN_NS = 1_000_000_000
 
 
 class DrivePipeline:
-    """slcan text to the drive's speed word, its state and its emergencies. A drive has no clock: host time counts.
+    """Decoder of slcan text to the drive's speed, state and emergencies. A drive has no clock: samples get host time.
 
-    The target speed is the host's own: it is in what the host sends, or, for one who only listens to the bus, among
-    the frames that arrive. Frame by frame in their order, so that both see the same.
+    The target speed is in the frames that the host sends, or, in a session that only receives, among the received
+    frames. Frames are handled one by one in their order, so that both sessions give the same samples.
 
     Attributes:
-        frames: what the last feed found, for the host's own CANopen client.
+        losses: see Pipeline.
+        frames: frames of the last `feed`, for the host's own CANopen client.
         host_beats: heartbeats under the host's number.
-        told, complaint: see TellsItself; a drive says by its reports how it is set up.
+        told, complaint: see TellsItself; the length of the reports shows the drive's mapping.
     """
 
     told = True
@@ -37,13 +38,13 @@ class DrivePipeline:
         self.complaint = ""
         self._device, self._node, self._host_node = device, config.node_id, config.host_node_id
         self.host_beats = HostBeats(config.node_id, config.host_node_id)
-        self._said_ns = -_AGAIN_NS
+        self._reported_ns = -_AGAIN_NS
         self._rx, self._tx = slcan.LineDecoder(), slcan.LineDecoder(of_host=True)
         self._joined = False
         self._target_rpm = 0.0
         self._status: int | None = None
         self._network: cia402.Heartbeat | None = None
-        self._may_refuse = 0  # orders to the adapter itself, which has its reasons to refuse them
+        self._may_refuse = 0  # pending commands to the adapter itself; a refusal of these is not a lost frame
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
         """See Pipeline."""
@@ -53,7 +54,7 @@ class DrivePipeline:
             frames = cia402.own_frames(sent.frames)
             self.host_beats.sent(frames, host_ns)
             for frame in frames:
-                self._heed_target(frame)
+                self._take_target(frame)
             self.frames = []
             return []
         found = self._rx.feed(data) if self._joined else self._join(data)
@@ -68,13 +69,13 @@ class DrivePipeline:
         rows: list[tuple[int, int, float]] = []  # statusword, actual and target speed in rpm
         report, beat = cia402.cob_tpdo(1, self._node), cia402.cob_heartbeat(self._node)
         for frame in self.frames:
-            if frame.arbitration_id == report:  # nearly all of them
+            if frame.arbitration_id == report:  # the most frequent case
                 if len(frame.data) >= cia402.TPDO1_BYTES:
                     rows.append((*cia402.unpack_tpdo1(frame.data), self._target_rpm))
                 elif not self.complaint:
                     out.append(self._short(frame))
                 continue
-            self._heed_target(frame)
+            self._take_target(frame)
             if frame.arbitration_id == beat:
                 out += self._heartbeat(frame)
             elif frame.arbitration_id == cia402.cob_emergency(self._node) and len(frame.data) == 8:
@@ -88,18 +89,18 @@ class DrivePipeline:
         return out
 
     def _second_host(self, host_ns: int) -> Iterator[Event]:
-        """Another node keeps the drive's watch content; told again each second, as long as it does."""
-        if not self.host_beats.came(self.frames, host_ns) or host_ns - self._said_ns < _AGAIN_NS:
+        """Report each second that another node sends the host's heartbeat, as long as it does."""
+        if not self.host_beats.received(self.frames, host_ns) or host_ns - self._reported_ns < _AGAIN_NS:
             return
-        self._said_ns = host_ns
+        self._reported_ns = host_ns
         text = (
             f"another node sends this host's heartbeat (node {self._host_node}): the drive would go on turning without "
-            "its host. Find the node that bears this number, or give the host another one (host_node_id)"
+            "its host. Find the node with this number, or give the host another one (host_node_id)"
         )
         yield Event("fault", self._device, text, {"foreign_heartbeats": self.host_beats.foreign})
 
     def _short(self, frame: slcan.CanFrame) -> Event:
-        """A report that cannot hold statusword and speed; told once."""
+        """Return the event about a report that is too short for statusword and speed; reported once."""
         self.complaint = (
             f"its reports (TPDO1) have {len(frame.data)} bytes; statusword and actual speed are "
             f"{cia402.TPDO1_BYTES}. Look at the drive's mapping (1A00h)"
@@ -107,22 +108,22 @@ class DrivePipeline:
         return Event("mapping", self._device, self.complaint, {"bytes": len(frame.data)})
 
     def _join(self, data: bytes) -> slcan.Decoded:
-        """Take a log's first line, of which it may have the end only, without blame."""
-        behind = slcan.first_line_end(data)
-        if not behind:
+        """Decode the first line of a log, which may be cut at its beginning, without counting damage."""
+        end = slcan.first_line_end(data)
+        if not end:
             return self._rx.feed(data)
         self._joined = True
-        first, found = self._rx.feed(data[:behind]), self._rx.feed(data[behind:])
+        first, found = self._rx.feed(data[:end]), self._rx.feed(data[end:])
         return slcan.Decoded(first.frames + found.frames, first.other_lines + found.other_lines, found.damaged)
 
     def _answered(self, found: slcan.Decoded) -> list[Event]:
-        """The adapter's answers in their order: of its refusals, those of frames that did not go out."""
+        """Return the event about refused frames in the adapter's answers, which are in the order of the commands."""
         refused = 0
         for line in found.other_lines:
             if line in ("", slcan.BEL):
                 refused += line == slcan.BEL and not self._may_refuse
                 self._may_refuse = max(0, self._may_refuse - 1)
-            elif line in ("z", "Z"):  # a frame has gone out: its own orders before are over, answered or not
+            elif line in ("z", "Z"):  # a frame was sent: earlier commands to the adapter are not pending any more
                 self._may_refuse = 0
         if found.frames:
             self._may_refuse = 0  # the bus is open
@@ -132,12 +133,12 @@ class DrivePipeline:
         text = f"the adapter refused {refused} lines: these frames did not go out. Look at the bus and its termination"
         return [Event("refused", self._device, text, {"lines": refused})]
 
-    def _heed_target(self, frame: slcan.CanFrame) -> None:
+    def _take_target(self, frame: slcan.CanFrame) -> None:
         if frame.arbitration_id == cia402.cob_rpdo(1, self._node) and len(frame.data) == 4:
             self._target_rpm = float(cia402.unpack_rpdo1(frame.data)[1])
 
     def _heartbeat(self, frame: slcan.CanFrame) -> list[Batch | Event]:
-        """A boot-up message, or a change of the drive's network state; only in operation does it report its speed."""
+        """Return the event of a boot-up or of a change of the network state. A drive reports only if operational."""
         state = cia402.heartbeat(frame.data)
         before, self._network = self._network, self._network if state is None else state
         if state is None or (state == before and state != cia402.Heartbeat.BOOT_UP):
@@ -147,7 +148,7 @@ class DrivePipeline:
             return [Event("restart", self._device, text)]
         operational = state == cia402.Heartbeat.OPERATIONAL
         if operational and before is None:
-            return []  # as it should be
+            return []  # the expected state
         text = f"network state {state.name.replace('_', '-')}" + ("" if operational else ": it reports no speed")
         return [Event("network", self._device, text, {"network_state": int(state), "operational": operational})]
 

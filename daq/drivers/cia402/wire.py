@@ -1,6 +1,6 @@
-"""What the drive speaks: CANopen (CiA 301) frames and the CiA 402 state machine in velocity mode.
+"""CANopen frames (CiA 301) of a drive, and the CiA 402 state machine in velocity mode.
 
-Used by the host and by the simulated drive alike; no bus and no clock here. Speeds are the drive's own rpm words.
+A pure codec without bus and clock, used by the host and by the simulated drive. Speeds are the drive's words, in rpm.
 """
 
 import struct
@@ -21,9 +21,9 @@ TARGET_VELOCITY, VELOCITY_DEMAND, ACTUAL_VELOCITY = 0x6042, 0x6043, 0x6044
 VELOCITY_ACCELERATION, VELOCITY_DECELERATION = 0x6048, 0x6049
 """Ramps: sub 1 Δspeed in rpm (u32), sub 2 Δtime in s (u16)."""
 RPDO1, TPDO1 = 0x1400, 0x1800
-"""How each one's PDO 1 travels: sub 1 COB-ID (u32), 2 transmission type (u8), 5 event timer in ms (u16)."""
+"""Communication parameters of the PDOs 1: sub 1 COB-ID (u32), 2 transmission type (u8), 5 event timer in ms (u16)."""
 RPDO1_MAPPING, TPDO1_MAPPING = 0x1600, 0x1A00
-"""What is in them: sub 0 how many objects (u8), each index << 16 | sub-index << 8 | bits (u32)."""
+"""Mapping of the PDOs 1: sub 0 number of objects (u8), then each index << 16 | sub-index << 8 | bits (u32)."""
 MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061
 MODE_VELOCITY = 2
 
@@ -32,10 +32,10 @@ DISABLE_VOLTAGE, QUICK_STOP, SHUTDOWN = 0x0000, 0x0002, 0x0006
 SWITCH_ON, ENABLE_OPERATION = 0x0007, 0x000F
 FAULT_RESET, HALT = 0x0080, 0x0100
 RAMP_BITS = 0x0070
-"""Bits 4 … 6 in velocity mode: the ramp generator runs, follows its ramp and takes the target."""
+"""Bits 4 … 6 in velocity mode: enable the ramp generator, unlock the ramp, use the target."""
 
 HEARTBEAT_ERROR = 0x8130
-"""Emergency and error code of a drive that missed its host's heartbeat (CiA 301)."""
+"""Emergency and error code of a drive that did not receive its host's heartbeat in time (CiA 301)."""
 
 NOT_READY = "NOT READY TO SWITCH ON"
 SWITCH_ON_DISABLED = "SWITCH ON DISABLED"
@@ -82,7 +82,7 @@ class Heartbeat(IntEnum):
 
 @dataclass(frozen=True)
 class Emergency:
-    """An emergency frame: CiA error code, error register (1001h), five bytes of the maker's own."""
+    """An emergency frame: CiA error code, error register (1001h), five manufacturer-specific bytes."""
 
     error_code: int
     error_register: int
@@ -91,37 +91,37 @@ class Emergency:
 
 @lru_cache(1024)
 def state(statusword: int) -> str:
-    """Name of the drive state, one of `STATES`, or `UNKNOWN` for a pattern the table does not have."""
+    """Return the name of the drive state, a key of `STATES`, or `UNKNOWN` for a pattern that is not in the table."""
     return next((name for name, (mask, value) in STATES.items() if statusword & mask == value), UNKNOWN)
 
 
 def signed(word: int) -> int:
-    """A 16-bit word as the signed number it stands for."""
+    """Return the signed number of a 16-bit word."""
     return (word & 0xFFFF ^ 0x8000) - 0x8000
 
 
 def towards_operation(state_name: str) -> int | None:
-    """Controlword for the next step towards OPERATION ENABLED; None where one can only wait."""
+    """Return the controlword for the next step towards OPERATION ENABLED; None if the host has to wait."""
     return _TOWARDS_OPERATION.get(state_name)
 
 
 def pack_tpdo1(statusword: int, actual_rpm: int) -> bytes:
-    """Drive to host: statusword u16, actual speed i16 in rpm."""
+    """Encode drive to host: statusword u16, actual speed i16 in rpm."""
     return _STATUS_SPEED.pack(statusword, actual_rpm)
 
 
 def own_frames(frames: Sequence[CanFrame]) -> list[CanFrame]:
-    """CANopen's frames: with data, and with identifiers of 11 bits; others share the bus."""
+    """Return the frames of CANopen: those with data and identifiers of 11 bits. Other frames may share the bus."""
     return [frame for frame in frames if not (frame.extended or frame.remote)]
 
 
 def write_word(index: int, value: int) -> bytes:
-    """The request that writes a u16 to an object, sub-index 0 (CiA 301, expedited)."""
+    """Return the request that writes a u16 to an object, sub-index 0 (CiA 301, expedited)."""
     return struct.pack("<BHBHH", 0x2B, index, 0, value, 0)
 
 
 def mapped_word(index: int) -> int:
-    """An object of 16 bits, sub-index 0, as it stands in a PDO's mapping."""
+    """Return the entry of a PDO's mapping for an object of 16 bits, sub-index 0."""
     return index << 16 | 16
 
 
@@ -129,24 +129,24 @@ TPDO1_BYTES = 4
 
 
 def unpack_tpdo1(data: bytes) -> tuple[int, int]:
-    """Statusword and actual speed in rpm; what a drive maps behind them is not looked at.
+    """Return statusword and actual speed in rpm; further mapped objects are ignored.
 
     Raises:
-        ValueError: fewer than 4 bytes.
+        ValueError: there are fewer than 4 bytes.
     """
     return _four(data[:TPDO1_BYTES], "TPDO1 (statusword u16, actual rpm i16)")
 
 
 def pack_rpdo1(controlword: int, target_rpm: int) -> bytes:
-    """Host to drive: controlword u16, target speed i16 in rpm."""
+    """Encode host to drive: controlword u16, target speed i16 in rpm."""
     return _STATUS_SPEED.pack(controlword, target_rpm)
 
 
 def unpack_rpdo1(data: bytes) -> tuple[int, int]:
-    """Controlword and target speed in rpm.
+    """Return controlword and target speed in rpm.
 
     Raises:
-        ValueError: not 4 bytes.
+        ValueError: the length is not 4 bytes.
     """
     return _four(data, "RPDO1 (controlword u16, target rpm i16)")
 
@@ -159,15 +159,15 @@ def _four(data: bytes, what: str) -> tuple[int, int]:
 
 
 def pack_emergency(emergency: Emergency) -> bytes:
-    """The 8 data bytes of an emergency frame."""
+    """Return the 8 data bytes of an emergency frame."""
     return _EMERGENCY.pack(emergency.error_code, emergency.error_register, emergency.maker_bytes)
 
 
 def unpack_emergency(data: bytes) -> Emergency:
-    """Read the 8 data bytes of an emergency frame.
+    """Parse the 8 data bytes of an emergency frame.
 
     Raises:
-        ValueError: not 8 bytes.
+        ValueError: the length is not 8 bytes.
     """
     if len(data) != _EMERGENCY.size:
         raise ValueError(f"expected 8 bytes of an emergency frame, got {len(data)}")
@@ -248,7 +248,7 @@ _EMERGENCIES = {
 
 
 def emergency_words(error_code: int) -> str:
-    """An error code and what it means; of a code the standard does not name, its class."""
+    """Return an error code with its meaning; for a code that is not in the standard, with that of its class."""
     known = next(
         (
             error_code & mask
@@ -261,41 +261,41 @@ def emergency_words(error_code: int) -> str:
 
 
 def heartbeat(data: bytes) -> Heartbeat | None:
-    """NMT state in a heartbeat frame; None when the byte is none (the top bit may toggle and is ignored)."""
+    """Return the NMT state in a heartbeat frame; None if it is invalid (the top bit may toggle and is ignored)."""
     value = data[0] & 0x7F if len(data) == 1 else -1
     return Heartbeat(value) if value in Heartbeat.__members__.values() else None
 
 
 def consumer_heartbeat(host_node: int, timeout_ms: int) -> int:
-    """Value of 1016h sub 1: the drive goes to quick stop when this node's heartbeat stays away so long."""
+    """Return the value of 1016h sub 1: the drive makes a quick stop without this node's heartbeat for `timeout_ms`."""
     return host_node << 16 | timeout_ms
 
 
 def cob_emergency(node: int) -> int:
-    """COB-ID of emergency frames."""
+    """Return the COB-ID of emergency frames."""
     return 0x080 + node
 
 
 def cob_tpdo(number: int, node: int) -> int:
-    """COB-ID of transmit PDO 1 … 4 (device to host), predefined connection set."""
+    """Return the COB-ID of transmit PDO 1 … 4 (device to host), predefined connection set."""
     return 0x080 + 0x100 * number + node
 
 
 def cob_rpdo(number: int, node: int) -> int:
-    """COB-ID of receive PDO 1 … 4 (host to device), predefined connection set."""
+    """Return the COB-ID of receive PDO 1 … 4 (host to device), predefined connection set."""
     return 0x100 + 0x100 * number + node
 
 
 def cob_sdo_answer(node: int) -> int:
-    """COB-ID of a device's SDO answers."""
+    """Return the COB-ID of a device's SDO answers."""
     return 0x580 + node
 
 
 def cob_sdo_request(node: int) -> int:
-    """COB-ID of SDO requests to a device."""
+    """Return the COB-ID of SDO requests to a device."""
     return 0x600 + node
 
 
 def cob_heartbeat(node: int) -> int:
-    """COB-ID of heartbeat frames."""
+    """Return the COB-ID of heartbeat frames."""
     return 0x700 + node

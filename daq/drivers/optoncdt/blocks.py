@@ -1,32 +1,33 @@
-# pyright: reportMissingParameterType=false
-"""The undamaged part of a laser's stream in one compiled pass, and what its distance words mean in another.
+# pyright: strict
+"""Compiled decoding of the undamaged part of a laser's stream, and compiled scaling of its distance words.
 
-Nearly all of a stream is whole blocks, each the one after its predecessor. They need no state machine: one loop takes
-the words apart, checks that counter and timestamp go on by one sample, and stops at the first byte that is anything
-else. What it leaves is for the full decoder, which gives the same samples for the same bytes.
+Nearly all of a stream consists of complete blocks that continue one another. They need no state machine: one loop
+separates the words, checks that counter and timestamp advance by one sample, and stops at the first byte that does not
+fit. The full decoder takes the rest; it gives the same samples for the same bytes.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.spikes import compile_watch
 
 _COUNTER_WRAP, _TIMESTAMP_WRAP = optoncdt.COUNTER_WRAP, optoncdt.TIMESTAMP_WRAP
-_USUAL = optoncdt.SCALINGS[optoncdt.USUAL_SCALING]
+_USUAL = distance_words.SCALINGS[distance_words.USUAL_SCALING]
 
 
 class CleanBlocks(NamedTuple):
-    """Whole blocks from the beginning of some bytes.
+    """Complete blocks at the beginning of some bytes.
 
     Attributes:
-        code, counter: raw words, integers (n,).
-        ticks: timestamps, wrapped, int64 (n,).
+        code, counter: raw words, integers, shape (n,).
+        ticks: timestamps, wrapped, int64, shape (n,).
     """
 
     code: NDArray[np.integer]
@@ -35,8 +36,17 @@ class CleanBlocks(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _take(data, places, last_counter, last_tick, nominal_ticks, code, counter, ticks):  # pragma: no cover - compiled
-    """Fill the columns; returns how many blocks were clean and continued one another."""
+def _take(
+    data: NDArray[np.uint8],
+    places: tuple[int, ...],
+    last_counter: int,
+    last_tick: int,
+    nominal_ticks: float,
+    code: NDArray[np.uint32],
+    counter: NDArray[np.uint32],
+    ticks: NDArray[np.int64],
+) -> int:  # pragma: no cover - compiled
+    """Fill the columns; return the number of undamaged blocks that continue one another."""
     words, at_distance, at_counter, at_low, at_high = places
     for block in range(len(code)):
         low = high = np.int64(0)
@@ -61,31 +71,37 @@ def _take(data, places, last_counter, last_tick, nominal_ticks, code, counter, t
             return block
         counter[block] = count
         ticks[block] = tick
-        last_counter, last_tick = count, tick
+        last_counter, last_tick = int(count), int(tick)
     return len(code)
 
 
 def take_clean_blocks(
-    data: bytes, places: optoncdt.Places, last_counter: int, last_tick: int, nominal_ticks: float
+    data: bytes, places: sensor_answers.Places, last_counter: int, last_tick: int, nominal_ticks: float
 ) -> CleanBlocks:
-    """Blocks at the beginning of `data` that are whole, undamaged, and each the one after its predecessor.
+    """Decode the blocks at the beginning of `data` that are complete and undamaged and continue one another.
 
     Args:
-        data: bytes that begin at a block's beginning.
-        places: of the words in a block.
-        last_counter, last_tick: of the block before, as they were on the line.
-        nominal_ticks: between two blocks.
+        data: bytes that start with a block.
+        places: positions of the words in a block.
+        last_counter, last_tick: counter and timestamp of the preceding block as received.
+        nominal_ticks: ticks between two blocks.
     """
     most = len(data) // (3 * places.words)
-    columns: list[NDArray[Any]] = [np.empty(most, np.uint32), np.empty(most, np.uint32), np.empty(most, np.int64)]
+    code, counter, ticks = np.empty(most, np.uint32), np.empty(most, np.uint32), np.empty(most, np.int64)
     view = np.frombuffer(data, np.uint8)
-    taken = _take(view, tuple(places), last_counter, last_tick, float(nominal_ticks), *columns)
-    return CleanBlocks(*(column[:taken] for column in columns))
+    taken = _take(view, tuple(places), last_counter, last_tick, float(nominal_ticks), code, counter, ticks)
+    return CleanBlocks(code[:taken], counter[:taken], ticks[:taken])
 
 
 @njit(cache=True, nogil=True)
-def _measure(code, formula, range_m, to_disk, displacement):  # pragma: no cover - compiled
-    """Fill in displacements, by the operations of `optoncdt.metres` in their order; returns how many are none."""
+def _measure(
+    code: NDArray[np.uint32],
+    formula: tuple[int, float, float, float],
+    range_m: float,
+    to_disk: float,
+    displacement: NDArray[np.float64],
+) -> int:  # pragma: no cover - compiled
+    """Fill in displacements, m, by the operations of `distance_words.metres` in their order; return the NaN count."""
     most, gain, zero, whole = formula
     invalid = 0
     for i in range(len(code)):
@@ -99,18 +115,18 @@ def _measure(code, formula, range_m, to_disk, displacement):  # pragma: no cover
 
 
 def measure(
-    code: NDArray[np.uint32], range_m: float, to_disk: float, scaling: optoncdt.Scaling = _USUAL
+    code: NDArray[np.uint32], range_m: float, to_disk: float, scaling: distance_words.Scaling = _USUAL
 ) -> tuple[NDArray[np.float64], int]:
-    """Displacement of the disk, and how many words are no reading.
+    """Convert distance words to displacements of the disk.
 
     Args:
         code: distance words, shape (n,).
-        range_m: measuring range of the sensor, m; displacement 0 is its middle.
-        to_disk: displacement of the disk over displacement at the sensor.
-        scaling: of the sensor's model.
+        range_m: measuring range of the sensor, m; its middle is displacement 0.
+        to_disk: ratio of the displacement of the disk to that at the sensor.
+        scaling: scaling of the sensor's model.
 
     Returns:
-        m, shape (n,), NaN for an error code; the number of those.
+        Displacement, m, shape (n,), NaN for an error code; number of error codes.
     """
     displacement = np.empty(len(code))
     formula = scaling.most, scaling.span / scaling.steps, scaling.zero, scaling.whole
@@ -118,12 +134,15 @@ def measure(
 
 
 def compile_loop() -> None:
-    """Load what is compiled, or compile it, before any byte waits for it."""
-    take_clean_blocks(bytes(12), optoncdt.Places(4, 0, 1, 2, 3), 0, 0, 25.0)
+    """Load or compile the compiled code before the first byte arrives."""
+    take_clean_blocks(bytes(12), sensor_answers.Places(4, 0, 1, 2, 3), 0, 0, 25.0)
     measure(np.zeros(1, np.uint32), 1.0, 1.0)
     compile_watch()
 
 
 def may_begin_block(data: bytes) -> bool:
-    """Whether bytes can be the beginning of a block: low, middle, high, and the first value's high a first one."""
+    """Whether bytes can be the beginning of a block.
+
+    The two highest bits mark the bytes of a word as low (0), middle (1) and high: 2 for the first word, otherwise 3.
+    """
     return all(byte >> 6 == (0, 1, 2 if at == 2 else 3)[at % 3] for at, byte in enumerate(data))

@@ -1,19 +1,20 @@
 """The sensor's end of the optoNCDT command line: ASCII commands in, answers out.
 
-For whatever stands in for a sensor: one that is simulated, one whose stream comes from a log. A command is a line; the
-answer is its lines, an error ``E200 …``, or with the echo on the command itself and ``ok``; behind it stands the
-prompt. It may stand between two blocks of the stream, never inside one. Source: ILD1420 manual, ASCII commands.
+Used by the simulated sensor and by the stand-in for a sensor of a log. A command is a line. The answer consists of
+lines of information, of an error ``E200 …``, or, if the echo is on, of the command itself and ``ok``. The prompt
+follows. An answer may be sent between two blocks of the stream, never inside one. Source: ILD1420 manual, ASCII
+commands.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import sensor_answers
 
 RATES_HZ = (250.0, 500.0, 1000.0, 2000.0, 4000.0)
 OUTPUTS = ("COUNTER", "TIMESTAMP")
-"""What may follow the distance in a block, in stream order."""
+"""Outputs that may follow the distance in a block, in stream order."""
 
 _LINE_LIMIT = 256  # bytes; the longest command is well under 100
 
@@ -23,20 +24,20 @@ def _nothing() -> None:
 
 
 class SensorCommands:
-    """What a sensor was told, and what it answers.
+    """Command interpreter of a sensor.
 
     Attributes:
-        streaming: whether it was told to send measurements.
-        rate_Hz: measuring rate.
-        outputs: what follows the distance in a block.
+        streaming: whether the sensor was commanded to send measurements.
+        rate_Hz: measuring rate, Hz.
+        outputs: outputs that follow the distance in a block.
 
     Args:
         info: lines of the answer to GETINFO, see `info_lines`.
-        rate_Hz: at the beginning.
-        outputs: what can follow the distance in a block, in stream order.
-        fixed: the stream is what it is: another rate, or a stream without one of the outputs, is refused.
+        rate_Hz: initial measuring rate, Hz.
+        outputs: outputs that can follow the distance in a block, in stream order.
+        fixed: whether the stream cannot change: another rate, or a stream without one of the outputs, is refused.
         rate_set: called when a rate was commanded.
-        counter_reset: called when the measurement counter is to begin anew.
+        counter_reset: called when the measurement counter restarts at 0.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class SensorCommands:
             "GETINFO": lambda _: self._info,
             "OUTPUT": self._output,
             "OUTADD_RS422": self._outadd,
-            "GETOUTINFO_RS422": lambda _: [" ".join(("GETOUTINFO_RS422", optoncdt.DISTANCE, *self.outputs))],
+            "GETOUTINFO_RS422": lambda _: [" ".join(("GETOUTINFO_RS422", sensor_answers.DISTANCE, *self.outputs))],
             "MEASRATE": self._measrate,
             "OUTHOLD": lambda _: [],
             "OUTREDUCEDEVICE": lambda _: [],
@@ -71,7 +72,7 @@ class SensorCommands:
         }
 
     def receive(self, data: bytes) -> bytes:
-        """Take command bytes, cut anywhere; returns the answers to the commands they complete."""
+        """Take command bytes, split at any place; return the answers to the commands that they complete."""
         *lines, rest = (bytes(self._line) + data).split(b"\n")
         self._line = bytearray(rest[-_LINE_LIMIT:])
         return b"".join(self._answer(line.decode("ascii", "replace").strip()) for line in lines)
@@ -79,7 +80,7 @@ class SensorCommands:
     def _answer(self, line: str) -> bytes:
         name, *args = line.replace("(", " ").replace(")", " ").split() or [""]
         if not name:
-            return optoncdt.PROMPT.encode()
+            return sensor_answers.PROMPT.encode()
         command = self._commands.get(name.upper())
         if command is None:
             lines = [f"E200 Unknown command {name}"]
@@ -90,7 +91,7 @@ class SensorCommands:
                     lines = [f"{line} ok"]
             except ValueError as refusal:
                 lines = [f"E210 {refusal}"]
-        text = "".join(f"{each}\r\n" for each in lines) + optoncdt.PROMPT
+        text = "".join(f"{each}\r\n" for each in lines) + sensor_answers.PROMPT
         return text.encode("ascii", "replace")
 
     def _set_echo(self, args: list[str]) -> list[str]:
@@ -128,8 +129,8 @@ class SensorCommands:
         return []
 
 
-def info_lines(info: optoncdt.Info) -> list[str]:
-    """The answer to GETINFO that `optoncdt.parse_info` reads as the same."""
+def info_lines(info: sensor_answers.Info) -> list[str]:
+    """Return the answer to GETINFO that `sensor_answers.parse_info` converts to the same `info`."""
     millimetres = f"{info['range_m'] * 1e3:.2f}"
     if float(millimetres) / 1000.0 != info["range_m"]:
         millimetres = f"{info['range_m'] * 1e3:.12f}"
@@ -142,12 +143,11 @@ def info_lines(info: optoncdt.Info) -> list[str]:
 
 
 def outputs_of(words: Sequence[str]) -> tuple[str, ...]:
-    """The outputs behind the distance that give a stream of these words; the inverse of `optoncdt.parse_outinfo`."""
-    return tuple(
-        "TIMESTAMP" if word == optoncdt.TIMESTAMP_LO else word for word in words[1:] if word != optoncdt.TIMESTAMP_HI
-    )
+    """Return the outputs after the distance that give a stream of these words; inverse of `parse_outinfo`."""
+    low, high = sensor_answers.TIMESTAMP_LO, sensor_answers.TIMESTAMP_HI
+    return tuple("TIMESTAMP" if word == low else word for word in words[1:] if word != high)
 
 
 def _text(value: str) -> str:
-    """One line of a sensor's own alphabet."""
+    """Replace characters that a sensor cannot send."""
     return "".join(letter if " " <= letter <= "~" else "?" for letter in value)

@@ -51,7 +51,7 @@ class OptoNcdt:
 
     def pipeline(self, device: str, settings: Laser, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.drivers.optoncdt.stream import LaserPipeline  # noqa: PLC0415 (numba)
+        from daq.drivers.optoncdt.stream import LaserPipeline  # imports numba
 
         (channel,) = self.channels(settings)
         return LaserPipeline(device, settings, channel, identity)
@@ -68,25 +68,25 @@ class OptoNcdt:
 
     def far_end(self, device: str, settings: Laser, world: Any) -> FarEnd:
         """See Driver."""
-        from daq.drivers.optoncdt.far_end import SimulatedLaser  # noqa: PLC0415
+        from daq.drivers.optoncdt.far_end import SimulatedLaser
 
         return SimulatedLaser.of(device, settings, world)
 
     def played(self, settings: Laser, identity: Mapping[str, Any]) -> PlayedDevice:
         """See Driver."""
-        from daq.drivers.optoncdt.played import PlayedLaser  # noqa: PLC0415
+        from daq.drivers.optoncdt.played import PlayedLaser
 
         return PlayedLaser(identity, settings)
 
     def prepare(self) -> None:
         """See Driver."""
-        from daq.drivers.optoncdt.blocks import compile_loop  # noqa: PLC0415
+        from daq.drivers.optoncdt.blocks import compile_loop
 
         compile_loop()
 
     def open(self, device: str, settings: Laser, talk: Talk) -> dict[str, Any]:
         """See Driver."""
-        from daq.drivers.optoncdt.dialogue import configure  # noqa: PLC0415
+        from daq.drivers.optoncdt.dialogue import configure
 
         return configure(device, settings, talk)
 

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.drivers.optoncdt.settings import Laser
@@ -21,17 +22,21 @@ class SimulatedLaser(FarEnd):
     """One sensor on its serial line.
 
     Attributes:
-        fault_code: a distance word it gives in place of what it sees (262076: no peak); None when it is sound.
+        fault_code: distance word that the sensor sends in place of the measured one (262076: no peak); None without a
+            fault.
 
     Args:
-        config: its table of the rig file.
-        look: shape (2,), what it sees of x and y (axis angle and gain in it), dimensionless.
-        offset_m: reading at rest against mid-range.
-        noise_m: standard deviation of one sample.
+        config: table of the sensor in the rig file.
+        look: sensitivity to x and y, including axis angle and gain, dimensionless, shape (2,).
+        offset_m: reading at rest, from mid-range, m.
+        noise_m: standard deviation of one sample, m.
+        clock: clock of the sensor.
+        rng: source of the noise.
+        serial: serial number.
     """
 
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
-        "blocked": FaultKind("something stands in the beam: every distance is the code for no peak"),
+        "blocked": FaultKind("the beam is blocked: every distance is the code for no peak"),
         "code": FaultKind("every distance is an error code", _NO_PEAK, meaning="the code", limits=(0, 2**18 - 1)),
     }
 
@@ -48,24 +53,24 @@ class SimulatedLaser(FarEnd):
         self._config, self._look, self._offset, self._noise = config, look, offset_m, noise_m
         self._clock, self._rng = clock, rng
         self.fault_code: int | None = None
-        self._next = 0  # number of the next sample on the device's clock
+        self._next = 0  # index of the next sample on the device's clock
         self._counter = int(rng.integers(0, optoncdt.COUNTER_WRAP))
-        model = config.scaling or optoncdt.USUAL_SCALING
-        self._scaling = optoncdt.SCALINGS[model]
-        self._info = optoncdt.Info(name=model, serial=serial, range_m=config.range_m, version="001.019")
+        model = config.scaling or distance_words.USUAL_SCALING
+        self._scaling = distance_words.SCALINGS[model]
+        self._info = sensor_answers.Info(name=model, serial=serial, range_m=config.range_m, version="001.019")
         self._commands = self._fresh_commands()
 
     def _fresh_commands(self) -> SensorCommands:
         return SensorCommands(
             [*info_lines(self._info), "Option: 000", "Article: 4120232"],
             float(self._config.rate_Hz),
-            rate_set=self._begin_anew,
+            rate_set=self._restart_sampling,
             counter_reset=self._reset_counter,
         )
 
     @classmethod
     def of(cls, device: str, config: Laser, world: World) -> SimulatedLaser:
-        """The sensor of a simulated rig."""
+        """Make the sensor of a simulated rig."""
         gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
         look = gain * world.direction(config.axis, config.direction_deg)
         return cls(
@@ -79,17 +84,17 @@ class SimulatedLaser(FarEnd):
         )
 
     def receive(self, data: bytes, now_s: float = 0.0) -> bytes:
-        """Take command bytes; returns the answers."""
+        """Take command bytes; return the answers."""
         return self._commands.receive(data)
 
-    def _begin_anew(self) -> None:
+    def _restart_sampling(self) -> None:
         self._next = 0
 
     def _reset_counter(self) -> None:
         self._counter = 0
 
     def sample(self, motion: Stretch) -> bytes:
-        """The stream's bytes for the samples that fall into a stretch of motion."""
+        """Return the bytes of the samples in an interval of motion."""
         period = 1.0 / self._commands.rate_Hz
         last = int(np.floor(float(self._clock.device_s(motion.time_s[-1])) / period))
         if self._next == 0:  # first call: start counting now
@@ -102,14 +107,14 @@ class SimulatedLaser(FarEnd):
         self._counter = int(counter[-1] + 1) % optoncdt.COUNTER_WRAP
         device_s = numbers * period
         times = np.clip(self._clock.rig_s(device_s), motion.time_s[0], motion.time_s[-1])
-        seen = self._look[0] * motion.at(times, 0, 4) + self._look[1] * motion.at(times, 1, 5)
-        seen = seen + self._offset + self._noise * self._rng.standard_normal(len(numbers))
+        reading = self._look[0] * motion.at(times, 0, 4) + self._look[1] * motion.at(times, 1, 5)
+        reading = reading + self._offset + self._noise * self._rng.standard_normal(len(numbers))
         if not self._commands.streaming:
             return b""
-        return optoncdt.encode_block(self._words(seen, counter, device_s))
+        return optoncdt.encode_block(self._words(reading, counter, device_s))
 
     def fail(self, what: str, value: Any) -> None:
-        """See FarEnd and `fault_kinds`; 0 ends either."""
+        """See FarEnd and `fault_kinds`; the value 0 ends either fault."""
         match what:
             case "blocked":
                 self.fault_code = _NO_PEAK if value else None
@@ -119,7 +124,7 @@ class SimulatedLaser(FarEnd):
                 super().fail(what, value)
 
     def power(self, on: bool, now_s: float) -> None:
-        """See FarEnd: it answers commands again, sends nothing yet, and counts from 0."""
+        """See FarEnd. After power-up the sensor answers commands, does not stream, and counts from 0."""
         super().power(on, now_s)
         if on:
             self._clock.begin_anew(now_s)
@@ -127,12 +132,13 @@ class SimulatedLaser(FarEnd):
             self._commands = self._fresh_commands()
 
     def _words(
-        self, seen: NDArray[np.floating], counter: NDArray[np.int_], device_s: NDArray[np.floating]
+        self, reading: NDArray[np.floating], counter: NDArray[np.int_], device_s: NDArray[np.floating]
     ) -> NDArray[np.uint32]:
         half = 0.5 * self._config.range_m
-        codes = optoncdt.code(np.clip(seen, -half, half) + half, self._config.range_m, self._scaling).astype(np.int64)
-        codes[seen > half] = _ERROR_BEHIND
-        codes[seen < -half] = _ERROR_BEFORE
+        distance = np.clip(reading, -half, half) + half
+        codes = distance_words.code(distance, self._config.range_m, self._scaling).astype(np.int64)
+        codes[reading > half] = _ERROR_BEHIND
+        codes[reading < -half] = _ERROR_BEFORE
         if self.fault_code is not None:
             codes[:] = self.fault_code
         ticks = np.rint(device_s / optoncdt.TICK_S).astype(np.int64) % optoncdt.TIMESTAMP_WRAP

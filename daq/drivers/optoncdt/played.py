@@ -1,15 +1,15 @@
-"""An optoNCDT sensor of a log while it is played."""
+"""Stand-in for an optoNCDT sensor of a log while the log is played."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
 
 import numpy as np
 
 from daq.channels import RX
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines, outputs_of
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import DEFAULT_WORDS
@@ -21,9 +21,9 @@ _WORD = re.compile(r"[A-Z0-9_]{1,40}")
 
 
 class WholeBlocks:
-    """A sensor's stream, handed on in whole blocks, so that an answer in between never falls into one.
+    """A sensor's stream in complete blocks, so that an answer is never inserted into a block.
 
-    What follows the last whole block waits for its end, but no longer than a block is: then it is none.
+    Bytes after the last complete block are held until the block is complete. Bytes longer than a block are passed on.
 
     Args:
         words: values in a block.
@@ -45,7 +45,7 @@ class WholeBlocks:
         return line[:end]
 
     def _end_of_blocks(self, line: bytes) -> int:
-        """Where the last whole block ends; where the block under way begins, when there is none behind it."""
+        """Return the end of the last complete block, or otherwise the beginning of the incomplete block."""
         high = np.flatnonzero(np.frombuffer(line, np.uint8) >= 0x80)  # last bytes of values …
         first = np.flatnonzero(np.frombuffer(line, np.uint8)[high] < 0xC0)  # … and those that begin a block
         if not len(first):
@@ -61,25 +61,23 @@ class WholeBlocks:
 
 
 class PlayedLaser(PlayedDevice):
-    """An optoNCDT sensor: answers as the one of the log, its rate and output words are those of the log.
+    """An optoNCDT sensor that answers as the sensor of the log. Rate and output words are those of the log.
 
     Args:
-        identity: what it said of itself; where it said nothing the rig file counts.
-        config: its table of the rig file.
+        identity: identity of the sensor from its opening. Missing entries are taken from the rig file.
+        config: table of the sensor in the rig file.
 
     Raises:
-        LogError: an identity no sensor has.
+        LogError: the identity is impossible for such a sensor.
     """
 
     expects = "OUTPUT RS422"
 
     def __init__(self, identity: Mapping[str, Any], config: Laser) -> None:
-        words = identity.get("words", config.output_words or DEFAULT_WORDS)
-        if not isinstance(words, list | tuple) or not words or not all(_is_word(word) for word in words):
-            raise LogError(f"identities.json: expected names of output words as the sensor gives them, got {words!r}")
+        words = _words(identity.get("words", config.output_words or DEFAULT_WORDS))
         super().__init__(WholeBlocks(len(words)))
         self._sensor = SensorCommands(
-            info_lines(_told(identity, config)), float(config.rate_Hz), outputs_of(words), fixed=True
+            info_lines(_info(identity, config)), float(config.rate_Hz), outputs_of(words), fixed=True
         )
 
     @property
@@ -94,22 +92,33 @@ class PlayedLaser(PlayedDevice):
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice."""
         answers = self._sensor.receive(data)
-        self.commands += answers.count(optoncdt.PROMPT.encode())
+        self.commands += answers.count(sensor_answers.PROMPT.encode())
         return answers
 
 
-def _is_word(word: object) -> bool:
-    return isinstance(word, str) and _WORD.fullmatch(word) is not None
+def _words(found: object) -> list[str]:
+    """Return the output words of an identity.
+
+    Raises:
+        LogError: they are not a list of names.
+    """
+    items = cast("Sequence[object]", found) if isinstance(found, list | tuple) else ()
+    words = [word for word in items if isinstance(word, str) and _WORD.fullmatch(word)]
+    if not words or len(words) != len(items):
+        raise LogError(f"identities.json: expected names of output words as the sensor gives them, got {found!r}")
+    return words
 
 
-def _told(identity: Mapping[str, Any], config: Laser) -> optoncdt.Info:
-    """What the sensor said of itself when it was asked; a range corrected afterwards is not what it says."""
-    scaling = identity.get("scaling", config.scaling or optoncdt.USUAL_SCALING)
-    if not isinstance(scaling, str) or scaling not in optoncdt.SCALINGS:
-        raise LogError(f"identities.json: expected a scaling, one of {', '.join(optoncdt.SCALINGS)}, got {scaling!r}")
+def _info(identity: Mapping[str, Any], config: Laser) -> sensor_answers.Info:
+    """Return the sensor's own identity. The range is the reported one, not one that was corrected afterwards."""
+    scaling = identity.get("scaling", config.scaling or distance_words.USUAL_SCALING)
+    if not isinstance(scaling, str) or scaling not in distance_words.SCALINGS:
+        raise LogError(
+            f"identities.json: expected a scaling, one of {', '.join(distance_words.SCALINGS)}, got {scaling!r}"
+        )
     range_m = identity.get("told_range_m", identity.get("range_m", config.range_m))
     if not isinstance(range_m, int | float) or not 0 < range_m < 100:
         raise LogError(f"identities.json: expected a measuring range in m, got {range_m!r}")
     serial, version = (str(identity.get(key, _UNKNOWN)) for key in ("serial", "version"))
-    name = str(identity.get("name", scaling))  # a host must find the scaling by it
-    return optoncdt.Info(name=name, serial=serial, range_m=float(range_m), version=version)
+    name = str(identity.get("name", scaling))  # a host derives the scaling from it
+    return sensor_answers.Info(name=name, serial=serial, range_m=float(range_m), version=version)

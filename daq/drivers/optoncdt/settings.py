@@ -15,16 +15,19 @@ Word = Annotated[str, Field(strict=True, pattern=r"^[A-Z0-9_]{1,40}$")]
 
 
 def _halves(words: tuple[str, ...]) -> tuple[str, ...]:
-    """The values of a block; a timestamp is two, low half first."""
+    """Return the values of a block; a timestamp consists of two values, low half first."""
     return tuple(each for word in words for each in (_TIMESTAMP if word == "TIMESTAMP" else (word,)))
 
 
 class Laser(DisplacementSettings):
     """An optoNCDT displacement sensor on its serial line.
 
-    rate_Hz is one that its model has, 250, 500, 1000, 2000 or 4000 for an ILD1420; another is refused by the sensor.
-    scaling is the model by whose formula its distance words are read; without it the name that the sensor gives tells.
-    words are the outputs in stream order, DIST, COUNTER and TIMESTAMP among them; without them the sensor is asked.
+    Attributes:
+        baud: line rate of the sensor, baud.
+        rate_Hz: measuring rate, Hz; one of those of the model (250, 500, 1000, 2000 or 4000 for an ILD1420). The sensor
+            refuses any other rate.
+        scaling: model whose formula converts the distance words; by default that of the model the sensor reports.
+        words: outputs in stream order, including DIST, COUNTER and TIMESTAMP; by default the sensor is queried.
     """
 
     names_its_channel: ClassVar[bool] = True
@@ -36,7 +39,7 @@ class Laser(DisplacementSettings):
 
     @property
     def output_words(self) -> tuple[str, ...]:
-        """Names of a block's values, as in the identity; none where the sensor is to be asked."""
+        """Names of a block's values, as in the identity; empty if the sensor is to be queried."""
         return _halves(self.words)
 
     @field_validator("words")

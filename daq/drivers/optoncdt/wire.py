@@ -1,30 +1,24 @@
 """Micro-Epsilon optoNCDT triangulation lasers: the RS422 stream and the ASCII command answers on the same line.
 
-A value travels as three bytes, low six bits first:
+A value is sent as three bytes, low six bits first:
 
     L  00dddddd   M  01dddddd   H  1Fdddddd      F = 0 on the first value of a measurement, 1 on the others
 
-so every byte says which third it is, and a block (one measurement, as many values as outputs are selected) starts
-at F = 0. Command answers are ASCII (below 0x80, thus never an H byte) and may stand between values.
+Every byte thus indicates which third it is. A block (one measurement with as many values as outputs are selected)
+starts at F = 0. Command answers are ASCII (below 0x80, thus never an H byte) and may be sent between values.
 
-How the two are told apart: a value is an L and an M that stand directly before an H. Low bytes that turn out not to
-do so are text if printable, damage otherwise. A line is therefore handed out when the byte after its LF has arrived;
-only the prompt ``->``, behind which nothing may follow, is taken at once. Source: ILD1420 manual, measurement data
-format and scaling pages.
+A value is an L and an M directly before an H. Other bytes below 0x80 are text if printable, otherwise damage. A line is
+therefore returned when the byte after its LF has arrived. Only the prompt ``->``, which no byte need follow, is
+returned immediately. Source: ILD1420 manual, measurement data format and scaling pages.
 """
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from daq.errors import DeviceError
-
-PROMPT = "->"
-DISTANCE, COUNTER, TIMESTAMP_LO, TIMESTAMP_HI = "DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"
+from daq.drivers.optoncdt.sensor_answers import PROMPT, announced
 
 COUNTER_WRAP = 2**18
 """The measurement counter restarts at 0 after this many measurements."""
@@ -32,76 +26,54 @@ TIMESTAMP_WRAP = 2**32
 """The timestamp restarts at 0 after this many ticks: 11 h 55 min 49.67 s."""
 TICK_S = 1e-5
 """One timestamp tick, s."""
-CODE_MAX = 65520
-"""Largest distance code of an ILD1420; anything above is an error code."""
-
-OUT_OF_RANGE = (262077, 262078)
-"""Codes of a target before or behind the measuring range."""
-
-ERROR_CODES = {
-    262073: "scaling underflow",
-    262074: "scaling overflow",
-    262075: "too much data for the baud rate",
-    262076: "no peak",
-    262077: "peak before the measuring range",
-    262078: "peak behind the measuring range",
-    262079: "cannot be calculated",
-    262080: "cannot be calculated",
-    262081: "peak too large",
-    262082: "laser is off",
-}
-"""Distance words that are no distance, and why (18-bit codes; never mask them to 16 bits before the test)."""
-
-_NO_PEAK, _BEFORE_RANGE, _BEHIND_RANGE = 262076, 262077, 262078
 _LF, _CR, _TAB, _DASH, _ANGLE = b"\n\r\t->"
 _TEXT = frozenset(range(0x20, 0x7F)) | {_LF, _CR, _TAB}
-_OUTINFO = "GETOUTINFO_RS422 "
-_BESIDE = ("SHUTTER", "COUNTER", "TIMESTAMP", "INTENSITY", "STATE", "DIST_RAW", "TEMP")  # outputs that are no distance
-MOST_WORDS = 32  # in a block; sensors have about ten
-_LINE_LIMIT = 1024  # bytes; the longest answers seen are GETINFO lines well under 100
-_STALE_AFTER = 256  # values without a text byte after which an unterminated text was damage, not an answer
-_WINDOW, _WINDOW_LIMIT = 16, 4096  # blocks the fast path looks at in one go: few after damage, more while it is clean
+_LINE_LIMIT = 1024  # bytes; the longest known answers are GETINFO lines well under 100
+_MAX_LINE_AGE = 256  # values without a text byte after which an unterminated line counts as damage
+_WINDOW, _WINDOW_LIMIT = 16, 4096  # blocks that the fast path tests at once: few after damage, more without
 
 
 @dataclass(frozen=True)
 class Decoded:
-    """What one `StreamDecoder.feed` found.
+    """Result of one call of `StreamDecoder.feed`.
 
     Attributes:
         values: raw 18-bit words of the complete blocks, uint32 of shape (blocks, words).
-        text: answer lines without their line end; the prompt is an item of its own, ``"->"``.
-        skipped_bytes: bytes thrown away while finding the beat again.
-        skipped_first: those of them before the first of the blocks; all of them where there is no block.
-        told: other words that an answer told of, behind which nothing was looked at any more; None if none did.
-        rest: bytes not looked at.
+        text: answer lines without their line end; the prompt ``"->"`` is a separate item.
+        skipped_bytes: number of bytes skipped to find the next block.
+        skipped_first: number of those before the first block; all of them without a block.
+        announced: other words that an answer announced; decoding stopped after that answer. None if no answer did.
+        rest: bytes that were not decoded.
     """
 
     values: NDArray[np.uint32]
     text: list[str]
     skipped_bytes: int
     skipped_first: int = 0
-    told: tuple[str, ...] | None = None
+    announced: tuple[str, ...] | None = None
     rest: bytes = b""
 
 
 class StreamDecoder:
-    """Bytes of one sensor in, measurement blocks and answer lines out; the split into calls makes no difference.
+    """Decode the bytes of one sensor to measurement blocks and answer lines.
+
+    The result does not depend on the split into calls.
 
     Args:
         words: names of the output values in stream order, for instance from `parse_outinfo`.
-        heed_answers: stop behind an answer that tells of other words.
+        follow_answers: whether `feed` stops after an answer that announces other words.
     """
 
-    def __init__(self, words: Sequence[str], *, heed_answers: bool = False) -> None:
-        self.heed_answers = heed_answers
-        self._told: tuple[str, ...] | None = None
+    def __init__(self, words: Sequence[str], *, follow_answers: bool = False) -> None:
+        self.follow_answers = follow_answers
+        self._announced: tuple[str, ...] | None = None
         self._block: list[int] = []
         self._dropped = 0
         self.set_words(words)
-        self._pending = bytearray()  # nothing, an L, or an L and an M: maybe the start of a value
-        self._line = bytearray()  # text of a line not yet ended
-        self._line_age = 0  # values since its last byte
-        self._window = _WINDOW  # blocks to look at in one go
+        self._pending = bytearray()  # empty, an L, or an L and an M: possibly the start of a value
+        self._line = bytearray()  # text of an incomplete line
+        self._line_age = 0  # values since the last byte of that line
+        self._window = _WINDOW  # number of blocks to test at once
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -110,14 +82,14 @@ class StreamDecoder:
 
     @property
     def idle(self) -> bool:
-        """Nothing is under way: the next byte begins a block or a line."""
+        """Whether no block or line is incomplete: the next byte begins a block or a line."""
         return not (self._pending or self._block or self._line)
 
     def set_words(self, words: Sequence[str]) -> None:
-        """Select the output values from now on; a half-received block is dropped, and counted by the next `feed`.
+        """Select the output values from now on; an incomplete block is dropped and counted by the next `feed`.
 
         Raises:
-            ValueError: no words given.
+            ValueError: `words` is empty.
         """
         if not words:
             raise ValueError("expected at least one output word, got none: pass the names in stream order")
@@ -125,7 +97,7 @@ class StreamDecoder:
         self._kinds = np.tile(np.array([0x00, 0x40, 0xC0], np.uint8), (len(self._words), 1))
         self._kinds[0, 2] = 0x80
         self._dropped += 3 * len(self._block)
-        self._block = []  # values of the block under way
+        self._block = []  # values of the incomplete block
         self._rows: list[NDArray[np.uint32]] = []
         self._text: list[str] = []
         self._skipped = 0
@@ -133,19 +105,19 @@ class StreamDecoder:
 
     @property
     def unread(self) -> bytes:
-        """Bytes taken that are no value and no line yet."""
+        """Bytes taken that do not form a complete value or line yet."""
         return bytes(self._line + self._pending)
 
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the line.
 
         Args:
-            data: any number of bytes, as they came.
+            data: any number of bytes, in the order of arrival.
         """
         self._rows, self._text, self._skipped = [], [], self._dropped
-        self._dropped, self._skipped_first, self._told = 0, None, None
+        self._dropped, self._skipped_first, self._announced = 0, None, None
         position, width = 0, 3 * len(self._words)
-        while position < len(data) and self._told is None:
+        while position < len(data) and self._announced is None:
             if not self._block and not self._pending and len(data) - position >= width:
                 taken = self._take_clean_blocks(data, position)
                 position += taken * width
@@ -157,12 +129,12 @@ class StreamDecoder:
         else:
             values = np.concatenate([np.empty((0, len(self._words)), np.uint32), *self._rows])
         first = self._skipped if self._skipped_first is None else self._skipped_first
-        return Decoded(values, self._text, self._skipped, first, self._told, data[position:])
+        return Decoded(values, self._text, self._skipped, first, self._announced, data[position:])
 
     def _take_clean_blocks(self, data: bytes, position: int) -> int:
-        """Decode whole blocks that stand back to back, at most a window of them; returns how many.
+        """Decode complete consecutive blocks, at most a window of them; return their number.
 
-        The window grows while the stream is clean, so that a damaged one is not looked at again and again.
+        The window grows while the stream is undamaged, so that the bytes of a damaged stream are not tested repeatedly.
         """
         words = len(self._words)
         count = min(self._window, (len(data) - position) // (3 * words))
@@ -180,14 +152,14 @@ class StreamDecoder:
         return taken
 
     def _walk(self, data: bytes, position: int) -> int:
-        """Go byte by byte until a block is complete or the data ends; returns the new position."""
+        """Decode byte by byte until a block is complete or the data ends; return the new position."""
         for index in range(position, len(data)):
             byte = data[index]
             if byte >= 0x80:
                 if self._end_of_value(byte):
                     return index + 1
             elif byte < 0x40:
-                if byte == _ANGLE and self._pending == b"-":
+                if byte == _ANGLE and bytes(self._pending) == b"-":
                     self._pending.clear()
                     self._prompt()
                 else:
@@ -198,12 +170,12 @@ class StreamDecoder:
             else:
                 self._flush_pending()
                 self._text_byte(byte)
-            if self._told is not None:
+            if self._announced is not None:
                 return index + 1
         return len(data)
 
     def _end_of_value(self, high: int) -> bool:
-        """An H byte came: a value if an L and an M stand before it. True when it completed a block."""
+        """Take an H byte, which completes a value after an L and an M. Return whether it completed a block."""
         if len(self._pending) != 2:
             self._damage(len(self._pending) + 1)
             self._pending.clear()
@@ -212,10 +184,10 @@ class StreamDecoder:
         self._pending.clear()
         self._age_line(1)
         continues = bool(high & 0x40)
-        if continues and not self._block:  # a further value of a block whose start was not seen
+        if continues and not self._block:  # a further value of a block whose start was not received
             self._skipped += 3
             return False
-        if not continues and self._block:  # a new block although the last one lacks values
+        if not continues and self._block:  # a new block although the last one is incomplete
             self._damage(0)
         self._block.append(low | (middle & 0x3F) << 6 | (high & 0x3F) << 12)
         if len(self._block) < len(self._words):
@@ -230,7 +202,7 @@ class StreamDecoder:
         self._rows.append(rows)
 
     def _flush_pending(self) -> None:
-        """What looked like the start of a value was not one."""
+        """Treat the pending bytes as text: they are not the start of a value."""
         for byte in self._pending:
             self._text_byte(byte)
         self._pending.clear()
@@ -250,30 +222,30 @@ class StreamDecoder:
         self._line.clear()
         if line:
             self._text.append(line)
-            words = announced(line) if self.heed_answers else None
-            self._told = words if words != self._words else None
+            words = announced(line) if self.follow_answers else None
+            self._announced = words if words != self._words else None
 
     def _prompt(self) -> None:
         self._end_line()
         self._text.append(PROMPT)
 
     def _age_line(self, values: int) -> None:
-        """Text that never ends was the debris of a damaged value; count it as such."""
+        """Count an old incomplete line as damage: it consists of bytes of a damaged value."""
         if not self._line:
             return
         self._line_age += values
-        if self._line_age > _STALE_AFTER:
+        if self._line_age > _MAX_LINE_AGE:
             self._skipped += len(self._line)
             self._line.clear()
 
     def _damage(self, count: int) -> None:
-        """Throw away `count` bytes and the block they fell into."""
+        """Drop `count` bytes and the incomplete block."""
         self._skipped += count + 3 * len(self._block)
         self._block.clear()
 
 
 def encode_block(values: ArrayLike) -> bytes:
-    """Measurement blocks as the sensor sends them.
+    """Encode measurement blocks as the sensor sends them.
 
     Args:
         values: raw words 0 … 2**18 - 1, integers of shape (blocks, words).
@@ -282,7 +254,7 @@ def encode_block(values: ArrayLike) -> bytes:
         3 × blocks × words bytes.
 
     Raises:
-        ValueError: wrong shape, or a word needs more than 18 bits.
+        ValueError: the shape is wrong, or a word needs more than 18 bits.
     """
     words = np.asarray(values, np.uint32)
     if words.ndim != 2 or words.shape[1] == 0:
@@ -297,162 +269,7 @@ def encode_block(values: ArrayLike) -> bytes:
     return out.tobytes()
 
 
-class Scaling(NamedTuple):
-    """What a distance word x means: d = (span / steps · x − zero) · range / whole, without mastering.
-
-    Attributes:
-        models: numbers of those that have it.
-        most: largest word that is a distance; anything above is an error code.
-        span, steps, zero, whole: of the formula.
-    """
-
-    models: tuple[str, ...]
-    most: int
-    span: float
-    steps: float
-    zero: float
-    whole: float
-
-
-SCALINGS = {
-    "ILD1420": Scaling(("1220", "1320", "1420", "2300"), CODE_MAX, 102.0, float(CODE_MAX), 1.0, 100.0),
-    "ILD1900": Scaling(("1750", "1900"), 230_604, 1.0, 1.0, 98_232.0, 65_536.0),
-}
-"""By a model that has it. Sources: ILD1420 manual, scaling of the 16-bit distance, −1 … 101 % of the range; for the
-ILD1750 and ILD1900, of 18 bits, the manuals of the IF2030 and IF2035 field-bus converters."""
-USUAL_SCALING = "ILD1420"
-"""Of a log that does not tell of any."""
-
-
-def scaling_of(name: str) -> str | None:
-    """The key in `SCALINGS` for what a sensor calls itself, like ``ILD1420-25``; None if its model is not known."""
-    model = re.search(r"(?<!\d)\d{4}(?!\d)", name)
-    return next((key for key, scaling in SCALINGS.items() if model and model[0] in scaling.models), None)
-
-
-def metres(code: ArrayLike, range_m: float, scaling: Scaling = SCALINGS[USUAL_SCALING]) -> NDArray[np.float64]:
-    """Distance from the start of the measuring range.
-
-    Args:
-        code: distance words, any shape.
-        range_m: measuring range, m.
-        scaling: of the sensor's model.
-
-    Returns:
-        m, same shape; NaN where the word is an error code.
-    """
-    words = np.asarray(code, np.float64)
-    distance = (scaling.span / scaling.steps * words - scaling.zero) * range_m / scaling.whole
-    return np.where(words <= scaling.most, distance, np.nan)
-
-
-def code(metres: ArrayLike, range_m: float, scaling: Scaling = SCALINGS[USUAL_SCALING]) -> NDArray[np.uint32]:
-    """Distance word a sensor would send; the inverse of `metres` to half a step (range · 7.8e-6).
-
-    Args:
-        metres: distance from the start of the measuring range, m, any shape; NaN means that nothing is seen.
-        range_m: measuring range, m.
-        scaling: of the sensor's model.
-
-    Returns:
-        uint32, same shape; error code 262077 before the first word that is a distance (ILD1420: −1 % of the range),
-        262078 behind the last (101 %), 262076 for NaN.
-    """
-    distance = np.asarray(metres, np.float64)
-    exact = np.rint((distance * scaling.whole / range_m + scaling.zero) * (scaling.steps / scaling.span))
-    words = np.where(exact < 0, _BEFORE_RANGE, np.where(exact > scaling.most, _BEHIND_RANGE, exact))
-    return np.where(np.isnan(exact), _NO_PEAK, words).astype(np.uint32)
-
-
 def timestamp_ticks(lo: ArrayLike, hi: ArrayLike) -> NDArray[np.uint32]:
-    """Sensor time in ticks of 10 µs from the two 16-bit timestamp words; wraps at `TIMESTAMP_WRAP`."""
+    """Return the sensor time in ticks of 10 µs from the two 16-bit timestamp words; it wraps at `TIMESTAMP_WRAP`."""
     low, high = np.asarray(lo, np.uint32), np.asarray(hi, np.uint32)
     return ((low & 0xFFFF) | (high & 0xFFFF) << 16).astype(np.uint32)
-
-
-class Info(TypedDict):
-    """What `parse_info` reads: name, serial number, measuring range in m, firmware version."""
-
-    name: str
-    serial: str
-    range_m: float
-    version: str
-
-
-def parse_info(lines: Sequence[str]) -> Info:
-    """Read the answer to GETINFO.
-
-    Raises:
-        DeviceError: the measuring range is missing or no positive number of mm.
-    """
-    fields = {key.strip().lower(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
-    text = fields.get("measuring range", "")
-    match = re.fullmatch(r"(\d+(?:\.\d*)?)\s*mm", text, re.IGNORECASE)
-    if match is None or float(match[1]) <= 0:
-        raise DeviceError(
-            f"expected a line like 'Measuring range: 25.00mm' in the answer to GETINFO, got {text!r} "
-            f"in {list(lines)!r}: is this an optoNCDT sensor, and was the stream stopped before asking?"
-        )
-    name, serial, version = (fields.get(key, "") for key in ("name", "serial", "version"))
-    return Info(name=name, serial=serial, range_m=float(match[1]) / 1000.0, version=version)
-
-
-def parse_outinfo(line: str) -> tuple[str, ...]:
-    """Read the answer to GETOUTINFO_RS422, like ``GETOUTINFO_RS422 DIST COUNTER TIMESTAMP``.
-
-    Returns:
-        Word names in stream order. The distance is called ``DIST`` whatever a firmware calls it: the first output,
-        unless that is known for another; then the first whose name begins so. TIMESTAMP is two words, low half first.
-        Other names are kept.
-
-    Raises:
-        DeviceError: another answer, no output selected, or more than a sensor can have.
-    """
-    head, *names = line.upper().replace(",", " ").split() or [""]
-    if names and names[-1] == "OK":
-        names.pop()
-    if head != _OUTINFO.strip() or not names or names == ["NONE"]:
-        raise DeviceError(
-            f"expected 'GETOUTINFO_RS422 DIST …', got {line!r}: select an output with OUTPUT RS422 / OUTADD_RS422"
-        )
-    distance = next((i for i, name in enumerate(names) if i == 0 or name.startswith("DIST") if name not in _BESIDE), -1)
-    words: list[str] = []
-    for i, name in enumerate(names):
-        words += [TIMESTAMP_LO, TIMESTAMP_HI] if name == "TIMESTAMP" else [DISTANCE if i == distance else name]
-    if len(words) > MOST_WORDS:
-        raise DeviceError(f"expected at most {MOST_WORDS} output words, got {len(words)} in {line!r:.80}")
-    return tuple(words)
-
-
-def announced(line: str) -> tuple[str, ...] | None:
-    """The words a line of text tells of; None if it is no such answer."""
-    if not line.upper().startswith(_OUTINFO):
-        return None
-    try:
-        return parse_outinfo(line)
-    except DeviceError:
-        return None
-
-
-class Places(NamedTuple):
-    """Where in a block of words those stand that a sample is made of.
-
-    Attributes:
-        words: how many a block has.
-        distance, counter, low, high: places from 0; low and high are the halves of the timestamp.
-    """
-
-    words: int
-    distance: int
-    counter: int
-    low: int
-    high: int
-
-
-def places_of(words: Sequence[str]) -> Places | None:
-    """Places of distance, counter and timestamp in a block; None where one of them is not in it."""
-    try:
-        found = [words.index(name) for name in (DISTANCE, COUNTER, TIMESTAMP_LO, TIMESTAMP_HI)]
-    except ValueError:
-        return None
-    return Places(len(words), *found)

@@ -1,10 +1,11 @@
 # pyright: strict
-"""Which words a laser's stream is made of, after an answer on its line has told of others.
+"""Decision about the words of a laser's stream after an answer on its line has announced other words.
 
-An answer can be true, late, damaged or somebody's joke, and the stream goes on behind it without a pause. So the
-stream itself decides: what follows is decoded by the old words and by the told ones, until one of them has given a few
-blocks without a byte too many that go on from one another. Until then nothing is handed out; then all is, by the words
-that fit. The decision depends on the bytes alone, not on how they were split into reads.
+Such an answer can be correct, late, damaged or false, and the stream continues after it without a pause. The stream
+itself therefore decides. The bytes that follow are decoded with the old words and with the announced words until one
+of the two has given a few blocks without surplus bytes that continue one another. No sample is returned before the
+decision; afterwards all bytes are decoded with the words that fit. The decision depends on the bytes alone, not on
+their split into reads.
 """
 
 from __future__ import annotations
@@ -16,17 +17,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 
-_ENOUGH = 3  # blocks in a row
-_MOST_BYTES = 4096  # undecided after so many, the old words stay
+_MIN_BLOCKS = 3  # consecutive blocks that decide
+_MAX_BYTES = 4096  # undecided after this many bytes, the old words are kept
 
 Follows = Callable[[NDArray[np.int64], NDArray[np.int64]], bool]
 
 
 @dataclass
 class _Reading:
-    """The stream as it looks by some words."""
+    """Decoding of the stream with one choice of words.
+
+    Attributes:
+        decoder: decoder with these words.
+        row: number of consecutive blocks without surplus bytes.
+        chain: number of consecutive blocks whose counter and timestamp continue.
+        last: counter and ticks of the last block; None before the first.
+    """
 
     decoder: optoncdt.StreamDecoder
     row: int = 0
@@ -34,11 +43,11 @@ class _Reading:
     last: NDArray[np.int64] | None = None
 
     def feed(self, byte: bytes, follows: Follows) -> list[str]:
-        """Take one byte; returns lines of text it ends."""
+        """Take one byte; return the lines of text that it completes."""
         found = self.decoder.feed(byte)
         if found.skipped_bytes:
             self.row, self.chain, self.last = 0, 0, None
-        places = optoncdt.places_of(self.decoder.words)
+        places = sensor_answers.places_of(self.decoder.words)
         for values in found.values:
             self.row += 1
             if places is None:
@@ -51,40 +60,40 @@ class _Reading:
 
     @property
     def rank(self) -> int:
-        """2: counter and timestamp go on from block to block; 1: the blocks have the right length; 0: neither yet."""
-        return 2 if self.chain >= _ENOUGH else 1 if self.row >= _ENOUGH else 0
+        """2 if counter and timestamp continue from block to block, 1 if the blocks have the right length, else 0."""
+        return 2 if self.chain >= _MIN_BLOCKS else 1 if self.row >= _MIN_BLOCKS else 0
 
 
 class WordsTrial:
-    """A decision under way.
+    """A pending decision between old and announced words.
 
     Args:
-        decoder: as it stopped behind the answer; it is left as it is.
-        told: the words the answer told of.
+        decoder: decoder that has stopped after the answer; it is not changed.
+        announced: words that the answer announces.
         follows: whether one sample's (counter, ticks) may directly follow another's.
 
     Attributes:
-        told: words of the last such answer; one that comes while it is undecided takes the place of the first.
+        announced: words of the last such answer. An answer that comes before the decision replaces the earlier one.
         held: bytes since the first answer.
     """
 
-    def __init__(self, decoder: optoncdt.StreamDecoder, told: tuple[str, ...], follows: Follows) -> None:
+    def __init__(self, decoder: optoncdt.StreamDecoder, announced: tuple[str, ...], follows: Follows) -> None:
         self.held = b""
         self._follows = follows
         self._old = _Reading(copy.deepcopy(decoder))
-        self._old.decoder.heed_answers = False
-        self._compare(told)
+        self._old.decoder.follow_answers = False
+        self._compare(announced)
 
-    def _compare(self, told: tuple[str, ...]) -> None:
-        self.told = told
-        self._new = _Reading(optoncdt.StreamDecoder(told))
+    def _compare(self, announced: tuple[str, ...]) -> None:
+        self.announced = announced
+        self._new = _Reading(optoncdt.StreamDecoder(announced))
         self._new.decoder.feed(self._old.decoder.unread)
 
     def feed(self, data: bytes) -> tuple[bool | None, list[str], bytes]:
-        """Take bytes until it is decided.
+        """Take bytes until the decision.
 
         Returns:
-            True for the told words, False for the old ones, None while undecided; lines of text among the bytes
+            True for the announced words, False for the old words, None while undecided; lines of text among the bytes
             taken; bytes not taken.
         """
         lines: list[str] = []
@@ -94,12 +103,12 @@ class WordsTrial:
             ended = self._old.feed(byte, self._follows)
             self._new.feed(byte, self._follows)
             for line in ended:
-                if (told := optoncdt.announced(line)) is not None:
-                    self._compare(told)
+                if (announced := sensor_answers.announced(line)) is not None:
+                    self._compare(announced)
             lines += ended
             old, new = self._old.rank, self._new.rank
             if max(old, new):
                 return new >= old, lines, data[at + 1 :]
-            if len(self.held) >= _MOST_BYTES:
+            if len(self.held) >= _MAX_BYTES:
                 return False, lines, data[at + 1 :]
         return None, lines, b""

@@ -1,8 +1,8 @@
 # pyright: strict
-"""Bytes from an RF60x sensor taken apart into packets.
+"""Decoding of bytes from an RF60x sensor to packets.
 
-A run of whole packets that count on goes through numpy; whatever is anything else goes byte by byte, with the same
-results for the same bytes.
+Complete packets with consecutive numbers are decoded with numpy, all other bytes one by one. Both give the same results
+for the same bytes.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from daq.drivers.riftek.wire import NUMBERS, RESULT_BYTES, UPDATED
 
 _ANSWER, _ANSWER_MASK = 0x80, 0xC0
-_JOINING = RESULT_BYTES - 1  # bytes of a packet that was cut by who began to listen
-_WINDOW, _WINDOW_LIMIT = 16, 4096  # packets looked at in one go: few after damage, more while the stream is clean
+_JOINING = RESULT_BYTES - 1  # bytes of a packet that was cut because reception began within it
+_WINDOW, _WINDOW_LIMIT = 16, 4096  # packets tested at once: few after damage, more without
 
 
 class Row(NamedTuple):
@@ -26,8 +26,8 @@ class Row(NamedTuple):
     Attributes:
         code: the result, 0 … 65535.
         updated: whether it is a new one.
-        step: by how many packets it follows the result before, modulo 4: 1 … 4, answers not counted.
-        skipped: bytes since the result before that belonged to no packet.
+        step: number of packets by which it follows the preceding result, modulo 4: 1 … 4, without answers.
+        skipped: number of bytes since the preceding result that do not belong to a packet.
     """
 
     code: int
@@ -38,16 +38,16 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Decoded:
-    """What one `StreamDecoder.feed` found.
+    """Result of one call of `StreamDecoder.feed`.
 
     Attributes:
-        code: results, int64 (n,).
-        updated: bool (n,), see Row.
-        step, skipped: int64 (n,), see Row.
-        doubted: places of results whose packet turned out to be too long, counted from the first of these results;
-            -1 is the last result of the call before.
+        code: results, int64, shape (n,).
+        updated: see Row, bool, shape (n,).
+        step, skipped: see Row, int64, shape (n,).
+        doubted: indices of results whose packet turned out to be too long, from the first of these results; -1 is the
+            last result of the preceding call.
         answers: data of answers.
-        skipped_bytes: bytes that belonged to no packet.
+        skipped_bytes: number of bytes that do not belong to a packet.
     """
 
     code: NDArray[np.int64]
@@ -63,26 +63,26 @@ _Block = tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64], NDArray[
 
 
 class StreamDecoder:
-    """Bytes of one sensor in, results and answers out; the split into calls makes no difference.
+    """Decode the bytes of one sensor to results and answers. The result does not depend on the split into calls.
 
-    A packet is a run of exactly four bytes with the same high half; a run of eight is two, with three lost between
-    them. Where the packet before it ended well, it is handed out with its fourth byte. After damage nothing says where
-    a packet begins: there it is handed out when the byte after it has shown that the run is over. A run of any other
-    length casts doubt on a packet of it that was handed out: either it is whole and what follows belongs to a damaged
-    one behind it, or bytes of two packets ran together.
+    A packet is a run of exactly four bytes with the same high half. A run of eight bytes is two packets with three lost
+    between them. If the preceding packet was complete, a packet is returned with its fourth byte. After damage the
+    beginning of a packet is unknown: a packet is then returned when the byte after it has ended the run. A run of any
+    other length makes a packet of it that was already returned doubtful: either this packet is complete and the
+    following bytes belong to a damaged one, or bytes of two packets have merged.
     """
 
     def __init__(self) -> None:
-        self._head = 0  # high half of the run under way; 0 for none
-        self._run = bytearray()  # the data of its bytes, no more than two packets have
-        self._length, self._whole = 0, RESULT_BYTES  # bytes of the run, and of the packet it should be
-        self._longest = 2 * RESULT_BYTES  # bytes of a run that makes sense
-        self._ended_well = False  # whether the run before was made of whole packets
-        self._wanted: int | None = None  # bytes of an answer that is waited for
+        self._head = 0  # high half of the present run; 0 without a run
+        self._run = bytearray()  # data of its bytes, at most those of two packets
+        self._length, self._whole = 0, RESULT_BYTES  # bytes of the run, and of the expected packet
+        self._longest = 2 * RESULT_BYTES  # largest valid length of a run
+        self._ended_well = False  # whether the preceding run consisted of complete packets
+        self._wanted: int | None = None  # bytes of the expected answer; None without one
         self._answering = False  # whether the run is that answer
-        self._sure = False  # whether the run's first byte is a packet's first: it is handed out as soon as it is whole
-        self._number: int | None = None  # of the last packet
-        self._owed = 0  # packets lost before an answer, of which no result has told yet
+        self._sure = False  # whether the run begins with the first byte of a packet
+        self._number: int | None = None  # number of the last packet
+        self._owed = 0  # packets lost before an answer, to be added to the step of the next result
         self._joining = _JOINING
         self._since = 0  # bytes skipped since the last result
         self._window = _WINDOW
@@ -97,14 +97,14 @@ class StreamDecoder:
         self._skipped = 0
 
     def expect(self, wire_bytes: int | None) -> None:
-        """The next packet that is no new result is an answer of this length; None for no answer."""
+        """Set the length of the answer that the next packet without a new result is; None for no answer."""
         self._wanted = wire_bytes
 
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the line.
 
         Args:
-            data: any number of bytes, as they came.
+            data: any number of bytes, in the order of arrival.
         """
         self._clear()
         position = 0
@@ -125,11 +125,11 @@ class StreamDecoder:
 
     @property
     def _at_boundary(self) -> bool:
-        """Whether a packet has just been handed out, and the next one should begin."""
+        """Whether a packet has just been returned and the next one should begin."""
         return self._sure and self._length == self._whole and self._wanted is None
 
     def _take_clean(self, data: bytes, position: int) -> int:
-        """Decode whole packets that stand back to back and count on, at most a window of them; returns how many."""
+        """Decode consecutive complete packets with consecutive numbers, at most a window; return their number."""
         count = min(self._window, (len(data) - position) // RESULT_BYTES)
         rows = np.frombuffer(data, np.uint8, RESULT_BYTES * count, position).reshape(count, RESULT_BYTES)
         heads = rows[:, 0] & 0xF0
@@ -187,7 +187,7 @@ class StreamDecoder:
         self._sure = self._ended_well or self._answering
 
     def _end_run(self) -> None:
-        """What the run before was: one packet, two, or damage that leaves the next one's beginning in doubt."""
+        """End the run: it is one packet, two packets, or damage after which the beginning of a packet is unknown."""
         length, whole = self._length, self._whole
         self._ended_well = bool(self._head) and length in (whole, self._longest)
         if self._ended_well:
@@ -201,7 +201,7 @@ class StreamDecoder:
             self._too_long()
 
     def _too_long(self) -> None:
-        """Bytes of packets that cannot be told apart are skipped; one that was handed out is in doubt."""
+        """Skip the bytes of packets that cannot be separated; a packet that was already returned becomes doubtful."""
         if self._sure:
             self._doubted.append(self._count - 1)
         self._skip(self._length - (self._whole if self._sure else 0))
@@ -221,7 +221,7 @@ class StreamDecoder:
         self._owed = self._since = 0
 
     def _skip(self, count: int) -> None:
-        """Count bytes that belong to no packet, but for the part of one whose beginning nobody heard."""
+        """Count bytes that do not belong to a packet, except those of a packet that began before the reception."""
         joining = min(count, self._joining)
         self._joining -= joining
         self._skipped += count - joining

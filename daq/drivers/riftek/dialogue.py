@@ -1,8 +1,9 @@
 # pyright: strict
-"""Setting up an RF60x sensor: its stream stopped, who it is, how it is to measure, each read back; the stream started.
+"""Set-up of an RF60x sensor: stop the stream, identify the sensor, write and verify its parameters, start the stream.
 
-Nothing on the line has a checksum. So the identification is asked for until it comes twice alike, and every parameter
-is read after it was written. Parameters go into the sensor's working memory only; its stored settings stay as they are.
+The line has no checksum. The identification is therefore requested until two consecutive answers are equal, and every
+parameter is read back after writing. Parameters are written to the sensor's working memory only; its stored settings
+are not changed.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ import queue
 from typing import Any
 
 from daq.drivers.contract import Talk
-from daq.drivers.quiet import run_dry
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.settings import RiftekLaser
+from daq.drivers.stream_stop import stop_stream
 from daq.errors import DeviceError
 
 _ANSWER_S = 1.0  # wall seconds
@@ -21,18 +22,18 @@ _TRIES = 3
 
 
 def configure(device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
-    """Stop the stream, wait until the line is quiet, ask who it is, choose how it measures, start the stream.
+    """Stop the stream, identify the sensor, set its parameters and start the stream.
 
     Returns:
         Identity: type, firmware, serial, base_m, range_m, period_us, control.
+
     Raises:
-        DeviceError: no answer, a parameter that does not stay as written, or a sensor that is not what the rig file
-            says.
+        DeviceError: the sensor does not answer, a parameter cannot be written, or the sensor differs from the rig file.
     """
-    if not run_dry(talk, wire.request(settings.address, wire.STOP) + wire.request(wire.EVERYONE, wire.STOP)):
+    if not stop_stream(talk, wire.request(settings.address, wire.STOP) + wire.request(wire.EVERYONE, wire.STOP)):
         raise DeviceError(
             f"{device} on {settings.port}: ordered several times to stop its stream, it goes on sending. Does its line "
-            "carry our words too (both wire pairs of RS422), and is no other program commanding it? Switch it "
+            "carry commands too (both wire pairs of RS422), and does another program command it? Switch it "
             "off and on"
         )
     talk.begin_anew()
@@ -40,8 +41,8 @@ def configure(device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
     info = dialogue.identify()
     if abs(info.range_m - settings.range_m) > 1e-6:
         raise DeviceError(
-            f"{device}: rig file says range {settings.range_m * 1e3:g} mm, the sensor {info.range_m * 1e3:g} mm "
-            f"(serial {info.serial}). Correct devices.{device}.range_m or plug in the right sensor"
+            f"{device}: the range is {settings.range_m * 1e3:g} mm in the rig file and {info.range_m * 1e3:g} mm in "
+            f"the sensor (serial {info.serial}). Correct devices.{device}.range_m or plug in the right sensor"
         )
     dialogue.write(wire.POWER, 1, "laser on")
     control = dialogue.read(wire.CONTROL) & wire.CONTROL_KEPT
@@ -64,34 +65,34 @@ def configure(device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
 
 
 def stop(talk: Talk) -> None:
-    """Tell whatever sensor is on the line to stop streaming; twice, as nothing acknowledges it."""
+    """Command every sensor on the line to stop streaming; sent twice because the command is not acknowledged."""
     talk.send(2 * wire.request(wire.EVERYONE, wire.STOP))
 
 
 class _Dialogue:
-    """Requests and their answers, on a quiet line."""
+    """Requests and their answers on a line without a stream."""
 
     def __init__(self, device: str, settings: RiftekLaser, talk: Talk) -> None:
         self._device, self._settings, self._talk = device, settings, talk
 
     def identify(self) -> wire.Info:
-        """Who the sensor is, told twice alike."""
-        told = [self._ask(wire.IDENTIFY)]
-        while len(told) <= _TRIES:
-            told.append(self._ask(wire.IDENTIFY))
-            if told[-1] == told[-2]:
-                return wire.parse_info(told[-1])
+        """Return the sensor's identification after two equal answers."""
+        answers = [self._request(wire.IDENTIFY)]
+        while len(answers) <= _TRIES:
+            answers.append(self._request(wire.IDENTIFY))
+            if answers[-1] == answers[-2]:
+                return wire.parse_info(answers[-1])
         raise DeviceError(
-            f"{self._device} on {self._settings.port}: asked who it is, it never answered twice alike "
-            f"({', '.join(answer.hex() for answer in told)}): look at cable, shield and termination"
+            f"{self._device} on {self._settings.port}: expected two equal answers to the request for identification, "
+            f"got {', '.join(answer.hex() for answer in answers)}: look at cable, shield and termination"
         )
 
     def read(self, parameter: int) -> int:
-        """The value of a parameter of one byte."""
-        return self._ask(wire.READ, bytes([parameter]))[0]
+        """Return the value of a parameter of one byte."""
+        return self._request(wire.READ, bytes([parameter]))[0]
 
     def write(self, parameter: int, value: int, what: str) -> None:
-        """Set a parameter of one byte, and read it back."""
+        """Write a parameter of one byte and read it back."""
         found: list[int] = []
         for _ in range(_TRIES):
             self._talk.send(wire.request(self._settings.address, wire.WRITE, bytes([parameter, value])))
@@ -104,7 +105,7 @@ class _Dialogue:
         )
 
     def write_word(self, parameter: int, value: int, bounds: tuple[int, int], what: str) -> None:
-        """Set a parameter of two bytes, in that order in which the value between the two writes is within bounds."""
+        """Write a parameter of two bytes, in the order for which the value between the two writes is within bounds."""
         high, low = (
             (parameter + 1, value >> 8, f"high byte of {what}"),
             (parameter, value & 0xFF, f"low byte of {what}"),
@@ -113,8 +114,8 @@ class _Dialogue:
         for each in (high, low) if bounds[0] <= between <= bounds[1] else (low, high):
             self.write(*each)
 
-    def _ask(self, code: int, message: bytes = b"") -> bytes:
-        """Ask until an answer comes."""
+    def _request(self, code: int, message: bytes = b"") -> bytes:
+        """Repeat a request until it is answered; return the answer."""
         replies, settings = self._talk.replies, self._settings
         for _ in range(_TRIES):
             while not replies.empty():

@@ -40,7 +40,7 @@ class Riftek:
         return ()
 
     def clocks(self, settings: RiftekLaser) -> tuple[SampleClock, ...]:
-        """See Driver; its results bear no time, they are counted."""
+        """See Driver. Results contain no time; the clock's time is their number times the sampling period."""
         (channel,) = self.channels(settings)
         tick_ns = round(channels.DEVICE_TICK_S * 1e9)
         return (
@@ -51,7 +51,7 @@ class Riftek:
 
     def pipeline(self, device: str, settings: RiftekLaser, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.drivers.riftek.stream import RiftekPipeline  # noqa: PLC0415 (numba)
+        from daq.drivers.riftek.stream import RiftekPipeline  # imports numba
 
         (channel,) = self.channels(settings)
         return RiftekPipeline(device, settings, channel, identity)
@@ -68,36 +68,36 @@ class Riftek:
 
     def far_end(self, device: str, settings: RiftekLaser, world: Any) -> FarEnd:
         """See Driver."""
-        from daq.drivers.riftek.far_end import SimulatedRiftek  # noqa: PLC0415
+        from daq.drivers.riftek.far_end import SimulatedRiftek
 
         return SimulatedRiftek.of(device, settings, world)
 
     def played(self, settings: RiftekLaser, identity: Mapping[str, Any]) -> PlayedDevice:
         """See Driver."""
-        from daq.drivers.riftek.played import PlayedRiftek  # noqa: PLC0415
+        from daq.drivers.riftek.played import PlayedRiftek
 
         return PlayedRiftek(identity, settings)
 
     def prepare(self) -> None:
         """See Driver."""
-        import numpy as np  # noqa: PLC0415
+        import numpy as np
 
-        from daq.drivers.riftek import wire  # noqa: PLC0415
-        from daq.drivers.riftek.decoder import StreamDecoder  # noqa: PLC0415
-        from daq.drivers.spikes import compile_watch  # noqa: PLC0415
+        from daq.drivers.riftek import wire
+        from daq.drivers.riftek.decoder import StreamDecoder
+        from daq.drivers.spikes import compile_watch
 
         compile_watch()
         StreamDecoder().feed(wire.results(np.zeros(8, np.int64), np.arange(8)))
 
     def open(self, device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
         """See Driver."""
-        from daq.drivers.riftek.dialogue import configure  # noqa: PLC0415
+        from daq.drivers.riftek.dialogue import configure
 
         return configure(device, settings, talk)
 
     def stop(self, talk: Talk) -> None:
         """See Driver."""
-        from daq.drivers.riftek.dialogue import stop  # noqa: PLC0415
+        from daq.drivers.riftek.dialogue import stop
 
         stop(talk)
 

@@ -35,24 +35,26 @@ class SimulatedRiftek(FarEnd):
     """One sensor on its serial line.
 
     Attributes:
-        streaming: whether it was told to send results.
-        parameters: by number, bytes.
-        fault_code: a result it gives in place of what it sees; None when it is sound.
+        streaming: whether the sensor was commanded to send results.
+        parameters: values of the parameters, one byte each, by number.
+        fault_code: result that the sensor sends in place of the measured one; None without a fault.
 
     Args:
-        config: its table of the rig file.
-        look: shape (2,), what it sees of x and y (axis angle and gain in it), dimensionless.
-        offset_m: reading at rest against mid-range.
-        noise_m: standard deviation of one sample.
-        serial: a number below 65536.
+        config: table of the sensor in the rig file.
+        look: sensitivity to x and y, including axis angle and gain, dimensionless, shape (2,).
+        offset_m: reading at rest, from mid-range, m.
+        noise_m: standard deviation of one sample, m.
+        clock: clock of the sensor.
+        rng: source of the noise.
+        serial: serial number, a decimal number below 65536.
     """
 
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
-        "blocked": FaultKind("something stands in the beam: every result is 0"),
+        "blocked": FaultKind("the beam is blocked: every result is 0"),
         "code": FaultKind("every result is the same", _NO_TARGET, end=-1, meaning="the result", limits=(-1, 16384)),
         "lost": FaultKind("results get lost on the line", 100, end=None, meaning="how many", limits=(0, 1e6)),
-        "stale": FaultKind("its results are no new ones"),
-        "deaf": FaultKind("it heeds no request"),
+        "stale": FaultKind("its results are not new ones"),
+        "deaf": FaultKind("it ignores every request"),
         "range": FaultKind("it is another sensor", 10, end=None, meaning="its range, mm", limits=(1, 2500)),
     }
 
@@ -75,13 +77,13 @@ class SimulatedRiftek(FarEnd):
         self._lose = 0
         self._range_mm = round(config.range_m * 1e3)
         self._serial = int(serial) & 0xFFFF
-        self._number = int(rng.integers(0, wire.NUMBERS))  # of the next packet
+        self._number = int(rng.integers(0, wire.NUMBERS))  # number of the next packet
         self._request = bytearray()
-        self._next: int | None = None  # number of the next sample on the sensor's clock; None before the first
+        self._next: int | None = None  # index of the next sample on the sensor's clock; None before the first
 
     @property
     def period_us(self) -> int:
-        """The sampling period it was given."""
+        """Sampling period that was set, µs."""
         return self._word(wire.PERIOD)
 
     def _word(self, parameter: int) -> int:
@@ -89,7 +91,7 @@ class SimulatedRiftek(FarEnd):
 
     @classmethod
     def of(cls, device: str, config: RiftekLaser, world: World) -> SimulatedRiftek:
-        """The sensor of a simulated rig."""
+        """Make the sensor of a simulated rig."""
         gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
         look = gain * world.direction(config.axis, config.direction_deg)
         return cls(
@@ -104,11 +106,11 @@ class SimulatedRiftek(FarEnd):
 
     @classmethod
     def unmoved(cls, config: RiftekLaser, serial: str) -> SimulatedRiftek:
-        """A sensor that only answers."""
+        """Make a sensor that only answers requests."""
         return cls(config, np.zeros(2), 0.0, 0.0, DeviceClock(0.0, 0.0), np.random.default_rng(0), serial)
 
     def receive(self, data: bytes, now_s: float = 0.0) -> bytes:
-        """Take request bytes, cut anywhere; returns the answers."""
+        """Take request bytes, split at any place; return the answers."""
         out = b""
         for byte in data:
             if byte < 0x80:
@@ -117,11 +119,11 @@ class SimulatedRiftek(FarEnd):
                 self._request.append(byte)
                 code = self._request[1] & 0x0F
                 if len(self._request) == 2 + _MESSAGE_BYTES.get(code, 0):
-                    out += self._heed(self._request[0], code, bytes(self._request[2:]))
+                    out += self._execute(self._request[0], code, bytes(self._request[2:]))
                     self._request.clear()
         return out
 
-    def _heed(self, address: int, code: int, halves: bytes) -> bytes:
+    def _execute(self, address: int, code: int, halves: bytes) -> bytes:
         if self._deaf or address not in (self._config.address, wire.EVERYONE):
             return b""
         message = bytes(low & 0x0F | (high & 0x0F) << 4 for low, high in zip(halves[::2], halves[1::2], strict=True))
@@ -150,7 +152,7 @@ class SimulatedRiftek(FarEnd):
         return wire.packet(data, self._number - 1)
 
     def _write(self, parameter: int, value: int) -> None:
-        """Take a value, unless its word would be out of bounds by it."""
+        """Set a parameter, unless its word would then be out of bounds."""
         before = self.parameters.get(parameter, 0)
         self.parameters[parameter] = value
         word = parameter if parameter in _WORDS else parameter - 1
@@ -160,36 +162,36 @@ class SimulatedRiftek(FarEnd):
             self._next = None
 
     def sample(self, motion: Stretch) -> bytes:
-        """The stream's bytes for the samples that fall into a stretch of motion."""
+        """Return the bytes of the samples in an interval of motion."""
         period = 1e-6 * self.period_us
         last = int(np.floor(float(self._clock.device_s(float(motion.time_s[-1]))) / period))
-        if self._next is None:  # begin to count now
+        if self._next is None:  # start counting now
             self._next = int(np.floor(float(self._clock.device_s(float(motion.time_s[0]))) / period)) + 1
         numbers = np.arange(self._next, last + 1)
         self._next = max(self._next, last + 1)
         if not len(numbers):
             return b""
         times = np.clip(self._clock.rig_s(numbers * period), motion.time_s[0], motion.time_s[-1])
-        seen = self._look[0] * motion.at(times, 0, 4) + self._look[1] * motion.at(times, 1, 5)
-        seen = seen + self._offset + self._noise * self._rng.standard_normal(len(numbers))
+        reading = self._look[0] * motion.at(times, 0, 4) + self._look[1] * motion.at(times, 1, 5)
+        reading = reading + self._offset + self._noise * self._rng.standard_normal(len(numbers))
         if not self.streaming:
             return b""
         packets = self._number + np.arange(len(numbers))
         self._number += len(numbers)
         lost = min(self._lose, len(numbers))
         self._lose -= lost
-        return wire.results(self._codes(seen)[lost:], packets[lost:], updated=not self._stale)
+        return wire.results(self._codes(reading)[lost:], packets[lost:], updated=not self._stale)
 
-    def _codes(self, seen: NDArray[np.floating]) -> NDArray[np.int64]:
+    def _codes(self, reading: NDArray[np.floating]) -> NDArray[np.int64]:
         half = 0.5 * self._config.range_m
-        codes = wire.code(np.clip(seen, -half, half) + half, self._config.range_m)
-        codes[np.abs(seen) > half] = _NO_TARGET
+        codes = wire.code(np.clip(reading, -half, half) + half, self._config.range_m)
+        codes[np.abs(reading) > half] = _NO_TARGET
         if self.fault_code is not None:
             codes[:] = self.fault_code
         return codes
 
     def fail(self, what: str, value: Any = 1) -> None:
-        """See FarEnd and `fault_kinds`; a code below 0 ends it."""
+        """See FarEnd and `fault_kinds`; a code below 0 ends the fault "code"."""
         match what:
             case "blocked":
                 self.fault_code = _NO_TARGET if value else None
@@ -207,7 +209,7 @@ class SimulatedRiftek(FarEnd):
                 super().fail(what, value)
 
     def power(self, on: bool, now_s: float) -> None:
-        """See FarEnd: it has its stored parameters, sends nothing yet, and counts from 0."""
+        """See FarEnd. After power-up the sensor has its stored parameters, does not stream, and counts from 0."""
         super().power(on, now_s)
         if on:
             self._clock.begin_anew(now_s)

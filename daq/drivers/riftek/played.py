@@ -1,5 +1,5 @@
 # pyright: strict
-"""An RF60x sensor of a log while it is played."""
+"""Stand-in for an RF60x sensor of a log while the log is played."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from daq.errors import LogError
 
 
 class PlayedRiftek(PlayedDevice):
-    """Answers as the sensor of the log; what it is told to measure changes nothing of the log's bytes.
+    """An RF60x sensor that answers as the sensor of the log. Commands do not change the bytes of the log.
 
     Args:
-        identity: what it said of itself; where it said nothing the rig file counts.
+        identity: identity of the sensor from its opening. Missing entries are taken from the rig file.
+        settings: table of the sensor in the rig file.
 
     Raises:
-        LogError: an identity no sensor has.
+        LogError: the identity is impossible for such a sensor.
     """
 
     expects = "the start of the stream"
@@ -30,8 +31,8 @@ class PlayedRiftek(PlayedDevice):
         serial = str(identity.get("serial", "0"))
         if not isinstance(range_m, int | float) or not 0 < range_m < 65.536 or not serial.isdecimal():
             raise LogError(f"identities.json: expected range and serial number of an RF60x, got {dict(identity)!r:.80}")
-        told = settings.model_copy(update={"range_m": float(range_m)})
-        self._sensor = SimulatedRiftek.unmoved(told, serial)
+        reported = settings.model_copy(update={"range_m": float(range_m)})
+        self._sensor = SimulatedRiftek.unmoved(reported, serial)
 
     @property
     def sending(self) -> bool:

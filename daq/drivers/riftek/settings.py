@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a rig file says of an RF60x sensor."""
+"""Settings of an RF60x sensor in a rig file."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ NoTargetCode = Annotated[int, Field(strict=True, ge=0, le=0xFFFF)]
 
 
 class RiftekLaser(DisplacementSettings):
-    """An RF60x displacement sensor on its serial line, the only one there.
+    """An RF60x displacement sensor on its serial line; it must be the only sensor on the line.
 
-    rate_Hz is set as a sampling period of whole microseconds, 100 … 65535. range_m is the measuring range that the
-    sensor states when it is asked. lever_ratio is the sensor's displacement over the disk centre's; gain_std is the
-    relative standard uncertainty of calibration and lever together. averages is how many results the sensor averages.
-
-    Not verified: parity (one manual says even, another odd), and no_target_codes, the results that mean that nothing
-    is seen; no manual at hand names them. By default they are 0 and both values that can be meant by full scale. A
-    result above full scale is never a reading.
+    Attributes:
+        baud: line rate of the sensor, baud.
+        parity: parity of the line. Not verified: one manual states even, another odd.
+        address: address of the sensor.
+        rate_Hz: sampling rate, Hz; its period must be a whole number of microseconds, 100 … 65535.
+        averages: number of results that the sensor averages.
+        no_target_codes: results without a target. Not verified: the available manuals do not list them. By default 0
+            and both values that full scale can mean. A result above full scale is never a reading.
     """
 
     names_its_channel: ClassVar[bool] = True
@@ -43,7 +44,7 @@ class RiftekLaser(DisplacementSettings):
 
     @property
     def period_us(self) -> int:
-        """From one sample to the next, by the sensor's clock."""
+        """Sampling period by the sensor's clock, µs."""
         return round(1e6 / self.rate_Hz)
 
     @field_validator("rate_Hz")

@@ -1,19 +1,20 @@
 # pyright: strict
-"""RF60x bytes to displacement of the disk centre.
+"""Pipeline of an RF60x sensor: bytes to displacement of the disk centre.
 
-The sensor sends no time and numbers its packets modulo 4. A sample's number is counted here, lost ones included;
-`counter` is that number, `device_ticks` is the number times the sampling period in units of 10 us. What is known of a
-loss depends on what is left of it on the line:
+The sensor sends no time and numbers its packets modulo 4. The pipeline counts the samples, including lost ones:
+`counter` is the number of a sample, `device_ticks` is this number times the sampling period in units of 10 µs. The
+accuracy of a loss count depends on the loss:
 
-- fewer than 4 results between two that came: exact, by the packets' numbers;
-- more, and their bytes came damaged: four bytes stand for a result, the nearest number that fits modulo 4 is taken as
-  far as the host's time has room for it;
-- more, and their bytes did not come: by the host's time (`daq.drivers.riftek.arrears`). A read that is late by more
-  than `Arrears.far_ns` waits until the host has caught up, or is known not to: its samples come a quarter of a second
-  late and with the right times. A smaller loss is found up to a second later; the samples until then bear times that
-  are early by it. Such a gap is told with `uncertain_samples`. A multiple of 4 below the guard is never found.
+- Fewer than 4 results are missing between two received results. The count is exact, by the packets' numbers.
+- More are missing, and their bytes arrived damaged. Four bytes correspond to one result. The count is the nearest
+  number that fits modulo 4, if it is possible by the host's time.
+- More are missing, and their bytes did not arrive. The count is estimated from the host's time
+  (`daq.drivers.riftek.read_lags`). A read that is late by more than `ReadLags.far_ns` is held until the host has caught
+  up or its delay has persisted. Its samples are returned 0.25 s late and have correct times. A smaller loss is found up
+  to 1 s later; the samples until then have times that are early by the duration of the loss. The event of such a gap
+  contains `uncertain_samples`. A multiple of 4 below the guard is never found.
 
-A sensor that was switched off and on is a gap like any other: nothing on the line tells one from the other.
+A sensor that was switched off and on gives a gap like any other, because the line does not show the difference.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from daq import channels
 from daq.clock import ClockMap, clock_rules
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.riftek import wire
-from daq.drivers.riftek.arrears import Arrears
 from daq.drivers.riftek.decoder import Decoded, StreamDecoder
+from daq.drivers.riftek.read_lags import ReadLags
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
@@ -41,15 +42,23 @@ COUNTER_WRAP = 2**32
 NOT_NEW = 0x2
 """Bit of `flags`: the sensor sent an older result again."""
 
-_NO_READING = 0x3FFFF  # to the spike watch: above any code
-_WAIT_NS, _WAIT_READS, _WAIT_ROWS = 250_000_000, 4, 65_536  # how long a late read waits for the host to catch up
+_NO_READING = 0x3FFFF  # code for the spike detector: above any reading
+_WAIT_NS, _WAIT_READS = 250_000_000, 4  # a late read waits at least so long for the host to catch up
+_MAX_WAIT_ROWS = 65_536  # results that may wait
 
 Items = list[Batch | Event]
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Results in order, with how many samples each follows the one before, and for how many nothing but time speaks."""
+    """Results in order.
+
+    Attributes:
+        code: results as sent.
+        updated: whether each is a new result.
+        step: number of samples by which each follows the one before.
+        guessed: whether part of the step is estimated from the host's time.
+    """
 
     code: NDArray[np.int64]
     updated: NDArray[np.bool_]
@@ -61,7 +70,7 @@ class _Rows:
 
 
 class _Waiting:
-    """Results that are too late for their numbers, until the host's time has told why."""
+    """Results that are held because they are too late for their numbers, until later reads show the cause."""
 
     def __init__(self, rows: _Rows, excess_ns: float, host_ns: int) -> None:
         self.parts = [rows]
@@ -70,7 +79,7 @@ class _Waiting:
         self._since_ns, self.reads = host_ns, 1
 
     def add(self, rows: _Rows, excess_ns: float, host_ns: int, guard_ns: float) -> None:
-        """Take the next read; one that is less late begins the wait anew: the host is catching up."""
+        """Take the next read; one that is less late restarts the wait, because the host is catching up."""
         self.parts.append(rows)
         self.count += len(rows.code)
         if excess_ns < self.excess_ns - guard_ns:
@@ -79,11 +88,11 @@ class _Waiting:
         self.reads += 1
 
     def over(self, host_ns: int) -> bool:
-        """Whether it has been waited for long enough."""
+        """Whether the wait is over."""
         return self.reads >= _WAIT_READS and host_ns - self._since_ns >= _WAIT_NS
 
     def rows(self, missing: int) -> _Rows:
-        """All of them, with results missing before the first."""
+        """Return all results; `missing` is the number of results lost before the first."""
         step = np.concatenate([part.step for part in self.parts])
         guessed = np.concatenate([part.guessed for part in self.parts])
         step[0] += missing
@@ -93,12 +102,12 @@ class _Waiting:
 
 
 class RiftekPipeline:
-    """RF60x bytes to displacement of the disk centre, with losses counted as far as the line and the clock allow.
+    """Decoder of RF60x bytes to displacement of the disk centre; see the module for the counting of losses.
 
-    Displacement is 0 in the middle of the measuring range and grows with the distance from the sensor.
+    Displacement is 0 in the middle of the measuring range and increases with the distance from the sensor.
 
     Raises:
-        DeviceError: the identity's range is none.
+        DeviceError: the range of the identity is invalid.
     """
 
     def __init__(
@@ -111,14 +120,14 @@ class RiftekPipeline:
         self._period_ns = 1000 * settings.period_us
         self._no_target = np.array(settings.no_target_codes, np.int64)
         self._decoder = StreamDecoder()
-        self._arrears = Arrears(self._period_ns)
+        self._lags = ReadLags(self._period_ns)
         self._clock = ClockMap(settings.clock_tolerance_ppm, clock_rules(identity))
         self._spikes = SpikeWatch()
-        self._number = -1  # of the last sample handed out, lost ones counted
-        self._given = 0  # samples handed out
-        self._decoded = 0  # results decoded: those handed out, and those that wait
-        self._verdicts: list[int] = []  # places of doubted samples whose verdict is due LOOK_AHEAD places later
-        self._found_late = 0  # results found missing, to be told with the next sample
+        self._number = -1  # number of the last sample returned, including lost ones
+        self._given = 0  # samples returned
+        self._decoded = 0  # results decoded: returned and waiting ones
+        self._verdicts: list[int] = []  # positions of doubtful samples; the verdict is due LOOK_AHEAD positions later
+        self._found_late = 0  # results found missing, to be reported with the next sample
         self._waiting: _Waiting | None = None
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
@@ -132,7 +141,7 @@ class RiftekPipeline:
         out: Items = [Event("reply", self._device, answer.hex()) for answer in found.answers]
         if found.skipped_bytes:
             self.losses["bytes"] += found.skipped_bytes
-            text = f"{found.skipped_bytes} bytes skipped that belong to no packet"
+            text = f"{found.skipped_bytes} bytes skipped that do not belong to a packet"
             out.append(Event("damage", self._device, text, {"bytes": found.skipped_bytes}))
         self._verdicts += [self._decoded + place for place in found.doubted]
         self._decoded += len(found.code)
@@ -141,7 +150,7 @@ class RiftekPipeline:
         return out
 
     def _counted(self, found: Decoded, host_ns: int) -> _Rows:
-        """Steps by the packets' numbers; where damaged bytes stand for more results, as far as time has room."""
+        """Count steps by the packets' numbers; after damaged bytes add the results that these bytes can have been."""
         step = found.step.copy()
         guessed = np.zeros(len(step), np.bool_)
         for i in np.flatnonzero(found.skipped):
@@ -153,44 +162,47 @@ class RiftekPipeline:
         return _Rows(found.code, found.updated, step, guessed)
 
     def _last_number(self, steps: int) -> int:
-        """Number of a result so many samples after those counted so far."""
+        """Return the number of a result `steps` samples after those counted so far."""
         waiting = 0 if self._waiting is None else sum(int(np.sum(part.step)) for part in self._waiting.parts)
         return self._number + waiting + steps
 
     def _room(self, steps: int, host_ns: int) -> int:
-        """How many results more than counted the host's time has room for."""
-        excess = self._arrears.excess_ns(self._last_number(steps), host_ns)
+        """Return how many additional results are possible by the host's time."""
+        excess = self._lags.excess_ns(self._last_number(steps), host_ns)
         return 0 if excess is None else int(excess / self._period_ns + 1.5)
 
     def _place(self, rows: _Rows, host_ns: int) -> Items:
-        """Hand results out, or let them wait where they are far too late for their numbers."""
+        """Return the samples of results, or hold the results if they are too late for their numbers."""
         if self._waiting is None:
-            self._found_late += self._arrears.turn(host_ns)
+            self._found_late += self._lags.turn(host_ns)
         number = self._last_number(int(np.sum(rows.step))) + self._found_late
-        excess = self._arrears.excess_ns(number, host_ns)
+        excess = self._lags.excess_ns(number, host_ns)
         if self._waiting is not None:
             assert excess is not None
-            self._waiting.add(rows, excess, host_ns, self._arrears.guard_ns)
-            if excess <= self._arrears.far_ns:
+            self._waiting.add(rows, excess, host_ns, self._lags.guard_ns)
+            if excess <= self._lags.far_ns:
                 return self._release(0, host_ns)
-            if self._waiting.count > _WAIT_ROWS:
+            if self._waiting.count > _MAX_WAIT_ROWS:
                 return self._release(0, host_ns, late=True)
             if self._waiting.over(host_ns):
-                return self._release(self._arrears.missing(self._waiting.excess_ns), host_ns)
+                return self._release(self._lags.missing(self._waiting.excess_ns), host_ns)
             return []
-        if excess is None or excess <= self._arrears.far_ns:
+        if excess is None or excess <= self._lags.far_ns:
             return self._hand_out(rows, host_ns)
-        first = int(np.argmax(rows.step > 1))  # where something is missing; 0 where nothing is
+        first = int(np.argmax(rows.step > 1))  # index of the first gap; 0 without a gap
         out = self._hand_out(rows.part(0, first), host_ns, late=True) if first else []
         self._waiting = _Waiting(rows.part(first, None), excess, host_ns)
         return out
 
     def _ended(self, host_ns: int) -> Items:
-        """Hand out what waits: behind a gap, unless a single read alone was late, which may have been the host."""
+        """Return the held samples at the end of the log: after a gap, unless only one read was late.
+
+        The lateness of a single read may be that of the host.
+        """
         waiting = self._waiting
         if waiting is None:
             return []
-        missing = self._arrears.missing(waiting.excess_ns) if waiting.reads > 1 else 0
+        missing = self._lags.missing(waiting.excess_ns) if waiting.reads > 1 else 0
         return self._release(missing, host_ns, late=not missing)
 
     def _release(self, missing: int, host_ns: int, *, late: bool = False) -> Items:
@@ -199,7 +211,13 @@ class RiftekPipeline:
         return self._hand_out(waiting.rows(missing), host_ns, late=late)
 
     def _hand_out(self, rows: _Rows, host_ns: int, *, late: bool = False) -> Items:
-        """Samples of results; `late` where the read's end says nothing of when they were made."""
+        """Make the samples of results.
+
+        Args:
+            rows: the results.
+            host_ns: host time of the read, ns since 1970.
+            late: whether the time of the read does not show when the results were measured.
+        """
         found_late, self._found_late = self._found_late, 0
         step = rows.step
         if self._given == 0:
@@ -210,15 +228,15 @@ class RiftekPipeline:
         number = self._number + np.cumsum(step)
         self._number = int(number[-1])
         if not late:
-            self._arrears.look(self._number, host_ns)
+            self._lags.look(self._number, host_ns)
         time_ns = self._clock.map(number * self._period_ns, host_ns)
         out: Items = []
         if int(number[-1]) - int(number[0]) + 1 != len(number) or step[0] != 1:
             out += self._gaps(rows, step, time_ns, found_late)
-        displacement, seen = self._measure(rows)
+        displacement, valid = self._measure(rows)
         counter = (number % COUNTER_WRAP).astype(np.uint32)
-        flags = self._spikes.feed(np.where(seen, rows.code, _NO_READING), counter)
-        self._doubt(flags, seen)
+        flags = self._spikes.feed(np.where(valid, rows.code, _NO_READING), counter)
+        self._doubt(flags)
         suspect = np.flatnonzero(flags)
         flags[~rows.updated] |= NOT_NEW
         columns = {
@@ -234,17 +252,17 @@ class RiftekPipeline:
         return out
 
     def _measure(self, rows: _Rows) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Displacement of the disk, m, NaN where there is no reading; and where there is one."""
-        seen = rows.updated & (rows.code <= wire.FULL_SCALE)
+        """Return the displacement of the disk, m, NaN without a reading, and whether each result is a reading."""
+        valid = rows.updated & (rows.code <= wire.FULL_SCALE)
         for code in self._no_target:
-            seen &= rows.code != code
+            valid &= rows.code != code
         displacement = (wire.metres(rows.code, self._range_m) - 0.5 * self._range_m) * self._to_disk
-        displacement[~seen] = np.nan
-        self.losses["invalid"] += len(seen) - int(np.count_nonzero(seen))
-        return displacement, seen
+        displacement[~valid] = np.nan
+        self.losses["invalid"] += len(valid) - int(np.count_nonzero(valid))
+        return displacement, valid
 
-    def _doubt(self, flags: NDArray[np.uint32], seen: NDArray[np.bool_]) -> None:
-        """Write the verdicts on samples whose packets turned out to be too long."""
+    def _doubt(self, flags: NDArray[np.uint32]) -> None:
+        """Write the verdicts on samples whose packets turned out to be too long into `flags`."""
         first = self._given
         self._given += len(flags)
         later: list[int] = []
@@ -257,15 +275,15 @@ class RiftekPipeline:
         self._verdicts = later
 
     def _suspects(self, found: NDArray[np.intp], time_ns: NDArray[np.int64]) -> Event:
-        """Samples that were lone spikes, or whose packets were too long; the event's time is that of the first."""
+        """Return the event about spikes and samples of too long packets; its time is that of the first of them."""
         self.losses["suspect"] += len(found)
         first_ns = int(time_ns[found[0]]) - LOOK_AHEAD * self._period_ns
         what = "a sample" if len(found) == 1 else f"{len(found)} samples"
-        text = f"{what} marked as suspect: a jump that is back at once, or a packet that was too long"
+        text = f"{what} marked as suspect: a jump for one sample, or a packet that was too long"
         return Event("suspect", self._device, text, {"suspect": len(found), "time_ns": first_ns})
 
     def _gaps(self, rows: _Rows, step: NDArray[np.int64], time_ns: NDArray[np.int64], found_late: int) -> Items:
-        """Samples missing between rows. A gap's own time is that of the first sample after it."""
+        """Return the gaps between rows. The time of a gap is that of the first sample after it."""
         out: Items = []
         number = self._number - int(np.sum(step))
         numbers = number + np.cumsum(step)
@@ -281,17 +299,17 @@ class RiftekPipeline:
             }
             text = f"{lost} samples lost ({span * 1e3:.2f} ms)"
             if rows.guessed[i] or (found_late and i == 0):
-                facts["uncertain_samples"] = self._arrears.uncertainty
-                text = f"about {text}: known modulo 4, the rest by the host's time, ± {self._arrears.uncertainty}"
+                facts["uncertain_samples"] = self._lags.uncertainty
+                text = f"about {text}: known modulo 4, the rest by the host's time, ± {self._lags.uncertainty}"
             if found_late and i == 0:
                 facts["found_late"] = found_late
-                text += f"; {found_late} of them some time in the last 1.25 s, the times since then are early by that"
+                text += f"; {found_late} of them within the last 1.25 s: the times since their loss are early by that"
             out.append(Event("gap", self._device, text, facts))
         return out
 
 
-def _range(device: str, told: object) -> float:
-    """The measuring range that a sensor, or a log, says it has."""
-    if isinstance(told, int | float) and not isinstance(told, bool) and 0 < told < float("inf"):
-        return float(told)
-    raise DeviceError(f"{device}: expected a measuring range in m above 0 in its identity, got range_m {told!r:.80}")
+def _range(device: str, found: object) -> float:
+    """Return the measuring range of an identity, m; raise DeviceError if it is invalid."""
+    if isinstance(found, int | float) and not isinstance(found, bool) and 0 < found < float("inf"):
+        return float(found)
+    raise DeviceError(f"{device}: expected a measuring range in m above 0 in its identity, got range_m {found!r:.80}")

@@ -1,15 +1,15 @@
 # pyright: strict
 """RIFTEK's binary protocol: requests to a sensor, packets from it.
 
-A request is two bytes and maybe a message; only its first byte has the top bit clear. Every byte from the sensor has it
-set and carries four bits of data, low half of a byte first, low byte of a word first:
+A request consists of two bytes and an optional message; only its first byte has the top bit clear. Every byte from the
+sensor has the top bit set and contains four bits of data, low half of a byte first, low byte of a word first:
 
-    request   0aaaaaaa 1000cccc [1000dddd …]      a: address (0: every sensor), c: what is asked, d: data
+    request   0aaaaaaa 1000cccc [1000dddd …]      a: address (0: every sensor), c: code of the request, d: data
     packet    1Snndddd 1Snndddd …                 S: the result is a new one, n: number of the packet modulo 4
 
-All bytes of a packet have the same high half, the next packet has another number: that is all that tells packets
-apart. A result of the stream is four bytes, the value of a parameter two, an identification sixteen. Answers have
-S = 0 and share line and numbering with the stream. There is no checksum and no time on the line.
+All bytes of a packet have the same high half, and the next packet has another number. Packets are separated by this
+alone. A result of the stream has four bytes, the value of a parameter two, an identification sixteen. Answers have
+S = 0 and share line and numbering with the stream. The line has no checksum and no time.
 
 Sources: RF602 and AR100 manuals, serial interface pages; the layout of the longer stream forms is not public, so they
 are not used.
@@ -25,17 +25,17 @@ from numpy.typing import ArrayLike, NDArray
 from daq.errors import DeviceError
 
 IDENTIFY, READ, WRITE, STORE, LATCH, RESULT, START, STOP = range(1, 9)
-"""What can be asked of a sensor."""
+"""Codes of requests."""
 EVERYONE = 0
-"""The address that every sensor on a line heeds."""
+"""Address of all sensors on a line."""
 
 POWER, CONTROL, AVERAGES, PERIOD, INTEGRATION, ZERO = 0x00, 0x02, 0x06, 0x08, 0x0A, 0x17
-"""Parameters; PERIOD, INTEGRATION (both us) and ZERO are words, high byte at the next number."""
+"""Parameters; PERIOD, INTEGRATION (both µs) and ZERO are words, whose high byte is the next parameter."""
 CONTROL_KEPT = 0x92
-"""Bits of CONTROL that have no part in measuring: analogue output, CAN, and one that is not used."""
+"""Bits of CONTROL that do not influence the measurement: analogue output, CAN, and an unused bit."""
 
 PERIODS_US, INTEGRATIONS_US, ZEROS = (100, 65_535), (3, 3200), (0, 16_383)
-"""What these may be."""
+"""Smallest and largest values of these words."""
 
 FULL_SCALE = 0x4000
 """The result at the end of the measuring range."""
@@ -43,7 +43,7 @@ RESULT_BYTES = 4
 NUMBERS = 4
 """Packets are numbered modulo this."""
 ANSWER_BYTES = {IDENTIFY: 16, READ: 2, STORE: 2, RESULT: RESULT_BYTES}
-"""How long the answers to requests are on the line; others are not answered."""
+"""Length of the answers to requests on the line, bytes; other requests are not answered."""
 
 UPDATED = 0x40
 """Bit of a packet's bytes: the result is a new one."""
@@ -54,15 +54,15 @@ def _halves(data: bytes) -> list[int]:
 
 
 def request(address: int, code: int, message: bytes = b"") -> bytes:
-    """What goes to a sensor.
+    """Encode a request to a sensor.
 
     Args:
         address: 1 … 127, or `EVERYONE`.
         code: `IDENTIFY` … `STOP`.
-        message: the parameter's number, and its value where it is written.
+        message: number of the parameter, and its value for `WRITE`.
 
     Raises:
-        ValueError: no such address or code.
+        ValueError: address or code is out of range.
     """
     if not (0 <= address <= 0x7F and 0 <= code <= 0x0F):
         raise ValueError(f"expected an address 0 … 127 and a code 0 … 15, got {address} and {code}")
@@ -70,23 +70,24 @@ def request(address: int, code: int, message: bytes = b"") -> bytes:
 
 
 def packet(data: bytes, number: int, *, updated: bool = False) -> bytes:
-    """What comes from a sensor: an answer, or one result.
+    """Encode a packet from a sensor: an answer or one result.
 
     Args:
-        data: of the answer; of a result, its two bytes.
-        number: of the packet, taken modulo 4.
-        updated: it is a new result.
+        data: data of the answer, or the two bytes of a result.
+        number: number of the packet, taken modulo 4.
+        updated: whether it is a new result.
     """
     head = 0x80 | (UPDATED if updated else 0) | (number & 3) << 4
     return bytes(head | half for half in _halves(data))
 
 
 def results(codes: ArrayLike, numbers: ArrayLike, *, updated: bool = True) -> bytes:
-    """Results as a sensor streams them.
+    """Encode results as a sensor streams them.
 
     Args:
-        codes: 0 … 65535, shape (n,).
-        numbers: of their packets, taken modulo 4, shape (n,).
+        codes: results, 0 … 65535, shape (n,).
+        numbers: numbers of their packets, taken modulo 4, shape (n,).
+        updated: whether they are new results.
     """
     code = np.asarray(codes, np.int64)[:, None] >> np.array([0, 4, 8, 12]) & 0x0F
     head = 0x80 | (UPDATED if updated else 0) | (np.asarray(numbers, np.int64)[:, None] & 3) << 4
@@ -94,7 +95,7 @@ def results(codes: ArrayLike, numbers: ArrayLike, *, updated: bool = True) -> by
 
 
 def awaited(sent: bytes) -> int | None:
-    """How many bytes answer the last request among bytes that went out; None where none is answered."""
+    """Return the length of the answer to the last request in sent bytes; None if it is not answered."""
     begin = max((at for at, byte in enumerate(sent) if byte < 0x80), default=None)
     if begin is None or begin + 1 >= len(sent):
         return None
@@ -102,12 +103,12 @@ def awaited(sent: bytes) -> int | None:
 
 
 class Info(NamedTuple):
-    """Who a sensor is.
+    """Identification of a sensor.
 
     Attributes:
         kind, firmware, serial: numbers.
-        base_m: from the sensor to the beginning of its range.
-        range_m: measuring range.
+        base_m: distance from the sensor to the beginning of its range, m.
+        range_m: measuring range, m.
     """
 
     kind: int
@@ -118,10 +119,10 @@ class Info(NamedTuple):
 
 
 def parse_info(data: bytes) -> Info:
-    """Read the eight bytes of an identification.
+    """Parse the eight bytes of an identification.
 
     Raises:
-        DeviceError: another length, or no range.
+        DeviceError: the length is wrong, or the range is 0.
     """
     if len(data) != ANSWER_BYTES[IDENTIFY] // 2:
         raise DeviceError(f"expected 8 bytes of identification, got {len(data)} ({data.hex()}): is this an RF60x?")
@@ -132,7 +133,7 @@ def parse_info(data: bytes) -> Info:
 
 
 def metres(code: ArrayLike, range_m: float) -> NDArray[np.float64]:
-    """Distance from the beginning of the measuring range, m: D·S/16384.
+    """Convert results D to distances from the beginning of the measuring range S, m: D·S/16384.
 
     Args:
         code: results, any shape.
@@ -142,7 +143,7 @@ def metres(code: ArrayLike, range_m: float) -> NDArray[np.float64]:
 
 
 def code(metres: ArrayLike, range_m: float) -> NDArray[np.int64]:
-    """The result a sensor would send; the inverse of `metres` to half a step (range · 3.1e-5).
+    """Convert distances to results of a sensor; inverse of `metres` to half a step (range · 3.1e-5).
 
     Args:
         metres: distance from the beginning of the range, m, any shape, within 0 … range_m.

@@ -49,7 +49,7 @@ class RotorLink:
 
     def pipeline(self, device: str, settings: EncoderNode, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.drivers.rotorlink.stream import NodePipeline  # noqa: PLC0415
+        from daq.drivers.rotorlink.stream import NodePipeline
 
         return NodePipeline(device, settings, identity)
 
@@ -60,20 +60,20 @@ class RotorLink:
     def checks(
         self, settings: EncoderNode, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
-        """See Driver: the node's own word, and how strong its frames come in."""
-        from daq.drivers.rotorlink.looked_at import node_checks  # noqa: PLC0415
+        """See Driver: the node's status, and the signal strength of its frames."""
+        from daq.drivers.rotorlink.status_checks import node_checks
 
         return node_checks(settings, pipeline)
 
     def far_end(self, device: str, settings: EncoderNode, world: Any) -> FarEnd:
         """See Driver."""
-        from daq.drivers.rotorlink.far_end import SimulatedNode  # noqa: PLC0415
+        from daq.drivers.rotorlink.far_end import SimulatedNode
 
         return SimulatedNode.of(device, settings, world)
 
     def played(self, settings: EncoderNode, identity: Mapping[str, Any]) -> PlayedDevice:
         """See Driver."""
-        from daq.drivers.rotorlink.played import PlayedNode  # noqa: PLC0415
+        from daq.drivers.rotorlink.played import PlayedNode
 
         return PlayedNode()
 
@@ -81,15 +81,15 @@ class RotorLink:
         """See Driver."""
 
     def open(self, device: str, settings: EncoderNode, talk: Talk) -> dict[str, Any]:
-        """See Driver; a node streams from the moment it has power."""
+        """See Driver; a node streams as soon as it has power."""
         return {"driver": self.name, "port": settings.port}
 
     def stop(self, talk: Talk) -> None:
-        """See Driver; a node goes on for as long as it has power."""
+        """See Driver; a node sends as long as it has power."""
 
     def locks(self, settings: EncoderNode, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
         """See MovesLocks."""
-        from daq.drivers.rotorlink.locks import NodeLocks  # noqa: PLC0415
+        from daq.drivers.rotorlink.locks import NodeLocks
 
         return NodeLocks(send, clock, settings.node)
 

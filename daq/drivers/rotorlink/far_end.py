@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.simulated import FarEnd, FaultKind, Stretch
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import DeviceClock, World
@@ -19,14 +20,18 @@ from rig_configs.schema import Radio
 
 _NODE = 1
 _MECHANISM_S = 0.05  # time from a release command to the open lock
-_TURNING_RAD_S = 0.5  # locking is refused above this speed
+_MAX_LOCKING_RAD_S = 0.5  # locking is refused above this speed
 
 
 class Air:
-    """Frames on the radio: lost in bursts, delayed with jitter, in order. Every loss is remembered.
+    """The radio: it loses frames in bursts, delays them with jitter, and keeps their order.
 
     Attributes:
-        silent: nothing gets through, either way.
+        silent: whether all frames are lost in both directions.
+        delay_s: delay of a frame without jitter, s.
+        sent: number of node frames sent so far.
+        dropped: indices, from 0, of the node frames that were lost.
+        last_delivered: index of the last node frame that reached the dongle; -1 before the first.
     """
 
     def __init__(self, config: Radio, rng: np.random.Generator) -> None:
@@ -35,8 +40,13 @@ class Air:
         self._flying: deque[tuple[float, int, bytes]] = deque()
         self._busy_until = 0.0
         self.sent = 0
-        self.dropped: list[int] = []  # numbers (from 0) of node frames that were lost
+        self.dropped: list[int] = []
         self.last_delivered = -1
+
+    @property
+    def delay_s(self) -> float:
+        """See above."""
+        return self._config.delay_s
 
     def _lost(self) -> bool:
         if self.silent:
@@ -47,7 +57,7 @@ class Air:
         return self._bad and self._rng.random() < self._config.loss_in_burst
 
     def uplink(self, time_s: float, payload: bytes) -> None:
-        """A node frame goes on air."""
+        """Send a node frame on air."""
         number, self.sent = self.sent, self.sent + 1
         if self._lost():
             self.dropped.append(number)
@@ -61,12 +71,12 @@ class Air:
         return not self._lost()
 
     def lose_flying(self) -> None:
-        """Whatever is on air now reaches nobody."""
+        """Lose all frames that are on air now."""
         self.dropped += [number for _, number, _ in self._flying]
         self._flying.clear()
 
     def landed(self, now_s: float) -> list[tuple[float, bytes]]:
-        """Frames that have reached the dongle, with their arrival times."""
+        """Return the frames that have reached the dongle, with their arrival times, rig s."""
         out: list[tuple[float, bytes]] = []
         while self._flying and self._flying[0][0] <= now_s:
             arrival, number, payload = self._flying.popleft()
@@ -79,25 +89,31 @@ class SimulatedNode(FarEnd):
     """Node, air and dongle behind one serial line.
 
     Attributes:
-        dead: the node sends nothing any more; its dongle goes on.
-        fault_flags: encoder faults it reports (bit 0 A, bit 1 B).
-        marks_lost: its index sensor sees nothing.
-        locks_stuck: a lock that is told to move reports a fault.
+        dead: whether the node sends nothing any more; its dongle continues.
+        fault_flags: encoder faults that the node reports (bit 0 A, bit 1 B).
+        marks_lost: whether the index sensor detects no mark.
+        locks_stuck: whether a lock that is commanded to move reports a fault.
+        air: the radio.
+        samples_per_block: number of samples in an encoder block.
 
     Args:
-        config: its table of the rig file.
-        zero_error_rad: shape (2,), what each encoder reads too much.
-        noise_counts: jitter before quantisation, counts.
-        play_rad: largest offset of a closed lock.
+        config: table of the node in the rig file.
+        motion: motion of the rig.
+        zero_error_rad: zero error of each encoder, rad, shape (2,).
+        noise_counts: standard deviation of the noise before quantisation, counts.
+        play_rad: largest offset of a closed lock, rad.
+        clock: clock of the node.
+        air: the radio.
+        rng: source of the noise.
     """
 
     samples_per_block: ClassVar[int] = 20
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
-        "dead": FaultKind("the node sends nothing any more; what receives it goes on"),
-        "radio": FaultKind("nothing gets through on air, either way; the node goes on counting"),
+        "dead": FaultKind("the node sends nothing any more; the receiver continues"),
+        "radio": FaultKind("all frames on air are lost in both directions; the node continues to count"),
         "flags": FaultKind("the node reports a fault of its encoders", meaning="bit 0: A, bit 1: B", limits=(0, 3)),
-        "marks lost": FaultKind("its index sensor sees nothing"),
-        "locks stuck": FaultKind("a lock that is told to move reports a fault"),
+        "marks lost": FaultKind("its index sensor detects no mark"),
+        "locks stuck": FaultKind("a lock that is commanded to move reports a fault"),
     }
 
     def __init__(
@@ -125,7 +141,7 @@ class SimulatedNode(FarEnd):
         self._status_due = self._dongle_due = 0.0
         self._run = bytearray()
         self._acted: deque[tuple[int, bytes]] = deque(maxlen=32)
-        self._due: list[tuple[float, int, Callable[[], None], int]] = []  # lock mechanism at work
+        self._due: list[tuple[float, int, Callable[[], None], int]] = []  # lock mechanisms that are moving
         self._closing: dict[int, int] = {}
         self._offset_counts = np.zeros(2)
         self._closed = [True, True]
@@ -142,7 +158,7 @@ class SimulatedNode(FarEnd):
 
     @classmethod
     def of(cls, device: str, config: Any, world: World) -> Self:
-        """The node of a simulated rig."""
+        """Make the node of a simulated rig."""
         virtual = world.virtual
         zero = world.spread * math.radians(config.zero_std_deg) * world.calibration.standard_normal(2)
         return cls(
@@ -159,7 +175,7 @@ class SimulatedNode(FarEnd):
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Take bytes the host sent to the dongle."""
         for run in data.split(b"\x00")[:-1] if not self._run else (bytes(self._run) + data).split(b"\x00")[:-1]:
-            decoded = rotorlink.FrameDecoder().feed(run + b"\x00")
+            decoded = FrameDecoder().feed(run + b"\x00")
             for frame in decoded.frames:
                 self.hear(frame, now_s)
         tail = (bytes(self._run) + data).split(b"\x00")[-1]
@@ -167,13 +183,13 @@ class SimulatedNode(FarEnd):
         return b""
 
     def hear(self, frame: rotorlink.Frame, now_s: float, tries: int = 1) -> bool:
-        """Take a host's frame off the air, which may lose it; whether one of the tries got through."""
+        """Take a host's frame from the air, which may lose it; return whether one of the tries was received."""
         if self._without_supply:
             return False
-        got_through = any(self.air.downlink() for _ in range(tries))
-        if got_through:
-            self._host_frame(frame, now_s + self.air._config.delay_s)
-        return got_through
+        received = any(self.air.downlink() for _ in range(tries))
+        if received:
+            self._host_frame(frame, now_s + self.air.delay_s)
+        return received
 
     def _host_frame(self, frame: rotorlink.Frame, now_s: float) -> None:
         if isinstance(frame, rotorlink.Ping):
@@ -187,19 +203,19 @@ class SimulatedNode(FarEnd):
             self._send(now_s, lambda seq: rotorlink.Acknowledge(_NODE, seq, frame.seq, result).pack())
 
     def _command(self, frame: rotorlink.Command, now_s: float) -> int:
-        """Act on a command; returns the result code of its acknowledge."""
+        """Execute a command; return the result code of its acknowledgement."""
         names = {v: k for k, v in rotorlink.ACTIONS.items()}
         action = names.get(frame.action)
         if action is None or (action != "zero" and not self._config.locks):
             return 2
         if action == "zero":
-            # zero is A's locked position, for both: B's own is half a revolution away
+            # zero is A's locked position for both pendulums: that of B is half a revolution away
             at_locks = np.array([0.0, self._config.counts_per_revolution / 2])
             self._offset_counts = self._counts_exact() - at_locks
             return 0
         verb, which = action.split()
         pendulums = {"A": [0], "B": [1], "both": [0, 1]}[which]
-        if verb == "lock" and abs(self._motion.speed_rad_s) > _TURNING_RAD_S:
+        if verb == "lock" and abs(self._motion.speed_rad_s) > _MAX_LOCKING_RAD_S:
             return 1
         wanted = verb == "lock"
         pendulums = [i for i in pendulums if self._closed[i] != wanted]
@@ -223,7 +239,7 @@ class SimulatedNode(FarEnd):
         self._send(time_s, lambda seq: rotorlink.LockEvent(_NODE, seq, us, pendulum, state, command).pack())
 
     def step(self, now_s: float) -> bytes:
-        """Let lock mechanisms finish."""
+        """See FarEnd: finish the movements of lock mechanisms that are due."""
         for entry in [e for e in self._due if e[0] <= now_s]:
             self._due.remove(entry)
             _, pendulum, act, command = entry
@@ -244,7 +260,7 @@ class SimulatedNode(FarEnd):
         return self.dongle(float(motion.time_s[-1]))
 
     def fail(self, what: str, value: Any) -> None:
-        """See FarEnd and `fault_kinds`; 0 ends each."""
+        """See FarEnd and `fault_kinds`; the value 0 ends each fault."""
         match what:
             case "radio":
                 self.air.silent = bool(value)
@@ -260,9 +276,9 @@ class SimulatedNode(FarEnd):
                 super().fail(what, value)
 
     def power(self, on: bool, now_s: float) -> None:
-        """See FarEnd: the node's battery; what receives it at the host goes on.
+        """See FarEnd. The supply is the node's battery; the dongle at the host keeps its supply.
 
-        Time, index and seq begin at 0. The counters keep their zero and the locks stay as they are.
+        Time, index and seq start at 0. The counters keep their zero and the locks their positions.
         """
         self._without_supply = not on
         if on:
@@ -273,11 +289,11 @@ class SimulatedNode(FarEnd):
             self._due.clear()
 
     def facts(self) -> dict[str, Any]:
-        """See FarEnd: what the radio was given and dropped."""
+        """See FarEnd: the radio's counts of sent, dropped and delivered frames."""
         return {"sent": self.air.sent, "dropped": self.air.dropped, "last_delivered": self.air.last_delivered}
 
     def put_on_air(self, motion: Stretch) -> None:
-        """Put the frames of a stretch of motion on air, in order of time."""
+        """Send the frames of an interval of motion on air, in order of time."""
         queue: list[tuple[float, Callable[[], None]]] = []
         queue += self._index_marks(motion)
         queue += self._blocks(motion)
@@ -303,7 +319,7 @@ class SimulatedNode(FarEnd):
             wa, wb = motion.rows[i, 9], motion.rows[i + 1, 9]
             step = motion.time_s[i + 1] - motion.time_s[i]
             u = (phase - a) / (b - a)
-            for _ in range(3):  # ψ within a grid step is a parabola to the accuracy that matters
+            for _ in range(3):  # Newton's method; ψ within a grid step is approximated by a parabola
                 slope = (wa + (wb - wa) * u) * step
                 u -= (a + (wa + 0.5 * (wb - wa) * u) * u * step - phase) / slope
             t = float(motion.time_s[i] + min(max(u, 0.0), 1.0) * step)
@@ -351,7 +367,7 @@ class SimulatedNode(FarEnd):
         )
 
     def dongle(self, now_s: float) -> bytes:
-        """Bytes the dongle gives the host: node frames that landed, each wrapped, and its own status."""
+        """Return the bytes from the dongle to the host: received node frames, each wrapped, and its own status."""
         out = b""
         for arrival, payload in self.air.landed(now_s):
             frame = rotorlink.Wrapped(

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The host's commands to a RotorLink node: repeated until they are acknowledged."""
+"""The host's commands to a RotorLink node; they are repeated until the node acknowledges them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from daq.drivers.rotorlink import wire
 from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock
 
-_USUAL_NODE = 1
-_TRIES, _TRY_S, _LOOK_S = 20, 0.15, 0.02  # wall seconds
+_DEFAULT_NODE = 1
+_TRIES, _TRY_S, _CHECK_S = 20, 0.15, 0.02  # wall seconds
 _ACCEPTED, _ALREADY = 0, 4
 
 
@@ -21,15 +21,15 @@ class NodeLocks:
 
     Args:
         send: writes bytes to the node's dongle.
-        clock: for the waits.
-        node: the number of the node; None for the one that is heard, which says so where it is not 1.
+        clock: clock for the waits.
+        node: number of the node; None for the node that is received. Its pipeline reports a number other than 1.
     """
 
     def __init__(self, send: Callable[[bytes], None], clock: HostClock, node: int | None = None) -> None:
         self._send, self._clock = send, clock
-        self._node = _USUAL_NODE if node is None else node
+        self._node = _DEFAULT_NODE if node is None else node
         self._acknowledges: queue.Queue[Event] = clock.queue()
-        # The node remembers the seq of past commands, also those of an earlier session, and acts once on each.
+        # The node stores the seq of past commands, also those of an earlier session, and acts once on each.
         self._seq = clock.now_ns() // 1_000_000 & 0x7FFF
 
     def heard(self, event: Event) -> None:
@@ -40,7 +40,7 @@ class NodeLocks:
         self._acknowledges.put(event)
 
     def command(self, action: str, check: Callable[[], None]) -> None:
-        """See PendulumLocks; a lost frame is repeated with its seq."""
+        """See PendulumLocks; a command without acknowledgement is repeated with the same seq."""
         self._seq = (self._seq + 1) & 0x7FFF
         payload = wire.Command(self._node, self._seq, wire.ACTIONS[action]).pack()
         for _ in range(_TRIES):
@@ -49,7 +49,7 @@ class NodeLocks:
             while self._clock.wall_s() < deadline:
                 check()
                 try:
-                    event = self._acknowledges.get(timeout=_LOOK_S)
+                    event = self._acknowledges.get(timeout=_CHECK_S)
                 except queue.Empty:
                     continue
                 if self._settles(action, event):
@@ -58,21 +58,21 @@ class NodeLocks:
         raise DeviceError(f"the node has not acknowledged {action!r} after {_TRIES} tries. Is the radio in reach?")
 
     def _transmit(self, payload: bytes) -> None:
-        """Send a command as the node's dongle takes it."""
+        """Send a command in the format of the node's dongle."""
         self._send(wire.wire(payload))
 
     def _settles(self, action: str, event: Event) -> bool:
-        """Whether an acknowledgement is the one waited for.
+        """Whether an acknowledgement is that of the present command.
 
         Raises:
-            DeviceError: it is, and the node refuses.
+            DeviceError: it is, and the node refuses the command.
         """
         if event.facts["command_seq"] != self._seq:
             return False
         result = event.facts["result"]
-        if result == _ACCEPTED or (result == _ALREADY and action != "zero"):  # not zeroed: not locked
+        if result == _ACCEPTED or (result == _ALREADY and action != "zero"):  # for "zero" it means: not locked
             return True
         raise DeviceError(f"the node refuses {action!r}: {event.text}")
 
     def _unanswered(self, action: str) -> None:
-        """One try is over without an answer; raises DeviceError where another one is in vain."""
+        """Handle a try without an answer; subclasses raise DeviceError if further tries are useless."""

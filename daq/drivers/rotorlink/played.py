@@ -1,22 +1,23 @@
 # pyright: strict
-"""A RotorLink node of a log while it is played."""
+"""Stand-in for a RotorLink node of a log while the log is played."""
 
 from __future__ import annotations
 
 from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.line import FrameDecoder
 
 
 class PlayedNode(PlayedDevice):
-    """The on-rotor node: sends by itself; a command is neither carried out nor acknowledged."""
+    """The on-rotor node. It sends without a command; commands are neither carried out nor acknowledged."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._frames = rotorlink.FrameDecoder()
+        self._frames = FrameDecoder()
 
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice."""
-        asked = sum(isinstance(frame, rotorlink.Command) for frame in self._frames.feed(data).frames)
-        self.commands += asked
-        self.unfollowed += asked
+        commands = sum(isinstance(frame, rotorlink.Command) for frame in self._frames.feed(data).frames)
+        self.commands += commands
+        self.unfollowed += commands
         return b""

@@ -1,9 +1,9 @@
 # pyright: strict
-"""Encoder blocks in the order of their samples, where a node sends some of them again (flag b4).
+"""Order of encoder blocks by their samples, for nodes that send some blocks again (flag b4).
 
-A block behind a hole waits for the one that fills it: as long as four blocks last, `_LEAST_US` at least, then the hole
-is a loss. A node that has not repeated anything yet is waited for at short holes only, and no more after `_GIVEN_UP`
-that stayed open.
+A block after a gap waits for the block that fills the gap. After the duration of four blocks, at least `_MIN_WAIT_US`,
+the gap counts as a loss. For a node that has not repeated a block yet, blocks wait only after short gaps, and not any
+more after `_MAX_OPEN_GAPS` gaps that were not filled.
 """
 
 from __future__ import annotations
@@ -12,17 +12,18 @@ from typing import NamedTuple
 
 from daq.drivers.rotorlink.wire import FLAG_REPEATS, EncoderBlock
 
-_LEAST_US, _MOST_US, _BLOCKS = 50_000, 1_000_000, 4
-_MOST = 64  # blocks that wait
-_GIVEN_UP = 3
+_MIN_WAIT_US, _MAX_WAIT_US, _WAIT_BLOCKS = 50_000, 1_000_000, 4
+_MAX_WAITING = 64  # blocks
+_MAX_OPEN_GAPS = 3
 
 
 class Arrived(NamedTuple):
-    """A block.
+    """A received block.
 
     Attributes:
         first: index of its first sample, unwrapped.
-        host_ns: when it came.
+        block: the block.
+        host_ns: host time of its arrival, ns since 1970.
     """
 
     first: int
@@ -31,7 +32,7 @@ class Arrived(NamedTuple):
 
     @property
     def behind(self) -> int:
-        """Index of the sample behind its last one."""
+        """Index of the sample after its last one."""
         return self.first + len(self.block.counts)
 
 
@@ -39,19 +40,20 @@ class Repeats:
     """See the module.
 
     Args:
-        waits: whether a node is waited for that has not repeated anything yet.
+        waits: whether blocks wait although the node has not repeated a block yet.
     """
 
     def __init__(self, *, waits: bool) -> None:
-        self._chances = _GIVEN_UP if waits else 0
+        self._chances = _MAX_OPEN_GAPS if waits else 0
         self._known = False
         self._waiting: list[Arrived] = []
 
     def feed(self, arrived: Arrived, expected: int | None) -> list[Arrived]:
-        """Take the next block; returns those whose turn it is.
+        """Take the next block; return the blocks that are in order now.
 
         Args:
-            expected: index of the sample behind the last one that was handed out; None before the first.
+            arrived: the block.
+            expected: index of the sample after the last one returned; None before the first.
         """
         self._known = self._known or bool(arrived.block.flags & FLAG_REPEATS)
         waiting = [*self._waiting, arrived]
@@ -68,18 +70,18 @@ class Repeats:
         return out
 
     def end(self) -> list[Arrived]:
-        """What waits, in order: nothing will fill the holes."""
+        """Return the waiting blocks in order: the gaps before them will not be filled."""
         out, self._waiting = self._waiting, []
         return out
 
     def _is_lost(self, hole: int, waiting: list[Arrived]) -> bool:
-        """Whether so many samples before what waits will not come."""
+        """Whether the gap of `hole` samples before the waiting blocks counts as a loss."""
         first = waiting[0].block
-        limit_us = min(max(_LEAST_US, _BLOCKS * len(first.counts) * first.period_us), _MOST_US)
+        limit_us = min(max(_MIN_WAIT_US, _WAIT_BLOCKS * len(first.counts) * first.period_us), _MAX_WAIT_US)
         if not self._known and (not self._chances or hole * first.period_us > limit_us):
             return True
         waited_us = (max(each.behind for each in waiting) - waiting[0].first) * first.period_us
-        if waited_us <= limit_us and len(waiting) <= _MOST:
+        if waited_us <= limit_us and len(waiting) <= _MAX_WAITING:
             return False
         self._chances = max(0, self._chances - 1)
         return True

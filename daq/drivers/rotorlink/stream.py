@@ -1,4 +1,4 @@
-"""RotorLink bytes to pendulum angles, tachometer marks and lock events."""
+"""Pipeline of a RotorLink node: bytes to pendulum angles, tachometer marks and lock events."""
 
 from __future__ import annotations
 
@@ -12,43 +12,56 @@ from daq import channels
 from daq.clock import ClockMap, ClockSeed, clock_rules
 from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.repeats import Arrived, Repeats
 from daq.drivers.rotorlink.sender_clock import SenderClock
+from daq.drivers.rotorlink.sequence import SequenceCounter
 from daq.errors import DeviceError
 from rig_configs.device import RotorNodeSettings
 
-_REPEATS_RULES = 3  # of a log, since which blocks wait for those that are sent again
+_REPEATS_RULES = 3  # rules of a log since which blocks wait for repeated ones
 _WRAP = 2**32
 _NODES = 256
-_SILENCE_US = 30_000_000  # behind a longer one the sequence, which wraps, tells nothing of a new beginning
-_OLD_US = 1_000_000  # a block that lies further back, and is not said to be sent again, is of a node that began anew
+_MAX_SILENCE_US = 30_000_000  # after a longer silence the seq, which wraps, does not show a restart
+_MAX_STEP_BACK_US = 1_000_000  # a block that is older, and not marked as repeated, shows a restart of the node
 
 
 class NodePipeline:
-    """RotorLink bytes to pendulum angles, tachometer marks and lock events; losses on air and cable counted apart.
+    """Decoder of RotorLink bytes to pendulum angles, tachometer marks and lock events.
 
-    Here payloads are COBS runs on a serial line. What carries them otherwise overrides `feed` and hands the frames it
-    found to `take`, the damaged ones to `damaged`.
+    Losses on air and on the cable are counted separately. Payloads are COBS runs on a serial line. A subclass for
+    another carrier overrides `feed` and passes intact frames to `take` and damaged ones to `damaged`.
+
+    Attributes:
+        losses: see Pipeline.
+        status: newest status of the node; None before the first.
+        rssi_dBm: signal strength of the newest frame, dBm; None if unknown.
+        complaint: see TellsItself.
+        battery_low: whether the node reports a low battery.
+        heard_frames: see CountsFrames.
+
+    Raises:
+        DeviceError: the node's number in the identity is invalid.
     """
 
     def __init__(self, device: str, config: RotorNodeSettings, identity: Mapping[str, Any]) -> None:
         self.losses = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
-        self.status: rotorlink.Status | None = None  # the node's newest word of itself …
-        self.rssi_dBm: int | None = None  # … and how strong its frames come in
-        self.complaint = ""  # what is wrong with its counts, by its own word
+        self.status: rotorlink.Status | None = None
+        self.rssi_dBm: int | None = None
+        self.complaint = ""
         self.battery_low = False
-        self.heard_frames: tuple[int, int] | None = None  # seq of the first and of the newest frame from the air
+        self.heard_frames: tuple[int, int] | None = None
         self._device = device
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
         self._tolerance_ppm, self._rules = config.clock_tolerance_ppm, clock_rules(identity)
-        self._decoder = rotorlink.FrameDecoder()
-        self._cable = rotorlink.SequenceCounter()
-        self._cable_lost = 0  # frames lost on the cable since a node's frame came: some of them were its own
+        self._decoder = FrameDecoder()
+        self._cable = SequenceCounter()
+        self._cable_lost = 0  # frames lost on the cable since the last node frame; they may have contained node frames
         self._joined = False
         self._last_dongle_us: int | None = None
         self._dongle = SenderClock()
-        self._wrapped = False  # the node's frames come in those of a dongle, which counts them
+        self._wrapped = False  # whether node frames arrive in frames of a dongle, which counts them
         self._node = _node_of(identity) if config.node is None else config.node
         self._others = set[int]()
         self._restart()
@@ -65,11 +78,11 @@ class NodePipeline:
         return {} if self._node is None else {"node": self._node}
 
     def _restart(self) -> None:
-        self._air = rotorlink.SequenceCounter()
+        self._air = SequenceCounter()
         self._time = SenderClock()
         self._clock = ClockMap(self._tolerance_ppm, self._rules)
         self._next_index: int | None = None
-        self._next_us = 0  # when that sample is due
+        self._next_us = 0  # node time at which that sample is due
         self._repeats = Repeats(waits=self._rules >= _REPEATS_RULES)
         self._last_us: int | None = None
 
@@ -90,20 +103,20 @@ class NodePipeline:
         return [*(self.damaged(reason) for reason, _ in bad), *self.take(found.frames, host_ns)]
 
     def waited(self) -> list[Batch | Event]:
-        """Samples that wait for others to come before them, which will not."""
+        """Return the samples that wait for earlier ones, which will not arrive any more."""
         return self._blocks(self._repeats.end())
 
     def damaged(self, reason: str) -> Event:
-        """Count a frame that is dropped, and why."""
+        """Count a dropped frame; return the event with the reason."""
         self.losses["damaged_frames"] += 1
         return Event("damage", self._device, f"frame dropped: {reason}", {"reason": reason})
 
     def take(self, frames: Iterable[rotorlink.Frame], host_ns: int) -> list[Batch | Event]:
-        """Samples and events of sound frames.
+        """Return the samples and events of intact frames.
 
         Args:
-            frames: in the order in which they came.
-            host_ns: host time at which they came.
+            frames: the frames in the order of arrival.
+            host_ns: host time of their arrival, ns since 1970.
         """
         out: list[Batch | Event] = []
         for frame in frames:
@@ -123,11 +136,11 @@ class NodePipeline:
     def _dongle_frame(
         self, frame: rotorlink.Wrapped | rotorlink.DongleStatus, host_ns: int, out: list[Batch | Event]
     ) -> bool:
-        """Count what the cable lost; whether the frame came before."""
-        if self._dongle.begins_anew(frame.dongle_time_us, host_ns):
-            out.append(Event("dongle", self._device, "the dongle started again: what it counts begins anew"))
+        """Count the frames lost on the cable; return whether the frame is a repeated one."""
+        if self._dongle.has_restarted(frame.dongle_time_us, host_ns):
+            out.append(Event("dongle", self._device, "the dongle started again: its counters restart"))
             self._dongle, self._last_dongle_us = SenderClock(), None
-            self._dongle.begins_anew(frame.dongle_time_us, host_ns)
+            self._dongle.has_restarted(frame.dongle_time_us, host_ns)
             self._cable.reset()
         lost, repeated = self._cable.feed(frame.seq)
         self._wrapped = self._wrapped or isinstance(frame, rotorlink.Wrapped)
@@ -136,12 +149,12 @@ class NodePipeline:
         return repeated
 
     def _since_dongle(self, dongle_us: int) -> float:
-        """Seconds since the dongle's frame before."""
+        """Return the time since the dongle's preceding frame, s."""
         last, self._last_dongle_us = self._last_dongle_us, dongle_us
         return 0.0 if last is None else _seconds(last, dongle_us)
 
     def _count(self, what: str, lost: int, span_s: float, out: list[Batch | Event]) -> None:
-        """Count lost frames; `span_s` lies between the frame before them and the one after."""
+        """Count lost frames; `span_s` is the time from the frame before them to the frame after them, s."""
         if lost:
             self.losses[what] += lost
             text = f"{lost} {what.replace('_', ' ')} lost within {span_s * 1e3:.0f} ms"
@@ -155,98 +168,93 @@ class NodePipeline:
         again = block is not None and bool(block.flags & rotorlink.FLAG_REPEATS)
         node_us = None if again else getattr(frame, "node_time_us", None)
         span_s = 0.0 if node_us is None or self._last_us is None else _seconds(self._last_us, node_us)
-        lost, repeated, anew = self._counted(frame.seq, block if not again else None, node_us, host_ns, again)
+        lost, repeated, restarted = self._counted(frame.seq, block if not again else None, node_us, host_ns, again)
         if repeated and not again:
             return out
-        if anew:
+        if restarted:
             out += self.waited()
-            out.append(Event("restart", self._device, "the node started again: its counters begin anew"))
+            out.append(Event("restart", self._device, "the node started again: its counters restart"))
             self._restart()
             self._counted(frame.seq, block if not again else None, node_us, host_ns, again)
         if node_us is not None and (self._last_us is None or 0 < (node_us - self._last_us) % _WRAP < _WRAP // 2):
             self._last_us = node_us
-        lost, self._cable_lost = max(0, lost - self._cable_lost), 0  # what the cable lost the air had brought
+        lost, self._cable_lost = max(0, lost - self._cable_lost), 0  # frames lost on the cable were not lost on air
         if not repeated:
             self.heard_frames = (frame.seq if self.heard_frames is None else self.heard_frames[0], frame.seq)
         self._count("radio_frames", lost, span_s, out)
+        return [*out, *self._content(frame, host_ns)]
+
+    def _content(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> list[Batch | Event]:
+        """Return the samples and events of a node frame that has been counted."""
         match frame:
             case rotorlink.EncoderBlock():
                 arrived = Arrived(self._index(frame.first_index), frame, host_ns)
-                out += self._blocks(self._repeats.feed(arrived, self._next_index))
+                return self._blocks(self._repeats.feed(arrived, self._next_index))
             case rotorlink.IndexMark():
                 node_us = np.array([self._time.unwrap(frame.node_time_us)])
                 time_ns = self._clock.map(node_us * 1000, host_ns)
                 columns = {"revolutions": np.array([frame.revolutions]), "node_time_us": node_us.astype(np.uint64)}
-                out.append(Batch(channels.TACHO, time_ns, np.array([frame.seq], np.uint32), columns))
+                return [Batch(channels.TACHO, time_ns, np.array([frame.seq], np.uint32), columns)]
             case rotorlink.LockEvent():
-                node_us = np.array([self._time.unwrap(frame.node_time_us)])
-                name, state = "AB"[frame.pendulum & 1], rotorlink.LOCK_STATES[min(frame.state, 3)]
-                out.append(
-                    Event(
-                        "lock",
-                        self._device,
-                        f"pendulum {name} {state}",
-                        {
-                            "pendulum": frame.pendulum,
-                            "state": state,
-                            "node_time_us": int(node_us[0]),
-                            "time_ns": int(self._clock.map(node_us * 1000, host_ns)[0]),
-                        },
-                    )
-                )
+                return [self._lock_event(frame, host_ns)]
             case rotorlink.Acknowledge():
                 result = rotorlink.RESULTS[min(frame.result, len(rotorlink.RESULTS) - 1)]
-                out.append(
-                    Event(
-                        "acknowledge",
-                        self._device,
-                        f"command {frame.command_seq}: {result}",
-                        {"command_seq": frame.command_seq, "result": frame.result},
-                    )
-                )
+                facts = {"command_seq": frame.command_seq, "result": frame.result}
+                return [Event("acknowledge", self._device, f"command {frame.command_seq}: {result}", facts)]
             case rotorlink.Status():
-                self.status = frame
-                if frame.counts_per_revolution != self._counts_per_revolution:
-                    text = (
-                        f"the node says {frame.counts_per_revolution} counts per revolution, the rig file "
-                        f"{self._counts_per_revolution}: every angle would be scaled wrongly. Correct the rig file"
-                    )
-                    self.complaint = text
-                    out.append(Event("fault", self._device, text))
-                out.append(
-                    Event(
-                        "status",
-                        self._device,
-                        f"battery {frame.battery_mv} mV",
-                        {
-                            "battery_mv": frame.battery_mv,
-                            "frames_sent": frame.frames_sent,
-                            "overruns": frame.overruns,
-                            "counts_per_revolution": frame.counts_per_revolution,
-                            "temperature_degC": frame.temperature_decidegc / 10,
-                        },
-                    )
-                )
+                return [*self._status_events(frame)]
             case _:
-                pass
-        return out
+                return []
+
+    def _lock_event(self, frame: rotorlink.LockEvent, host_ns: int) -> Event:
+        node_us = np.array([self._time.unwrap(frame.node_time_us)])
+        name, state = "AB"[frame.pendulum & 1], rotorlink.LOCK_STATES[min(frame.state, 3)]
+        facts = {
+            "pendulum": frame.pendulum,
+            "state": state,
+            "node_time_us": int(node_us[0]),
+            "time_ns": int(self._clock.map(node_us * 1000, host_ns)[0]),
+        }
+        return Event("lock", self._device, f"pendulum {name} {state}", facts)
+
+    def _status_events(self, frame: rotorlink.Status) -> list[Event]:
+        """Keep the node's status; return its events, with a fault if it contradicts the rig file."""
+        self.status = frame
+        out: list[Event] = []
+        if frame.counts_per_revolution != self._counts_per_revolution:
+            self.complaint = (
+                f"the node reports {frame.counts_per_revolution} counts per revolution, the rig file states "
+                f"{self._counts_per_revolution}: every angle would be scaled wrongly. Correct the rig file"
+            )
+            out.append(Event("fault", self._device, self.complaint))
+        facts = {
+            "battery_mv": frame.battery_mv,
+            "frames_sent": frame.frames_sent,
+            "overruns": frame.overruns,
+            "counts_per_revolution": frame.counts_per_revolution,
+            "temperature_degC": frame.temperature_decidegc / 10,
+        }
+        return [*out, Event("status", self._device, f"battery {frame.battery_mv} mV", facts)]
 
     def _counted(
         self, seq: int, block: rotorlink.EncoderBlock | None, node_us: int | None, host_ns: int, again: bool
     ) -> tuple[int, bool, bool]:
-        """How many frames are missing before one, whether it came before, and whether its node began anew.
+        """Count a frame by its seq and time.
 
         Args:
-            seq: its number.
-            block: it, where it is one that is not sent again.
-            node_us: its time, where that is newer than its predecessor's.
-            host_ns: when it came.
-            again: whether it is sent again.
+            seq: number of the frame.
+            block: the frame if it is an encoder block that is not marked as repeated, otherwise None.
+            node_us: node time of the frame if it is not marked as repeated, µs.
+            host_ns: host time of its arrival, ns since 1970.
+            again: whether the frame is marked as repeated.
+
+        Returns:
+            Number of frames missing before it, whether it is a repeated frame, and whether its node has restarted.
         """
         before_us, restarts = self._time.newest_us, self._air.restarts
-        if node_us is not None and self._time.begins_anew(_newest_us(node_us, block), host_ns):
+        if node_us is not None and self._time.has_restarted(_newest_us(node_us, block), host_ns):
             return 0, False, True
-        if self._time.newest_us - before_us > _SILENCE_US:
+        if self._time.newest_us - before_us > _MAX_SILENCE_US:
             lost, repeated = self._air.go_on(seq), False
         else:
             lost, repeated = self._air.feed(seq, again=again)
@@ -255,10 +263,10 @@ class NodePipeline:
         return lost, repeated, False
 
     def _is_ours(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, out: list[Batch | Event]) -> bool:
-        """Whether a frame is of this rig's node: the rig file's, or the first one heard."""
+        """Whether a frame is of this rig's node: that of the rig file, or the first one received."""
         if self._node is None:
             self._node = frame.node
-            if frame.node != 1:  # else whoever commands it has it right
+            if frame.node != 1:  # NodeLocks assumes 1
                 out.append(
                     Event("acknowledge", self._device, f"the node's number is {frame.node}", {"node": frame.node})
                 )
@@ -269,15 +277,15 @@ class NodePipeline:
         return frame.node == self._node
 
     def _index(self, first: int) -> int:
-        """A sample's index, which wraps at 2**32, as one that grows for ever."""
+        """Return the unwrapped index of a sample, whose index on the wire wraps at 2**32."""
         near = first if self._next_index is None else self._next_index
         return first + _WRAP * round((near - first) / _WRAP)
 
     def _fell_back(self, block: rotorlink.EncoderBlock) -> bool:
-        """Whether a block that is not said to be sent again counts samples of long ago: its node began anew."""
+        """Whether a block that is not marked as repeated contains old samples, which shows a restart of its node."""
         if self._next_index is None:
             return False
-        return (self._next_index - self._index(block.first_index)) * block.period_us > _OLD_US
+        return (self._next_index - self._index(block.first_index)) * block.period_us > _MAX_STEP_BACK_US
 
     def _blocks(self, arrived: Iterable[Arrived]) -> list[Batch | Event]:
         return [item for each in arrived for item in self._encoder(each)]
@@ -292,19 +300,20 @@ class NodePipeline:
         expected = first if self._next_index is None else self._next_index
         fresh, missing = max(0, expected - first), max(0, first - expected)
         if self._next_index == first and block.flags & rotorlink.FLAG_SAMPLES_LOST and block.period_us:
-            missing = max(0, round((first_us - self._next_us) / block.period_us))  # lost before they were counted
+            missing = max(0, round((first_us - self._next_us) / block.period_us))  # lost in the node without an index
         if expected < arrived.behind:
             self._next_us = int(node_us[-1]) + block.period_us
         self._next_index = max(expected, arrived.behind)
         if fresh >= n:
             return []
         counts = block.counts[fresh:]
+        sequence = index[fresh:].astype(np.uint32)
         columns = {
             "theta3_rad": counts[:, 0] * self._radian,
             "theta4_rad": counts[:, 1] * self._radian,
             "count_a": counts[:, 0],
             "count_b": counts[:, 1],
-            "index": index[fresh:].astype(np.uint32),
+            "index": sequence,
             "node_time_us": node_us[fresh:].astype(np.uint64),
             "flags": np.full(n - fresh, block.flags, np.uint32),
         }
@@ -315,11 +324,11 @@ class NodePipeline:
             span_s = missing * block.period_us * 1e-6
             facts = {"samples": missing, "span_s": span_s, "time_ns": int(time_ns[0])}
             out.append(Event("gap", self._device, f"{missing} samples lost ({span_s * 1e3:.2f} ms)", facts))
-        return [*out, Batch(channels.PENDULUMS, time_ns, columns["index"], columns)]
+        return [*out, Batch(channels.PENDULUMS, time_ns, sequence, columns)]
 
 
 def _node_of(identity: Mapping[str, Any]) -> int | None:
-    """The node that logs before this one chose."""
+    """Return the number of the node in an identity, which earlier logs have chosen; None if it is missing."""
     node = identity.get("node")
     if node is None or (type(node) is int and 0 <= node < _NODES):
         return node
@@ -327,11 +336,11 @@ def _node_of(identity: Mapping[str, Any]) -> int | None:
 
 
 def _newest_us(node_us: int, block: rotorlink.EncoderBlock | None) -> int:
-    """Node time of the newest that a frame tells of."""
+    """Return the newest node time in a frame, µs: that of the last sample of a block."""
     return node_us if block is None else (node_us + (len(block.counts) - 1) * block.period_us) % _WRAP
 
 
 def _seconds(before_us: int, after_us: int) -> float:
-    """From one instant of a clock that wraps at 2**32 µs to a later one; 0 for two that came in the wrong order."""
+    """Return the time, s, from one instant to a later one of a clock that wraps at 2**32 µs; 0 for the wrong order."""
     passed = (after_us - before_us) & 0xFFFFFFFF
     return passed * 1e-6 if passed < 0x80000000 else 0.0

@@ -1,26 +1,28 @@
 """RotorLink v1: the encoder node on the rotor, its radio dongle, and the commands to it.
 
-On a serial line a frame is ``COBS(payload) 0x00``; on an XBee the payload is the radio data. The payload is a body
-and its CRC-16/CCITT-FALSE, little endian like every number here. Each body starts with type u8, node u8 and
-seq u16, which counts the sender's frames of all types; a gap in it is lost frames, a repeat is dropped.
+On a serial line a frame is ``COBS(payload) 0x00``; on an XBee the payload is the radio data. The payload is a body and
+its CRC-16/CCITT-FALSE. All numbers are little endian. Each body starts with type u8, node u8 and seq u16. The seq
+counts the sender's frames of all types: a gap in it means lost frames, a repeated frame is dropped.
 """
 
 from __future__ import annotations
 
 import binascii
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from cobs import cobs
 from numpy.typing import NDArray
 
+_cobs_encode = cast("Callable[[bytes], bytes]", cobs.encode)  # pyright: ignore[reportUnknownMemberType]  # no types
+
 COUNTS_DTYPE = np.dtype("<i4")
 MAX_SAMPLES = 29
 MAX_PAYLOAD_BYTES = 250
-MAX_WRAPPED_BYTES = MAX_PAYLOAD_BYTES + 11  # a dongle's wrapper goes over the cable only, never on air
-RUN_LIMIT_BYTES = 300
+MAX_WRAPPED_BYTES = MAX_PAYLOAD_BYTES + 11  # a dongle's wrapper is sent over the cable only, never on air
 NO_COMMAND = 0xFFFF
 
 FLAG_FAULT_A, FLAG_FAULT_B, FLAG_SAMPLES_LOST, FLAG_LOW_BATTERY = 1 << 0, 1 << 1, 1 << 2, 1 << 3
@@ -38,10 +40,10 @@ RESULTS = (
 
 
 class BadFrame(ValueError):
-    """A payload is no frame; `reason` is ``crc``, ``type`` or ``length``.
+    """A payload is not a frame; `reason` is ``crc``, ``type`` or ``length``.
 
     Attributes:
-        skipped: what is known of it where its CRC is right.
+        skipped: type, node and seq of the payload if its CRC is correct.
     """
 
     def __init__(self, reason: str, text: str, skipped: Skipped | None = None) -> None:
@@ -51,7 +53,7 @@ class BadFrame(ValueError):
 
 @dataclass(frozen=True)
 class Skipped:
-    """A frame with a right CRC that means nothing here: its sender has counted it."""
+    """A frame with a correct CRC and an unknown type or length. Its sender has counted it."""
 
     kind: int
     node: int
@@ -62,28 +64,28 @@ class Skipped:
 
 
 def crc16(body: bytes) -> int:
-    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; 0x29B1 for ``b"123456789"``."""
+    """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; 0x29B1 for ``b"123456789"``."""
     return binascii.crc_hqx(body, 0xFFFF)
 
 
 def encode_frame(body: bytes) -> bytes:
-    """Payload of a body: the body and its CRC, low byte first."""
+    """Return the payload of a body: the body and its CRC, low byte first."""
     return body + crc16(body).to_bytes(2, "little")
 
 
 def wire(payload: bytes) -> bytes:
-    """Payload as it goes over a serial line: COBS, then 0x00."""
-    return cobs.encode(payload) + b"\x00"
+    """Encode a payload for a serial line: COBS, then 0x00."""
+    return _cobs_encode(payload) + b"\x00"
 
 
 class _Packed:
-    """A frame of constant size: its fields in order, packed as `LAYOUT` behind the type."""
+    """A frame of constant size: its fields in order, packed as `LAYOUT` after the type."""
 
     TYPE: ClassVar[int]
     LAYOUT: ClassVar[struct.Struct]
 
     def pack(self) -> bytes:
-        """The payload: body and CRC.
+        """Return the payload: body and CRC.
 
         Raises:
             struct.error: a field does not fit its integer on the wire.
@@ -96,7 +98,9 @@ class EncoderBlock:
     """Encoder samples of both pendulums, evenly spaced in node time.
 
     Attributes:
-        first_index: number of the first sample since the node's start.
+        node: number of the node.
+        seq: number of the frame, wraps at 2**16.
+        first_index: index of the first sample since the node's start, wraps at 2**32.
         node_time_us: node time of the first sample, µs, wraps at 2**32.
         period_us: time between samples, µs.
         flags: `FLAG_…` bits.
@@ -115,10 +119,10 @@ class EncoderBlock:
     counts: NDArray[np.int32] = field(repr=False)
 
     def pack(self) -> bytes:
-        """The payload: body and CRC.
+        """Return the payload: body and CRC.
 
         Raises:
-            ValueError: counts are not (1 … 29, 2).
+            ValueError: the shape of counts is not (1 … 29, 2).
         """
         counts = np.asarray(self.counts, COUNTS_DTYPE)
         if counts.ndim != 2 or counts.shape[1] != 2 or not 1 <= len(counts) <= MAX_SAMPLES:
@@ -135,7 +139,7 @@ class EncoderBlock:
 
 @dataclass(frozen=True)
 class Status(_Packed):
-    """The node's state, each second; temperature in 0.1 °C, battery in mV."""
+    """The node's state, sent each second; temperature in 0.1 °C, battery in mV."""
 
     TYPE: ClassVar[int] = 0x12
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHIHhIHBBI")
@@ -154,7 +158,10 @@ class Status(_Packed):
 
 @dataclass(frozen=True)
 class LockEvent(_Packed):
-    """A pendulum's lock changed: pendulum 0 A, 1 B; state indexes `LOCK_STATES`; command seq or `NO_COMMAND`."""
+    """Change of a pendulum's lock.
+
+    `pendulum` is 0 for A and 1 for B. `state` indexes `LOCK_STATES`. `command_seq` is `NO_COMMAND` without a command.
+    """
 
     TYPE: ClassVar[int] = 0x13
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHIBBH")
@@ -169,7 +176,7 @@ class LockEvent(_Packed):
 
 @dataclass(frozen=True)
 class Pong(_Packed):
-    """Answer to a ping: node times at which the ping came and this answer left."""
+    """Answer to a ping, with the node times at which the ping was received and this answer was sent."""
 
     TYPE: ClassVar[int] = 0x14
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHIIH")
@@ -183,7 +190,7 @@ class Pong(_Packed):
 
 @dataclass(frozen=True)
 class IndexMark(_Packed):
-    """The rotor's index passed the frame's mark: the tachometer and phase reference."""
+    """Passage of the rotor's index at the mark on the frame: the tachometer and phase reference."""
 
     TYPE: ClassVar[int] = 0x15
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHII")
@@ -196,7 +203,7 @@ class IndexMark(_Packed):
 
 @dataclass(frozen=True)
 class Acknowledge(_Packed):
-    """Answer to a command; result indexes `RESULTS`."""
+    """Answer to a command; `result` indexes `RESULTS`."""
 
     TYPE: ClassVar[int] = 0x16
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHHB")
@@ -209,7 +216,7 @@ class Acknowledge(_Packed):
 
 @dataclass(frozen=True)
 class DongleStatus(_Packed):
-    """The dongle's state, each second: frames received, frames damaged on air, signal strength."""
+    """The dongle's state, sent each second: frames received, frames damaged on air, signal strength in dBm."""
 
     TYPE: ClassVar[int] = 0x20
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHIIIb")
@@ -224,7 +231,7 @@ class DongleStatus(_Packed):
 
 @dataclass(frozen=True)
 class Command(_Packed):
-    """Host to node: one of `ACTIONS`. Repeated with the same seq when no answer comes; the node acts once."""
+    """Host to node: one of `ACTIONS`. Without an answer it is repeated with the same seq; the node acts once."""
 
     TYPE: ClassVar[int] = 0x90
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHBx")
@@ -236,7 +243,7 @@ class Command(_Packed):
 
 @dataclass(frozen=True)
 class Ping(_Packed):
-    """Host to node: what time is it; answered by `Pong`."""
+    """Host to node: request for the node's time; answered by `Pong`."""
 
     TYPE: ClassVar[int] = 0x91
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBH")
@@ -250,14 +257,14 @@ NodeFrame = EncoderBlock | Status | LockEvent | Pong | IndexMark | Acknowledge
 
 @dataclass(frozen=True)
 class Wrapped:
-    """A node's frame as a dongle received it. Its own seq counts losses on the cable, the inner one those on air.
+    """A node's frame as a dongle received it. Its own seq counts losses on the cable, the inner seq those on air.
 
     Attributes:
         dongle_time_us: dongle time at reception, µs, wraps at 2**32.
         rssi_dbm: signal strength of this frame, dBm.
-        inner: the node's frame, None when it is damaged; a `Skipped` one is in `damaged` too.
-        damaged: the inner payload as received when it is no frame, else empty.
-        damage: why it is none, as in `BadFrame.reason`.
+        inner: the node's frame, None if it is damaged; a `Skipped` frame is in `damaged` too.
+        damaged: the inner payload as received if it is not a frame, otherwise empty.
+        damage: reason as in `BadFrame.reason`; empty without damage.
     """
 
     TYPE: ClassVar[int] = 0x21
@@ -272,7 +279,7 @@ class Wrapped:
     damage: str = ""
 
     def pack(self) -> bytes:
-        """The payload: body and CRC."""
+        """Return the payload: body and CRC."""
         inner = self.damaged if self.inner is None or isinstance(self.inner, Skipped) else self.inner.pack()
         head = self.HEAD.pack(self.TYPE, self.node, self.seq, self.dongle_time_us, self.rssi_dbm)
         return encode_frame(head + inner)
@@ -289,7 +296,7 @@ def _checked_body(payload: bytes, limit: int) -> bytes:
     body = payload[:-2]
     expected, came = int.from_bytes(payload[-2:], "little"), crc16(body)
     if expected != came:
-        raise BadFrame("crc", f"expected CRC {expected:#06x} as the frame says, its bytes give {came:#06x}")
+        raise BadFrame("crc", f"expected CRC {expected:#06x} as in the frame, its bytes give {came:#06x}")
     return body
 
 
@@ -298,7 +305,7 @@ def _skipped(body: bytes) -> Skipped:
 
 
 def _parse_body(body: bytes, layouts: dict[int, Any]) -> Any:
-    """The frame of a constant-size body, by its type."""
+    """Return the frame of a constant-size body, by its type."""
     kind = layouts.get(body[0])
     if kind is None:
         raise BadFrame("type", f"expected a type of {sorted(map(hex, layouts))}, got {body[0]:#04x}", _skipped(body))
@@ -320,22 +327,22 @@ def _parse_encoder(body: bytes) -> EncoderBlock:
 
 
 def parse_node(payload: bytes) -> NodeFrame:
-    """Frame of a node's own payload, bare or out of a dongle's wrapper.
+    """Parse a node's own payload, bare or from a dongle's wrapper.
 
     Raises:
-        BadFrame: wrong CRC, unknown type or wrong length.
+        BadFrame: the CRC is wrong, the type is unknown or the length is wrong.
     """
     body = _checked_body(payload, MAX_PAYLOAD_BYTES)
     return _parse_encoder(body) if body[0] == EncoderBlock.TYPE else _parse_body(body, _NODE_CLASSES)
 
 
 def parse(payload: bytes) -> Frame:
-    """Frame of any payload, from the node, the dongle or the host.
+    """Parse any payload, from the node, the dongle or the host.
 
-    A wrapper that is sound around a damaged inner payload comes back with ``inner=None`` and the bytes in `damaged`.
+    An intact wrapper around a damaged inner payload is returned with ``inner=None`` and the bytes in `damaged`.
 
     Raises:
-        BadFrame: wrong CRC, unknown type or wrong length.
+        BadFrame: the CRC is wrong, the type is unknown or the length is wrong.
     """
     if payload[:1] != bytes([Wrapped.TYPE]):
         body = _checked_body(payload, MAX_PAYLOAD_BYTES)
@@ -349,117 +356,3 @@ def parse(payload: bytes) -> Frame:
     except BadFrame as fault:
         own = fault.skipped is not None and fault.skipped.kind in Skipped.NODES
         return Wrapped(*head, inner=fault.skipped if own else None, damaged=rest, damage=fault.reason)
-
-
-@dataclass(frozen=True)
-class Decoded:
-    """What one `FrameDecoder.feed` found.
-
-    Attributes:
-        frames: sound frames in order; a `Wrapped` around a damaged payload is one of them, and so is a `Skipped` one,
-            which is in `bad` too.
-        bad: reason and bytes of what was no frame; ``inner …`` reasons belong to a `Wrapped` that is in `frames`.
-    """
-
-    frames: list[Frame]
-    bad: list[tuple[str, bytes]]
-
-
-class FrameDecoder:
-    """Bytes of a serial line in, frames out; the split into calls makes no difference, memory is bounded."""
-
-    def __init__(self) -> None:
-        self._run = bytearray()
-        self._overlong = False
-
-    def feed(self, data: bytes) -> Decoded:
-        """Decode the next bytes of the line.
-
-        Args:
-            data: any number of bytes, as they came.
-        """
-        found = Decoded([], [])
-        *ended, rest = data.split(b"\x00")
-        for run in ended:
-            self._extend(run, found)
-            if self._run and not self._overlong:
-                _decode_run(bytes(self._run), found)
-            self._run.clear()
-            self._overlong = False
-        self._extend(rest, found)
-        return found
-
-    def _extend(self, run: bytes, found: Decoded) -> None:
-        """Grow the run under way; one that cannot be a frame any more is reported once and forgotten."""
-        if self._overlong:
-            return
-        self._run += run[: RUN_LIMIT_BYTES + 1 - len(self._run)]
-        if len(self._run) > RUN_LIMIT_BYTES:
-            found.bad.append(("overlong", bytes(self._run[:RUN_LIMIT_BYTES])))
-            self._run.clear()
-            self._overlong = True
-
-
-def _decode_run(run: bytes, found: Decoded) -> None:
-    try:
-        payload = cobs.decode(run)
-    except cobs.DecodeError:
-        found.bad.append(("cobs", run))
-        return
-    try:
-        frame = parse(payload)
-    except BadFrame as fault:
-        found.bad.append((fault.reason, payload))
-        if fault.skipped is not None:
-            found.frames.append(fault.skipped)
-        return
-    found.frames.append(frame)
-    if isinstance(frame, Wrapped) and frame.damage:
-        found.bad.append((f"inner {frame.damage}", frame.damaged))
-
-
-class SequenceCounter:
-    """Counts what is missing from one sender's seq, which wraps at 65536.
-
-    A step back by up to `LATE` is a frame seen before; one by up to half the wrap is a sender that started again. A
-    restart that looks like a step forward cannot be told from losses here: call `reset` when node time says so.
-    """
-
-    LATE: ClassVar[int] = 16
-
-    def __init__(self) -> None:
-        self.lost = 0
-        self.repeats = 0
-        self.restarts = 0
-        self._last: int | None = None
-
-    def reset(self) -> None:
-        """The sender started again: the next seq follows nothing. The totals stay."""
-        self._last = None
-
-    def go_on(self, seq: int) -> int:
-        """Take the next seq behind a long silence; returns the frames lost, but for multiples of 65536."""
-        lost = 0 if self._last is None else (seq - self._last - 1) & 0xFFFF
-        self._last = seq
-        self.lost += lost
-        return lost
-
-    def feed(self, seq: int, *, again: bool = False) -> tuple[int, bool]:
-        """Take the seq of the next frame.
-
-        Args:
-            again: what it holds was sent before: a seq of long ago is no new beginning.
-
-        Returns:
-            Frames lost just before it, and whether it is a repeat to be dropped.
-        """
-        step = 1 if self._last is None else (seq - self._last) & 0xFFFF
-        if step == 0 or step >= (0x8000 if again else 0x10000 - self.LATE):
-            self.repeats += 1
-            return 0, True
-        self._last = seq
-        if step >= 0x8000:
-            self.restarts += 1
-            return 0, False
-        self.lost += step - 1
-        return step - 1, False

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Asking a VESC who it is, before anything is asked of its motor."""
+"""Identification of a VESC, before any command to its motor."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from daq.errors import DeviceError
 
 _ANSWER_S = 0.5  # wall seconds
 _TRIES = 3
-_OLDEST = 3  # major number of the firmware whose answers have the layout in `wire`
+_MIN_MAJOR = 3  # first major version of the firmware whose answers have the layout in `wire`
 
 
 def identify(device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
-    """Ask for firmware and hardware. Nothing of the controller's set-up is changed, nor can it be asked for.
+    """Query firmware and hardware. The controller's set-up is not changed; it cannot be queried.
 
     Returns:
-        Identity: firmware, hardware, serial, and what the rig file states of the controller.
+        Identity: firmware, hardware, serial, and the values of the controller in the rig file.
 
     Raises:
-        DeviceError: no answer, or firmware whose answers are laid out in another way.
+        DeviceError: the controller does not answer, or its firmware's answers have another layout.
     """
     while not talk.replies.empty():
         talk.replies.get_nowait()
@@ -32,10 +32,10 @@ def identify(device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
         firmware = _answer(talk)
         if firmware is None:
             continue
-        if firmware.major < _OLDEST:
+        if firmware.major < _MIN_MAJOR:
             raise DeviceError(
-                f"{device}: firmware {firmware.major}.{firmware.minor:02d} answers in a layout that is not known here, "
-                f"expected {_OLDEST}.00 or later. Update the controller's firmware"
+                f"{device}: firmware {firmware.major}.{firmware.minor:02d} answers in an unknown layout, "
+                f"expected {_MIN_MAJOR}.00 or later. Update the controller's firmware"
             )
         return {
             "firmware": f"{firmware.major}.{firmware.minor:02d}",
@@ -52,7 +52,7 @@ def identify(device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
 
 
 def _answer(talk: Talk) -> wire.Firmware | None:
-    """The next answer that is one, if it comes in time."""
+    """Return the next valid answer; None if none arrives in time."""
     deadline = talk.clock.wall_s() + _ANSWER_S
     while (left := deadline - talk.clock.wall_s()) > 0:
         try:

@@ -41,18 +41,18 @@ class VescDriver:
         return ()
 
     def clocks(self, settings: Vesc) -> tuple[SampleClock, ...]:
-        """See Driver; a controller has no clock, the host's time counts."""
+        """See Driver; a controller has no clock, its samples get the host's time."""
         return ()
 
     def pipeline(self, device: str, settings: Vesc, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.drivers.vesc.stream import VescPipeline  # noqa: PLC0415
+        from daq.drivers.vesc.stream import VescPipeline
 
         return VescPipeline(device, settings)
 
     def words(self, event: Event) -> str:
         """See Driver."""
-        from daq.drivers.vesc import wire  # noqa: PLC0415
+        from daq.drivers.vesc import wire
 
         code = int(event.facts["error_code"])
         return wire.fault_words(code) if code else ""
@@ -60,20 +60,20 @@ class VescDriver:
     def checks(
         self, settings: Vesc, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
-        """See Driver: the controller's state, and the faults it told."""
-        from daq.drivers.vesc.looked_at import controller_checks  # noqa: PLC0415
+        """See Driver: the controller's state, and the faults it reported."""
+        from daq.drivers.vesc.status_checks import controller_checks
 
         return controller_checks(control, events)
 
     def far_end(self, device: str, settings: Vesc, world: Any) -> FarEnd:
         """See Driver."""
-        from daq.drivers.vesc.far_end import SimulatedVesc  # noqa: PLC0415
+        from daq.drivers.vesc.far_end import SimulatedVesc
 
         return SimulatedVesc.of(settings, world)
 
     def played(self, settings: Vesc, identity: Mapping[str, Any]) -> PlayedDevice:
         """See Driver."""
-        from daq.drivers.vesc.played import PlayedVesc  # noqa: PLC0415
+        from daq.drivers.vesc.played import PlayedVesc
 
         return PlayedVesc(identity)
 
@@ -81,19 +81,19 @@ class VescDriver:
         """See Driver."""
 
     def open(self, device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
-        """See Driver; it reports once it is asked, by who holds it (`control`)."""
-        from daq.drivers.vesc.dialogue import identify  # noqa: PLC0415
+        """See Driver. The controller reports only on request, by its command (`control`)."""
+        from daq.drivers.vesc.dialogue import identify
 
         return {"driver": self.name, **identify(device, settings, talk)}
 
     def stop(self, talk: Talk) -> None:
-        """See Driver; who holds the controller has stopped it (`control`)."""
+        """See Driver; the controller's command (`control`) has stopped it."""
 
     def speed_source(
         self, settings: Vesc, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
     ) -> SpeedSource:
         """See TurnsRotor."""
-        from daq.drivers.vesc.control import VescControl  # noqa: PLC0415
+        from daq.drivers.vesc.control import VescControl
 
         return VescControl(settings, send, clock, guard)
 

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A simulated VESC: it turns the rotor as its packets say, answers when it is asked, and has its own time-out."""
+"""A simulated VESC: it turns the rotor as commanded, answers polls, and has a timeout of its own."""
 
 from __future__ import annotations
 
@@ -14,45 +14,45 @@ from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import World
 
 _RAD_S = math.pi / 30
-_LOOP_RPM_S = 2000.0  # its speed loop, at its current limit: faster than any ramp the host makes
-_COAST_RPM_S = 30.0  # bearings and windage, when there is no torque
+_LOOP_RPM_S = 2000.0  # acceleration of the speed loop at the current limit: faster than any ramp of the host
+_COAST_RPM_S = 30.0  # deceleration by bearings and windage, without torque
 _BRAKE_RPM_S_PER_A = 200.0
 _STEPS_PER_ERPM_S = 6 / 60  # a motor makes six steps per electrical revolution
-_FAULT_STOP_S = 0.5  # how long a fault stands; then it passes by itself
+_FAULT_STOP_S = 0.5  # duration of a fault; then it ends by itself
 _SUPPLY_V, _RUNNING_A, _RATED_ERPM = 24.0, 2.0, 20_000.0
 _FIRMWARE = wire.Firmware(6, 5, "60_MK5", "2a0041000a51353338363731")
 
 
 class SimulatedVesc(FarEnd):
-    """Turns the rotor as the wire says; stops by itself when it is not commanded.
+    """Controller that turns the rotor as commanded, and stops it by itself without commands.
 
     Args:
-        settings: of the rig file, as its operator stated them: this one really is so.
-        motion: of the rotor.
-        report_s: unused; a controller speaks when it is asked.
-        timeout_s: its own time-out, rig s, where it is not as stated.
-        timeout_brake_A: current with which it brakes after its time-out; None: that of the host's own stop. As it
-            comes from its maker this is 0 and the rotor runs down.
-        has_status: whether its firmware sends the status byte.
+        settings: table of the controller in the rig file; the simulated controller has these values.
+        motion: motion of the rotor.
+        report_s: unused; a controller sends only answers.
+        timeout_s: timeout of the controller, rig s; None: that of the settings.
+        timeout_brake_A: brake current after the timeout, A; None: that of the host's own stop. The manufacturer's
+            default is 0; then the rotor runs down.
+        has_status: whether the firmware sends the status byte.
 
     Attributes:
-        emergencies: faults it had.
-        frames_sent: answers.
+        emergencies: codes of the faults so far.
+        frames_sent: number of answers so far.
     """
 
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
         "fault": FaultKind(
             "it has a fault, which passes by itself: no torque", 4, meaning="the fault code", limits=(0, 255)
         ),
-        "restart": FaultKind("it starts anew at once", end=None),
-        "silent reports": FaultKind("it does not answer when it is asked for its values"),
+        "restart": FaultKind("it starts again at once", end=None),
+        "silent reports": FaultKind("it does not answer requests for its values"),
         "reported share": FaultKind(
             "it reports a wrong speed", 0.5, end=1, meaning="share of the true speed", limits=(-2, 2)
         ),
         "speed": FaultKind(
             "it runs away until it is braked", 1000, end=None, meaning="to this speed, rpm", limits=(-10_000, 10_000)
         ),
-        "deaf": FaultKind("no command reaches it; it still answers"),
+        "deaf": FaultKind("no command reaches it; it still answers polls"),
     }
 
     def __init__(
@@ -78,7 +78,7 @@ class SimulatedVesc(FarEnd):
 
     @classmethod
     def of(cls, settings: Vesc, world: World) -> SimulatedVesc:
-        """The controller of a simulated rig; its time-out is the host's time, as a real one's is."""
+        """Make the controller of a simulated rig; its timeout is in wall time, as that of a real controller."""
         return cls(settings, world.motion, timeout_s=world.patience(settings.timeout_s))
 
     def facts(self) -> dict[str, Any]:
@@ -92,7 +92,7 @@ class SimulatedVesc(FarEnd):
         }
 
     def _start(self) -> None:
-        """As it stands after power came."""
+        """Set the state after power-up."""
         self._command: wire.Command | None = None
         self._heard_s: float | None = None
         self._fault = 0
@@ -121,25 +121,25 @@ class SimulatedVesc(FarEnd):
                 super().fail(what, value)
 
     def power(self, on: bool, now_s: float) -> None:
-        """See FarEnd: without supply there is no torque; then it begins as one that was never commanded."""
+        """See FarEnd. Without supply the torque is 0; after power-up the controller has received no command."""
         super().power(on, now_s)
         self._start()
 
-    # --- its own ------------------------------------------------------------------------------------------------
+    # --- state --------------------------------------------------------------------------------------------------
 
     @property
     def timed_out(self) -> bool:
-        """Whether it was not commanded for too long."""
+        """Whether the last command is older than the timeout."""
         return self._heard_s is None or self._now_s - self._heard_s > self._timeout_s
 
     @property
     def watchdog_ms(self) -> int:
-        """How long it may go without a command."""
+        """Timeout of the controller, ms."""
         return round(self._timeout_s * 1e3)
 
     @property
     def state(self) -> str:
-        """What it does."""
+        """State of the controller."""
         if self._fault:
             return "FAULT"
         if self.timed_out:
@@ -150,12 +150,12 @@ class SimulatedVesc(FarEnd):
 
     @property
     def speed_rpm(self) -> float:
-        """True speed."""
+        """True speed of the rotor, rpm."""
         return self._motion.speed_rad_s / _RAD_S
 
     @property
     def values(self) -> wire.Values:
-        """What it reports now."""
+        """Values that the controller reports now."""
         erpm = self.speed_rpm * self._reported_share * self._settings.pole_pairs
         status = wire.TIMED_OUT if self.timed_out else 0
         return wire.Values(
@@ -175,7 +175,7 @@ class SimulatedVesc(FarEnd):
     # --- the line ----------------------------------------------------------------------------------------------
 
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """Take bytes from the host; returns its answers."""
+        """Take bytes from the host; return the answers."""
         self._now_s = max(self._now_s, now_s)
         out = b""
         for payload in self._decoder.feed(data).payloads:
@@ -201,7 +201,7 @@ class SimulatedVesc(FarEnd):
         return b""
 
     def step(self, now_s: float) -> bytes:
-        """Up to now: time-out, fault, what the motor does. It never speaks unasked."""
+        """Update timeout, fault and motor up to `now_s`. The controller sends nothing without a request."""
         passed, self._now_s = max(0.0, now_s - self._now_s), max(self._now_s, now_s)
         if self._fault and self._now_s >= self._fault_until_s:
             self._fault = 0
@@ -210,7 +210,7 @@ class SimulatedVesc(FarEnd):
         input_A = self._motor_A() * min(1.0, erpm / _RATED_ERPM)
         self._drawn_Ah += input_A * passed / 3600
         self._drawn_Wh += input_A * _SUPPLY_V * passed / 3600
-        rpm, brake_A = self._wanted()
+        rpm, brake_A = self._set_point()
         motion = self._motion
         motion.target_rad_s = (rpm or 0.0) * _RAD_S
         motion.braking = rpm is None and brake_A > 0
@@ -218,15 +218,15 @@ class SimulatedVesc(FarEnd):
         motion.ramp_rad_s2 = ramp * _RAD_S
         return b""
 
-    def _wanted(self) -> tuple[float | None, float]:
-        """Speed, rpm, or None, and then the brake current, A; with neither the rotor runs down."""
+    def _set_point(self) -> tuple[float | None, float]:
+        """Return the speed, rpm, or None with a brake current, A. With None and 0 the rotor runs down."""
         if self._fault or not self.line_alive:
             return None, 0.0
         if self._runaway_rpm is not None:
             return self._runaway_rpm, 0.0
         command = self._command
         if self.timed_out or command is None:
-            # one that was never commanded stands in its time-out too
+            # a controller that has received no command is in its timeout too
             return None, self._timeout_brake_A
         if command.what == wire.SET_BRAKE:
             return None, command.number / 1000

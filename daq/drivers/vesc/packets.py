@@ -1,7 +1,7 @@
 # pyright: strict
 """Packets of a VESC: start byte, length, payload, CRC-16/XMODEM of the payload, 03h.
 
-The start byte says how wide the length is: 02h one byte, 03h two.
+The start byte determines the width of the length: one byte after 02h, two bytes after 03h.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 
 SHORT, LONG, END = 0x02, 0x03, 0x03
 MAX_PAYLOAD = 512
-"""Longest payload a controller sends or takes."""
+"""Longest payload that a controller sends or accepts, bytes."""
 
 
 def packet(payload: bytes) -> bytes:
-    """A payload as it goes over the line.
+    """Encode a payload for the line.
 
     Raises:
-        ValueError: empty, or longer than a controller takes.
+        ValueError: the payload is empty, or longer than a controller accepts.
     """
     if not 0 < len(payload) <= MAX_PAYLOAD:
         raise ValueError(f"expected 1 to {MAX_PAYLOAD} bytes of payload, got {len(payload)}")
@@ -29,11 +29,11 @@ def packet(payload: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Found:
-    """What some bytes completed.
+    """Result of one call of `PacketDecoder.feed`.
 
     Attributes:
-        payloads: of sound packets, in their order.
-        skipped: bytes in no sound packet.
+        payloads: payloads of intact packets, in order.
+        skipped: number of bytes outside intact packets.
     """
 
     payloads: list[bytes] = field(default_factory=list[bytes])
@@ -41,34 +41,34 @@ class Found:
 
 
 class PacketDecoder:
-    """Bytes to payloads.
+    """Decode bytes to payloads. The payloads and the count do not depend on the split into calls.
 
-    A packet is found with its last byte, whatever seemed to begin before it: after damage, a start byte that is none
-    may claim a length that reaches over several answers, which are not to wait for it. Bytes in no sound packet are
-    counted. Memory is bounded: what is kept is no longer than the longest packet.
+    A packet is found with its last byte, independent of possible packets that began earlier. After damage, a false
+    start byte may be followed by a length that covers several answers; these answers do not wait for its end. Bytes
+    outside intact packets are counted. Memory is bounded by the longest packet.
 
     Args:
-        forgiven: how many bytes before the first sound packet are not counted: the rest of one that began earlier.
+        forgiven: number of bytes before the first intact packet that are not counted: the rest of an earlier packet.
     """
 
     def __init__(self, forgiven: int = 0) -> None:
         self._forgiven = forgiven
-        self._have = bytearray()  # from the oldest byte that may begin a packet
-        self._first = 0  # how many came before
-        self._starts: dict[int, list[int]] = {}  # of what may be a packet, by where it would end
+        self._have = bytearray()  # bytes from the oldest one that may begin a packet
+        self._first = 0  # number of bytes before these
+        self._starts: dict[int, list[int]] = {}  # positions of possible starts, by the position of their end
 
     def feed(self, data: bytes) -> Found:
-        """Take bytes; any split of a stream gives the same payloads and the same count."""
+        """Decode the next bytes of the line."""
         have, first, at = self._have, self._first, len(self._have)
         have += data
         payloads: list[bytes] = []
-        free = skipped = 0  # where nothing is found yet
+        free = skipped = 0  # `free`: end of the last packet
         for i in range(at, len(have)):
             self._begin(i, free)
             if (starts := self._starts.pop(first + i + 1, None)) is None or have[i] != END:
                 continue
             for start in starts:
-                payload = _sound(have[start - first : i + 1])
+                payload = _payload(have[start - first : i + 1])
                 if payload is not None:
                     payloads.append(payload)
                     skipped += self._charged(start - first - free)
@@ -82,7 +82,7 @@ class PacketDecoder:
         return Found(payloads, skipped)
 
     def _begin(self, i: int, free: int) -> None:
-        """Note what may be a packet, its length having come with byte i."""
+        """Store the possible packets whose length ends with byte i."""
         have = self._have
         for head, start in ((SHORT, i - 1), (LONG, i - 2)):
             if start >= free and have[start] == head:
@@ -91,7 +91,7 @@ class PacketDecoder:
                     self._starts.setdefault(self._first + i + 1 + length + 3, []).append(self._first + start)
 
     def _oldest(self, free: int) -> int:
-        """Where the oldest byte stands that may begin a packet."""
+        """Return the position of the oldest byte that may begin a packet."""
         have, end = self._have, len(self._have)
         oldest = min((start for starts in self._starts.values() for start in starts), default=self._first + end)
         oldest -= self._first
@@ -105,7 +105,7 @@ class PacketDecoder:
         return skipped - forgiven
 
 
-def _sound(data: bytearray) -> bytes | None:
-    """The payload of a packet, its length as said and its end in place; None when its checksum is wrong."""
+def _payload(data: bytearray) -> bytes | None:
+    """Return the payload of a packet of correct length and end; None if its checksum is wrong."""
     payload = bytes(data[2 if data[0] == SHORT else 3 : -3])
     return payload if int.from_bytes(data[-3:-1], "big") == binascii.crc_hqx(payload, 0) else None

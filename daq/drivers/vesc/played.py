@@ -1,5 +1,5 @@
 # pyright: strict
-"""A VESC of a log while it is played."""
+"""Stand-in for a VESC of a log while the log is played."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from daq.drivers.vesc import packets, wire
 
 
 class PlayedVesc(PlayedDevice):
-    """Says what it is; its answers to polls are those of the log, and it turns as it did.
+    """A VESC that reports its identity; its answers to polls, and thus the speed, are those of the log.
 
     Args:
-        identity: what it said of itself.
+        identity: identity of the controller from its opening.
     """
 
     def __init__(self, identity: Mapping[str, Any]) -> None:
@@ -35,7 +35,7 @@ class PlayedVesc(PlayedDevice):
 
 
 def _firmware(identity: Mapping[str, Any]) -> wire.Firmware:
-    """What it said; where a log does not say it in a way that can be sent, a firmware whose answers are known."""
+    """Return the firmware of an identity; a known firmware if the identity is incomplete or invalid."""
     try:
         major, minor = (int(part) for part in str(identity["firmware"]).split("."))
         found = wire.Firmware(major, minor, str(identity["hardware"]), str(identity["serial"]))

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The ramp that a controller without one of its own is led along. Pure: the time is given."""
+"""The host's ramp for a controller without a ramp of its own. Pure: the time is an argument."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import math
 
 
 class Ramp:
-    """A set-point that goes towards a target at a limited rate, and leaves out speeds that cannot be held.
+    """A set-point that approaches a target at a limited rate and skips speeds that cannot be held.
 
     Args:
-        rpm_per_s: rate.
-        min_rpm: least speed that can be held; between it and its negative the only set-point is 0.
-        longest_s: longest step in time; a host that was asleep goes on where it was, it does not leap.
+        rpm_per_s: rate, rpm/s.
+        min_rpm: least speed that can be held, rpm; between it and its negative the only set-point is 0.
+        longest_s: longest step in time, s. After a stall of the host the set-point continues without a jump.
 
     Attributes:
-        target_rpm: where it goes.
-        rpm: where it is.
+        target_rpm: target, rpm.
+        rpm: present set-point, rpm.
     """
 
     def __init__(self, rpm_per_s: float, min_rpm: float, longest_s: float) -> None:
@@ -26,12 +26,12 @@ class Ramp:
         self._now_s: float | None = None
 
     def begin(self, rpm: float, now_s: float) -> None:
-        """Stand at a speed, with 0 as target."""
+        """Set the present set-point, with 0 as target."""
         self.rpm = rpm if abs(rpm) >= self._min_rpm else 0.0
         self.target_rpm, self._now_s = 0.0, now_s
 
     def at(self, now_s: float) -> float:
-        """Go on to a time; returns the set-point, rpm."""
+        """Advance to a time, s; return the set-point, rpm."""
         passed = 0.0 if self._now_s is None else min(max(0.0, now_s - self._now_s), self._longest_s)
         self._now_s = now_s
         step = self.rpm_per_s * passed

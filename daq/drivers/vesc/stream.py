@@ -1,5 +1,5 @@
 # pyright: strict
-"""Bytes of a VESC, and to it, to speed, fault and what it was told."""
+"""Pipeline of a VESC: bytes in both directions to speed, fault and the last command."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import Vesc
 
 NOTHING, SPEED, BRAKE, FREE = 0, 1, 2, 3
-"""What the controller was last told, in the statusword."""
+"""The last command to the controller, as in the statusword."""
 STATUS_KNOWN = 1 << 24
 
-_TOLD = {wire.SET_RPM: SPEED, wire.SET_BRAKE: BRAKE, wire.SET_CURRENT: FREE}
-_JOINED_BYTES = 84  # of an answer that began before the first byte heard: it is nobody's loss
-_APART = (0.2, 30.0)  # share and rpm by which a rotor that follows may differ from the set-point
+_COMMANDS = {wire.SET_RPM: SPEED, wire.SET_BRAKE: BRAKE, wire.SET_CURRENT: FREE}
+_JOINED_BYTES = 84  # longest rest of an answer that began before the reception; it does not count as a loss
+_MAX_DEVIATION = (0.2, 30.0)  # relative and absolute (rpm) deviation from the set-point of a rotor that follows
 
 
-def statusword(values: wire.Values, told: int) -> int:
-    """A report's state as the log keeps it.
+def statusword(values: wire.Values, command: int) -> int:
+    """Return the state of a report as it is stored in the log.
 
-    Bits 0–7 the fault code; 8–9 what the host last told it (NOTHING, SPEED, BRAKE, FREE); 16–23 its status byte, when
-    bit 24 is set.
+    Bits 0–7: fault code. Bits 8–9: last command of the host (NOTHING, SPEED, BRAKE, FREE). Bits 16–23: status byte,
+    valid if bit 24 is set.
     """
     status = 0 if values.status is None else values.status << 16 | STATUS_KNOWN
-    return values.fault | told << 8 | status
+    return values.fault | command << 8 | status
 
 
 def state(word: int) -> str:
-    """A statusword in words."""
+    """Return the state of a statusword as text."""
     status = word >> 16 & 0xFF
     if word & 0xFF:
         return "FAULT"
@@ -42,11 +42,14 @@ def state(word: int) -> str:
 
 
 class VescPipeline:
-    """Bytes to reports. A controller has no clock and counts nothing it sends: host time counts, and as loss a poll
-    that was not answered before the next one.
+    """Decoder of bytes to reports.
+
+    A controller has no clock and does not number its answers. Samples get the host's time. A poll that was not answered
+    before the next poll counts as a loss.
 
     Attributes:
-        answers: reports of the last feed, for the host's command.
+        losses: see Pipeline.
+        answers: reports of the last `feed`, for the host's command.
     """
 
     def __init__(self, device: str, settings: Vesc) -> None:
@@ -54,19 +57,20 @@ class VescPipeline:
         self.answers: list[wire.Values] = []
         self._device, self._pole_pairs = device, settings.pole_pairs
         self._rx, self._tx = packets.PacketDecoder(_JOINED_BYTES), packets.PacketDecoder()
-        self._target_rpm, self._told = 0.0, NOTHING
+        self._target_rpm, self._command = 0.0, NOTHING
         self._polled = False
         self._unanswered = 0  # since the last answer
         self._last: wire.Values | None = None
         self._word: int | None = None
-        self._apart, self._apart_limit = 0, max(3, round(settings.follow_s * settings.report_Hz))
+        self._deviating = 0  # consecutive reports with a deviating speed
+        self._max_deviating = max(3, round(settings.follow_s * settings.report_Hz))
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
         """See Pipeline."""
         self.answers = []
         if direction == TX:
             for payload in self._tx.feed(data).payloads:
-                self._went(payload)
+                self._sent(payload)
             return []
         found = self._rx.feed(data)
         out: list[Batch | Event] = [*self._damage(found)]
@@ -86,16 +90,16 @@ class VescPipeline:
             out.append(Batch(channels.MOTOR, np.full(n, host_ns, np.int64), np.zeros(n, np.uint32), columns))
         return out
 
-    def _went(self, payload: bytes) -> None:
-        """What the host sent: its set-point is nowhere else, and a poll that follows a poll leaves one unanswered."""
+    def _sent(self, payload: bytes) -> None:
+        """Take a payload of the host: only it contains the set-point. A second poll in a row shows a missing answer."""
         if payload[0] == wire.GET_VALUES:
             if self._polled:
                 self.losses["unanswered"] += 1
                 self._unanswered += 1
             self._polled = True
         elif (command := wire.parse_command(payload)) is not None:
-            self._told = _TOLD[command.what]
-            self._target_rpm = command.number / self._pole_pairs if self._told == SPEED else 0.0
+            self._command = _COMMANDS[command.what]
+            self._target_rpm = command.number / self._pole_pairs if self._command == SPEED else 0.0
 
     def _damage(self, found: packets.Found) -> list[Event]:
         if not found.skipped:
@@ -123,7 +127,7 @@ class VescPipeline:
             text = f"an answer of {len(payload)} bytes, expected at least {wire.VALUES_BYTES}: is its firmware too old?"
             return [Event("damage", self._device, text, {"bytes": len(payload)})]
         out = self._gap() + self._restart(values)
-        word = statusword(values, self._told)
+        word = statusword(values, self._command)
         out += self._changes(word) + self._follows(values)
         self._last, self._word = values, word
         self.answers.append(values)
@@ -137,11 +141,11 @@ class VescPipeline:
     def _restart(self, values: wire.Values) -> list[Event]:
         if self._last is None or not wire.restarted(self._last, values):
             return []
-        text = "the controller started again: its counters are less than they were"
+        text = "the controller started again: its counters are smaller than before"
         return [Event("restart", self._device, text, {"turned": values.turned})]
 
     def _changes(self, word: int) -> list[Event]:
-        """A new state, a new fault, a fault that has passed."""
+        """Return the events of a new state, a new fault, and a fault that has ended."""
         before, out = self._word, list[Event]()
         if before is None or state(word) != state(before):
             out.append(Event("drive", self._device, state(word), {"statusword": word}))
@@ -152,14 +156,17 @@ class VescPipeline:
         return out
 
     def _follows(self, values: wire.Values) -> list[Event]:
-        """Whether the rotor turns as told; counted in reports, so that a host that was asleep accuses nobody."""
-        actual, (share, more) = values.erpm / self._pole_pairs, _APART
-        apart = abs(actual - self._target_rpm) > share * abs(self._target_rpm) + more
-        self._apart = self._apart + 1 if self._told == SPEED and apart else 0
-        if self._apart != self._apart_limit:
+        """Return a fault if the rotor does not follow the set-point.
+
+        The duration is counted in reports, so that a stall of the host causes no fault.
+        """
+        actual, (share, more) = values.erpm / self._pole_pairs, _MAX_DEVIATION
+        deviates = abs(actual - self._target_rpm) > share * abs(self._target_rpm) + more
+        self._deviating = self._deviating + 1 if self._command == SPEED and deviates else 0
+        if self._deviating != self._max_deviating:
             return []
         text = (
-            f"the rotor does not follow: told {self._target_rpm:.0f} rpm, it turns at {actual:.0f} rpm. Look at the "
-            "controller's limits of current and speed, at its own time-out, at whether it may brake"
+            f"the rotor does not follow: the set-point is {self._target_rpm:.0f} rpm, it turns at {actual:.0f} rpm. "
+            "Look at the controller's limits of current and speed, at its own timeout, at whether it may brake"
         )
         return [Event("fault", self._device, text, {"target_rpm": self._target_rpm, "speed_rpm": actual})]

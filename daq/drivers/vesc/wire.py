@@ -1,8 +1,8 @@
 # pyright: strict
-"""What a VESC speaks on its serial port: commands and answers. No line and no clock here.
+"""Commands to a VESC and its answers: a pure codec without line and clock.
 
-A payload is a command byte and big-endian numbers; an answer begins with the command it answers. Both ends are here:
-the host's and, for whatever stands in for a controller, the controller's.
+A payload consists of a command byte and big-endian numbers. An answer begins with the command that it answers. Both
+directions are encoded and decoded here, because simulated and played controllers use the codec too.
 Facts and their sources: docs/protocols/vesc.md.
 """
 
@@ -17,14 +17,14 @@ FIRMWARE_VERSION, GET_VALUES = 0, 4
 SET_CURRENT, SET_BRAKE, SET_RPM, ALIVE = 6, 7, 8, 30
 
 TIMED_OUT, KILL_SWITCH = 0x01, 0x02
-"""Bits of a controller's status byte: no command came for so long that it let go; its kill switch is open."""
+"""Bits of a controller's status byte: the timeout has released the motor; the kill switch is open."""
 
 _NUMBER = struct.Struct(">Bi")
 _VALUES = struct.Struct(">hhiiiihihiiiiiiB")  # after the command byte, up to the fault code
-_TAIL = struct.Struct(">iB3hii")  # position, controller's number, three temperatures, voltages d and q
+_TAIL = struct.Struct(">iB3hii")  # position, number of the controller, three temperatures, voltages d and q
 VALUES_BYTES = 1 + _VALUES.size
 _STATUS_AT = VALUES_BYTES + _TAIL.size
-_MA = 1000.0  # currents travel as mA
+_MA = 1000.0  # currents on the wire are in mA
 _I32 = 2**31
 
 
@@ -32,42 +32,42 @@ _I32 = 2**31
 
 
 def firmware_version() -> bytes:
-    """Ask for firmware and hardware; does not keep the motor commanded."""
+    """Encode a query of firmware and hardware; it does not reset the timeout."""
     return packet(bytes([FIRMWARE_VERSION]))
 
 
 def get_values() -> bytes:
-    """Ask for speed, fault and the rest; does not keep the motor commanded."""
+    """Encode a query of speed, fault and the other values; it does not reset the timeout."""
     return packet(bytes([GET_VALUES]))
 
 
 def set_rpm(erpm: int) -> bytes:
-    """Hold an electrical speed, as fast as the controller gets there.
+    """Encode the command to hold an electrical speed, rpm; the controller approaches it without a ramp.
 
     Raises:
-        ValueError: no 32-bit number.
+        ValueError: the speed does not fit 32 bits.
     """
     return _command(SET_RPM, erpm)
 
 
 def set_brake(amperes: float) -> bytes:
-    """Brake with a motor current, A.
+    """Encode the command to brake with a motor current, A.
 
     Raises:
-        ValueError: below 0, or no 32-bit number of mA.
+        ValueError: the current is below 0, or does not fit 32 bits in mA.
     """
     if not amperes >= 0:
         raise ValueError(f"expected a brake current of at least 0 A, got {amperes:g}")
     return _command(SET_BRAKE, round(amperes * _MA))
 
 
-def let_go() -> bytes:
-    """No current: the rotor runs as it likes."""
+def release() -> bytes:
+    """Encode the command for no current: the rotor turns freely."""
     return _command(SET_CURRENT, 0)
 
 
 def alive() -> bytes:
-    """Go on with the last command; resets the time-out."""
+    """Encode the command to continue with the last command; it resets the timeout."""
     return packet(bytes([ALIVE]))
 
 
@@ -79,11 +79,11 @@ def _command(command: int, number: int) -> bytes:
 
 @dataclass(frozen=True)
 class Command:
-    """What a host asked of a motor.
+    """A command of the host to the motor.
 
     Attributes:
         what: SET_RPM, SET_BRAKE or SET_CURRENT.
-        number: erpm, or mA.
+        number: electrical speed, rpm, or current, mA.
     """
 
     what: int
@@ -91,7 +91,7 @@ class Command:
 
 
 def parse_command(payload: bytes) -> Command | None:
-    """A command to the motor; None of a payload that is none."""
+    """Parse a command to the motor; None if the payload is not such a command."""
     if len(payload) != _NUMBER.size or payload[0] not in (SET_RPM, SET_BRAKE, SET_CURRENT):
         return None
     return Command(*_NUMBER.unpack(payload))
@@ -102,17 +102,19 @@ def parse_command(payload: bytes) -> Command | None:
 
 @dataclass(frozen=True)
 class Values:
-    """What a controller answers to GET_VALUES, as far as the rig uses it.
+    """The values of a controller's answer to GET_VALUES that the rig uses.
 
     Attributes:
-        erpm: electrical speed.
-        motor_A, input_V, duty: of the motor, of the supply, dimensionless.
-        charges: Ah and Wh drawn and charged since the controller started, in its own units of 1e-4, shape (4,); they
-            only grow.
-        turned: steps the motor made since the controller started, in both directions together; only grows, and wraps
-            at 2³².
-        fault: code; 0 none.
-        status: bits TIMED_OUT, KILL_SWITCH; None of firmware that does not send them (before 5.3).
+        erpm: electrical speed, rpm.
+        motor_A: motor current, A.
+        input_V: supply voltage, V.
+        duty: duty cycle, dimensionless.
+        charges: Ah drawn and charged, Wh drawn and charged since the controller started, in units of 1e-4; they never
+            decrease.
+        turned: number of steps of the motor in both directions since the controller started; it never decreases, and
+            wraps at 2³².
+        fault: fault code; 0 without a fault.
+        status: bits TIMED_OUT, KILL_SWITCH; None for firmware that does not send them (before 5.3).
     """
 
     erpm: int = 0
@@ -126,7 +128,7 @@ class Values:
 
 
 def parse_values(payload: bytes) -> Values | None:
-    """The answer to GET_VALUES; None of one too short, as of firmware before 3."""
+    """Parse the answer to GET_VALUES; None if it is too short, as from firmware before 3."""
     if len(payload) < VALUES_BYTES or payload[0] != GET_VALUES:
         return None
     _, _, motor, _, _, _, duty, erpm, volts, *charges, _, turned, fault = _VALUES.unpack_from(payload, 1)
@@ -144,7 +146,7 @@ def parse_values(payload: bytes) -> Values | None:
 
 
 def pack_values(values: Values) -> bytes:
-    """The payload of an answer, as a controller sends it; without a status, as older firmware."""
+    """Return the payload of a controller's answer to GET_VALUES; without status byte if `status` is None."""
     turned = (values.turned + _I32) % 2**32 - _I32
     motor = round(values.motor_A * 100)
     head = _VALUES.pack(
@@ -168,9 +170,9 @@ def pack_values(values: Values) -> bytes:
 
 
 def restarted(before: Values, after: Values) -> bool:
-    """Whether a controller started again between two answers: what only grows has become less.
+    """Whether a controller restarted between two answers: a counter that never decreases has decreased.
 
-    One that had turned and drawn nothing since its last start shows nothing.
+    The restart of a controller that had not turned or drawn anything since its last start is not detected.
     """
     back = (after.turned - before.turned) % 2**32 >= _I32
     return back or any(new < old for old, new in zip(before.charges, after.charges, strict=True))
@@ -178,7 +180,13 @@ def restarted(before: Values, after: Values) -> bool:
 
 @dataclass(frozen=True)
 class Firmware:
-    """What a controller is: firmware, hardware's name, the processor's number as hexadecimal digits."""
+    """Identification of a controller.
+
+    Attributes:
+        major, minor: version of the firmware.
+        hardware: name of the hardware.
+        serial: number of the processor as hexadecimal digits.
+    """
 
     major: int
     minor: int
@@ -187,7 +195,7 @@ class Firmware:
 
 
 def parse_firmware(payload: bytes) -> Firmware | None:
-    """The answer to FIRMWARE_VERSION; None of one without the hardware's name, as of very old firmware."""
+    """Parse the answer to FIRMWARE_VERSION; None if it has no hardware name, as from very old firmware."""
     if len(payload) < 4 or payload[0] != FIRMWARE_VERSION or 0 not in payload[3:]:
         return None
     end = payload.index(0, 3)
@@ -196,7 +204,7 @@ def parse_firmware(payload: bytes) -> Firmware | None:
 
 
 def pack_firmware(firmware: Firmware) -> bytes:
-    """The payload of an answer, as a controller sends it."""
+    """Return the payload of a controller's answer to FIRMWARE_VERSION."""
     name = firmware.hardware.encode("ascii") + b"\0"
     return bytes([FIRMWARE_VERSION, firmware.major, firmware.minor]) + name + bytes.fromhex(firmware.serial)
 
@@ -214,7 +222,7 @@ _FAULTS = {
     7: "gate driver over-voltage",
     8: "gate driver under-voltage",
     9: "under-voltage of the processor",
-    10: "it started again because its own watchdog had to reset it",
+    10: "it started again after a reset by its own watchdog",
     11: "rotor position sensor: its line",
     12: "rotor position sensor: sine and cosine too weak",
     13: "rotor position sensor: sine and cosine too strong",
@@ -231,9 +239,9 @@ _FAULTS = {
     24: "its stored motor settings are damaged",
     25: "rotor position sensor: no magnet",
 }
-"""Codes up to 18 agree among several sources, those above were found in one only."""
+"""Codes up to 18 agree among several sources; those above are from one source only."""
 
 
 def fault_words(code: int) -> str:
-    """A fault code and what it means."""
+    """Return a fault code with its meaning."""
     return f"{code}, {_FAULTS.get(code, 'not in the list of this software; see the firmware')}"

@@ -50,7 +50,7 @@ class XBee:
 
     def pipeline(self, device: str, settings: XBeeNode, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
-        from daq.drivers.xbee.stream import XBeePipeline  # noqa: PLC0415
+        from daq.drivers.xbee.stream import XBeePipeline
 
         return XBeePipeline(device, settings, identity)
 
@@ -61,20 +61,20 @@ class XBee:
     def checks(
         self, settings: XBeeNode, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
     ) -> Checks:
-        """See Driver: the node's own word."""
-        from daq.drivers.rotorlink.looked_at import node_checks  # noqa: PLC0415
+        """See Driver: the node's status."""
+        from daq.drivers.rotorlink.status_checks import node_checks
 
         return node_checks(settings, pipeline)
 
     def far_end(self, device: str, settings: XBeeNode, world: Any) -> FarEnd:
         """See Driver."""
-        from daq.drivers.xbee.far_end import SimulatedXBeeNode  # noqa: PLC0415
+        from daq.drivers.xbee.far_end import SimulatedXBeeNode
 
         return SimulatedXBeeNode.of(device, settings, world)
 
     def played(self, settings: XBeeNode, identity: Mapping[str, Any]) -> PlayedDevice:
         """See Driver."""
-        from daq.drivers.xbee.played import PlayedXBee  # noqa: PLC0415
+        from daq.drivers.xbee.played import PlayedXBee
 
         return PlayedXBee(identity, settings)
 
@@ -82,17 +82,17 @@ class XBee:
         """See Driver."""
 
     def open(self, device: str, settings: XBeeNode, talk: Talk) -> dict[str, Any]:
-        """See Driver; the module is asked who it is, the node streams from the moment it has power."""
-        from daq.drivers.xbee.dialogue import identify  # noqa: PLC0415
+        """See Driver; the module is identified. The node streams as soon as it has power."""
+        from daq.drivers.xbee.dialogue import identify
 
         return identify(device, settings, talk)
 
     def stop(self, talk: Talk) -> None:
-        """See Driver; a node goes on for as long as it has power."""
+        """See Driver; a node sends as long as it has power."""
 
     def locks(self, settings: XBeeNode, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
         """See MovesLocks."""
-        from daq.drivers.xbee.locks import XBeeLocks  # noqa: PLC0415
+        from daq.drivers.xbee.locks import XBeeLocks
 
         return XBeeLocks(settings, send, clock)
 

@@ -17,7 +17,7 @@ from daq.drivers.xbee.settings import XBeeNode
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import DeviceClock
 
-_TRIES = 11  # on air, before a module gives a frame up
+_TRIES = 11  # transmissions on air before a module reports a frame as not delivered
 _RSSI_DBM = -58
 _MODULE_64 = 0x0013_A200_4052_2BAA
 _NO_ACK, _NO_NETWORK_ACK, _NO_SUCH_ADDRESS = 0x01, 0x21, 0x24
@@ -28,23 +28,20 @@ class SimulatedXBeeNode(SimulatedNode):
     """See SimulatedNode; the dongle is an XBee module in API mode.
 
     Attributes:
-        out_of_reach: nothing passes between the modules; the host's own one answers.
-        receive_type: type of the frames that bring radio data: 0x90, 0x91, 0x80 or 0x81.
+        out_of_reach: whether no frame passes between the modules; the host's module still answers.
+        receive_type: type of the frames with radio data: 0x90, 0x91, 0x80 or 0x81.
 
     Args:
-        config: its table of the rig file.
-        zero_error_rad: shape (2,), what each encoder reads too much.
-        noise_counts: jitter before quantisation, counts.
-        play_rad: largest offset of a closed lock.
+        config: table of the node in the rig file; see SimulatedNode for the other arguments.
     """
 
     samples_per_block: ClassVar[int] = 10
-    """98 bytes of payload: what the air of an 802.15.4 module takes."""
+    """98 bytes of payload, which fit into a frame of an 802.15.4 module."""
     fault_kinds: ClassVar[Mapping[str, FaultKind]] = {
         **SimulatedNode.fault_kinds,
-        "out of reach": FaultKind("nothing passes between the modules; the host's own one answers"),
+        "out of reach": FaultKind("no frame passes between the modules; the host's own one answers"),
         "module restart": FaultKind(
-            "the host's module starts anew", end=None, meaning="its modem status", limits=(0, 255)
+            "the host's module starts again", end=None, meaning="its modem status", limits=(0, 255)
         ),
         "foreign": FaultKind("frames of another node come", 10, end=None, meaning="how many", limits=(0, 1000)),
     }
@@ -77,7 +74,7 @@ class SimulatedXBeeNode(SimulatedNode):
         }
 
     def fail(self, what: str, value: Any) -> None:
-        """See FarEnd and `fault_kinds`; 0 ends what lasts."""
+        """See FarEnd and `fault_kinds`; the value 0 ends a lasting fault."""
         match what:
             case "out of reach":
                 self.out_of_reach = bool(value)
@@ -85,16 +82,16 @@ class SimulatedXBeeNode(SimulatedNode):
                 self.air.lose_flying()
                 self._waiting = [bytes((0x8A, int(value)))]
             case "foreign":
-                self._waiting += [self._strange(i) for i in range(int(value))]
+                self._waiting += [self._foreign_mark(i) for i in range(int(value))]
             case _:
                 super().fail(what, value)
 
-    def _strange(self, number: int) -> bytes:
+    def _foreign_mark(self, number: int) -> bytes:
         payload = rotorlink.IndexMark(_NODE, number & 0xFFFF, 50_000 * number, number).pack()
         return self._received(wire.Address(self._address.value ^ 1, self._address.bits), payload)
 
     def _received(self, source: wire.Address, payload: bytes) -> bytes:
-        """Frame data of radio data as the host's module gives it."""
+        """Return the frame data with which the host's module reports radio data."""
         long = source.value.to_bytes(8, "big") if source.bits == 64 else b"\xff" * 8
         short = source.value.to_bytes(2, "big") if source.bits == 16 else b"\xff\xfe"
         heads = {
@@ -106,32 +103,32 @@ class SimulatedXBeeNode(SimulatedNode):
         return heads[self.receive_type] + payload
 
     def receive(self, data: bytes, now_s: float) -> bytes:
-        """Take bytes the host sent to its module; those that are no frame in its mode are passed over."""
+        """Take bytes from the host to its module; bytes that are not a frame in its mode are ignored."""
         for found in self._line.feed(data):
             if isinstance(found, bytes):
-                self._asked(found, now_s)
+                self._host_request(found, now_s)
         return b""
 
-    def _asked(self, data: bytes, now_s: float) -> None:
-        """One frame of the host."""
+    def _host_request(self, data: bytes, now_s: float) -> None:
+        """Execute one frame of the host."""
         match data[0]:
             case 0x08 if len(data) >= 4:
                 self._waiting.append(self._answer(data[1:2], data[2:4]))
             case 0x10 if len(data) >= 14:
                 to = data[2:10] if self._address.bits == 64 else data[10:12]
                 status = self._transmit(to, data[14:], now_s, _NO_SUCH_ADDRESS, _NO_NETWORK_ACK)
-                self._tell(data[1], bytes((0x8B, data[1])) + b"\xff\xfe\x00" + bytes((status, 0)))
+                self._report_status(data[1], bytes((0x8B, data[1])) + b"\xff\xfe\x00" + bytes((status, 0)))
             case 0x00 if len(data) >= 11:
                 status = self._transmit(data[2:10], data[11:], now_s, _NO_ACK, _NO_ACK)
-                self._tell(data[1], bytes((0x89, data[1], status)))
+                self._report_status(data[1], bytes((0x89, data[1], status)))
             case 0x01 if len(data) >= 5:
                 status = self._transmit(data[2:4], data[5:], now_s, _NO_ACK, _NO_ACK)
-                self._tell(data[1], bytes((0x89, data[1], status)))
+                self._report_status(data[1], bytes((0x89, data[1], status)))
             case _:
                 pass
 
-    def _tell(self, frame_id: int, status: bytes) -> None:
-        if frame_id:  # 0 asks for none
+    def _report_status(self, frame_id: int, status: bytes) -> None:
+        if frame_id:  # 0 requests no status
             self._waiting.append(status)
 
     def _answer(self, frame_id: bytes, command: bytes) -> bytes:
@@ -142,7 +139,7 @@ class SimulatedXBeeNode(SimulatedNode):
         return b"\x88" + frame_id + command + (b"\x02" if value is None else b"\x00" + value)
 
     def _transmit(self, to: bytes, payload: bytes, now_s: float, unknown: int, unheard: int) -> int:
-        """Send a payload on air; returns the transmit status."""
+        """Send a payload on air; return the transmit status."""
         if to != self._address.value.to_bytes(self._address.bits // 8, "big"):
             return unknown
         if self.out_of_reach or self.dead or self._without_supply:
@@ -150,11 +147,11 @@ class SimulatedXBeeNode(SimulatedNode):
         try:
             frame = rotorlink.parse(payload)
         except rotorlink.BadFrame:
-            return wire.DELIVERED  # the air does not know what it carries
+            return wire.DELIVERED  # the radio does not check the content
         return wire.DELIVERED if self.hear(frame, now_s, _TRIES) else unheard
 
     def dongle(self, now_s: float) -> bytes:
-        """Bytes the module gives the host: its own word, then node frames that landed."""
+        """Return the bytes from the module to the host: its own reports, then received node frames."""
         if self.out_of_reach:
             self.air.lose_flying()
         frames, self._waiting = self._waiting, []

@@ -1,9 +1,9 @@
 # pyright: strict
-"""XBee API frames on a serial line: bytes in, frame data out, and the other way round.
+"""XBee API frames on a serial line: decoding of bytes to frame data, and encoding.
 
-On the line stands ``7E``, the length of the frame data (u16, big endian), the frame data, and a checksum: FFh less the
-low byte of the data's sum. With escapes (AP=2) every ``7E 7D 11 13`` behind the start is sent as ``7D`` and itself
-^ 20h; length and checksum are of the data before that.
+A frame on the line consists of ``7E``, the length of the frame data (u16, big endian), the frame data, and a checksum:
+FFh minus the low byte of the sum of the data. With escapes (AP=2) every byte ``7E 7D 11 13`` after the start is sent as
+``7D`` followed by the byte ^ 20h. Length and checksum refer to the data without escapes.
 """
 
 from __future__ import annotations
@@ -12,38 +12,38 @@ from dataclasses import dataclass
 
 START, ESCAPE = 0x7E, 0x7D
 SPECIAL = frozenset((START, ESCAPE, 0x11, 0x13))
-"""What AP=2 never sends as it is, but for the start."""
+"""Bytes that AP=2 escapes, except for the start of a frame."""
 MAX_FRAME_BYTES = 300
-"""Longest frame data taken: a payload of 250 bytes behind the longest head, with room for an answer of the module."""
+"""Longest accepted frame data: a payload of 250 bytes after the longest head, with room for an answer of the module."""
 
 
 def encode(data: bytes, *, escaped: bool) -> bytes:
-    """Frame data as they go over the line.
+    """Encode frame data for the line.
 
     Args:
-        data: of at most 65535 bytes.
-        escaped: AP=2.
+        data: frame data, at most 65535 bytes.
+        escaped: whether bytes are escaped (AP=2).
     """
-    behind = len(data).to_bytes(2, "big") + data + bytes([0xFF - (sum(data) & 0xFF)])
+    rest = len(data).to_bytes(2, "big") + data + bytes([0xFF - (sum(data) & 0xFF)])
     if escaped:
-        behind = b"".join(bytes((ESCAPE, b ^ 0x20)) if b in SPECIAL else bytes((b,)) for b in behind)
-    return bytes((START,)) + behind
+        rest = b"".join(bytes((ESCAPE, b ^ 0x20)) if b in SPECIAL else bytes((b,)) for b in rest)
+    return bytes((START,)) + rest
 
 
 @dataclass(frozen=True)
 class Damage:
-    """A place of the line that holds no sound frame.
+    """A part of the line that does not contain an intact frame.
 
     Attributes:
         reason: "checksum", "length", "garbage" (bytes between frames), and with escapes "cut" (a frame begins before
-            the one before it is whole) or "escape" (an escape that none needs, or a byte that needs one).
+            the preceding one is complete) or "escape" (an unnecessary or a missing escape).
     """
 
     reason: str
 
 
 class _Broken(Exception):
-    """What begins here is no frame, as far as `end`."""
+    """The bytes from the present start to `end` are not a frame."""
 
     def __init__(self, reason: str, end: int) -> None:
         super().__init__(reason)
@@ -51,23 +51,23 @@ class _Broken(Exception):
 
 
 class ApiDecoder:
-    """Bytes of the line in, frame data out; the split into calls makes no difference, memory is bounded.
+    """Decode the bytes of the line to frame data. The result does not depend on the split into calls.
 
-    A start that turns out to begin no sound frame is dropped alone and the search goes on behind it, so that a damaged
-    length costs no frame but its own. What fails within the bytes that the damaged frame may have had is the same
-    damage and not counted again. Nor is the rest of a frame in whose middle a log begins; without escapes, where a
-    start may be data, that is whatever fails within a frame's length before the first sound frame.
+    Memory is bounded. A start without an intact frame is dropped alone and the search continues after it, so a damaged
+    length affects only its own frame. Further failures within the bytes that the damaged frame may have had belong to
+    the same damage and are not counted again. Nor is the rest of a frame counted in which a log begins. Without escapes
+    a start may be data; then failures within a frame's length before the first intact frame are not counted.
 
     Args:
-        escaped: AP=2.
+        escaped: whether bytes are escaped (AP=2).
     """
 
     def __init__(self, *, escaped: bool) -> None:
         self._escaped = escaped
-        self._line = bytearray()  # what is not decided yet
-        self._before = 0  # how many bytes of the line were
-        self._blamed_until = 0 if escaped else MAX_FRAME_BYTES  # starts before it are no new damage …
-        self._excused_until = 2 * MAX_FRAME_BYTES  # … nor are other bytes before it
+        self._line = bytearray()  # bytes that are not decided yet
+        self._before = 0  # number of bytes that were decided
+        self._blamed_until = 0 if escaped else MAX_FRAME_BYTES  # starts before this position are not new damage …
+        self._excused_until = 2 * MAX_FRAME_BYTES  # … nor are other bytes before this position
         self._garbage = 0
 
     def feed(self, data: bytes) -> list[bytes | Damage]:
@@ -100,14 +100,14 @@ class ApiDecoder:
         return found
 
     def _blame(self, broken: _Broken, found: list[bytes | Damage]) -> None:
-        """Report a damage unless it is part of one reported before."""
+        """Report a damage unless it is part of a damage that was already reported."""
         if self._before < self._blamed_until:
             return
         found.append(Damage(broken.reason))
         self._blamed_until = self._excused_until = self._before + broken.end
-        if broken.reason == "length":  # nobody knows how long it was
+        if broken.reason == "length":  # the true length of the frame is unknown
             self._blamed_until = self._excused_until = self._before + MAX_FRAME_BYTES
-        if self._escaped:  # a start is always one, and what stands before the next one belongs to this frame
+        if self._escaped:  # a start byte is never data, and the bytes before the next one belong to this frame
             self._blamed_until = self._before + 1
             self._excused_until = self._before + 2 * MAX_FRAME_BYTES
 
@@ -116,7 +116,7 @@ class ApiDecoder:
         self._before += count
 
     def _skip(self, count: int, found: list[bytes | Damage]) -> None:
-        """Pass over bytes before a start."""
+        """Skip bytes before a start."""
         while count:
             step = min(count, MAX_FRAME_BYTES - self._garbage)
             fresh = min(step, max(0, self._before + step - self._excused_until))
@@ -132,10 +132,10 @@ class ApiDecoder:
             self._garbage = 0
 
     def _frame(self) -> tuple[bytes, int] | None:
-        """Frame data of the frame that begins here and where it ends on the line; None when it is not whole yet.
+        """Return the data of the frame that begins here and its end on the line; None if it is incomplete.
 
         Raises:
-            _Broken: none begins here.
+            _Broken: no frame begins here.
         """
         head, end = self._plain(2)
         if len(head) < 2:
@@ -152,10 +152,10 @@ class ApiDecoder:
         return frame[2:-1], end
 
     def _plain(self, count: int) -> tuple[bytes, int]:
-        """The bytes behind the start, escapes undone, as many of `count` as have come, and where they end on the line.
+        """Return up to `count` bytes after the start with escapes undone, and their end on the line.
 
         Raises:
-            _Broken: they hold what no frame with escapes does.
+            _Broken: the bytes are impossible in a frame with escapes.
         """
         if not self._escaped:
             return bytes(self._line[1 : 1 + count]), 1 + count

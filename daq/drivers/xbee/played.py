@@ -1,5 +1,5 @@
 # pyright: strict
-"""A RotorLink node behind XBee modules, of a log while it is played."""
+"""Stand-in for a RotorLink node behind XBee modules of a log while the log is played."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ _TRANSMIT_REQUESTS = (0x00, 0x01, 0x10)
 
 
 class PlayedXBee(PlayedDevice):
-    """The module answers what the log says of it; a command to the node is neither carried out nor acknowledged.
+    """The module answers with its identity in the log; commands to the node are neither executed nor acknowledged.
 
     Args:
-        identity: what the module said of itself.
+        identity: identity of the module from its opening.
+        settings: table of the node in the rig file.
     """
 
     def __init__(self, identity: Mapping[str, Any], settings: XBeeNode) -> None:
         super().__init__()
         self._escaped = settings.api_mode == 2
         self._line = framing.ApiDecoder(escaped=self._escaped)
-        self._registers = {"AP": bytes((settings.api_mode,)), **_told(identity)}
+        self._registers = {"AP": bytes((settings.api_mode,)), **_registers(identity)}
 
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice."""
@@ -42,8 +43,8 @@ class PlayedXBee(PlayedDevice):
         return answers
 
 
-def _told(identity: Mapping[str, Any]) -> dict[str, bytes]:
-    """Registers as they were when the log was recorded, of those that it holds in a form that can be sent."""
+def _registers(identity: Mapping[str, Any]) -> dict[str, bytes]:
+    """Return the registers in an identity, those that have a valid form."""
     out: dict[str, bytes] = {}
     for name, command in (("firmware", "VR"), ("hardware", "HV"), ("serial", "SH")):
         try:

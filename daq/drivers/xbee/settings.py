@@ -1,5 +1,5 @@
 # pyright: strict
-"""Settings of a RotorLink node that talks through XBee modules."""
+"""Settings of a RotorLink node behind XBee modules in a rig file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from rig_configs.device import RotorNodeSettings
 
-_BITS_PER_SAMPLE = 80  # two counts of four bytes, ten bits a byte on the line; frames' heads come on top
+_BITS_PER_SAMPLE = 80  # two counts of four bytes, ten bits a byte on the line; without the heads of frames
 _UNUSABLE = {"000000000000FFFF": "broadcast", "FFFFFFFFFFFFFFFF": "unknown", "FFFF": "broadcast", "FFFE": "unknown"}
 
 
@@ -17,16 +17,16 @@ class XBeeNode(RotorNodeSettings):
     """The on-rotor node behind an XBee module at the host, in API mode.
 
     Attributes:
-        baud: of the host's module (its BD).
-        api_mode: the host's module's AP: 1 without, 2 with escaped characters.
-        node_address: of the node's module: 16 hex digits (its SH and SL), or 4 hex digits (its MY) in a network of
-            16-bit addresses. Frames from elsewhere are ignored.
-        legacy_transmit: send requests 0x00 and 0x01, the only ones that first-generation 802.15.4 modules are said to
-            take (unverified); else 0x10.
-        rate_Hz: the node's sample rate. A module's air may carry far less than its serial line: about 27 kbit/s are
-            published for DigiMesh at 2.4 GHz, some 300 samples a second.
-        index_angle_deg: ψ (imbalance direction from +x) when the index mark fires.
-        zero_std_deg: standard uncertainty of each encoder's zero against the imbalance direction.
+        baud: line rate of the host's module (its BD), baud.
+        api_mode: AP of the host's module: 1 without, 2 with escaped characters.
+        node_address: address of the node's module: 16 hex digits (its SH and SL), or 4 hex digits (its MY) in a network
+            of 16-bit addresses. Frames from other addresses are ignored.
+        legacy_transmit: whether requests 0x00 and 0x01 are sent, the only ones that first-generation 802.15.4 modules
+            accept (unverified); otherwise 0x10.
+        rate_Hz: sample rate of the node, Hz. The radio may carry far less than the serial line: about 27 kbit/s are
+            published for DigiMesh at 2.4 GHz, which is about 300 samples a second.
+        index_angle_deg: ψ (imbalance direction from +x) at the index mark, degrees.
+        zero_std_deg: standard uncertainty of each encoder's zero against the imbalance direction, degrees.
     """
 
     baud: Annotated[int, Field(ge=9600, le=1_000_000)] = 115_200

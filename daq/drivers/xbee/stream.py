@@ -1,5 +1,5 @@
 # pyright: strict
-"""API frames of an XBee module to the samples and events of the RotorLink node behind it."""
+"""Pipeline of a RotorLink node behind XBee modules: API frames to samples and events."""
 
 from __future__ import annotations
 
@@ -12,29 +12,31 @@ from daq.drivers.rotorlink.stream import NodePipeline
 from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 
-_STRANGERS = 16  # so many senders and frame types get an event, the rest is only counted
+_MAX_FOREIGN_EVENTS = 16  # senders and frame types with an event of their own; further ones are only counted
 
 
 class XBeePipeline(NodePipeline):
-    """A node's payloads out of API frames; beside them what the module has to say.
+    """Decoder of a node's payloads in API frames, and of the reports of the host's module.
 
-    Every frame on air is counted by the node's own sequence number: one that the serial line lost is a lost radio frame
-    like one that the air lost, since API frames bear no number of their own. Damage on the serial line is counted
-    beside it (`damaged_frames`).
+    Every frame on air is counted by the node's own seq. API frames have no number of their own, so a frame lost on the
+    serial line counts as a lost radio frame, like one lost on air. Damage on the serial line is counted in addition
+    (`damaged_frames`).
 
     Args:
-        identity: may hold "rssi_dBm", as the module gave it when it was opened.
+        device: name of the device in the rig file.
+        config: table of the node in the rig file.
+        identity: identity of the module; it may contain "rssi_dBm".
     """
 
     def __init__(self, device: str, config: XBeeNode, identity: Mapping[str, Any]) -> None:
         super().__init__(device, config, identity)
-        del self.losses["cable_frames"]  # nobody can count them
+        del self.losses["cable_frames"]  # API frames have no number
         self.losses["foreign_frames"] = 0
         known = identity.get("rssi_dBm")
         self.rssi_dBm = known if type(known) is int else None
         self._address = wire.Address.parse(config.node_address)
         self._line = framing.ApiDecoder(escaped=config.api_mode == 2)
-        self._strangers: set[str] = set()
+        self._foreign: set[str] = set()
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
         """See Pipeline."""
@@ -61,7 +63,7 @@ class XBeePipeline(NodePipeline):
                 return self._received(frame, host_ns)
             case wire.TransmitStatus(frame_id, status):
                 if status == wire.DELIVERED:
-                    return []  # the node's own acknowledgement decides
+                    return []  # the node's own acknowledgement follows
                 facts = {"frame_id": frame_id, "delivery_status": status}
                 return [Event("acknowledge", self._device, f"radio frame {frame_id}: {frame.words}", facts)]
             case wire.ModemStatus(status):
@@ -70,13 +72,13 @@ class XBeePipeline(NodePipeline):
             case wire.AtAnswer():
                 return [self._answered(frame)]
             case wire.Other(kind):
-                return self._stranger(f"a frame of type 0x{kind:02X} ignored", {"frame_type": kind})
+                return self._foreign_event(f"a frame of type 0x{kind:02X} ignored", {"frame_type": kind})
 
     def _received(self, frame: wire.Received, host_ns: int) -> list[Batch | Event]:
         if not frame.comes_from(self._address):
             self.losses["foreign_frames"] += 1
-            text = f"frames from {frame.source} ignored: the rig file says node_address = {self._address}"
-            return self._stranger(text, {"source": frame.source})
+            text = f"frames from {frame.source} ignored: the rig file states node_address = {self._address}"
+            return self._foreign_event(text, {"source": frame.source})
         if frame.rssi_dBm is not None:
             self.rssi_dBm = frame.rssi_dBm
         try:
@@ -88,15 +90,15 @@ class XBeePipeline(NodePipeline):
             return [self.damaged(f"payload {fault.reason}"), *self.take(numbered, host_ns)]
         return self.take([inner], host_ns)
 
-    def _stranger(self, text: str, facts: Mapping[str, Any]) -> list[Batch | Event]:
-        """An event for what comes from elsewhere, once for each."""
-        if text in self._strangers or len(self._strangers) >= _STRANGERS:
+    def _foreign_event(self, text: str, facts: Mapping[str, Any]) -> list[Batch | Event]:
+        """Return an event about a frame of another sender or type, once for each."""
+        if text in self._foreign or len(self._foreign) >= _MAX_FOREIGN_EVENTS:
             return []
-        self._strangers.add(text)
+        self._foreign.add(text)
         return [Event("foreign", self._device, text, facts)]
 
     def _answered(self, answer: wire.AtAnswer) -> Event:
-        if answer.command == "DB" and answer.status == 0 and any(answer.value):  # 0: no packet came yet
+        if answer.command == "DB" and answer.status == 0 and any(answer.value):  # 0: no packet has been received yet
             self.rssi_dBm = -int.from_bytes(answer.value, "big")
         status = wire.AT_STATUS[answer.status] if answer.status < len(wire.AT_STATUS) else f"status {answer.status}"
         text = f"{answer.frame_id} {answer.command} {answer.value.hex()} {status}"

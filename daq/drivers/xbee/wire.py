@@ -1,7 +1,7 @@
 # pyright: strict
-"""What XBee API frames hold: frame data to frames, requests to frame data; `framing` brings them over the line.
+"""Content of XBee API frames: parsing of frame data, and frame data of requests; `framing` encodes them for the line.
 
-Frame data begin with their type. Numbers are big endian, unlike those of the RotorLink payloads inside.
+Frame data begin with the type of the frame. Numbers are big endian, unlike those of the RotorLink payloads inside.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ DELIVERY = {
     0x75: "not fetched by a sleeping module",
     0xBB: "key not authorized",
 }
-"""Words for the status of a transmit request, those of the makers' lists that a node's command can meet."""
+"""Texts for the status of a transmit request: those in the manufacturers' lists that are possible for a command."""
 MODEM = {
     0x00: "hardware reset or power-up",
     0x01: "watchdog reset",
@@ -46,31 +46,31 @@ MODEM = {
     0x0D: "supply voltage beyond its limit",
     0x11: "configuration changed while joining",
 }
-"""Words for a module's status of itself."""
+"""Texts for the status that a module reports of itself."""
 RESTARTS = frozenset((0x00, 0x01))
 AT_STATUS = ("ok", "error", "invalid command", "invalid parameter", "transmission failed")
 
 
 @dataclass(frozen=True)
 class Address:
-    """Of a module: 64 bits, or 16 in a network that uses them."""
+    """Address of a module: 64 bits, or 16 bits in a network with such addresses."""
 
     value: int
     bits: Literal[16, 64]
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """From 16 or 4 hex digits.
+        """Parse 16 or 4 hex digits.
 
         Raises:
-            ValueError: neither.
+            ValueError: the text has another form.
         """
         if len(text) not in (4, 16):
             raise ValueError(f"expected an address of 16 or 4 hex digits, got {text!r}")
         return cls(int(text, 16), 64 if len(text) == 16 else 16)
 
     def __str__(self) -> str:
-        """Its hex digits."""
+        """Return the address as hex digits."""
         return f"{self.value:0{self.bits // 4}X}"
 
 
@@ -82,9 +82,9 @@ class Received:
     """Radio data (types 90h, 91h, 80h, 81h).
 
     Attributes:
-        source_64, source_16: the sender's addresses; None where the frame gives none, or one that says "unknown".
-        rssi_dBm: signal strength; None where the frame does not give it.
-        options: as sent.
+        source_64, source_16: the sender's addresses; None if the frame does not contain it, or contains "unknown".
+        rssi_dBm: signal strength, dBm; None if the frame does not contain it.
+        options: option bits as received.
         payload: the radio data.
     """
 
@@ -95,12 +95,12 @@ class Received:
     payload: bytes
 
     def comes_from(self, address: Address) -> bool:
-        """Whether that module sent it."""
+        """Whether the module of this address has sent the frame."""
         return address.value == (self.source_64 if address.bits == 64 else self.source_16)
 
     @property
     def source(self) -> str:
-        """The sender, for a message."""
+        """Address of the sender for a message."""
         if self.source_64 is not None:
             return str(Address(self.source_64, 64))
         return "unknown" if self.source_16 is None else str(Address(self.source_16, 16))
@@ -108,32 +108,32 @@ class Received:
 
 @dataclass(frozen=True)
 class TransmitStatus:
-    """What became of a transmit request (types 8Bh, 89h); status is one of `DELIVERY`."""
+    """Result of a transmit request (types 8Bh, 89h); `status` is a key of `DELIVERY`."""
 
     frame_id: int
     status: int
 
     @property
     def words(self) -> str:
-        """The status in words."""
+        """Text for the status."""
         return f"{DELIVERY.get(self.status, 'not delivered')} (status 0x{self.status:02X})"
 
 
 @dataclass(frozen=True)
 class ModemStatus:
-    """Something happened to the module itself (type 8Ah); status is one of `MODEM`."""
+    """Report of the module about itself (type 8Ah); `status` is a key of `MODEM`."""
 
     status: int
 
     @property
     def words(self) -> str:
-        """The status in words."""
+        """Text for the status."""
         return f"{MODEM.get(self.status, 'modem status')} (0x{self.status:02X})"
 
 
 @dataclass(frozen=True)
 class AtAnswer:
-    """Answer to a local AT command (type 88h); status indexes `AT_STATUS`."""
+    """Answer to a local AT command (type 88h); `status` indexes `AT_STATUS`."""
 
     frame_id: int
     command: str
@@ -143,7 +143,7 @@ class AtAnswer:
 
 @dataclass(frozen=True)
 class Other:
-    """A sound frame of a type that nobody here asked for."""
+    """An intact frame of a type that this software does not use."""
 
     frame_type: int
 
@@ -160,17 +160,17 @@ _PARTS: dict[int, tuple[int, bool, Callable[[bytes], ApiFrame]]] = {
     0x8A: (2, True, lambda d: ModemStatus(d[1])),
     0x88: (5, False, lambda d: AtAnswer(d[1], d[2:4].decode("latin-1"), d[4], d[5:])),
 }
-"""By type: bytes before the variable part, whether there is none, and what makes the frame."""
+"""By type: number of bytes before the variable part, whether the size is fixed, constructor of the frame."""
 
 
 def parse(data: bytes) -> ApiFrame:
-    """Frame of its data: what stands between length and checksum, without escapes.
+    """Parse frame data: the bytes between length and checksum, without escapes.
 
     Args:
         data: at least one byte.
 
     Raises:
-        ValueError: too short or too long for its type.
+        ValueError: the data are too short or too long for their type.
     """
     if data[0] not in _PARTS:
         return Other(data[0])
@@ -194,16 +194,18 @@ def _known_16(data: bytes) -> int | None:
 
 
 def at_command(frame_id: int, command: str, value: bytes = b"") -> bytes:
-    """Frame data of a local AT command (type 08h)."""
+    """Return the frame data of a local AT command (type 08h)."""
     return bytes((0x08, frame_id)) + command.encode("ascii") + value
 
 
 def transmit_request(frame_id: int, address: Address, payload: bytes, *, legacy: bool = False) -> bytes:
-    """Frame data of radio data to a node, with acknowledgement.
+    """Return the frame data of a request to send radio data to a node, with acknowledgement.
 
     Args:
-        frame_id: 1 … 255; comes back in the `TransmitStatus`.
-        legacy: types 00h and 01h rather than 10h.
+        frame_id: 1 … 255; the `TransmitStatus` contains it.
+        address: address of the node's module.
+        payload: the radio data.
+        legacy: whether types 00h and 01h are used in place of 10h.
     """
     to = address.value.to_bytes(address.bits // 8, "big")
     if legacy:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a short look shows of a CiA 402 drive beside its speed: its state, and what it told in emergencies."""
+"""Checks of a CiA 402 drive that do not use its speed: its state, its emergencies, and the host's heartbeat."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _FAULTY = (wire.FAULT, wire.FAULT_REACTION, wire.UNKNOWN)
 
 
 def drive_checks(control: SpeedSource | None, events: Sequence[Event], foreign_beats: int = 0) -> Checks:
-    """Checks of an open drive.
+    """Return the checks of an open drive.
 
     Args:
-        foreign_beats: heartbeats under the host's number that the host did not send.
-        control: who holds it; None where it is only listened to.
-        events: of the drive, while it was looked at.
+        control: command of the drive; None if its bytes are only received.
+        events: events of the drive during the check.
+        foreign_beats: number of heartbeats under the host's number that the host did not send.
     """
     out = {} if control is None else {"state": _state(control)}
     codes = [int(e.facts.get("error_code", 0)) for e in events if e.kind == "emergency"]
@@ -39,6 +39,6 @@ def _state(control: SpeedSource) -> Check:
     beat = code == wire.HEARTBEAT_ERROR
     note = ""
     if faulty:
-        said = "it does not tell why" if code is None else f"error 0x{code:04X}"
-        note = f"{said}{': a host was gone; the next test resets it' if beat else '; mend the cause, reset the drive'}"
+        cause = "it reports no cause" if code is None else f"error 0x{code:04X}"
+        note = f"{cause}{': a host was gone; the next test resets it' if beat else '; mend the cause, reset the drive'}"
     return Check(state, "no fault", not faulty or beat, note)

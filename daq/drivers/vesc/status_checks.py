@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a short look shows of a VESC beside its speed: its state, and the faults it told."""
+"""Checks of a VESC that do not use its speed: its state, and the faults it reported."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ _FAULTY = ("FAULT", "KILL SWITCH OPEN", "UNKNOWN")
 
 
 def controller_checks(control: SpeedSource | None, events: Sequence[Event]) -> Checks:
-    """Checks of an open controller.
+    """Return the checks of an open controller.
 
     Args:
-        control: who holds it; None where it is only listened to.
-        events: of the controller, while it was looked at.
+        control: command of the controller; None if its bytes are only received.
+        events: events of the controller during the check.
     """
     out: Checks = {}
     if control is not None:

@@ -1,0 +1,61 @@
+# pyright: strict
+"""Wait until a rotor that was commanded to stop stands, as long as its speed decreases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from daq.drivers.contract import RotorGuard
+from daq.errors import LinkLost
+from daq.transports.host_clock import HostClock
+
+_MAX_RUN_DOWN_S = 60.0  # rig s that a rotor without torque may need to stop
+_MAX_CONSTANT_S = 5.0  # wall s without decrease of the speed after which the wait ends
+_MAX_SEND_FAILURES = 3  # commands that may fail to be sent before the wait ends
+_RETRY_S = 0.05  # wall s from a command that failed to be sent to the next one
+_REPEAT_S = 0.25  # wall s between two commands
+_NOTIFY_EVERY_S = 2.0  # wall s between two texts about the wait
+
+
+def wait_for_rest(
+    clock: HostClock, rotor: RotorGuard, order: Callable[[], None], notify: Callable[[str], None]
+) -> bool:
+    """Repeat the stop command until the rotor stands.
+
+    Args:
+        clock: clock for the waits.
+        rotor: source of whether the rotor stands, and of its speed.
+        order: sends the stop command; repeated because one frame may be lost.
+        notify: called with a text about what is being waited for.
+
+    Returns:
+        Whether the rotor stands. False if its speed does not decrease, the run-down takes too long, or its speed is
+        unknown.
+
+    Raises:
+        LinkLost: commands cannot be sent any more.
+    """
+    begun = slower = notified = clock.wall_s()
+    next_order, least, failures = begun, math.inf, 0
+    while not (rest := rotor.at_rest()):
+        now, speed = clock.wall_s(), rotor.speed_rpm()
+        if not speed > least - 1.0:  # also if no device reports the speed (NaN): then index marks alone decide
+            slower, least = now, speed
+        too_long = now - begun > clock.wall(_MAX_RUN_DOWN_S) or now - slower > _MAX_CONSTANT_S
+        if too_long or (rest is None and now - begun > _MAX_CONSTANT_S):
+            return False
+        if now >= next_order:
+            next_order = now + _REPEAT_S
+            try:
+                order()
+            except LinkLost:  # one frame was not accepted, or the line is lost
+                failures += 1
+                if failures > _MAX_SEND_FAILURES:
+                    raise
+                next_order = now + _RETRY_S
+        if now - notified > _NOTIFY_EVERY_S:
+            notify("waiting for the rotor to stop" + ("" if math.isnan(speed) else f", {speed:.0f} rpm"))
+            notified = now
+        clock.wait(0.01)
+    return True
