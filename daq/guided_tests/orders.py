@@ -188,7 +188,7 @@ class Orders:
         if self._trusts_angles:
             _, (flags,) = self.session.newest(self.angles.topic, ("flags",), _LOOK_S)
             if faults := flagged(flags):
-                error = ProcedureError(f"{self.angles.device}: {'. '.join(faults)}; the rotor was told to stop")
+                error = ProcedureError(f"{self.angles.device}: {'. '.join(faults)}; the rotor was commanded to stop")
                 self.session.trouble = self.session.trouble or error  # the log that is still open ends with it
                 self.rotor.quick_stop()
                 raise error

@@ -85,7 +85,7 @@ class Bench:
         while not condition():
             self.check()
             if self.clock.ns > end:
-                raise DeviceError(f"waited {wall_s:g} s for {what}; it did not come")
+                raise DeviceError(f"waited {wall_s:g} s for {what}: timeout")
             self.clock.sleep(1.0)
 
     def newest(self, topic: str, fields: tuple[str, ...], seconds: float) -> tuple[Any, list[Any]]:

@@ -110,7 +110,7 @@ def test_check_exits_3_where_the_drive_is_not_known_to_have_let_go(
     ports = [word for setting in virtual_rig.port_settings() for word in ("--set", setting)]
     assert run(["check", "virtual", "--seconds", "0.4", "--time-scale", f"{TIME_SCALE}", *ports, "--json"]) == 3
     captured = capsys.readouterr()
-    left = "drive: nobody can tell whether it has let go of the rotor, which stands"
+    left = "drive: the rotor is at rest, but the drive may not have released it"
     assert left in json.loads(captured.out)["warnings"][0]
     assert f"warning: {left}" in captured.err
 

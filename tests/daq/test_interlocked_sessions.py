@@ -86,7 +86,7 @@ def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(far_end: VirtualRigPro
 
     try:
         with (
-            pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was told to stop"),
+            pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was commanded to stop"),
             Session(rig, far_end.clock) as session,
         ):
             Procedures(session, SimulatedOperator(far_end.line), tmp_path, dies).run_up(600.0, 25.0)
@@ -246,7 +246,7 @@ def test_a_faulty_encoder_is_refused_at_the_locks_and_ends_a_test_that_needs_it(
 
     try:
         with (
-            pytest.raises(ProcedureError, match=r"fault of encoder B: .*the rotor was told to stop"),
+            pytest.raises(ProcedureError, match=r"fault of encoder B: .*the rotor was commanded to stop"),
             Session(rig, far_end.clock) as session,
         ):
             Procedures(session, Breaks(far_end.line), tmp_path, quiet).spin_down()

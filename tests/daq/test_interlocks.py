@@ -50,8 +50,8 @@ FAILURES = [
     ("drive", "network", 0x7F, 0.3, "drive: network state PRE-OPERATIONAL"),
     ("drive", "silent reports", 1, 1.0, "motor: silent"),
     ("drive", "reported share", 0.5, 3.0, "the index marks come at 5.. rpm, the drive reports"),
-    ("drive", "reported share", 2.2, 4.0, "the drive reports .* rpm, (it was told 600|limits)"),
-    ("drive", "speed", 1100, 2.0, "the drive reports .* rpm, it was told 600"),
+    ("drive", "reported share", 2.2, 4.0, "the drive reports .* rpm, (600 rpm were commanded|limits)"),
+    ("drive", "speed", 1100, 2.0, "the drive reports .* rpm, 600 rpm were commanded"),
 ]
 
 
@@ -245,7 +245,7 @@ def test_a_word_that_is_too_old_counts_for_nothing() -> None:
         bench.pass_time(1.0)
         assert np.isnan(bench.interlocks.speed_rpm(bench.now_ns))
         assert bench.interlocks.at_rest(bench.now_ns) is True  # it stood, and no index mark has come since
-        assert "the drive says nothing" in bench.interlocks.rotor_words(bench.now_ns)
+        assert "the drive is silent" in bench.interlocks.rotor_words(bench.now_ns)
         bench.pass_time(3.0)
         assert bench.interlocks.at_rest(bench.now_ns) is True
         assert bench.stops == []

@@ -355,11 +355,11 @@ def test_a_drive_that_falls_silent_at_rest_is_said_not_to_have_let_go_and_the_ot
         session._open.stop_streams = lambda: (stopped.append("streams"), stop_streams())  # type: ignore[method-assign]
     assert stopped == ["streams"]
     assert session.left == (
-        f"{drive}: nobody can tell whether it has let go of the rotor, which stands; look at its power and line"
+        f"{drive}: the rotor is at rest, but the drive may not have released it; check its power and cable"
     )
     assert session.left in session.notices
     with open_log(tmp_path / "a.mcap") as log:
-        assert "nobody can tell whether it has let go" in json.dumps(log.metadata)
+        assert "the drive may not have released it" in json.dumps(log.metadata)
 
 
 # --- randomised faults ---------------------------------------------------------------------------------------------
