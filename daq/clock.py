@@ -275,12 +275,14 @@ def fit_line(
     # Long bins contain less delayed reads, short bins give more points. Twenty bins are the compromise.
     width = max(0.25, float(device_s[-1] - device_s[0]) / 20)
     bins = np.floor((device_s - device_s[0]) / width).astype(int)
-    best = np.array([group[np.argmin(lag[group])] for group in np.split(np.arange(len(lag)), _starts(bins))])
-    x, y = device_s[best] - device_s[0], lag[best] - lag[0]
+    groups = np.split(np.arange(len(lag)), _starts(bins))
+    best: NDArray[np.intp] = np.array([group[np.argmin(lag[group])] for group in groups], np.intp)
+    x: NDArray[np.floating] = device_s[best] - device_s[0]
+    y: NDArray[np.floating] = lag[best] - lag[0]
     span = float(x[-1])
     if len(x) < 8 or span < 1.5:
         offset = float(lag.min())
-        return ClockLine(offset, 0.0, prior, float(np.mean(y - y.min())), prior)
+        return ClockLine(offset, 0.0, prior, float(np.mean(y - float(np.min(y)))), prior)
     constant, slope = lower_line(x, y)
     jitter = float(np.mean(y - constant - slope * x))
     straight = abs(slope) * span > step_s and jitter < _MAX_STRAIGHT_JITTER * step_s

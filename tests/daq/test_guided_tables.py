@@ -282,7 +282,7 @@ def test_a_table_with_a_transition_to_nowhere_is_refused() -> None:
 def test_orders_that_would_turn_unlocked_or_release_at_rest_are_refused(tmp_path: Path) -> None:
     kind = ASKED["point"].kind
     for name, wrong in (("turn", "not locked"), ("let go", "not released")):
-        order = {"turn": lambda orders: orders.turn(100.0, 10.0), "let go": lambda orders: orders.let_go(True)}[name]
+        order = {"turn": lambda orders: orders.turn(100.0, 10.0), "let go": lambda orders: orders.release(True)}[name]
         opened = State("open", enter=lambda orders: orders.locks.release(False))
         forgets = State("forgets", enter=lambda orders: setattr(orders, "_held", False))
         bench, asked_ = Bench(RIG), Asked(RIG, kind, "point-B", "B", ASKED["point"].numbers)

@@ -18,7 +18,7 @@ from daq.acquisition.device_check import device_checks
 from daq.acquisition.interlocks import Interlocks
 from daq.acquisition.session import Session
 from daq.errors import DeviceError, ProcedureError
-from daq.guided_tests.hands import SEEN_RAD, let_go
+from daq.guided_tests.hands import SEEN_RAD, release_time
 from daq.guided_tests.procedure import Procedures, zero_counters
 from daq.replay import check
 from daq.signals.run import load_run
@@ -167,5 +167,5 @@ def test_a_release_lies_within_what_is_said_of_its_instant(torque: float, at: fl
     since = np.maximum(time - at, 0.0)
     reach = np.sqrt(2 * 4 * SEEN_RAD / torque)  # about when the angle has grown to where it is looked at last
     moved = 0.5 * torque * since**2 * (1 + jerk * since / (3 * reach))
-    found, std = let_go(time, np.column_stack([moved, 0.1 * moved]))
+    found, std = release_time(time, np.column_stack([moved, 0.1 * moved]))
     assert abs(found - at) < 2 * std
