@@ -60,7 +60,7 @@ def test_a_speed_that_nothing_shows_yet_is_said_so() -> None:
     wanted = asked(HAND, "point-A", {})
     (up,) = [row for row in wanted.kind.table(wanted).rows if row.name == "spin up"]
     look = up.look(View(cast("Measures", None), 0, 0, 0, float("nan"), {}))
-    assert (look.done, look.words) == (False, "spinning up to 149 rpm: nothing shows the speed yet")
+    assert (look.done, look.words) == (False, "spinning up to 149 rpm: the speed is not measured yet")
 
 
 @pytest.mark.parametrize("name", [name for name in ASKED if ASKED[name].kind.turns])
@@ -252,7 +252,7 @@ def test_a_pause_in_motion_is_answered_and_takes_effect_where_the_rig_may_wait(t
         return Look(not (state.name == "spin up" and len(answers) < 2))
 
     finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
-    assert any(answer.startswith("not here: the rotor passes through resonances") for answer in answers)
+    assert any(answer.startswith("no pause here: the rotor passes through resonances") for answer in answers)
     assert paused[:1] == ["steady orbit"]
 
 

@@ -95,7 +95,7 @@ def test_every_row_of_the_session_trips_and_stands_in_the_log(
     monkeypatch.undo()
     with open_log(tmp_path / "a.mcap") as log:
         summary = {key: json.loads(text) for key, text in log.metadata["summary"].items()}
-    goes_on = "goes on" in row.reaction
+    goes_on = "continues" in row.reaction
     assert (ended is None) == goes_on
     found = " ".join(summary["warnings"]) if goes_on else summary["ended"]
     assert any(each in found for each in words.split("|")), found

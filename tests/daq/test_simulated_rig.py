@@ -54,5 +54,5 @@ def test_what_a_device_holds_is_not_the_hands_and_a_rig_file_without_truth_is_no
         rig.do({"do": "turn", "rpm": 60, "ramp_rpm_per_s": 20}, 0.0)
     with pytest.raises(ValueError, match="unknown request 'quit'"):
         rig.do({"do": "quit"}, 0.0)
-    with pytest.raises(RigConfigError, match="nothing to simulate"):
+    with pytest.raises(RigConfigError, match="which the simulation needs"):
         SimulatedRig(load_rig("virtual").model_copy(update={"virtual": None}))
