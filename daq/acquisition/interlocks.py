@@ -195,7 +195,7 @@ class Interlocks:
         with self._lock:
             self._commanded = self._commanded or rpm != 0
             self.resting = self.resting and rpm == 0
-            self.rotor.told(rpm)
+            self.rotor.commanded(rpm)
 
     def feed(self, batch: Batch, host_ns: int) -> list[Event | Stop]:
         """Evaluate samples. Return events for the log and findings that stop the rotor."""
@@ -210,9 +210,9 @@ class Interlocks:
             elif topic == self._marks:
                 node_ns = batch.columns["node_time_us"].astype(np.int64) * 1000
                 marks = batch.columns["revolutions"]
-                out += self._wrong(self.rotor.marks_came(host_ns, batch.time_ns, node_ns, marks))
+                out += self._wrong(self.rotor.marks_received(host_ns, batch.time_ns, node_ns, marks))
             elif topic == self._speed:
-                out += self._wrong(self.rotor.drive_said(host_ns, batch.columns["speed_rpm"]))
+                out += self._wrong(self.rotor.drive_reported(host_ns, batch.columns["speed_rpm"]))
             return out
 
     def happened(self, event: Event) -> list[Stop]:
@@ -220,12 +220,12 @@ class Interlocks:
         with self._lock:
             if event.kind in ("fault", "restart"):
                 if event.device == self._device_of.get(self._speed or ""):
-                    self.rotor.drive_unknown()
+                    self.rotor.discard_drive()
                 elif event.kind == "restart" and self.resting and event.device not in self._needed_devices():
                     return []  # a sensor that lost power at rest causes a gap, not a stop
                 return [Stop("device", f"{event.device}: {event.text}", event.kind)]
             if event.kind == "network" and event.facts.get("operational") is False:
-                self.rotor.drive_unknown()
+                self.rotor.discard_drive()
                 return [Stop("device", f"{event.device}: {event.text}", "left operation")]
             if event.kind == "lock" and event.facts.get("state") == "fault":
                 text = f"{event.device}: {event.text}: the lock did not carry out its command. Look at its mechanism"
@@ -248,7 +248,7 @@ class Interlocks:
                     out.append(Stop("device", why, "no index mark"))
             elif not turning:
                 out += self.channels.excuse(self._marks, now_ns)
-                self.rotor.turns_begin()
+                self.rotor.reset_turns()
             if not self._driving:
                 return [item for item in out if isinstance(item, Event)]
             out += self._silent(now_ns, turning)
@@ -269,7 +269,7 @@ class Interlocks:
             if self._speed is None:  # without a drive: the test commands a hand, or the index marks show rotation
                 rest = self.rotor.at_rest(now_ns)
                 return rest is False or (self._commanded and rest is not True)
-            by_hand = not self._commanded and abs(self.rotor.word_rpm(now_ns)) <= self._rest_rpm
+            by_hand = not self._commanded and abs(self.rotor.drive_rpm(now_ns)) <= self._rest_rpm
             return not by_hand and self.rotor.at_rest(now_ns) is not True
 
     def at_rest(self, now_ns: int) -> bool | None:

@@ -77,15 +77,15 @@ class RotorWatch:
         rest_rpm: float = AT_REST_RPM,
     ) -> None:
         self._limit_rpm, self._driven, self._rest_rpm = limit_rpm, driven, rest_rpm
-        self._word_age_ns = _ns(patience(0.5))
+        self._max_report_age_ns = _ns(patience(0.5))
         self._late_ns = _ns(patience(0.3))  # largest delay of the host
         self._settled_ns = _ns(patience(0.1))
         self._radio_s = patience(RADIO_S)
-        self._word: float | None = None
-        self._word_ns = 0
+        self._drive_rpm: float | None = None
+        self._drive_ns = 0
         self._zero_since_ns: int | None = None
         self._fell = False  # the reported speed jumped to 0, as that of a drive that does not measure when it is off
-        self._words: deque[tuple[int, float, float]] = deque()  # host ns, least and greatest rpm of a read
+        self._reports: deque[tuple[int, float, float]] = deque()  # host ns, least and greatest rpm of a read
         self.target_rpm = 0.0
         self._highest = self._lowest = 0.0  # range of speeds that the commanded speeds permit
         self._beyond = 0
@@ -99,32 +99,32 @@ class RotorWatch:
 
     # --- input ---------------------------------------------------------------------------------------------------
 
-    def told(self, rpm: float) -> None:
+    def commanded(self, rpm: float) -> None:
         """Register a speed that is about to be commanded to the drive or to the operator."""
         if not self.target_rpm:
             self._marks_since_start = 0
         self.target_rpm = rpm
         self._highest, self._lowest = max(self._highest, rpm), min(self._lowest, rpm)
 
-    def drive_said(self, host_ns: int, rpm: NDArray[np.float64]) -> Finding | None:
+    def drive_reported(self, host_ns: int, rpm: NDArray[np.float64]) -> Finding | None:
         """Evaluate the drive's reports of one read, actual speeds, shape (n,), n ≥ 1. Return a fault, or None."""
         reported: list[float] = rpm.tolist()  # few values, for which lists are faster than arrays
         least, greatest, last = min(reported), max(reported), reported[-1]
-        if self._word is None:
+        if self._drive_rpm is None:
             self._highest, self._lowest = max(self.target_rpm, greatest), min(self.target_rpm, least)
         else:
-            passed = min(host_ns - self._word_ns, self._word_age_ns) * 1e-9
+            passed = min(host_ns - self._drive_ns, self._max_report_age_ns) * 1e-9
             self._turns_unseen += max(0.0, passed) * abs(last) / 60.0
         if abs(last) > (AT_REST_RPM if self.target_rpm else self._rest_rpm):  # a commanded speed may be low
             self._zero_since_ns = None
         elif self._zero_since_ns is None:  # the first report at rest
-            self._fell = self._falls([self._word or 0.0, *reported])
-            self._zero_since_ns = host_ns - (self._settled_ns if self._word is None else 0)
+            self._fell = self._falls([self._drive_rpm or 0.0, *reported])
+            self._zero_since_ns = host_ns - (self._settled_ns if self._drive_rpm is None else 0)
             self._marks_after_zero = 0
-        self._word, self._word_ns = last, host_ns
-        self._words.append((host_ns, least, greatest))
-        while self._words[0][0] < host_ns - _ns(_HISTORY_S) - 3 * self._late_ns:
-            self._words.popleft()
+        self._drive_rpm, self._drive_ns = last, host_ns
+        self._reports.append((host_ns, least, greatest))
+        while self._reports[0][0] < host_ns - _ns(_HISTORY_S) - 3 * self._late_ns:
+            self._reports.popleft()
         return self._too_fast(max(abs(least), abs(greatest)), len(reported)) or self._ran_away(least, greatest, last)
 
     def _falls(self, reported: list[float]) -> bool:
@@ -132,16 +132,16 @@ class RotorWatch:
         before = next((abs(rpm) for rpm in reversed(reported) if abs(rpm) > self._rest_rpm), 0.0)
         return before > _MAX_BRAKED_RPM
 
-    def drive_unknown(self) -> None:
+    def discard_drive(self) -> None:
         """Discard the drive's reports, since it restarted or left operation."""
-        self._word = self._zero_since_ns = None
-        self._words.clear()
+        self._drive_rpm = self._zero_since_ns = None
+        self._reports.clear()
 
     def node_heard(self, host_ns: int) -> None:
         """Register samples of the node that sends the index marks."""
         self._node_ns = host_ns
 
-    def marks_came(
+    def marks_received(
         self, host_ns: int, time_ns: NDArray[np.int64], node_ns: NDArray[np.int64], revolutions: NDArray[np.integer]
     ) -> Finding | None:
         """Evaluate the index marks of one read. Return a fault, or None.
@@ -167,16 +167,16 @@ class RotorWatch:
             self._marks.popleft()
         return self._marks_too_fast() or self._disagree(host_ns)
 
-    def turns_begin(self) -> None:
+    def reset_turns(self) -> None:
         """Count the turns without an index mark from here, since the rotor is at rest."""
         self._turns_unseen = 0.0
 
     # --- state ---------------------------------------------------------------------------------------------------
 
-    def word_rpm(self, now_ns: int) -> float:
+    def drive_rpm(self, now_ns: int) -> float:
         """Return the speed reported by the drive, rpm; NaN if there is no report or it is too old."""
-        fresh = self._word is not None and now_ns - self._word_ns <= self._word_age_ns
-        return self._word if fresh and self._word is not None else math.nan
+        fresh = self._drive_rpm is not None and now_ns - self._drive_ns <= self._max_report_age_ns
+        return self._drive_rpm if fresh and self._drive_rpm is not None else math.nan
 
     def mark_rpm(self, now_ns: int) -> float:
         """Return the speed from the last two index marks, rpm, limited by the time since the last; NaN without two."""
@@ -187,7 +187,7 @@ class RotorWatch:
 
     def speed_rpm(self, now_ns: int) -> float:
         """Return the higher of both speeds, rpm; NaN if neither is available."""
-        speeds = [abs(rpm) for rpm in (self.word_rpm(now_ns), self.mark_rpm(now_ns)) if not math.isnan(rpm)]
+        speeds = [abs(rpm) for rpm in (self.drive_rpm(now_ns), self.mark_rpm(now_ns)) if not math.isnan(rpm)]
         return max(speeds, default=math.nan)
 
     def at_rest(self, now_ns: int) -> bool | None:
@@ -199,8 +199,8 @@ class RotorWatch:
         The state is unknown if neither source is available. Without a drive it is also unknown if the index marks of a
         rotor with a commanded speed cease, since a failed index sensor is more likely than a rotor at rest.
         """
-        word = self.word_rpm(now_ns)
-        if not math.isnan(word):
+        reported = self.drive_rpm(now_ns)
+        if not math.isnan(reported):
             if self._zero_since_ns is None or now_ns - self._zero_since_ns < self._settled_ns:
                 return False
             return not self.coasts(now_ns)
@@ -208,15 +208,15 @@ class RotorWatch:
             return None
         if self._stood and self.target_rpm == 0:
             return True
-        seen_ns = max(self._mark_host_ns or 0, self._word_ns)
+        seen_ns = max(self._mark_host_ns or 0, self._drive_ns)
         ceased = now_ns - seen_ns > max(_ns(_MIN_MARKLESS_S), 3 * (self._last_turn_ns() or 0.0)) + self._late_ns
         return None if ceased and self._alone else ceased
 
     @property
     def _stood(self) -> bool:
         """Whether the drive's last report was "at rest" and no index mark has arrived since."""
-        settled = self._zero_since_ns is not None and self._word_ns - self._zero_since_ns >= self._settled_ns
-        return self._word is not None and settled and self._marks_after_zero == 0
+        settled = self._zero_since_ns is not None and self._drive_ns - self._zero_since_ns >= self._settled_ns
+        return self._drive_rpm is not None and settled and self._marks_after_zero == 0
 
     @property
     def _alone(self) -> bool:
@@ -239,10 +239,10 @@ class RotorWatch:
         """
         if not self._driven:
             return self._ceased(now_ns)
-        rpm = self.word_rpm(now_ns)
+        rpm = self.drive_rpm(now_ns)
         if math.isnan(rpm):
             return None
-        on_air = takewhile(lambda word: now_ns - word[0] <= _ns(self._radio_s), reversed(self._words))
+        on_air = takewhile(lambda report: now_ns - report[0] <= _ns(self._radio_s), reversed(self._reports))
         fastest = max((max(-least, greatest) for _, least, greatest in on_air), default=abs(rpm))  # before braking
         if self._turns_unseen <= TURNS_UNSEEN + fastest / 60.0 * self._radio_s:
             return None
@@ -266,8 +266,8 @@ class RotorWatch:
 
     def words(self, now_ns: int) -> str:
         """Return the available speeds as text for a message."""
-        word, marks = self.word_rpm(now_ns), self.mark_rpm(now_ns)
-        drive = "the drive is silent" if math.isnan(word) else f"the drive reports {word:.0f} rpm"
+        reported, marks = self.drive_rpm(now_ns), self.mark_rpm(now_ns)
+        drive = "the drive is silent" if math.isnan(reported) else f"the drive reports {reported:.0f} rpm"
         drive = drive if self._driven else "the rotor is turned by hand"
         if self._node_ns is None:
             return f"{drive}, no other device measures the rotor"
@@ -332,9 +332,9 @@ class RotorWatch:
         if first is None:
             return None
         margin = self._late_ns + _ns(0.2)
-        if not self._words or self._words[0][0] > first[0]:
+        if not self._reports or self._reports[0][0] > first[0]:
             return None
-        recent = takewhile(lambda word: word[0] >= first[0] - margin, reversed(self._words))  # the newest come last
+        recent = takewhile(lambda report: report[0] >= first[0] - margin, reversed(self._reports))  # newest first
         around = [(least, greatest) for at, least, greatest in recent if at <= last[0] + margin]
         if not around:
             return None

@@ -1,4 +1,4 @@
-"""A guided test's surroundings without a rig, a thread or a wall clock: session, rotor and locks that record orders."""
+"""Test doubles for guided tests without rig, thread and wall clock: session, rotor and locks that record orders."""
 
 from __future__ import annotations
 

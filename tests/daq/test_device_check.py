@@ -1,4 +1,4 @@
-"""What a look at a rig is held against: one thing wrong fails its check, its device, and nothing else."""
+"""Checks of an observed rig: one deviation fails its check and its device, and no other."""
 
 from __future__ import annotations
 

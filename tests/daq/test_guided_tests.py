@@ -1,4 +1,4 @@
-"""Guided tests on a virtual rig: what is refused before anything turns, and what is said of an end not reached."""
+"""Guided tests on a virtual rig: refusals before anything turns, and reports of tests that miss their end."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from rig_cli.main import run
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
@@ -21,6 +19,8 @@ from daq.signals.completeness import missing_warnings
 from daq.signals.run import load_run
 from daq.transports import HostClock, slcan
 from daq.virtual_rig.simulated_operator import SimulatedOperator
+from rig_cli.main import run
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import LATE_BEATS, TIME_SCALE

@@ -1,4 +1,4 @@
-"""A whole rig on real ptys: recording, replay, losses, a pulled cable, a killed host, a full disk, an intruder."""
+"""Sessions on ptys of a virtual rig: recording, replay, losses, unplugged cable, killed host, full disk, intruder."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from rig_cli.demo import _radio_check
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.recorder import Recorder
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
@@ -24,6 +22,8 @@ from daq.replay import check
 from daq.transports import HostClock
 from daq.virtual_rig.control import OperatorLine
 from daq.virtual_rig.simulated_operator import SimulatedOperator
+from rig_cli.demo import _radio_check
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import TIME_SCALE
@@ -301,18 +301,28 @@ def test_ctrl_c_a_polite_kill_and_a_hang_up_end_a_recording_with_a_whole_log(
     virtual_rig: VirtualRigProcess, tmp_path: Path, name: str
 ) -> None:
     log = tmp_path / "run.mcap"
-    command = [sys.executable, "-m", "rig_cli.main", "record", "virtual", "-o", str(log), "--time-scale", str(TIME_SCALE)]
+    command = [
+        sys.executable,
+        "-m",
+        "rig_cli.main",
+        "record",
+        "virtual",
+        "-o",
+        str(log),
+        "--time-scale",
+        str(TIME_SCALE),
+    ]
     for setting in virtual_rig.port_settings():
         command += ["--set", setting]
-    told = signal.Signals[name]
+    chosen = signal.Signals[name]
     # tests that were started in the background may have this signal ignored, which a child would inherit
-    before = signal.signal(told, signal.SIG_DFL)
+    before = signal.signal(chosen, signal.SIG_DFL)
     host = subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True)
-    signal.signal(told, before)
+    signal.signal(chosen, before)
     part, deadline = log.with_name("run.mcap.part"), time.monotonic() + 120
     while not (part.exists() and part.stat().st_size > 100_000) and time.monotonic() < deadline:
         time.sleep(0.02)
-    host.send_signal(told)
+    host.send_signal(chosen)
     out, _ = host.communicate(timeout=120)
     assert host.returncode == 0
     assert json.loads(out)["log"] == str(log)

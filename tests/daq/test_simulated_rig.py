@@ -1,4 +1,4 @@
-"""The simulated rig without wires and clock."""
+"""The simulated rig without I/O and clock."""
 
 from __future__ import annotations
 

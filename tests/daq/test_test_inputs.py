@@ -1,4 +1,4 @@
-"""What a guided test is asked for is judged before a device is opened."""
+"""Requests of guided tests are checked before a device is opened."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A trip is one event: all reasons that came together, and an excerpt that is bounded and keeps what matters."""
+"""A trip is one event with all reasons of a short time and a bounded excerpt that keeps peaks and gaps."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def test_the_excerpt_is_bounded_and_is_json_and_keeps_peaks_and_gaps(n: int, non
     assert max(numbers) == pytest.approx(np.nanmax(seen), rel=1e-5)
     assert min(numbers) == pytest.approx(np.nanmin(seen), rel=1e-5)
     assert (None in series["value"]) == bool(np.isnan(seen).any())
-    assert event.facts["excerpt"]["laser/x"]["counter"]["value"] == [0, 7999]  # a counter's ends say it all
+    assert event.facts["excerpt"]["laser/x"]["counter"]["value"] == [0, 7999]  # a counter is reduced to its ends
     assert event.facts["excerpt"]["laser/x"]["flags"]["value"] == [0, 0]
 
 
