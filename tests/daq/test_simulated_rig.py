@@ -48,7 +48,7 @@ def test_answers_come_with_the_step_and_requests_move_the_rig() -> None:
 def test_what_a_device_holds_is_not_the_hands_and_a_rig_file_without_truth_is_none() -> None:
     rig = SimulatedRig(load_rig("virtual"))
     for act in ("lock", "release"):
-        with pytest.raises(ValueError, match="encoder's to do"):
+        with pytest.raises(ValueError, match="encoder carries out this action"):
             rig.do({"do": act}, 0.0)
     with pytest.raises(ValueError, match="drive's to do"):
         rig.do({"do": "turn", "rpm": 60, "ramp_rpm_per_s": 20}, 0.0)
