@@ -69,7 +69,7 @@ class ChannelWatch:
             return None
         self._newest_ns = max(self._newest_ns, host_ns)
         channel.heard_ns, channel.suspect_ns = host_ns, None
-        return self._over(topic, channel, host_ns, "came back after")
+        return self._over(topic, channel, host_ns, "samples again after")
 
     def tick(self, now_ns: int) -> list[Event]:
         """Check the deadlines. Return an event for each silence that has begun."""

@@ -387,7 +387,7 @@ class Core:
             yield from self._look_for_silence(now_ns)
         if disk is not None and now_ns >= self._health_ns:
             self._health_ns = now_ns + int(_HEALTH_PERIOD_S * 1e9)
-            facts = {"kind": "health", "device": "host", "text": "", "losses": self.losses(now_ns)}
+            facts = {"kind": "health", "device": HOST, "text": "", "losses": self.losses(now_ns)}
             yield Report({**facts, "disk": disk.facts(), "bytes": dict(self.bytes_in)})
 
     def _look_at_drive(self, drive: DriveState, now_ns: int) -> Iterator[Order]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from daq.guided_tests.hands import HAND_RAMP_RPM_S
-from daq.guided_tests.kinds import Asked
+from daq.guided_tests.kinds import RAD_S_PER_RPM, Asked
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import Look, State, Table, View
 from rig_configs.schema import Rig
@@ -16,7 +16,7 @@ _LOCKED_LOOK_S = 0.2  # stretch over which closed locks are observed before the 
 _SPIN_UP_S = 60.0  # permitted in addition to the duration of the ramp, rig s
 _BY_HAND_S = 240.0  # the same if a person turns the rotor, wall s
 _NEAR_RESONANCE = 0.1  # relative distance from a resonance below which the orbit is several times as large
-_RPM = math.pi / 30
+
 ASK_TO_LOCK = "with the rotor at rest, lock both pendulums: A at 0°, B at 180°"
 
 
@@ -75,7 +75,7 @@ def spin_up(request: Asked, rpm: float, free: bool = False) -> tuple[State, ...]
 
 def near_resonance(rig: Rig, rpm: float) -> str:
     """Return the reason why a test must not wait at a speed; empty if it may."""
-    for natural in (w / _RPM for w in rig.physics.natural_frequencies_rad_s):
+    for natural in (w / RAD_S_PER_RPM for w in rig.physics.natural_frequencies_rad_s):
         if abs(rpm / natural - 1) < _NEAR_RESONANCE:
             return (
                 f"{rpm:.0f} rpm is within {100 * _NEAR_RESONANCE:.0f} % of the resonance expected at {natural:.0f} rpm"

@@ -21,13 +21,15 @@ from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
 from daq.drivers.items import Event
 from daq.errors import DeviceError
+from daq.guided_tests.measures import ANGLE_FIELDS
 from rig_configs.roles import PendulumAngles
 
 Array = NDArray[np.floating[Any]]
 
 HUMAN_S = 120.0
 """Timeout for a person, wall s."""
-_MAX_LOCK_S = 10.0  # timeout for a lock's mechanism, wall s
+MAX_LOCK_S = 10.0
+"""Timeout for a lock's mechanism, wall s."""
 _STOP_RAMP_RPM_S = 400.0
 _MAX_STOP_S = 30.0  # timeout for the rotor to come to rest, wall s
 _MAX_SEEN_S = 1.0  # timeout for locked pendulums to be measured, wall s
@@ -252,7 +254,7 @@ class CommandedLocks:
             _, (flags,) = self._newest(0.1)
             return len(flags) > 0 and flags[-1] & LOCKS_CLOSED == (LOCKS_CLOSED if closed else 0)
 
-        self._wait_for(reached, _MAX_LOCK_S, f"both locks to {'close' if closed else 'open'}")
+        self._wait_for(reached, MAX_LOCK_S, f"both locks to {'close' if closed else 'open'}")
 
     def _opened_ns(self) -> int:
         """Return the time of the first sample with both locks open after the last sample with a closed lock, ns."""
@@ -289,17 +291,17 @@ class HandLocks:
             self._operator.release()
             return self._s.clock.now_ns()
         topic = self._angles.topic
-        _, columns = self._s.newest(topic, _THETA, _HELD_S)
+        _, columns = self._s.newest(topic, ANGLE_FIELDS, _HELD_S)
         held_rad = np.array([np.median(column) for column in columns])
         requested_ns = self._s.clock.now_ns()
         self._operator.release()
 
         def moved() -> bool:
-            _, columns = self._s.recent.last(topic, _THETA, requested_ns)
+            _, columns = self._s.recent.last(topic, ANGLE_FIELDS, requested_ns)
             return bool(np.any(np.abs(np.column_stack(columns) - held_rad) > _FREE_RAD))
 
         self._wait_for(moved, HUMAN_S, "the pendulums to be released")
-        time_ns, columns = self._s.recent.last(topic, _THETA, requested_ns)
+        time_ns, columns = self._s.recent.last(topic, ANGLE_FIELDS, requested_ns)
         since_s, std_s = release_time((time_ns - requested_ns) * 1e-9, np.abs(np.column_stack(columns) - held_rad))
         released_ns = requested_ns + int(since_s * 1e9)
         for pendulum in (0, 1):
@@ -311,7 +313,7 @@ class HandLocks:
     def _wrong(self) -> str:
         """Return the reason why the pendulums do not count as held; empty if they do."""
         assert self._angles is not None
-        time_ns, columns = self._s.newest(self._angles.topic, _THETA, _HELD_S)
+        time_ns, columns = self._s.newest(self._angles.topic, ANGLE_FIELDS, _HELD_S)
         if len(time_ns) < _HELD_S * self._angles.rate_Hz / 3:
             return "their angles are missing"
         theta = np.column_stack(columns)
@@ -319,9 +321,6 @@ class HandLocks:
             return "they move"
         held = np.full(len(theta), LOCKS_CLOSED)
         return misplaced(lock_positions(theta, held, self._angles.zero_std_deg))
-
-
-_THETA = ("theta3_rad", "theta4_rad")
 
 
 def release_time(time_s: Array, moved_rad: Array) -> tuple[float, float]:

@@ -7,6 +7,7 @@ and procedures use these registrations. The project's own tests are registered i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from rig_configs.schema import Rig
 
 GROUP = "rig.guided_tests"
+RAD_S_PER_RPM = math.pi / 30
 SIGNALS: Mapping[str, str] = {
     "x": "displacement along x",
     "y": "displacement along y",

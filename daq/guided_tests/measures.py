@@ -15,6 +15,9 @@ from daq.signals.window_means import amplitude_means, whole_revolutions
 
 Array = NDArray[np.float64]
 
+ANGLE_FIELDS = ("theta3_rad", "theta4_rad")
+"""Fields of the pendulum angles A and B in their channel."""
+
 
 class Measures:
     """Measured values of an open session."""
@@ -71,7 +74,7 @@ class Measures:
 
     def turned_since(self, since_ns: int) -> tuple[Array, Array]:
         """Return the ranges of the pendulum angles since an instant, rad, and the top speeds, rad/s; shapes (2,)."""
-        time_ns, columns = self._s.recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
+        time_ns, columns = self._s.recent.last("pendulums", ANGLE_FIELDS, since_ns)
         step = 50
         if len(time_ns) <= step:
             return np.zeros(2), np.full(2, 1e-3)
@@ -81,7 +84,7 @@ class Measures:
 
     def rates(self) -> Array:
         """Return the mean pendulum speeds over the newest 0.2 s, rad/s, shape (2,); NaN without samples."""
-        time_ns, (a, b) = self._s.newest("pendulums", ("theta3_rad", "theta4_rad"), 0.2)
+        time_ns, (a, b) = self._s.newest("pendulums", ANGLE_FIELDS, 0.2)
         if len(time_ns) < 10:
             return np.full(2, np.nan)
         turned: Array = np.array([a[-1] - a[0], b[-1] - b[0]], np.float64)
@@ -99,7 +102,7 @@ class Measures:
             of x and of y, of which every fourth sample is taken.
         """
         recent = self._s.recent
-        t, (a, b) = recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
+        t, (a, b) = recent.last("pendulums", ANGLE_FIELDS, since_ns)
         m, (turns,) = recent.last("tacho", ("revolutions",), since_ns)
         tx, (x,) = recent.last("laser/x", ("displacement_m",), lasers_since_ns or since_ns)
         ty, (y,) = recent.last("laser/y", ("displacement_m",), lasers_since_ns or since_ns)
@@ -141,7 +144,7 @@ class Measures:
 
     def mean_angles_rad(self, seconds: float = 2.0) -> tuple[float, float]:
         """Return the mean pendulum angles over the newest stretch, rad."""
-        _, (a, b) = self._s.newest("pendulums", ("theta3_rad", "theta4_rad"), seconds)
+        _, (a, b) = self._s.newest("pendulums", ANGLE_FIELDS, seconds)
         means: Array = np.column_stack([a, b]).mean(axis=0)
         return float(means[0]), float(means[1])
 

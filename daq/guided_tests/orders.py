@@ -27,7 +27,7 @@ from daq.guided_tests.hands import (
     Wait,
 )
 from daq.guided_tests.kinds import Asked
-from daq.guided_tests.measures import Measures
+from daq.guided_tests.measures import ANGLE_FIELDS, Measures
 from daq.log.numbering import next_number, one_at_a_time
 from daq.log.outcome import ending
 from rig_configs.roles import PendulumAngles
@@ -222,8 +222,7 @@ class Orders:
         device = self.angles.device
         if complaint := self.session.told(device)[1]:  # it stopped nothing while the session was being opened
             raise DeviceError(f"{device}: {complaint}")
-        columns = ("theta3_rad", "theta4_rad", "flags")
-        _, (a, b, flags) = self.session.newest(self.angles.topic, columns, span_s)
+        _, (a, b, flags) = self.session.newest(self.angles.topic, (*ANGLE_FIELDS, "flags"), span_s)
         wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, self.angles.zero_std_deg))]
         trouble = ". ".join(text for text in wrong if text)
         if trouble and self.request.kind.trusts_angles:

@@ -12,14 +12,13 @@ from pathlib import Path
 from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
 from daq.guided_tests.controls import Controls
-from daq.guided_tests.hands import Operator, Progress
+from daq.guided_tests.hands import MAX_LOCK_S, Operator, Progress
 from daq.guided_tests.kinds import Asked
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.runner import NotReached, Runner, TestDone
 from daq.guided_tests.test_inputs import asked
 from rig_configs.schema import Rig
 
-_MAX_LOCK_S = 10.0  # wait for the locks to close, wall s
 _ZEROED_S = 0.2  # wait before and after the counters are zeroed, rig s
 
 
@@ -136,7 +135,7 @@ def zero_counters(session: Session) -> None:
         _, (flags,) = session.recent.last("pendulums", ("flags",), session.clock.now_ns() - 2_000_000_000)
         return len(flags) > 0 and flags[-1] & LOCKS_CLOSED == LOCKS_CLOSED
 
-    session.wait_for(closed, _MAX_LOCK_S, "both locks to close")
+    session.wait_for(closed, MAX_LOCK_S, "both locks to close")
     session.clock.sleep(_ZEROED_S)
     session.command_node("zero")
     session.clock.sleep(_ZEROED_S)

@@ -46,6 +46,21 @@ def _turn(rotor: Array, h: float, target: float, ramp: float, slip: float, lag: 
     out[0], out[1], out[2] = rotor[0], rotor[1], (goal - rotor[1]) / lag
 
 
+@njit(cache=True, error_model="numpy")
+def _constrain(y: Array, free: Array, held: bool, held_at: Array, angles: Array, drift: float) -> None:
+    """Move locked pendulums towards their locks by one grid step, and keep a held column at its place.
+
+    Args: see `_advance`.
+    """
+    for j in range(2):
+        if free[j] == 0.0:
+            gap = angles[j] - y[2 + j]
+            y[2 + j] += min(max(gap, -drift * GRID_S), drift * GRID_S)
+            y[6 + j] = 0.0
+    if held:
+        y[0], y[1], y[4], y[5] = held_at[0], held_at[1], 0.0, 0.0
+
+
 # More than eight parameters: numba compiles scalars and arrays, not objects.
 @njit(cache=True, error_model="numpy")
 def _advance(
@@ -82,8 +97,8 @@ def _advance(
         drift: speed at which a lock moves a pendulum to its position, rad/s.
         out: state (8), ψ, ω after each grid step, shape (n, 10).
     """
-    h = 250e-6 / substeps
-    scratch = np.empty((5, 8))
+    h = GRID_S / substeps
+    k = np.empty((5, 8))
     modes, signed = np.empty(2), p.copy()
     ph = np.empty((3, 3))
     ph[0] = phase
@@ -92,46 +107,11 @@ def _advance(
             _turn(rotor, h / 2, target, ramp, slip, lag, ph[1])
             _turn(rotor, h / 2, target, ramp, slip, lag, ph[2])
             if has_friction:
-                friction_step(
-                    y,
-                    h,
-                    ph[0],
-                    ph[1],
-                    ph[2],
-                    p,
-                    free,
-                    modes,
-                    signed,
-                    scratch[0],
-                    scratch[1],
-                    scratch[2],
-                    scratch[3],
-                    scratch[4],
-                )
+                friction_step(y, h, ph[0], ph[1], ph[2], p, free, modes, signed, k[0], k[1], k[2], k[3], k[4])
             else:
-                rk4_step(
-                    y,
-                    h,
-                    ph[0],
-                    ph[1],
-                    ph[2],
-                    p,
-                    free[0],
-                    free[1],
-                    scratch[0],
-                    scratch[1],
-                    scratch[2],
-                    scratch[3],
-                    scratch[4],
-                )
+                rk4_step(y, h, ph[0], ph[1], ph[2], p, free[0], free[1], k[0], k[1], k[2], k[3], k[4])
             ph[0] = ph[2]
-        for j in range(2):
-            if free[j] == 0.0:  # the lock moves the pendulum towards its position
-                gap = angles[j] - y[2 + j]
-                y[2 + j] += min(max(gap, -drift * 250e-6), drift * 250e-6)
-                y[6 + j] = 0.0
-        if held:
-            y[0], y[1], y[4], y[5] = held_at[0], held_at[1], 0.0, 0.0
+        _constrain(y, free, held, held_at, angles, drift)
         for j in range(8):
             out[i, j] = y[j]
         out[i, 8], out[i, 9] = ph[0, 0], ph[0, 1]

@@ -50,7 +50,7 @@ def test_what_a_device_holds_is_not_the_hands_and_a_rig_file_without_truth_is_no
     for act in ("lock", "release"):
         with pytest.raises(ValueError, match="encoder carries out this action"):
             rig.do({"do": act}, 0.0)
-    with pytest.raises(ValueError, match="drive's to do"):
+    with pytest.raises(ValueError, match="drive carries out this action"):
         rig.do({"do": "turn", "rpm": 60, "ramp_rpm_per_s": 20}, 0.0)
     with pytest.raises(ValueError, match="unknown request 'quit'"):
         rig.do({"do": "quit"}, 0.0)
