@@ -96,7 +96,7 @@ class ChannelWatch:
 
     def excuse(self, topic: str, now_ns: int) -> list[Event]:
         """End the silence of a channel that is no longer due. Return its event, if there was a silence."""
-        event = self._over(topic, self._channels[topic], now_ns, "not due any more, after")
+        event = self._over(topic, self._channels[topic], now_ns, "no longer due, after")
         return [] if event is None else [event]
 
     def end(self, now_ns: int) -> list[Event]:

@@ -412,8 +412,8 @@ class Core:
     def dropped_out(drive: DriveState) -> ProcedureError:
         """Return the error of a run whose drive left operation without a command."""
         return ProcedureError(
-            f"the drive went to {drive.dropped_out} by itself{drive.why}. Look at the log's events and at the drive, "
-            "then repeat the test"
+            f"the drive entered {drive.dropped_out} without a command{drive.why}. Look at the events of the log and at "
+            "the drive, then repeat the test"
         )
 
     def _disk_event(self, disk: DiskState, now_ns: int) -> Note:

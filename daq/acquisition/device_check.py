@@ -122,7 +122,7 @@ def _rate_checks(rate: Rate | None, nominal_Hz: float) -> Checks:
         return {"rate_Hz": Check(None, nominal_Hz, False, "too few samples")}
     bound = f"± {rate.bound_ppm:.0f} ppm in {rate.span_s:.1f} s"
     tolerance = f"± {rate.tolerance_ppm:.0f} ppm of the host's"
-    advice = "" if rate.certain else "; a longer check (--seconds 30) reduces the uncertainty"
+    advice = "" if rate.certain else "; a longer check (30 s) reduces the uncertainty"
     return {
         "rate_Hz": Check(round(rate.rate_Hz, 2), nominal_Hz, rate.rate_ok, bound),
         "clock_ppm": Check(round(rate.clock_ppm, 1), tolerance, rate.clock_ok, bound + advice),

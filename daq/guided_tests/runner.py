@@ -109,7 +109,7 @@ class Runner:
     def _done(self) -> TestDone:
         orders = self._orders
         if orders.kept is None:
-            error = NotReached(orders.missed or "the test's table begins no log")
+            error = NotReached(orders.missed or "the table of the test does not begin a log")
             error.aborted = orders.aborted
             raise error
         facts, warnings = orders.kept.summary, tuple(orders.warnings)

@@ -67,7 +67,7 @@ def is_stopped(_: Session, __: VirtualRigProcess, ___: pytest.MonkeyPatch) -> No
 
 
 SCENARIOS: dict[str, tuple[Trip, str]] = {
-    "drop-out": (drops_out, "the drive went to FAULT by itself"),
+    "drop-out": (drops_out, "the drive entered FAULT without a command"),
     "emergency": (has_an_emergency, "emergency 0x3220"),
     "silent line": (falls_silent, "laser_x: silent for 2 s"),
     "lost device": (is_lost, "laser_y|closed|descriptor|gone"),

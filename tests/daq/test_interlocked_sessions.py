@@ -142,7 +142,7 @@ def test_a_lone_emergency_is_said_and_kept(far_end: VirtualRigProcess, rig: Rig,
 
 
 def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
-    fault = r"drive went to FAULT by itself; emergency 0x3220, DC link under-voltage"
+    fault = r"drive entered FAULT without a command; emergency 0x3220, DC link under-voltage"
     with pytest.raises(ProcedureError, match=fault), Session(rig, far_end.clock) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 200)
