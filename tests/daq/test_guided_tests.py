@@ -102,7 +102,7 @@ def test_an_end_that_is_not_reached_is_said_kept_and_exits_1(
     assert "not reached  the top speed" in capsys.readouterr().out
 
 
-def test_check_exits_3_where_the_drive_is_not_known_to_have_let_go(
+def test_check_exits_3_if_the_drive_has_not_confirmed_its_release(
     virtual_rig: VirtualRigProcess, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rest = RotorCommand.bring_to_rest

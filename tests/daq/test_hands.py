@@ -69,7 +69,7 @@ def test_one_laser_is_checked_rings_down_and_is_identified(one: tuple[VirtualRig
     assert all(abs(found.values[name] - truth[name]) < 4 * found.std[name] for name in ("k1_N_per_m", "zeta1"))
 
 
-def test_pendulums_are_locked_let_go_and_flicked_by_hand(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
+def test_pendulums_are_locked_released_and_flicked_by_hand(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
     process, rig = hand
     with Session(rig, process.clock) as session:
         done = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet).spin_down()
@@ -98,7 +98,9 @@ def test_the_rotor_is_turned_and_the_pendulums_released_by_hand(
     assert messages == []
 
 
-def test_a_hand_that_turns_too_fast_is_told_to_stop(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
+def test_an_operator_who_turns_too_fast_is_instructed_to_stop(
+    hand: tuple[VirtualRigProcess, Rig], tmp_path: Path
+) -> None:
     process, rig = hand
     messages: list[str] = []
 
@@ -115,7 +117,7 @@ def test_a_hand_that_turns_too_fast_is_told_to_stop(hand: tuple[VirtualRigProces
         Procedures(session, SimulatedOperator(process.line), tmp_path, quiet).run_up(1300.0, 40.0)
 
 
-def test_an_index_sensor_that_dies_is_no_rotor_at_rest(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
+def test_a_failed_index_sensor_is_not_taken_for_rest(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
     process, rig = hand
     messages: list[str] = []
 
@@ -136,7 +138,7 @@ def test_an_index_sensor_that_dies_is_no_rotor_at_rest(hand: tuple[VirtualRigPro
     assert any("the state of the rotor is unknown" in text and "keep away" in text for text in messages)
 
 
-def test_a_covered_laser_ends_no_recording_of_a_rig_that_nobody_is_known_to_turn() -> None:
+def test_a_covered_laser_does_not_end_a_recording_without_a_commanded_speed() -> None:
     rig = load_rig("one_laser")
     interlocks = Interlocks(rig.limits, rig.roles, lambda s: s, driving=True)
     interlocks.begin(START_NS)
@@ -161,7 +163,7 @@ def test_other_makers_devices_record_turn_and_replay(tmp_path: Path) -> None:
 
 
 @given(st.floats(0.5, 40.0), st.floats(0.0, 0.5), st.floats(-0.9, 0.9))
-def test_a_release_lies_within_what_is_said_of_its_instant(torque: float, at: float, jerk: float) -> None:
+def test_the_time_of_a_release_lies_within_its_uncertainty(torque: float, at: float, jerk: float) -> None:
     """A pendulum starts from rest under a torque that changes by up to 90 % until its motion is detected."""
     time = np.arange(0.0, at + 3.0, 0.001)
     since = np.maximum(time - at, 0.0)

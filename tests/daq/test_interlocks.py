@@ -22,7 +22,7 @@ def patience(seconds: float) -> float:
     return seconds
 
 
-def test_a_sound_rig_is_never_stopped_and_nothing_is_silent() -> None:
+def test_a_rig_without_faults_is_not_stopped_and_no_channel_is_silent() -> None:
     with Bench() as bench:
         bench.turn(900)
         bench.pass_time(2.0)
@@ -77,7 +77,7 @@ def test_one_device_that_falls_silent_stops_a_turning_rotor(device: str) -> None
         assert "silent" in bench.why()
 
 
-def test_a_host_that_slept_is_no_silence() -> None:
+def test_a_suspended_host_does_not_make_channels_silent() -> None:
     with Bench() as bench:
         bench.turn(600)
         bench.now_s += 1.2  # no read and no tick for 1.2 s, then all bytes arrive together
@@ -86,7 +86,7 @@ def test_a_host_that_slept_is_no_silence() -> None:
         assert bench.events == []
 
 
-def test_a_rig_that_pauses_as_a_whole_is_no_silence() -> None:
+def test_a_pause_of_all_channels_is_not_a_silence() -> None:
     with Bench() as bench:
         bench.turn(600)
         bench.muted |= set(bench.pipelines)
@@ -102,7 +102,7 @@ def test_a_rig_that_is_silent_as_a_whole_stops_the_rotor() -> None:
         assert bench.pass_time(5.0, until_stop=True) <= 3.0
 
 
-def test_standing_still_together_is_no_fault() -> None:
+def test_constant_readings_of_both_sensors_are_not_a_fault() -> None:
     """A balanced rotor under noise-free sensors."""
     with Bench() as bench:
         bench.turn(600)
@@ -120,7 +120,7 @@ def test_without_any_noise_a_turning_rotor_is_not_stuck(rpm: int) -> None:
         assert bench.stops == []
 
 
-def test_a_flash_of_light_is_no_blindness() -> None:
+def test_a_flash_of_light_does_not_make_a_sensor_blind() -> None:
     with Bench() as bench:
         bench.turn(600)
         for _ in range(5):
@@ -131,7 +131,7 @@ def test_a_flash_of_light_is_no_blindness() -> None:
         assert bench.stops == []
 
 
-def test_at_rest_a_hand_before_the_sensor_is_an_event_and_stops_nothing() -> None:
+def test_at_rest_a_covered_sensor_is_an_event_and_not_a_stop() -> None:
     with Bench() as bench:
         bench.fails("laser_x", "code", 262076)
         bench.pass_time(3.0)
@@ -175,7 +175,7 @@ def test_a_lock_that_reports_a_fault_ends_the_test() -> None:
         assert "pendulum B fault" in bench.why()
 
 
-def test_silence_counts_while_it_lasts_and_is_an_event_at_both_ends() -> None:
+def test_a_silence_is_counted_continuously_and_has_an_event_at_both_ends() -> None:
     with Bench() as bench:
         bench.fails("encoder", "dead")
         bench.pass_time(10.0)
@@ -194,7 +194,7 @@ def test_silence_counts_while_it_lasts_and_is_an_event_at_both_ends() -> None:
         assert bench.interlocks.losses(bench.now_ns) == {}
 
 
-def test_a_silence_ends_with_its_log_and_goes_on_in_the_next() -> None:
+def test_a_silence_ends_with_its_log_and_is_reported_again_in_the_next() -> None:
     with Bench() as bench:
         bench.turn(300)
         bench.fails("encoder", "dead")
@@ -212,7 +212,7 @@ def test_a_silence_ends_with_its_log_and_goes_on_in_the_next() -> None:
 # --- rest --------------------------------------------------------------------------------------------------------
 
 
-def test_a_drive_that_says_zero_while_the_rotor_coasts_is_not_believed() -> None:
+def test_a_reported_speed_of_zero_is_rejected_while_the_rotor_coasts() -> None:
     with Bench() as bench:
         bench.turn(300)
         bench.fails("drive", "reported share", 0.0)
@@ -224,7 +224,7 @@ def test_a_drive_that_says_zero_while_the_rotor_coasts_is_not_believed() -> None
         assert bench.interlocks.at_rest(bench.now_ns) is True
 
 
-def test_without_a_word_of_the_drive_the_index_marks_tell_rest() -> None:
+def test_without_reports_of_the_drive_the_index_marks_decide_about_rest() -> None:
     with Bench() as bench:
         bench.turn(300)
         bench.fails("drive", "restart")
@@ -239,7 +239,7 @@ def test_without_a_word_of_the_drive_the_index_marks_tell_rest() -> None:
         assert bench.interlocks.at_rest(bench.now_ns) is None  # no source is available
 
 
-def test_a_word_that_is_too_old_counts_for_nothing() -> None:
+def test_a_report_that_is_too_old_is_not_used() -> None:
     with Bench() as bench:
         bench.fails("drive", "silent reports")
         bench.pass_time(1.0)
@@ -259,7 +259,7 @@ def test_a_word_that_is_too_old_counts_for_nothing() -> None:
         assert bench.interlocks.at_rest(bench.now_ns) is False, "a mark has come"
 
 
-def test_a_rotor_turned_by_hand_at_a_standing_drive_needs_no_guard() -> None:
+def test_a_rotor_turned_by_hand_with_the_drive_at_rest_is_not_guarded() -> None:
     with Bench() as bench:
         bench.fails("drive", "reported share", 0.0)
         bench.far.motion._rotor[1] = bench.far.motion._rotor[2] = 10.0  # a push; it runs down by itself
@@ -281,7 +281,7 @@ MOTIONS = st.lists(st.tuples(st.integers(-1100, 1100), st.integers(1, 80)), min_
 
 @settings(max_examples=15)
 @given(MOTIONS, st.integers(1, 40), st.floats(0, 0.03), st.floats(0, 0.2))
-def test_a_drive_that_follows_its_orders_never_ran_away(
+def test_a_drive_that_follows_its_commands_is_not_a_runaway(
     orders: list[tuple[int, int]], rows: int, noise: float, lag: float
 ) -> None:
     """Any commands, ramps and division into reads, with noise and overshoot: a drive that follows is not stopped."""
@@ -300,7 +300,7 @@ def test_a_drive_that_follows_its_orders_never_ran_away(
 
 
 @pytest.mark.parametrize(("rest_rpm", "stands"), [(1.0, False), (3.0, True)])
-def test_a_word_that_flickers_at_rest_is_rest_where_the_rig_file_says_so(rest_rpm: float, stands: bool) -> None:
+def test_reported_speeds_up_to_the_rig_file_s_limit_are_rest(rest_rpm: float, stands: bool) -> None:
     watch = RotorWatch(1200.0, lambda s: s, rest_rpm=rest_rpm)
     for k in range(100):
         watch.drive_reported(k * 10_000_000, np.array([2.0 * (-1) ** k]))
@@ -310,7 +310,7 @@ def test_a_word_that_flickers_at_rest_is_rest_where_the_rig_file_says_so(rest_rp
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.3, 0.8])
-def test_a_word_that_falls_to_rest_at_once_is_not_believed_against_the_marks(delay_s: float) -> None:
+def test_a_report_that_jumps_to_rest_does_not_override_index_marks(delay_s: float) -> None:
     """A drive without an encoder reports 0 rpm as soon as it is off, while the rotor coasts at 1000 rpm."""
     watch = RotorWatch(1300.0, lambda s: s)
     watch.commanded(1000.0)
@@ -329,7 +329,7 @@ def test_a_word_that_falls_to_rest_at_once_is_not_believed_against_the_marks(del
     assert at_rest[0] > ends_s
 
 
-def test_a_rotor_that_brakes_stands_as_soon_as_its_drive_says_so() -> None:
+def test_a_braked_rotor_is_at_rest_as_soon_as_the_drive_reports_it() -> None:
     watch = RotorWatch(1300.0, lambda s: s)
     watch.commanded(0.0)
     turns, angle = 0, 0.0
@@ -345,7 +345,7 @@ def test_a_rotor_that_brakes_stands_as_soon_as_its_drive_says_so() -> None:
 
 
 @given(st.integers(-1000, 1000), st.sampled_from([-1, 1]))
-def test_a_drive_that_goes_on_past_its_order_or_the_other_way_is_found(target: int, sign: int) -> None:
+def test_a_drive_beyond_its_command_or_in_reverse_is_a_runaway(target: int, sign: int) -> None:
     watch = RotorWatch(1200.0, patience)
     watch.commanded(float(target))
     way = sign if sign * target >= 0 else -sign
@@ -376,7 +376,7 @@ def test_the_share_of_bad_samples_is_that_of_the_newest_stretch(reads: list[tupl
 
 
 @given(st.lists(st.tuples(st.sampled_from(["a", "b", "c"]), st.integers(1, 900)), max_size=60))
-def test_silences_add_up_to_the_time_a_channel_was_not_heard(steps: list[tuple[str, int]]) -> None:
+def test_silences_add_up_to_the_time_without_samples(steps: list[tuple[str, int]]) -> None:
     """For any sequence of samples, beginnings and ends alternate, and the events add up to the counts."""
     watch = ChannelWatch({"a": ("one", 0.5), "b": ("one", 1.0), "c": ("two", float("inf"))}, patience)
     watch.begin(0, expected=True)
@@ -397,7 +397,7 @@ def test_silences_add_up_to_the_time_a_channel_was_not_heard(steps: list[tuple[s
 
 
 @pytest.mark.parametrize("slew", [0.4, 0.5, 2.5])
-def test_a_clock_map_that_catches_up_makes_no_rotor_too_fast(slew: float) -> None:
+def test_corrections_of_the_clock_map_do_not_make_the_rotor_too_fast(slew: float) -> None:
     """After a delay of the host the clock map converges slowly, and the mapped times have a wrong rate meanwhile."""
     rig = load_rig("virtual")
     interlocks = Interlocks(rig.limits, rig.roles, patience, driving=True)
@@ -421,7 +421,7 @@ def test_marks_that_are_too_fast_by_their_own_clock_are_found() -> None:
     assert watch.marks_received(10**18, 10**18 + k * 57_200_000, k * 40_000_000, k) is not None
 
 
-def test_a_rotor_braked_at_once_is_not_blamed_for_marks_still_in_the_air() -> None:
+def test_delayed_index_marks_of_a_braked_rotor_are_not_a_fault() -> None:
     watch = RotorWatch(1200.0, lambda s: s)
     now = START_NS
     for _ in range(60):  # 6 turns at 600 rpm in 0.6 s, whose marks the radio still holds
@@ -436,7 +436,7 @@ def test_a_rotor_braked_at_once_is_not_blamed_for_marks_still_in_the_air() -> No
     assert "no index mark for 6 turns" in (watch.unseen(now) or "")
 
 
-def test_marks_that_cease_are_no_rest_of_a_rotor_that_a_hand_turns() -> None:
+def test_missing_index_marks_are_not_rest_of_a_rotor_turned_by_hand() -> None:
     watch, now, turn = RotorWatch(1200.0, lambda s: s, driven=False), START_NS, 0
     watch.commanded(300.0)
     for _ in range(20):  # 300 rpm

@@ -36,7 +36,7 @@ def opened(name: str, *settings: str) -> tuple[LockstepRig, Session]:
 # --- the clock ---------------------------------------------------------------------------------------------------
 
 
-def test_what_is_due_is_done_in_order_and_only_while_somebody_waits() -> None:
+def test_actions_run_in_order_and_only_during_waits() -> None:
     clock, done = SimulatedClock(), []
     for seconds in (0.3, 0.1, 0.2, 0.1):
         clock.after(seconds, lambda s=seconds: done.append((s, round(clock.wall_s(), 3))))
@@ -46,7 +46,7 @@ def test_what_is_due_is_done_in_order_and_only_while_somebody_waits() -> None:
     assert clock.wall_s() == 0.25
 
 
-def test_a_busy_host_does_its_part_late_and_the_world_goes_on() -> None:
+def test_actions_of_a_busy_host_are_delayed_and_those_of_the_world_are_not() -> None:
     clock, done = SimulatedClock(), []
     clock.after(0.1, lambda: done.append(("host", clock.wall_s())))
     clock.after(0.2, lambda: done.append(("world", clock.wall_s())), world=True)
@@ -56,14 +56,14 @@ def test_a_busy_host_does_its_part_late_and_the_world_goes_on() -> None:
     assert clock.wall_s() >= 0.5  # who waits wakes up when the host does
 
 
-def test_what_is_done_meanwhile_must_not_wait() -> None:
+def test_actions_must_not_wait() -> None:
     clock = SimulatedClock()
     clock.after(0.1, lambda: clock.wait(1.0))
     with pytest.raises(WaitedInVain):
         clock.wait(1.0)
 
 
-def test_what_repeats_itself_ends_with_its_first_failure() -> None:
+def test_a_repeated_action_ends_with_its_first_failure() -> None:
     clock, times, failures = SimulatedClock(), [], []
 
     def do() -> None:
@@ -153,7 +153,7 @@ def test_a_pre_trigger_holds_the_seconds_before_the_pluck(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("rig", ["virtual", "other_devices"])
-def test_a_log_s_first_samples_bear_the_times_that_its_last_ones_do(rig: str, tmp_path: Path) -> None:
+def test_the_first_samples_of_a_log_are_timed_like_its_last_ones(rig: str, tmp_path: Path) -> None:
     """The clock states before the log are written to it, so that it decodes to the same times."""
     _, session = opened(rig)
     angles = session.rig.roles.angles
@@ -232,7 +232,7 @@ def wait_checking(session: Session, seconds: float) -> None:
         session.clock.wait(0.05)
 
 
-def test_an_adapter_that_is_plugged_in_elsewhere_is_found_and_the_rest_goes_on(tmp_path: Path) -> None:
+def test_an_adapter_on_another_port_is_found_and_the_other_devices_continue(tmp_path: Path) -> None:
     sim, session = opened("virtual")
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
@@ -285,7 +285,7 @@ def test_another_device_on_the_cable_is_left_alone(tmp_path: Path) -> None:
     assert any("instead of another" in notice for notice in session.notices)
 
 
-def test_nothing_is_looked_for_while_the_rotor_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_device_is_reopened_while_the_rotor_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A dialogue with a device that was plugged in again would delay the monitoring of the rotor."""
     sim, session = opened("virtual")
     with session:
@@ -342,7 +342,7 @@ def test_a_turning_rotor_that_runs_away_while_its_cable_is_out_is_stopped_once_i
 
 
 @pytest.mark.parametrize(("rig", "drive"), [("virtual", "drive"), ("other_devices", "motor")])
-def test_a_drive_that_falls_silent_at_rest_is_said_not_to_have_let_go_and_the_others_are_stopped(
+def test_a_silent_drive_at_rest_is_reported_as_not_released_and_the_others_are_stopped(
     rig: str, drive: str, tmp_path: Path
 ) -> None:
     sim, session = opened(rig)
@@ -367,7 +367,9 @@ def test_a_drive_that_falls_silent_at_rest_is_said_not_to_have_let_go_and_the_ot
 
 @pytest.mark.parametrize("rig", ["virtual", "other_devices"])
 @pytest.mark.parametrize("block", range(10))
-def test_whatever_goes_wrong_the_log_is_right_and_the_rotor_stops(rig: str, block: int, tmp_path: Path) -> None:
+def test_under_every_fault_schedule_the_log_is_correct_and_the_rotor_stops(
+    rig: str, block: int, tmp_path: Path
+) -> None:
     """200 schedules, each by its seed; `python -m benchmarks.fault_schedules` runs thousands."""
     known = load_rig(rig)
     for seed in range(10 * block, 10 * block + 10):
@@ -375,7 +377,7 @@ def test_whatever_goes_wrong_the_log_is_right_and_the_rotor_stops(rig: str, bloc
         assert result.wrong == [], (seed, result.schedule)
 
 
-def test_a_calm_run_trips_nothing(tmp_path: Path) -> None:
+def test_a_run_without_faults_does_not_trip(tmp_path: Path) -> None:
     result = run("virtual", draw(load_rig("virtual"), 3, calm=True), tmp_path)
     assert (result.wrong, result.ended) == ([], "")
 
@@ -428,7 +430,7 @@ def test_the_judge_sees_a_rotor_that_is_not_stopped(tmp_path: Path, monkeypatch:
     assert any("blind for" in text for text in found.wrong)
 
 
-def test_what_trips_on_the_way_to_speed_is_kept_although_no_log_had_begun(tmp_path: Path) -> None:
+def test_a_trip_during_the_spin_up_is_recorded_although_no_log_had_begun(tmp_path: Path) -> None:
     """The rotor passes both resonances before a point's log begins."""
     sim, session = opened("virtual")
     messages: list[str] = []
@@ -456,7 +458,9 @@ def test_what_trips_on_the_way_to_speed_is_kept_although_no_log_had_begun(tmp_pa
         assert 2.5 < before_s < 3.5
 
 
-def test_a_trip_before_the_log_that_cannot_be_kept_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trip_before_the_log_that_cannot_be_recorded_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     sim, session = opened("virtual")
     messages: list[str] = []
 
@@ -475,7 +479,7 @@ def test_a_trip_before_the_log_that_cannot_be_kept_is_said_so(tmp_path: Path, mo
     assert abs(sim.far.motion.speed_rad_s) < 0.2
 
 
-def test_a_test_that_ends_at_rest_before_its_log_keeps_none(tmp_path: Path) -> None:
+def test_a_test_that_ends_at_rest_before_its_log_records_none(tmp_path: Path) -> None:
     sim, session = opened("virtual")
     tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
     with session:
@@ -486,7 +490,7 @@ def test_a_test_that_ends_at_rest_before_its_log_keeps_none(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("test", ["spin-down", "ring-down-x"])
-def test_what_a_person_does_while_still_being_asked_counts(test: str, tmp_path: Path) -> None:
+def test_actions_of_the_operator_during_the_request_count(test: str, tmp_path: Path) -> None:
     """The request to the operator returns late: the column rings and the pendulums swing meanwhile."""
     sim, session = opened("virtual")
 

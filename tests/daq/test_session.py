@@ -194,7 +194,7 @@ def test_a_full_disk_ends_the_run_with_a_readable_log_and_a_stopped_rotor(tmp_pa
             assert len(log["laser/x"]) > 1000
 
 
-def test_the_control_port_asks_for_its_token(virtual_rig: VirtualRigProcess) -> None:
+def test_the_control_port_requires_its_token(virtual_rig: VirtualRigProcess) -> None:
     intruder = OperatorLine(virtual_rig.line._socket.getpeername()[1], "wrong")
     with pytest.raises(ValueError, match="token"):
         intruder.ask("truth")
@@ -277,7 +277,7 @@ def test_the_rest_of_a_cut_recording_is_never_written_over(tmp_path: Path) -> No
 
 
 @needs_posix
-def test_the_virtual_rig_ends_with_whoever_started_it() -> None:
+def test_the_virtual_rig_ends_with_its_parent_process() -> None:
     script = (
         "import sys, time\nfrom rig_cli.simulated import VirtualRigProcess\n"
         "rig = VirtualRigProcess('virtual', [], 1.0)\nprint(rig._process.pid, flush=True)\ntime.sleep(60)"

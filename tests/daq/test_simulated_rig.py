@@ -45,7 +45,7 @@ def test_answers_come_with_the_step_and_requests_move_the_rig() -> None:
     assert rig.do({"do": "state"}, 0.4)["time_s"] == pytest.approx(0.4)
 
 
-def test_what_a_device_holds_is_not_the_hands_and_a_rig_file_without_truth_is_none() -> None:
+def test_manual_actions_of_a_device_and_rigs_without_virtual_table_are_refused() -> None:
     rig = SimulatedRig(load_rig("virtual"))
     for act in ("lock", "release"):
         with pytest.raises(ValueError, match="encoder carries out this action"):
