@@ -42,7 +42,7 @@ LINE_S = 2.0
 Judge = Literal["channels", "session"]
 _STOP = "rotor stopped, test ended"
 _CONTINUES = "reported and recorded, exit 3; the run continues"
-_REOPENED = f"{_CONTINUES}, the device is opened again"
+_REOPENED = f"{_CONTINUES}, the device is reopened"
 _REPORT = "report of the device"
 
 
@@ -181,7 +181,7 @@ def _pendulum_rows() -> Iterator[Interlock]:
 def _device_rows() -> Iterator[Interlock]:
     yield Interlock(
         "restart",
-        "the drive; other devices while the rotor turns or the test needs them",
+        "the drive; others while the rotor turns or the test needs them",
         "a boot-up message, or counters that restart",
         _REPORT,
         "at once",
