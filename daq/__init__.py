@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from daq.log.recover import recover
     from daq.signals.run import Run, load_run
 
-_HOME = {  # loaded when first used: numba, only when a log is opened
+_MODULE_OF = {  # imported at first use: numba is loaded only when a log is opened
     "Log": "daq.log",
     "Run": "daq.signals.run",
     "load_run": "daq.signals.run",
@@ -26,7 +26,7 @@ __all__ = ["Log", "Run", "load_run", "open_log", "recover"]
 
 
 def __getattr__(name: str) -> Any:
-    """A public name from its room."""
-    if name not in _HOME:
+    """Import a public name from its module at first use."""
+    if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME[name]), name)
+    return getattr(importlib.import_module(_MODULE_OF[name]), name)

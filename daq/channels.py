@@ -1,17 +1,17 @@
-"""The log's channels: protobuf messages of only fixed-width fields, so that numpy can write and read them.
+"""Channels of a log: protobuf messages with fixed-width fields only, written and read with numpy.
 
-A protobuf field is a tag byte and its value. When every field has a fixed width and all are written in field order,
-each message of a channel has the same layout, which is a packed numpy dtype; a block of samples then becomes messages
-by assigning columns, and any protobuf reader still reads them. Fields carry their unit in their name.
+A protobuf field is a tag byte and its value. If every field has a fixed width and all fields are written in field
+order, every message of a channel has the same layout, which is a packed numpy dtype. A block of samples is converted to
+messages by assigning columns. Every protobuf reader can read them. Field names contain the unit.
 
-Raw bytes of devices (`raw/<device>`) are protobuf too, with a variable length; events and health are JSON.
+Raw bytes of devices (`raw/<device>`) are protobuf messages of variable length. Events and health reports are JSON.
 """
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from google.protobuf import descriptor_pb2
@@ -19,7 +19,7 @@ from google.protobuf.message import DecodeError
 from numpy.typing import ArrayLike, NDArray
 
 RX, TX = 0, 1
-"""Direction of raw bytes: from the device, to the device."""
+"""Direction of raw bytes: received from the device, transmitted to the device."""
 
 _FieldProto = descriptor_pb2.FieldDescriptorProto
 _KINDS: dict[str, tuple[str, int, Any]] = {  # numpy type, wire type, descriptor type
@@ -38,10 +38,10 @@ class Channel:
     """One sample channel.
 
     Attributes:
-        topic: name in the log.
-        schema_name: protobuf message, like ``rig.LaserSample``.
-        fields: (name with unit, kind) in field order; numbers count from 1, at most 15 so that a tag is one byte.
-        later: names of those fields that logs of earlier versions do not have; 0 where nobody gives them.
+        topic: name of the channel in the log.
+        schema_name: name of the protobuf message, for example ``rig.LaserSample``.
+        fields: (name with unit, kind) in field order. Field numbers are 1 … 15, so that a tag is one byte.
+        later: names of the fields that logs of earlier versions lack. Their default value is 0.
     """
 
     topic: str
@@ -51,7 +51,7 @@ class Channel:
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """Layout of one whole message: per field ``tag_<name>`` u1 and ``<name>``."""
+        """Layout of one message: for each field ``tag_<name>`` (u1) and ``<name>``."""
         parts: list[tuple[str, str]] = []
         for name, kind in self.fields:
             parts += [(_TAG + name, "u1"), (name, _KINDS[kind][0])]
@@ -68,24 +68,24 @@ class Channel:
 
     @cached_property
     def _only_tags(self) -> NDArray[Any]:
-        """One message of zeros as opaque bytes: repeating it fills the tags of a block in one pass."""
+        """One message of zeros as opaque bytes. Repeating it sets the tags of a block in one pass."""
         row = np.zeros(1, self.dtype)
         for name, tag in self._tags.items():
             row[_TAG + name] = tag
         return row.view(f"V{self.dtype.itemsize}")
 
     def pack(self, columns: Mapping[str, ArrayLike]) -> NDArray[Any]:
-        """Messages of a block of samples.
+        """Convert a block of samples to messages.
 
         Args:
-            columns: every field by name (those of `later` may be left out); arrays of shape (n,), or scalars that
-                stand for n equal values.
+            columns: values by field name; fields of `later` may be omitted. Arrays of shape (n,), or scalars that are
+                repeated n times.
 
         Returns:
-            Structured array (n,) of `dtype`, tags filled.
+            Structured array (n,) of `dtype` with all tags set.
 
         Raises:
-            ValueError: a field is missing or unknown, or lengths differ.
+            ValueError: a field is missing or unknown, or the lengths differ.
         """
         if columns.keys() != self._tags.keys():
             columns = dict.fromkeys(self.later, 0) | dict(columns)
@@ -100,16 +100,16 @@ class Channel:
         return out
 
     def unpack(self, messages: bytes | NDArray[Any]) -> dict[str, NDArray[Any]]:
-        """Columns of messages in the constant layout.
+        """Convert messages of the constant layout to columns.
 
         Args:
-            messages: whole messages back to back as bytes, or a structured array of `dtype`.
+            messages: complete, consecutive messages as bytes, or a structured array of `dtype`.
 
         Returns:
-            Field name to contiguous array (n,).
+            Contiguous array (n,) of each field, by field name.
 
         Raises:
-            ValueError: the length is no multiple of the message's, or a tag is not where it must be.
+            ValueError: the length is not a multiple of the message size, or a tag is wrong.
         """
         data = np.frombuffer(messages, self.dtype) if isinstance(messages, bytes) else messages
         for name, tag in self._tags.items():
@@ -118,10 +118,12 @@ class Channel:
         return {name: np.ascontiguousarray(data[name]) for name in self.names}
 
     def unpack_any(self, messages: Iterable[bytes]) -> dict[str, NDArray[Any]]:
-        """Columns of messages any protobuf writer may have made: fields omitted when 0, in any order, unknown ones.
+        """Convert messages of any protobuf writer to columns.
+
+        Such messages may omit fields that are 0, order fields differently and contain unknown fields.
 
         Raises:
-            ValueError: a message is no protobuf of this schema.
+            ValueError: a message is not a protobuf message of this schema.
         """
         by_tag = {
             tag: (name, np.dtype(_KINDS[kind][0]))
@@ -139,15 +141,15 @@ class Channel:
         return {name: np.array(rows[name], _KINDS[kind][0]) for name, kind in self.fields}
 
     def file_descriptor_set(self) -> bytes:
-        """The schema as MCAP wants it: a serialized FileDescriptorSet."""
+        """Return the schema as MCAP requires it: a serialized FileDescriptorSet."""
         return _descriptor_set(self.schema_name, [(name, _KINDS[kind][2]) for name, kind in self.fields])
 
     @classmethod
     def from_descriptor_set(cls, topic: str, schema_name: str, data: bytes) -> "Channel":
-        """The channel a schema in a log describes.
+        """Return the channel that a schema of a log describes.
 
         Raises:
-            ValueError: not a FileDescriptorSet, without that message, or with fields that are not fixed-width.
+            ValueError: `data` is not a FileDescriptorSet, lacks the message, or has fields of variable width.
         """
         files = descriptor_pb2.FileDescriptorSet()
         try:
@@ -165,11 +167,11 @@ def _fixed_width_fields(schema_name: str, message: Any) -> tuple[tuple[str, str]
     fields = sorted(message.field, key=lambda field: field.number)
     numbers = [field.number for field in fields]
     plain = all(field.type in _KIND_OF_TYPE and field.label != _FieldProto.LABEL_REPEATED for field in fields)
-    # names that are no UTF-8 come as bytes; two equal ones are no columns
+    # protobuf returns names that are not valid UTF-8 as bytes; duplicate names cannot be columns
     plain &= len({field.name for field in fields if isinstance(field.name, str) and field.name}) == len(fields)
     if not plain or not fields or numbers != list(range(1, len(fields) + 1)) or len(fields) > 15:
-        came = [(field.name, field.number) for field in fields]
-        raise ValueError(f"{schema_name}: expected 1 … 15 fixed-width fields numbered from 1, got {came}")
+        found = [(field.name, field.number) for field in fields]
+        raise ValueError(f"{schema_name}: expected 1 … 15 fixed-width fields numbered from 1, got {found}")
     return tuple((field.name, _KIND_OF_TYPE[field.type]) for field in fields)
 
 
@@ -197,7 +199,7 @@ def _varint(message: bytes, position: int) -> tuple[int, int]:
 
 
 def _fields(message: bytes) -> Iterable[tuple[int, bytes]]:
-    """Tag and value bytes of each field of a protobuf message; of a varint, the tag only."""
+    """Yield tag and value bytes of each field of a protobuf message. The value of a varint is empty."""
     position = 0
     while position < len(message):
         tag, position = _varint(message, position)
@@ -220,16 +222,16 @@ def _fields(message: bytes) -> Iterable[tuple[int, bytes]]:
 
 
 DEVICE_TICK_S = 1e-5
-"""Unit of `device_ticks` of displacement samples: their device's own clock."""
+"""Period of the device clock that `device_ticks` of displacement samples counts, s."""
 SUSPECT_BEFORE, SUSPECT_PLACES = 0x1, 10
-"""Bit of a displacement sample's flags: the sample so many places before it in the channel is suspect."""
+"""Bit of a displacement sample's flags, and the number of samples between the flag and the suspect sample before it."""
 ENCODER_FAULT_A, ENCODER_FAULT_B, BATTERY_LOW, LOCK_A_CLOSED, LOCK_B_CLOSED = 0x1, 0x2, 0x8, 0x20, 0x40
 """Bits of a pendulum sample's flags."""
 LOCKS_CLOSED = LOCK_A_CLOSED | LOCK_B_CLOSED
 
 
 def suspects(flags: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which displacement samples are suspect, from their channel's flags; both of shape (n,)."""
+    """Return a mask (n,) of the suspect displacement samples, from the channel's flags (n,)."""
     found = np.zeros(len(flags), bool)
     found[:-SUSPECT_PLACES] = (flags[SUSPECT_PLACES:] & SUSPECT_BEFORE) != 0
     return found
@@ -245,7 +247,7 @@ _LASER = (
 
 
 def displacement_channel(topic: str) -> Channel:
-    """The channel of a displacement sensor: "laser/x", "laser/y", or that of a witness."""
+    """Return the channel of a displacement sensor: "laser/x", "laser/y", or the channel of a witness."""
     return Channel(topic, "rig.LaserSample", _LASER, ("flags",))
 
 
@@ -279,17 +281,17 @@ NOTE_SCHEMA_NAME = "rig.Note"
 
 
 def raw_topic(device: str) -> str:
-    """Topic of a device's raw bytes."""
+    """Return the topic of a device's raw bytes."""
     return RAW_PREFIX + device
 
 
 def raw_descriptor_set() -> bytes:
-    """Schema of raw bytes: ``fixed32 direction = 1; bytes data = 2``."""
+    """Return the schema of raw bytes: ``fixed32 direction = 1; bytes data = 2``."""
     return _descriptor_set(RAW_SCHEMA_NAME, [("direction", _FieldProto.TYPE_FIXED32), ("data", _FieldProto.TYPE_BYTES)])
 
 
 def pack_raw(direction: int, data: bytes) -> bytes:
-    """One stretch of raw bytes as a message; direction `RX` or `TX`."""
+    """Convert one block of raw bytes to a message; `direction` is `RX` or `TX`."""
     size, length = bytearray(), len(data)
     while length >= 0x80:
         size.append(length & 0x7F | 0x80)
@@ -299,10 +301,10 @@ def pack_raw(direction: int, data: bytes) -> bytes:
 
 
 def unpack_raw(message: bytes) -> tuple[int, bytes]:
-    """Direction and bytes of a raw message.
+    """Return direction and bytes of a raw message.
 
     Raises:
-        ValueError: not a protobuf message.
+        ValueError: the message is not a protobuf message.
     """
     direction, data = RX, b""
     for tag, value in _fields(message):
@@ -314,16 +316,19 @@ def unpack_raw(message: bytes) -> tuple[int, bytes]:
 
 
 def note_schema() -> bytes:
-    """JSON schema of events and health: kind, device and text, beside them any numbers; the time is the message's."""
-    words = {name: {"type": "string"} for name in ("kind", "device", "text")}
-    return json.dumps({"title": NOTE_SCHEMA_NAME, "type": "object", "properties": words, "required": ["kind"]}).encode()
+    """Return the JSON schema of events and health reports.
+
+    The properties are kind, device and text, and any further numbers. The time is the time of the message.
+    """
+    texts = {name: {"type": "string"} for name in ("kind", "device", "text")}
+    return json.dumps({"title": NOTE_SCHEMA_NAME, "type": "object", "properties": texts, "required": ["kind"]}).encode()
 
 
 def pack_note(note: Mapping[str, Any]) -> bytes:
-    """An event or a health report as JSON; numbers that are no JSON (NaN, infinite) become null.
+    """Convert an event or a health report to JSON. NaN and infinite numbers become null.
 
     Raises:
-        ValueError: it has no kind.
+        ValueError: the note has no text under "kind".
     """
     if not isinstance(note.get("kind"), str):
         raise ValueError(f"expected a text under 'kind', got {note!r}")
@@ -332,7 +337,7 @@ def pack_note(note: Mapping[str, Any]) -> bytes:
 
 
 def _plain_number(value: Any) -> Any:
-    """Numpy numbers and arrays as JSON's own."""
+    """Convert numpy numbers and arrays to the types that JSON supports."""
     if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
+        return cast("NDArray[Any] | np.generic", value).tolist()
     raise TypeError(f"expected a JSON value, got {type(value).__name__}")

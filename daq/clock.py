@@ -1,12 +1,12 @@
-"""Device clocks onto the common clock.
+"""Maps of device clocks to the common clock.
 
-A sample made at device time d reaches the host at h = offset + rate·d + delay with delay ≥ some floor. The least
-delayed samples lie on the lower edge of h against d, so the straight line under all points that runs closest to them
-(the edge of the lower convex hull above the mean time) recovers offset and rate, up to the constant floor.
+A sample of device time d reaches the host at h = offset + rate·d + delay, where the delay has a lower bound. The least
+delayed samples lie on the lower edge of h against d. The line below all points with the least sum of distances (the
+edge of the lower convex hull at the mean time) therefore gives offset and rate, up to the constant bound of the delay.
 
-`ClockMap` follows that line causally while recording; its output is continuous and strictly increasing. Its rules have
-a number that a log keeps, so that old logs decode to the times that they hold.
-`fit_line` uses a whole log at once and says how well it knows the rate.
+`ClockMap` follows that line causally while recording. Its output is continuous and strictly increasing. The number of
+its rules is kept in every log, so that old logs decode to the same times.
+`fit_line` uses a whole log and estimates the standard uncertainty of the rate.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from numpy.typing import NDArray
 from daq.errors import DeviceError
 
 CLOCK_RULES = "clock_rules"
-"""Key of a device's identity, and of a log's facts: by which rules its bytes are decoded. See `clock_rules`."""
+"""Key of a device's identity and of a log's facts: number of the rules for decoding. See `clock_rules`."""
 FIRST_RULES, NEWEST_RULES = 1, 3
 _IN_ORDER_RULES = 3
 CLOCK_SEED = "clock_seed"
-"""Key of a device's identity: how its clock stood when the log began. See `ClockSeed`."""
+"""Key of a device's identity: state of the device clock at the start of the log. See `ClockSeed`."""
 _SEED_EARLY_NS, _SEED_LATE_NS = 5_000_000, 1_000_000_000
 _BIN_NS = 250_000_000
 _BINS = 120
-_SLEW = 0.5  # largest relative correction of the mapped clock's rate; below 1, so that time never runs backwards
-_STRAIGHT = 0.15  # mean distance of least lags from their line, in the samples' periods; a staircase's is 0.25 and more
-_SETTLE_NS = 300_000_000  # time constant of a correction: a first read that came late is soon made good
+_MAX_SLEW = 0.5  # largest relative correction of the mapped clock's rate; below 1, so that mapped times increase
+_MAX_STRAIGHT_JITTER = 0.15  # mean distance of the least lags from their line, sample periods; a staircase has ≥ 0.25
+_SETTLE_NS = 300_000_000  # time constant of a correction, short: the error of a delayed first read decays in about 1 s
 
 
 def lower_line(device: NDArray[np.floating], lag: NDArray[np.floating]) -> tuple[float, float]:
-    """The line under all points with the least sum of distances.
+    """Return the line below all points with the least sum of distances.
 
     Args:
-        device, lag: shape (n,), device time ascending, and host time minus device time, same unit.
+        device, lag: shape (n,), ascending device time, and host time minus device time in the same unit.
     Returns:
         Lag at device time 0 and slope.
     """
@@ -56,7 +56,7 @@ def lower_line(device: NDArray[np.floating], lag: NDArray[np.floating]) -> tuple
 def _edge(
     device: NDArray[np.float64], lag: NDArray[np.float64], middle: float
 ) -> tuple[int, int]:  # pragma: no cover - compiled
-    """The two points of the lower convex hull, of two points or more, between which its edge passes `middle`."""
+    """Return the indices of the two points of the lower convex hull on either side of `middle`; n ≥ 2."""
     hull, size = np.empty(len(device), np.int64), 0
     for i in range(len(device)):
         while size > 1:
@@ -74,29 +74,29 @@ def _edge(
 
 
 def compile_line() -> None:
-    """Load what is compiled, or compile it, before any read waits for it."""
+    """Compile `lower_line`, or load it from the cache, so that no read is delayed by the compilation."""
     lower_line(np.arange(3.0), np.zeros(3))
 
 
 def clock_rules(identity: Mapping[str, Any]) -> int:
-    """By which rules a pipeline decodes, its clock map first of all.
+    """Return the number of the rules by which a pipeline decodes and maps its clock.
 
-    From 3 on encoder blocks of a node wait at a hole for blocks that are sent again; for 1 and 2 see `ClockMap`.
+    From 3 on, encoder blocks after a gap wait for retransmitted blocks. For 1 and 2 see `ClockMap`.
 
     Args:
-        identity: as a pipeline is given it: of a log that is decoded again it holds the log's rules.
+        identity: identity of the device; if a log is decoded again, it contains the log's rules.
     """
     return int(identity.get(CLOCK_RULES, NEWEST_RULES))
 
 
 @dataclass(frozen=True)
 class ClockSeed:
-    """How a device's clock stood against the common one, as known before a log began.
+    """State of a device clock relative to the common clock, estimated before the start of a log.
 
     Attributes:
-        device_ns, host_ns: an instant by both clocks.
-        rate: common seconds for each of the device's, less 1.
-        wrap_ns: after which the device's clock begins again.
+        device_ns, host_ns: the same instant on the device clock and on the common clock, ns.
+        rate: common seconds per device second, minus 1.
+        wrap_ns: period after which the device clock wraps, ns.
     """
 
     device_ns: int
@@ -106,25 +106,25 @@ class ClockSeed:
 
     @classmethod
     def of(cls, identity: Mapping[str, Any]) -> ClockSeed | None:
-        """The one that a pipeline is given with its device's identity; None where there is none.
+        """Return the seed of a device's identity, or None if the identity has none.
 
         Raises:
-            DeviceError: no clock can stand so.
+            DeviceError: the values of the seed are invalid.
         """
-        told = identity.get(CLOCK_SEED)
-        if told is None:
+        values = identity.get(CLOCK_SEED)
+        if values is None:
             return None
         try:
-            seed = cls(**told)
+            seed = cls(**values)
             whole = all(type(ns) is int and abs(ns) < 2**63 for ns in (seed.device_ns, seed.host_ns, seed.wrap_ns))
-            if whole and seed.wrap_ns > 0 and type(seed.rate) is float and abs(seed.rate) < _SLEW:
+            if whole and seed.wrap_ns > 0 and type(seed.rate) is float and abs(seed.rate) < _MAX_SLEW:
                 return seed
         except TypeError:
             pass
-        raise DeviceError(f"clocks.json: expected device_ns, host_ns, rate and wrap_ns of a clock, got {told!r:.120}")
+        raise DeviceError(f"clocks.json: expected device_ns, host_ns, rate and wrap_ns of a clock, got {values!r:.120}")
 
     def host_at(self, device_ns: int, near_ns: int) -> int:
-        """Common time of an instant by the device's clock: of all that a wrap apart, the one nearest to `near_ns`."""
+        """Return the common time of a device time, ns; of the candidates one wrap apart, the nearest to `near_ns`."""
         ahead = device_ns - self.device_ns
         at_ns = self.host_ns + ahead + round(self.rate * ahead)
         turn_ns = self.wrap_ns + round(self.rate * self.wrap_ns)
@@ -132,13 +132,13 @@ class ClockSeed:
 
 
 class ClockMap:
-    """Causal map of one device's clock (ns, unwrapped) to the common clock (ns since 1970).
+    """Causal map of one device clock (ns, unwrapped) to the common clock (ns since 1970).
 
     Args:
-        tolerance_ppm: standard uncertainty of the device's rate; the estimated rate is kept within five of them.
-        rules: 1: a correction goes on until the next read, however late that comes; from 2 on: only until it is made
-            good; from 3 on nothing is learnt of samples older than those that came before.
-        seed: how the clock stood before; without it the first read counts as one that was not delayed.
+        tolerance_ppm: standard uncertainty of the device's rate. The estimated rate is limited to ± 5 of them.
+        rules: 1: a correction is applied until the next read. From 2 on: it is applied at most for its time constant.
+            From 3 on: samples that are older than earlier samples do not change the map.
+        seed: earlier state of the clock. Without it the first read is assumed to have no delay.
     """
 
     def __init__(self, tolerance_ppm: float, rules: int = NEWEST_RULES, seed: ClockSeed | None = None) -> None:
@@ -149,19 +149,19 @@ class ClockMap:
         self._bins: deque[tuple[int, float, float]] = deque(maxlen=_BINS)  # bin, device ns, lag ns (relative)
         self._device0 = 0
         self._host0 = 0
-        self._at = 0.0  # mapped line: device ns (relative) …
-        self._lag = 0.0  # … its lag there, …
-        self._slope = 0.0  # … its slope …
-        self._correction = 0.0  # … and what comes on top of it for the next `_correct_ns`
+        self._at = 0.0  # start of the current segment of the mapped line, device ns (relative)
+        self._lag = 0.0  # lag at `_at`, ns
+        self._slope = 0.0  # slope of the lag, with the correction
+        self._correction = 0.0  # part of the slope that applies for the next `_correct_ns` only
         self._line: tuple[float, float] | None = None
         self._started = False
 
     def map(self, device_ns: NDArray[np.int64], host_ns: int) -> NDArray[np.int64]:
-        """Times of the samples of one read, and learn from it.
+        """Return the common times of the samples of one read, ns, and update the map with the read.
 
         Args:
-            device_ns: shape (n,), n ≥ 1, device time of the samples, ascending.
-            host_ns: when the read returned; belongs to the last sample.
+            device_ns: shape (n,), n ≥ 1, ascending device time of the samples.
+            host_ns: time at which the read returned; it belongs to the last sample.
         """
         if not self._started:
             self._device0, self._host0 = int(device_ns[-1]), host_ns
@@ -178,7 +178,7 @@ class ClockMap:
         return times
 
     def _begin(self) -> None:
-        """Take over what was known of the clock, unless it is another one by now."""
+        """Apply the seed, unless it contradicts the first read (the device clock has been reset)."""
         if self._seed is None:
             return
         early = self._host0 - self._seed.host_at(self._device0, self._host0)
@@ -187,14 +187,14 @@ class ClockMap:
             self._bins.append((-1, 0.0, self._lag))
 
     def seed(self, wrap_ns: int) -> ClockSeed | None:
-        """How the clock stands now, for the map of the next log; None before the first read.
+        """Return the present state of the clock for the map of the next log, or None before the first read.
 
         Args:
-            wrap_ns: after which the device's clock begins again.
+            wrap_ns: period after which the device clock wraps, ns.
         """
         if not self._started:
             return None
-        lag, rate = self._target(self._at)  # where the mapped time is still on its way to
+        lag, rate = self._target(self._at)  # the fitted line, to which the mapped time still converges
         return ClockSeed(self._device0 + round(self._at), self._host0 + round(self._at + lag), float(rate), wrap_ns)
 
     def _learn(self, device: float, lag: float) -> None:
@@ -208,11 +208,11 @@ class ClockMap:
         target, slope = self._target(device)
         ahead = device - self._at
         here = self._lag + self._slope * ahead - self._correction * max(ahead - self._correct_ns, 0.0)
-        self._correction = max(-_SLEW, min(_SLEW, (target - here) / _SETTLE_NS))
+        self._correction = max(-_MAX_SLEW, min(_MAX_SLEW, (target - here) / _SETTLE_NS))
         self._at, self._lag, self._slope = device, here, slope + self._correction
 
     def _fit_closed_bins(self) -> None:
-        """A new line each time a bin is complete: often enough for a crystal, and cheap."""
+        """Fit the line each time a bin is complete. A crystal drifts slowly enough for that."""
         if len(self._bins) < 8:
             return
         points = np.array([b[1:] for b in self._bins])
@@ -231,13 +231,15 @@ class ClockMap:
 
 @dataclass(frozen=True)
 class ClockLine:
-    """host = offset_s + (1 + rate) · device, both in s.
+    """Line host = offset_s + (1 + rate) · device, both in s.
 
     Attributes:
+        offset_s: host time at device time 0, s.
+        rate: rate of the host clock relative to the device clock, minus 1.
         rate_std: standard uncertainty of the rate, relative.
-        jitter_s: mean distance of the least delayed reads from the line.
-        shared_std: what of rate_std every record of this clock has alike: as far as a rate was not read from the record
-            but taken from the clock's tolerance, all records are off by the same.
+        jitter_s: mean distance of the least delayed reads from the line, s.
+        shared_std: part of `rate_std` that is common to all records of this clock. It is the part that comes from the
+            clock's tolerance and not from the record.
     """
 
     offset_s: float
@@ -247,43 +249,45 @@ class ClockLine:
     shared_std: float
 
     def host_s(self, device_s: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Common-clock time of device times."""
+        """Return the common time of device times, s."""
         return self.offset_s + (1 + self.rate) * device_s
 
 
 def fit_line(
     device_s: NDArray[np.floating], host_s: NDArray[np.floating], tolerance_ppm: float, step_s: float = 0.0
 ) -> ClockLine:
-    """The line of a whole record, its rate combined with the clock's stated tolerance.
+    """Fit the line of a whole record and combine its rate with the stated tolerance of the clock.
 
-    A read tells the time of its last sample, which is up to a sample's period old. Where samples are fetched at random,
-    some have just been made. Where they are fetched in step (a whole number of periods apart: a bus that is polled
-    every millisecond, a sensor of 4 kHz) that age stays the same until the clocks have drifted apart by a period: the
-    lags are a staircase, and a record within one step of it does not show the drift at all. So a rate is not known
-    better than to a period in the record's length, unless the lags follow a line over more than a period without
-    stairs.
+    A read gives the time of its last sample, whose age is between 0 and one sample period. If reads are not synchronous
+    with the samples, the least age is close to 0. If reads are synchronous (a whole number of periods apart: a bus that
+    is polled every millisecond, a sensor of 4 kHz), the age is constant until the clocks have drifted apart by one
+    period. The lags are then a staircase, and a record within one step does not show the drift. The uncertainty of the
+    rate is therefore at least one period over the length of the record, unless the lags follow a straight line over
+    more than one period.
 
     Args:
-        device_s, host_s: shape (n,), device time of the last sample of each read and when the read returned.
+        device_s, host_s: shape (n,), device time of the last sample of each read, and time of its return, s.
         tolerance_ppm: prior standard uncertainty of the rate.
-        step_s: period of the samples.
+        step_s: sample period, s.
     """
     prior = 1e-6 * tolerance_ppm
     lag = host_s - device_s
-    # Long bins find less delayed reads, short ones leave more points: twenty balance the two.
+    # Long bins contain less delayed reads, short bins give more points. Twenty bins are the compromise.
     width = max(0.25, float(device_s[-1] - device_s[0]) / 20)
     bins = np.floor((device_s - device_s[0]) / width).astype(int)
-    best = np.array([group[np.argmin(lag[group])] for group in np.split(np.arange(len(lag)), _starts(bins))])
-    x, y = device_s[best] - device_s[0], lag[best] - lag[0]
+    groups = np.split(np.arange(len(lag)), _starts(bins))
+    best: NDArray[np.intp] = np.array([group[np.argmin(lag[group])] for group in groups], np.intp)
+    x: NDArray[np.floating] = device_s[best] - device_s[0]
+    y: NDArray[np.floating] = lag[best] - lag[0]
     span = float(x[-1])
     if len(x) < 8 or span < 1.5:
         offset = float(lag.min())
-        return ClockLine(offset, 0.0, prior, float(np.mean(y - y.min())), prior)
+        return ClockLine(offset, 0.0, prior, float(np.mean(y - float(np.min(y)))), prior)
     constant, slope = lower_line(x, y)
     jitter = float(np.mean(y - constant - slope * x))
-    straight = abs(slope) * span > step_s and jitter < _STRAIGHT * step_s
-    unseen = 0.0 if straight else step_s
-    own = np.hypot(max(jitter, 1e-6) * np.sqrt(12.0 / len(x)), unseen / np.sqrt(3.0)) / span
+    straight = abs(slope) * span > step_s and jitter < _MAX_STRAIGHT_JITTER * step_s
+    hidden_s = 0.0 if straight else step_s
+    own = np.hypot(max(jitter, 1e-6) * np.sqrt(12.0 / len(x)), hidden_s / np.sqrt(3.0)) / span
     weight = prior**2 / (prior**2 + own**2)
     rate = slope * weight
     offset = float(np.min(y - rate * x)) + float(lag[0]) - rate * float(device_s[0])
@@ -295,7 +299,10 @@ def _starts(bins: NDArray[np.int_]) -> NDArray[np.intp]:
 
 
 def steps_from(before: int, values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Differences of consecutive values, the first from `before`; shape (n,): a quick `np.diff` with prepend."""
+    """Return the differences of consecutive values, the first relative to `before`; shape (n,).
+
+    It is a faster `np.diff(values, prepend=before)`.
+    """
     steps = np.empty_like(values)
     steps[0] = values[0] - before
     np.subtract(values[1:], values[:-1], out=steps[1:])
@@ -303,14 +310,14 @@ def steps_from(before: int, values: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 class Unwrap:
-    """Continues a counter that wraps at `size` into an ever growing integer."""
+    """Converts a counter that wraps at `size` to a continuous integer."""
 
     def __init__(self, size: int) -> None:
         self._size = size
         self._last: int | None = None
 
     def feed(self, values: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Unwrapped values, each the nearest continuation of the one before; shape (n,)."""
+        """Return the unwrapped values, shape (n,), each the nearest continuation of the previous one."""
         raw = values.astype(np.int64)
         if len(raw) == 0:
             return raw

@@ -1,4 +1,4 @@
-"""Which software made a file."""
+"""Software version that is written into every file."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 
 def software_version() -> str:
-    """Version of the installed package."""
+    """Return the version of the installed package, or "unknown" if it is not installed."""
     try:
         return version("pendulum-balancer-rig")
     except PackageNotFoundError:

@@ -1,1 +1,1 @@
-"""An open rig: readers, recorder, and what watches its channels while they run."""
+"""Acquisition from an open rig: sessions, readers, the recorder, interlocks and channel watches."""

@@ -1,9 +1,9 @@
 # pyright: strict
-"""Which channels are silent, and for how long: judged channel by channel, counted while it lasts.
+"""Detection and duration of silent channels, for each channel separately.
 
-A device may go on sending bytes (a dongle reports its own health each second) while the channel it carries has died;
-so a channel is heard when samples of it come, and not otherwise. A silence is measured against the other channels: a
-host that was asleep heard none of them, and when it wakes up all are there at once. No clock and no I/O here.
+A device may continue to send bytes (a dongle reports its own health every second) although its channel has failed.
+Therefore only samples end a silence. A silence is measured relative to the other channels: if the host was suspended,
+all channels were silent, and all of them return together. The module has no clock and no I/O.
 """
 
 from __future__ import annotations
@@ -14,43 +14,46 @@ from dataclasses import dataclass
 from daq.drivers.items import Event
 
 HOST = "host"
-"""The device of an event the host itself makes: no bytes of a device hold it, so a replay does not look for it."""
+"""Device name in events of the host. A replay does not expect these events, since no device's bytes contain them."""
 
 
-_NEVER_S = 9e8
+_MAX_DEADLINE_S = 9e8  # stands for infinity in integer ns
 
 
 @dataclass
 class _Channel:
     device: str
     deadline_ns: int
-    heard_ns: int | None = None  # newest samples
-    suspect_ns: int | None = None  # first look that found it late
-    since_ns: int | None = None  # its silence in this log began here
-    counted_ns: int = 0  # silences of this log that are over
+    heard_ns: int | None = None  # host time of the newest samples; None before the channel is due
+    suspect_ns: int | None = None  # time of the first tick that found the channel late
+    since_ns: int | None = None  # start of the present silence in this log
+    counted_ns: int = 0  # duration of the silences of this log that have ended
 
 
 class ChannelWatch:
     """Deadlines of the channels.
 
     Args:
-        deadlines_s: by topic: device and rig seconds without a sample after which the channel counts as silent;
-            infinite where only `miss` can tell.
-        patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
+        deadlines_s: device and maximum time without a sample, rig s, by topic. The time is infinite if only `miss`
+            reports silences.
+        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
     """
 
     def __init__(self, deadlines_s: Mapping[str, tuple[str, float]], patience: Callable[[float], float]) -> None:
-        self._channels = {topic: _Channel(device, _ns(min(s, _NEVER_S))) for topic, (device, s) in deadlines_s.items()}
-        self._all_ns = _ns(patience(1.5))  # all silent at once: the host may be asleep, so longer
-        self._again_ns = _ns(patience(0.05))  # a second look must find the same
+        self._channels = {
+            topic: _Channel(device, _ns(min(s, _MAX_DEADLINE_S))) for topic, (device, s) in deadlines_s.items()
+        }
+        self._all_ns = _ns(patience(1.5))  # additional time if all channels are silent: the host may be suspended
+        self._again_ns = _ns(patience(0.05))  # least time between two ticks that must find the same channel late
         self._begun_ns = 0
         self._newest_ns = 0
 
     def begin(self, now_ns: int, expected: bool) -> None:
-        """A log begins: counts start at zero, a silence that lasts is one of the new log too.
+        """Begin a log: reset the counts. A silence that has not ended is reported again in the new log.
 
         Args:
-            expected: every channel is due from now on; else each from its first sample.
+            now_ns: host time, ns since 1970.
+            expected: whether every channel is due from now on; otherwise each is due from its first sample.
         """
         self._begun_ns = now_ns
         for channel in self._channels.values():
@@ -60,16 +63,16 @@ class ChannelWatch:
         self._newest_ns = max(self._newest_ns, now_ns if expected else 0)
 
     def heard(self, topic: str, host_ns: int) -> Event | None:
-        """Samples of a channel came; returns the end of its silence where there was one."""
+        """Register samples of a channel. Return the event that ends its silence, or None if it was not silent."""
         channel = self._channels.get(topic)
         if channel is None:
             return None
         self._newest_ns = max(self._newest_ns, host_ns)
         channel.heard_ns, channel.suspect_ns = host_ns, None
-        return self._over(topic, channel, host_ns, "came back after")
+        return self._over(topic, channel, host_ns, "samples again after")
 
     def tick(self, now_ns: int) -> list[Event]:
-        """Look at the deadlines; returns the silences that were found to have begun."""
+        """Check the deadlines. Return an event for each silence that has begun."""
         out: list[Event] = []
         for topic, channel in self._channels.items():
             if channel.since_ns is not None or self._late_ns(channel, now_ns) <= channel.deadline_ns:
@@ -83,7 +86,7 @@ class ChannelWatch:
         return out
 
     def miss(self, topic: str, since_ns: int, why: str) -> list[Event]:
-        """A channel is silent since an instant; returns the beginning of its silence unless that is known."""
+        """Register a silence since an instant. Return its event, or nothing if the channel is silent already."""
         channel = self._channels[topic]
         if channel.since_ns is not None:
             return []
@@ -92,25 +95,25 @@ class ChannelWatch:
         return [Event("silence", HOST, f"{topic}: silent, {why}", facts)]
 
     def excuse(self, topic: str, now_ns: int) -> list[Event]:
-        """A channel is not due any more; returns the end of its silence where there was one."""
-        event = self._over(topic, self._channels[topic], now_ns, "not due any more, after")
+        """End the silence of a channel that is no longer due. Return its event, if there was a silence."""
+        event = self._over(topic, self._channels[topic], now_ns, "no longer due, after")
         return [] if event is None else [event]
 
     def end(self, now_ns: int) -> list[Event]:
-        """The log ends: silences that last end with it."""
+        """End the silences with the log. Return their events."""
         ended = [self._over(t, c, now_ns, "still silent as the log ends, after") for t, c in self._channels.items()]
         return [event for event in ended if event is not None]
 
     def silent(self, topic: str) -> bool:
-        """Whether a channel is found silent now."""
+        """Return whether a channel is silent now."""
         return self._channels[topic].since_ns is not None
 
     def silent_s(self, topic: str, now_ns: int) -> float:
-        """How long a channel has not been heard, as far as others were, s; 0 for one that is not due yet."""
+        """Return the time since the last sample of a channel, relative to the other channels, s; 0 if it is not due."""
         return self._late_ns(self._channels[topic], now_ns) * 1e-9
 
     def losses(self, now_ns: int) -> dict[str, dict[str, int]]:
-        """Silence of this log so far by device, ms; devices and channels without any are left out."""
+        """Return the silence in this log so far by device and channel, ms. Values of 0 are omitted."""
         out: dict[str, dict[str, int]] = {}
         for topic, channel in self._channels.items():
             lasting = 0 if channel.since_ns is None else max(0, now_ns - channel.since_ns)

@@ -1,9 +1,9 @@
 # pyright: strict
-"""The acquisition's decisions. It does no I/O and reads no clock.
+"""Decisions of the acquisition, without I/O and without a clock.
 
-It is fed with a device's bytes and the host time they came or went, and with ticks. It answers with orders: what is to
-be kept in the log, what its operator has to learn at once, whether the rotor has to stop. Whoever holds the ports, the
-clock and the disk carries them out (`daq.acquisition.session`): in real time, or on a simulated clock.
+The input is the bytes of the devices with their host time, and ticks. The output is orders: bytes and events for the
+log, messages for the operator, stops of the rotor. The session, which owns ports, clock and disk, carries them out
+(`daq.acquisition.session`) in real time or on a simulated clock.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from daq.errors import DeviceError, LinkLost, ProcedureError
 from rig_configs.schema import Rig
 
 KEEP_S = 90.0
-"""How far back samples are at hand."""
+"""Age up to which samples are kept in memory, rig s."""
 PAST_S = 30.0
-"""How far back bytes are at hand, for a log that begins before something happens."""
-_PAST_BYTES = 8 * 2**20  # of one device
-_WATCH_S = 0.25  # wall seconds between two looks for silent devices, and at the disk
-_HEALTH_S = 1.0
-_REASON_S = 0.3  # wall seconds that a drive may take to report why it stopped
+"""Age up to which bytes are kept in memory for a log with a pre-trigger, rig s."""
+_MAX_PAST_BYTES = 8 * 2**20  # of one device
+_WATCH_PERIOD_S = 0.25  # of the check for silent devices, wall s
+_HEALTH_PERIOD_S = 1.0  # of health reports, rig s
+_MAX_REASON_DELAY_S = 0.3  # between the state of a drive that stopped and its report of the reason, wall s
 
 
 @dataclass(frozen=True)
 class Keep:
-    """Bytes and what they hold belong into the log, together or not at all."""
+    """Write bytes and the items decoded from them to the log, both or neither."""
 
     device: str
     direction: int
@@ -50,14 +50,14 @@ class Keep:
 
 @dataclass(frozen=True)
 class Happened:
-    """A device reported something; whoever waits for it has to learn of it."""
+    """Forward an event of a device to the observers and to the dialogue that waits for it."""
 
     event: Event
 
 
 @dataclass(frozen=True)
 class Note:
-    """An event that the host found belongs into the log."""
+    """Write an event of the host to the log."""
 
     event: Event
     host_ns: int
@@ -65,34 +65,34 @@ class Note:
 
 @dataclass(frozen=True)
 class Report:
-    """A health report belongs into the log."""
+    """Write a health report to the log."""
 
     facts: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Warn:
-    """The operator has to learn this at once."""
+    """Show a message to the operator immediately."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class StopRotor:
-    """The drive, where there is one, has to stop the rotor as fast as it can."""
+    """Stop the rotor with the drive as fast as possible. Without a drive the order has no effect."""
 
 
 Order = Keep | Happened | Note | Report | Warn | StopRotor
 
 
 @dataclass(frozen=True)
-class DriveSeen:
-    """How the speed source stands.
+class DriveState:
+    """State of the speed source.
 
     Attributes:
-        enabled: whether it holds a speed.
-        dropped_out: the state it fell into by itself; None while it has not.
-        why: its reason, in words; empty without one.
+        enabled: whether it controls the speed.
+        dropped_out: state that the drive entered without a command; None if it did not.
+        why: text of the reason; empty if unknown.
     """
 
     enabled: bool
@@ -101,7 +101,7 @@ class DriveSeen:
 
 
 class _Past:
-    """The newest bytes of a device, in either direction, each with its host time: bounded in age and size."""
+    """The newest bytes of a device in both directions with their host times, bounded in age and size."""
 
     def __init__(self) -> None:
         self._reads: deque[tuple[int, bytes, int]] = deque()
@@ -111,7 +111,7 @@ class _Past:
         reads = self._reads
         reads.append((direction, data, host_ns))
         self._size += len(data)
-        while reads[0][2] < host_ns - PAST_S * 1e9 or self._size > _PAST_BYTES:
+        while reads[0][2] < host_ns - PAST_S * 1e9 or self._size > _MAX_PAST_BYTES:
             self._size -= len(reads.popleft()[1])
 
     def since(self, since_ns: int) -> list[tuple[int, bytes, int]]:
@@ -119,24 +119,27 @@ class _Past:
 
 
 class Core:
-    """See the module. Several threads may feed it, one a device; one ticks.
+    """Decides what is recorded, reported and stopped; see the module.
+
+    Several threads may call `feed`, one for each device. One thread calls `tick`.
 
     Args:
         rig: the rig file.
-        patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
-        driving: whether this session may turn the rotor; one that only listens stops nothing.
+        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
+        driving: whether this session may turn the rotor. Sessions that only receive stop nothing.
 
     Attributes:
-        commanding: whether what is found has to end the run.
-        guarding: whether anything is stopped at all: not while devices are opened, nor once they are closed.
-        lenient: whether a device that is not what the rig file says is only reported, as by `rig check`.
-        closing: the end of the session is under way.
-        trouble: the first thing that ended the run; None as long as it is fine.
-        notices: what the operator learnt: a run with any is not a clean one.
-        bytes_in: from each device so far.
-        gone: devices whose link is lost, each with why.
-        mute: devices whose link stands, and that have sent nothing for long.
-        trips: what interlocks found while the log is recorded.
+        commanding: whether findings of the interlocks end the run.
+        guarding: whether the interlocks are active. They are inactive while devices are opened and after they are
+            closed.
+        lenient: whether deviations from the rig file are only reported, as `rig check` requires.
+        closing: whether the session has been closed.
+        trouble: the first error that ended the run; None if there is none.
+        notices: warnings shown to the operator. A run with warnings is not a clean run.
+        bytes_in: number of bytes received, by device.
+        gone: reason of the lost link, by device.
+        mute: devices that have an open link and have sent nothing for `LINE_S`.
+        trips: findings of the interlocks in the log that is being recorded.
     """
 
     def __init__(self, rig: Rig, patience: Callable[[float], float], *, driving: bool) -> None:
@@ -148,7 +151,7 @@ class Core:
         self.pipelines: dict[str, Pipeline] = {}
         self.commanding = self.guarding = self.lenient = self.closing = False
         self.trouble: Exception | None = None
-        self._end: Note | None = None  # of the run, with its trouble
+        self._end: Note | None = None  # the event that ended the run
         self.notices: list[str] = []
         self.bytes_in = dict.fromkeys(self._known, 0)
         self.gone: dict[str, str] = {}
@@ -166,17 +169,19 @@ class Core:
     def _no_trips(self) -> Trips:
         return Trips(channels_of(self._rig.devices).values(), self._rig.roles, self._patience)
 
-    # --- a log begins ------------------------------------------------------------------------------------------
+    # --- a log begins --------------------------------------------------------------------------------------------
 
     def begin(self, pipelines: Mapping[str, Pipeline], now_ns: int, before_s: float = 0.0) -> list[Keep | Note]:
-        """Fresh pipelines: the log that begins now decodes to the same samples by itself. No device is fed meanwhile.
+        """Begin a log with new pipelines, so that the log alone decodes to the same samples.
+
+        `feed` must not be called meanwhile.
 
         Args:
-            pipelines: of every device.
-            before_s: how much of what came before belongs to it, s; at most `PAST_S`.
+            pipelines: new pipeline of every device.
+            before_s: length of the pre-trigger, s; at most `PAST_S`.
 
         Returns:
-            What of that has to be kept: what came, and what ended the run.
+            Content of the pre-trigger for the log: bytes with their samples, and the event that ended the run.
         """
         self.pipelines = dict(pipelines)
         self._undecodable.clear()
@@ -203,20 +208,19 @@ class Core:
         return sorted(out, key=lambda kept: kept.host_ns)
 
     def finish(self, now_ns: int) -> Iterator[Keep]:
-        """No more bytes come before the log's end: what pipelines still hold back belongs into it too."""
+        """Yield the items that the pipelines still hold back, after the last bytes of the log."""
         for name in self._known:
             kept = self._decoded(name, RX, b"", now_ns)
             if kept.items:
                 yield kept
 
     def end(self, now_ns: int) -> tuple[dict[str, Any], list[Event]]:
-        """The log ends.
+        """End the log.
 
         Returns:
-            Facts for its summary: losses, channels that were off their rate, what the operator learnt; and what else
-            belongs into it.
+            Facts for the summary of the log (losses, channels with a wrong rate, warnings), and its last events.
         """
-        facts: dict[str, Any] = {"losses": self.losses(now_ns)}  # a silence counts as its event reports it
+        facts: dict[str, Any] = {"losses": self.losses(now_ns)}  # before the silences end, as in their events
         if wrong_rates := self.rates.summary():
             facts["rates"] = wrong_rates
         if self.notices:
@@ -224,14 +228,14 @@ class Core:
         return facts, [*self.interlocks.end(now_ns), *self.trips.end(now_ns, self.recent)]
 
     def renew(self, device: str, pipeline: Pipeline) -> None:
-        """A fresh pipeline for one device; it is not fed meanwhile."""
+        """Give one device a new pipeline. `feed` must not be called for this device meanwhile."""
         self.pipelines[device] = pipeline
         self._undecodable.discard(device)
 
-    # --- what comes --------------------------------------------------------------------------------------------
+    # --- bytes of the devices ------------------------------------------------------------------------------------
 
     def feed(self, device: str, direction: int, data: bytes, host_ns: int) -> Iterator[Order]:
-        """Bytes came from a device or went to it; each order is to be carried out before the next one is asked for."""
+        """Process bytes from or to a device. The caller carries out each order before it requests the next one."""
         if direction == RX:
             self.bytes_in[device] += len(data)
             self._heard_ns[device] = host_ns
@@ -241,7 +245,7 @@ class Core:
         for item in kept.items:
             if isinstance(item, Batch):
                 self.recent.add(item)
-                yield from self._heed(self.interlocks.feed(item, host_ns), host_ns)
+                yield from self._act_on(self.interlocks.feed(item, host_ns), host_ns)
                 continue
             yield Happened(item)
             if item.kind == "emergency":
@@ -249,16 +253,16 @@ class Core:
             elif item.kind == "undecodable":
                 yield from self.warn(item.text)
             if self.guarding and item.kind not in ("reply", "acknowledge"):
-                yield from self._heed(self.interlocks.happened(item), host_ns)
+                yield from self._act_on(self.interlocks.happened(item), host_ns)
 
     def _decoded(self, device: str, direction: int, data: bytes, host_ns: int) -> Keep:
-        """Bytes with what they hold; bytes that no decoder takes are those the log needs most."""
+        """Decode bytes. If the decoder fails, the bytes are kept and the device is no longer decoded."""
         found: list[Batch | Event] = []
         if device not in self._undecodable:
             try:
                 found = self.pipelines[device].feed(direction, data, host_ns)
                 found += self.rates.feed(found, host_ns)
-            except Exception as error:  # a decoder's bug
+            except Exception as error:  # a bug of the decoder
                 self._undecodable.add(device)
                 text = f"{device}: its bytes are kept, but no longer decoded ({type(error).__name__}: {error})"
                 found = [Event("undecodable", HOST, text, {"of": device})]
@@ -269,8 +273,8 @@ class Core:
         if words and not self.closing:
             yield from self.warn(f"{event.device}: emergency {words}. The run is not clean")
 
-    def _heed(self, found: Iterable[Event | Stop], host_ns: int) -> Iterator[Order]:
-        """What follows from what the interlocks found."""
+    def _act_on(self, found: Iterable[Event | Stop], host_ns: int) -> Iterator[Order]:
+        """Convert findings of the interlocks to orders."""
         for item in found:
             if isinstance(item, Event):
                 yield Note(item, host_ns)
@@ -280,7 +284,7 @@ class Core:
                 yield from self.warn(item.text)
 
     def _tripped(self, stop: Stop, host_ns: int) -> Iterator[Order]:
-        """The first one ends the run; those that come with it are named too."""
+        """Add a stop to the trip. The first one ends the run."""
         self.trips.tripped(stop.interlock, stop.text, host_ns)
         if self.trouble is None:
             kind = DeviceError if stop.cause == "device" else ProcedureError
@@ -289,12 +293,12 @@ class Core:
 
     @property
     def _stopped(self) -> str:
-        return "stop the rotor" if self._rig.roles.speed is None else "the rotor was told to stop"
+        return "stop the rotor" if self._rig.roles.speed is None else "the rotor was commanded to stop"
 
-    # --- what ends the run -------------------------------------------------------------------------------------
+    # --- errors that end the run ---------------------------------------------------------------------------------
 
     def fail(self, error: Exception, now_ns: int) -> Iterator[Order]:
-        """Something ends the run: the first one counts. The rotor is stopped each time: an order may have got lost."""
+        """End the run with its first error, and stop the rotor with every error, since a stop order may get lost."""
         with self._first:
             first = self.trouble is None
             if first:
@@ -309,9 +313,10 @@ class Core:
             yield self._end
 
     def lost(self, device: str, error: Exception, now_ns: int) -> Iterator[Order]:
-        """A device's link is gone: the run's end while the rotor turns or devices are opened, else a gap of one device.
+        """Handle the loss of a device's link.
 
-        A link that fails with anything but LinkLost is a fault of this software, and the run's end.
+        The run ends if the rotor turns, while devices are opened, and if no device is left. Otherwise the run continues
+        with a gap of one device. An error other than LinkLost is a bug of this software and always ends the run.
         """
         turning = self._driving and self.interlocks.turning(now_ns)
         if isinstance(error, LinkLost):
@@ -319,54 +324,56 @@ class Core:
         if turning or not self.guarding or not isinstance(error, LinkLost):
             yield from self.fail(error, now_ns)
             return
-        if len(self.gone) == len(self._known):  # none is left to go on
+        if len(self.gone) == len(self._known):  # no device is left
             yield from self.fail(error, now_ns)
             return
         yield Note(Event("gone", HOST, str(error), {"of": device}), now_ns)
-        yield from self.warn(f"{error}. The others go on; it is looked for")
+        yield from self.warn(f"{error}. The other devices continue; the program tries to open it again")
 
     def back(self, device: str, port: str, now_ns: int) -> Iterator[Order]:
-        """A device that was gone streams again."""
+        """Record that a device with a lost link streams again."""
         self.gone.pop(device, None)
-        self.rates.begin_anew(device)
+        self.rates.restart(device)
         self._heard_ns[device] = now_ns
         yield Note(Event("back", HOST, f"{device}: streams again, on {port}", {"of": device, "port": port}), now_ns)
 
     def warn(self, text: str) -> Iterator[Order]:
-        """The operator learns something, once; it stays on record."""
+        """Show a warning to the operator once, and keep it in `notices`."""
         if text not in self.notices:
             self.notices.append(text)
             yield Warn(f"warning: {text}")
 
     def permit(self, rpm: float | None, now_ns: int) -> None:
-        """Ask before the rotor is made ready to turn (None), or ordered to turn at a speed.
+        """Permit that the rotor is prepared to turn (`rpm` is None), or turned at a speed.
 
         Raises:
-            DeviceError, ProcedureError: it must not.
+            DeviceError: a device that guards the rotor is missing or has failed.
+            ProcedureError: the speed exceeds the limit.
         """
         if self.trouble is not None:
             raise self.trouble
         limit = self._rig.limits.speed_rpm
         if rpm is not None and abs(rpm) > limit:
-            raise ProcedureError(f"{rpm:.0f} rpm wanted, limits.speed_rpm is {limit:.0f}: the drive was not told")
+            raise ProcedureError(f"{rpm:.0f} rpm requested, limits.speed_rpm is {limit:.0f}: no speed was commanded")
         if rpm != 0 and (obstacles := self.interlocks.obstacles(now_ns)):
             raise DeviceError(f"the rotor is not turned: {'; '.join(obstacles)}")
         if rpm is not None:
             self.interlocks.told(rpm)
 
-    # --- time passes -------------------------------------------------------------------------------------------
+    # --- ticks ---------------------------------------------------------------------------------------------------
 
     def tick(
-        self, now_ns: int, drive: DriveSeen | None, disk: DiskState | None, disk_trouble: Exception | None
+        self, now_ns: int, drive: DriveState | None, disk: DiskState | None, disk_trouble: Exception | None
     ) -> Iterator[Order]:
-        """Some ten times a second of the wall.
+        """Check deadlines, drive and disk. It is called every `LOOK_S` of wall time.
 
         Args:
-            drive: the speed source; None where there is none that is open.
-            disk: how the disk keeps up; None while nothing is recorded.
-            disk_trouble: why the recording has to end; None as long as it is fine.
+            now_ns: host time, ns since 1970.
+            drive: state of the speed source; None if no speed source is open.
+            disk: state of the disk; None if no log is recorded.
+            disk_trouble: error that ends the recording; None if there is none.
         """
-        yield from self._heed(self.interlocks.tick(now_ns), now_ns)
+        yield from self._act_on(self.interlocks.tick(now_ns), now_ns)
         for event in self.trips.tick(now_ns, self.recent):
             yield Note(event, now_ns)
         if drive is not None and self.guarding:
@@ -376,18 +383,21 @@ class Core:
         if disk_trouble is not None:
             yield from self.fail(disk_trouble, now_ns)
         if now_ns >= self._watch_ns:
-            self._watch_ns = now_ns + round(self._patience(_WATCH_S) * 1e9)
+            self._watch_ns = now_ns + round(self._patience(_WATCH_PERIOD_S) * 1e9)
             yield from self._look_for_silence(now_ns)
         if disk is not None and now_ns >= self._health_ns:
-            self._health_ns = now_ns + int(_HEALTH_S * 1e9)
-            facts = {"kind": "health", "device": "host", "text": "", "losses": self.losses(now_ns)}
+            self._health_ns = now_ns + int(_HEALTH_PERIOD_S * 1e9)
+            facts = {"kind": "health", "device": HOST, "text": "", "losses": self.losses(now_ns)}
             yield Report({**facts, "disk": disk.facts(), "bytes": dict(self.bytes_in)})
 
-    def _look_at_drive(self, drive: DriveSeen, now_ns: int) -> Iterator[Order]:
-        """One that left operation by itself is stopped at once; its reason may come a little after its state."""
+    def _look_at_drive(self, drive: DriveState, now_ns: int) -> Iterator[Order]:
+        """Stop a drive that left operation without a command.
+
+        The stop is immediate. The run ends when the drive has reported its reason, or after `_MAX_REASON_DELAY_S`.
+        """
         if self.trouble is not None:
             if drive.enabled:
-                yield from self.fail(self.trouble, now_ns)  # again: one frame may be lost
+                yield from self.fail(self.trouble, now_ns)  # repeated, since a frame may be lost
             return
         if drive.dropped_out is None:
             self._dropped_ns = None
@@ -395,15 +405,15 @@ class Core:
         if self._dropped_ns is None:
             self._dropped_ns = now_ns
             yield StopRotor()
-        if drive.why or now_ns - self._dropped_ns > self._patience(_REASON_S) * 1e9:
+        if drive.why or now_ns - self._dropped_ns > self._patience(_MAX_REASON_DELAY_S) * 1e9:
             yield from self.fail(self.dropped_out(drive), now_ns)
 
     @staticmethod
-    def dropped_out(drive: DriveSeen) -> ProcedureError:
-        """The end of a run whose drive left operation by itself."""
+    def dropped_out(drive: DriveState) -> ProcedureError:
+        """Return the error of a run whose drive left operation without a command."""
         return ProcedureError(
-            f"the drive went to {drive.dropped_out} by itself{drive.why}. Look at the log's events and at the drive, "
-            "then repeat the test"
+            f"the drive entered {drive.dropped_out} without a command{drive.why}. Look at the events of the log and at "
+            "the drive, then repeat the test"
         )
 
     def _disk_event(self, disk: DiskState, now_ns: int) -> Note:
@@ -416,26 +426,26 @@ class Core:
         return Note(Event("disk", HOST, text, disk.facts()), now_ns)
 
     def _look_for_silence(self, now_ns: int) -> Iterator[Order]:
-        """The operator learns of a device that sends nothing at all; interlocks decide whether that ends the run."""
+        """Warn of devices that send no bytes. The interlocks decide whether the run ends."""
         limit_ns = self._patience(LINE_S) * 1e9
-        still = {name for name, heard in self._heard_ns.items() if now_ns - heard > limit_ns} - set(self.gone)
-        certain = still & self._suspect if self.commanding and self.guarding else set[str]()
-        for name in sorted(certain - self.mute):  # seen twice: no host that was asleep
+        silent = {name for name, heard in self._heard_ns.items() if now_ns - heard > limit_ns} - set(self.gone)
+        certain = silent & self._suspect if self.commanding and self.guarding else set[str]()
+        for name in sorted(certain - self.mute):  # found twice, so the host was not suspended
             text = f"{name}: silent for {LINE_S:g} s. Look at its cable, its power, its battery"
             yield Note(Event("silent", HOST, text, {"of": name}), now_ns)
             yield from self.warn(text)
-        for name in sorted(self.mute - still - set(self.gone)):
+        for name in sorted(self.mute - silent - set(self.gone)):
             yield Note(Event("heard", HOST, f"{name}: heard again", {"of": name}), now_ns)
-        self._suspect, self.mute = still, (self.mute | certain) & still
+        self._suspect, self.mute = silent, (self.mute | certain) & silent
 
-    # --- what is known -----------------------------------------------------------------------------------------
+    # --- state ---------------------------------------------------------------------------------------------------
 
     @property
     def calm(self) -> bool:
-        """Whether nothing turns that a sample could stop, and no dialogue of the opening waits for an answer."""
+        """Whether the interlocks are active and the rotor is at rest, so that samples may be processed later."""
         return self.guarding and self.interlocks.resting
 
     def losses(self, now_ns: int) -> dict[str, dict[str, int]]:
-        """Counted losses of every device since the log began; a silence counts while it lasts."""
+        """Return the losses of every device since the start of the log, including silences that have not ended."""
         silences = self.interlocks.losses(now_ns)
         return {name: {**pipeline.losses, **silences.get(name, {})} for name, pipeline in self.pipelines.items()}

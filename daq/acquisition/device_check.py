@@ -1,8 +1,8 @@
 # pyright: strict
-"""What a short look at an open rig shows, held against its rig file: a verdict per device and per check.
+"""Comparison of a short observation of an open rig with its rig file: a verdict for each device and check.
 
-Pure: fed with what was seen (`Look`), it does no I/O and reads no clock. A short look is honest about what it can
-show: rates come with how far they may be off, and a quantity that was not seen is a failed check, not a passed one.
+The input is the observation (`Look`); the module has no I/O and no clock. Rates are given with their uncertainty. A
+quantity that was not observed is a failed check.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from daq.drivers.items import Event
 from rig_configs.roles import Displacement, PendulumAngles
 from rig_configs.schema import Limits, Rig
 
-_INVALID_SHARE = 0.01  # of a laser's samples at rest; a flash of light is none
-_RADIO_SHARE = 0.05  # of the samples that come by radio; more, and angles are missing for long
-_SPEED_REPORTS_HZ = 10.0  # least that tells of a drive's speed in time
+_MAX_INVALID_SHARE = 0.01  # of a laser's samples at rest; single flashes of light are allowed
+_MAX_RADIO_LOSS_SHARE = 0.05  # of the samples sent by radio; larger losses make long gaps in the angles
+_MIN_SPEED_REPORTS_HZ = 10.0  # for the interlocks of the drive's speed
 
 
 @dataclass(frozen=True)
 class AnglesSeen:
-    """The pendulums' samples of the look.
+    """Pendulum samples of the observation.
 
     Attributes:
-        theta_rad: newest angles, shape (n, 2).
-        flags: of all samples.
+        theta_rad: newest angles, rad, shape (n, 2).
+        flags: flags of all samples, shape (m,), m ≥ n.
     """
 
     theta_rad: NDArray[np.floating]
@@ -42,7 +42,12 @@ class AnglesSeen:
 
 @dataclass(frozen=True)
 class SpeedSeen:
-    """The speed source's reports of the look: how many a second, and the newest speed."""
+    """Reports of the speed source in the observation.
+
+    Attributes:
+        reports_Hz: reports per second.
+        speed_rpm: newest speed; NaN if unknown.
+    """
 
     reports_Hz: float
     speed_rpm: float
@@ -50,16 +55,16 @@ class SpeedSeen:
 
 @dataclass(frozen=True)
 class Look:
-    """What was seen of a rig.
+    """Observation of a rig.
 
     Attributes:
-        seconds: how long was looked.
-        rates: of the channels with a device's clock, by topic.
-        losses: counted while looking, by device and kind.
-        events: of all devices.
-        displacement_m: of the disk centre, by axis; NaN where invalid.
-        angles, speed: None where the rig has no such device.
-        own: what the devices' drivers looked at, by device.
+        seconds: duration, s.
+        rates: rates of the channels with a device clock, by topic; None if unknown.
+        losses: losses during the observation, by device and kind.
+        events: events of all devices.
+        displacement_m: displacement of the disk centre, m, by axis; NaN for invalid samples.
+        angles, speed: None if the rig has no such device.
+        own: checks of the devices' drivers, by device.
     """
 
     seconds: float
@@ -73,7 +78,7 @@ class Look:
 
 
 def device_checks(rig: Rig, look: Look) -> dict[str, Checks]:
-    """Every check of every device, by the device's name in the rig file."""
+    """Return all checks by the device's name in the rig file."""
     out: dict[str, Checks] = {name: {} for name in rig.devices}
     roles = rig.roles
     for sensor in roles.displacements:
@@ -97,12 +102,15 @@ def device_checks(rig: Rig, look: Look) -> dict[str, Checks]:
 
 
 def passed(checks: Checks) -> bool:
-    """A device's verdict: all of its checks."""
+    """Return whether a device has passed all of its checks."""
     return all(check.passed for check in checks.values())
 
 
 def common_factor(look: Look) -> float | None:
-    """By what factor all clocks are off alike; None when they are not. Then it is the host's time that is wrong."""
+    """Return the factor by which all device clocks deviate alike, or None if they do not.
+
+    A common factor shows that the host's clock is wrong.
+    """
     factors = [rate.clock_ppm * 1e-6 + 1.0 for rate in look.rates.values() if rate is not None]
     if len(factors) < 2 or any(abs(f - 1.0) < 0.01 for f in factors):
         return None
@@ -111,29 +119,29 @@ def common_factor(look: Look) -> float | None:
 
 def _rate_checks(rate: Rate | None, nominal_Hz: float) -> Checks:
     if rate is None:
-        return {"rate_Hz": Check(None, nominal_Hz, False, "too few samples to tell")}
-    sure = f"± {rate.bound_ppm:.0f} ppm in {rate.span_s:.1f} s"
+        return {"rate_Hz": Check(None, nominal_Hz, False, "too few samples")}
+    bound = f"± {rate.bound_ppm:.0f} ppm in {rate.span_s:.1f} s"
     tolerance = f"± {rate.tolerance_ppm:.0f} ppm of the host's"
-    unsure = "" if rate.certain else "; a longer look (--seconds 30) knows it better"
+    advice = "" if rate.certain else "; a longer check (30 s) reduces the uncertainty"
     return {
-        "rate_Hz": Check(round(rate.rate_Hz, 2), nominal_Hz, rate.rate_ok, sure),
-        "clock_ppm": Check(round(rate.clock_ppm, 1), tolerance, rate.clock_ok, sure + unsure),
+        "rate_Hz": Check(round(rate.rate_Hz, 2), nominal_Hz, rate.rate_ok, bound),
+        "clock_ppm": Check(round(rate.clock_ppm, 1), tolerance, rate.clock_ok, bound + advice),
     }
 
 
 def _displacement(sensor: Displacement, limits: Limits, x: NDArray[np.floating]) -> Checks:
     if not len(x):
-        return {"samples": Check(0, "some", False, "no sample came")}
+        return {"samples": Check(0, "some", False, "no samples received")}
     invalid = float(np.mean(np.isnan(x)))
-    few = invalid <= _INVALID_SHARE
-    note = "" if few else "it sees no target: look at beam, distance and surface"
-    out = {"invalid_samples": Check(f"{invalid:.1%}", f"at most {_INVALID_SHARE:.0%}", few, note)}
+    few = invalid <= _MAX_INVALID_SHARE
+    note = "" if few else "the sensor detects no target: check beam, distance and surface"
+    out = {"invalid_samples": Check(f"{invalid:.1%}", f"at most {_MAX_INVALID_SHARE:.0%}", few, note)}
     if invalid == 1.0:
         return out
     at_mm = float(np.nanmedian(x)) * sensor.lever_ratio * 1e3
     room_mm = (0.5 * sensor.range_m - limits.amplitude_m * sensor.lever_ratio) * 1e3
     ok = abs(at_mm) <= room_mm
-    note = "" if ok else "move the sensor: from here limits.amplitude_m is out of its range"
+    note = "" if ok else "move the sensor: limits.amplitude_m exceeds its range at this position"
     out["from_mid_range_mm"] = Check(round(at_mm, 3), f"within ± {room_mm:.3g}", ok, note)
     out["peak_to_peak_mm"] = Check(round(float(np.nanmax(x) - np.nanmin(x)) * 1e3, 4), None, True)
     return out
@@ -153,7 +161,7 @@ def _locks(angles: PendulumAngles, seen: AnglesSeen) -> Checks:
     tolerance = lock_tolerance_deg(angles.zero_std_deg)
     for name, expected in (("A", 0), ("B", 180)):
         place = known.get(name)
-        note = "" if place is not None else "its position says nothing until the lock is closed"
+        note = "" if place is not None else "the counter can be checked only with the lock closed"
         out[f"lock_{name}"] = Check("closed" if place is not None else "open", None, True, note)
         if place is not None:
             advice = "" if place.plausible else misplaced(tuple(known.values()))
@@ -163,35 +171,36 @@ def _locks(angles: PendulumAngles, seen: AnglesSeen) -> Checks:
 
 
 def _speed(seen: SpeedSeen, rest_rpm: float) -> Checks:
-    enough = seen.reports_Hz >= _SPEED_REPORTS_HZ
-    still = abs(seen.speed_rpm) <= rest_rpm
-    note = "" if still else "its speed is not known" if math.isnan(seen.speed_rpm) else "the rotor turns"
+    frequent = seen.reports_Hz >= _MIN_SPEED_REPORTS_HZ
+    at_rest = abs(seen.speed_rpm) <= rest_rpm
+    note = "" if at_rest else "its speed is unknown" if math.isnan(seen.speed_rpm) else "the rotor turns"
     return {
-        "speed_reports_Hz": Check(round(seen.reports_Hz, 1), f"at least {_SPEED_REPORTS_HZ:g}", enough),
-        "speed_rpm": Check(None if math.isnan(seen.speed_rpm) else round(seen.speed_rpm, 1), 0, still, note),
+        "speed_reports_Hz": Check(round(seen.reports_Hz, 1), f"at least {_MIN_SPEED_REPORTS_HZ:g}", frequent),
+        "speed_rpm": Check(None if math.isnan(seen.speed_rpm) else round(seen.speed_rpm, 1), 0, at_rest, note),
     }
 
 
 def _losses(lost: Mapping[str, int], on_air: float) -> Checks:
-    """Counted losses, none of them allowed but a radio's now and then.
+    """Check the losses. None are allowed, except for a small share of the samples sent by radio.
 
     Args:
-        on_air: how many samples a radio should have brought; 0 for a device on a cable.
+        lost: losses by kind.
+        on_air: expected number of samples sent by radio; 0 for a device on a cable.
     """
     out: Checks = {}
-    few = on_air > 0 and lost.get("samples", 0) <= _RADIO_SHARE * on_air
+    few = on_air > 0 and lost.get("samples", 0) <= _MAX_RADIO_LOSS_SHARE * on_air
     for kind, count in lost.items():
         if kind == "invalid":  # judged as a share of the samples
             continue
         if kind.startswith(FOREIGN):
-            out[kind] = Check(count, None, True, "of others, passed over" if count else "")
+            out[kind] = Check(count, None, True, "from other devices, ignored" if count else "")
             continue
         by_air = on_air > 0 and kind in ("radio_frames", "samples")
-        expected = f"at most {_RADIO_SHARE:.0%} of the samples" if by_air else 0
+        expected = f"at most {_MAX_RADIO_LOSS_SHARE:.0%} of the samples" if by_air else 0
         out[f"lost_{kind}"] = Check(count, expected, few if by_air else count == 0)
     return out
 
 
 def _restarts(events: Sequence[Event]) -> Checks:
     times = sum(e.kind == "restart" for e in events)
-    return {"restarts": Check(times, 0, not times, "its counters began anew while it was looked at" if times else "")}
+    return {"restarts": Check(times, 0, not times, "its counters restarted during the check" if times else "")}

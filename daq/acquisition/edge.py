@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a session has of the outside world beside its clock: ports, and a disk. A simulation has its own."""
+"""Ports and disk of a session: those of the machine, or simulated ones."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from daq.transports import Link, open_link
 
 @dataclass(frozen=True)
 class Edge:
-    """See the module.
+    """Ports and disk of a session.
 
     Attributes:
         connect: opens a device's line on a port; raises LinkLost.
-        places: ports on which a device may be found again that was unplugged from a port, the likeliest first.
-        disk: where logs are written to.
+        places: returns the ports on which a device that was unplugged from a port may return, the most likely first.
+        disk: disk to which logs are written.
     """
 
     connect: Callable[[Line, str], Link]
@@ -33,25 +33,25 @@ def _connect(line: Line, port: str) -> Link:
 
 
 class UsbPorts:
-    """Where an adapter may come back: under another name, and another adapter may have taken its own.
+    """Finds the port of an adapter that was plugged in again, which may have a new name.
 
-    An adapter is recognised by vendor, product and serial number. What cannot be told from another so (without a serial
-    number, or two of them had the same one at first; no USB adapter at all) is looked for where it was.
+    An adapter is identified by vendor, product and serial number. Adapters without a unique serial number, and ports
+    that are not USB adapters, are expected on their previous port.
     """
 
     def __init__(self) -> None:
-        self._first = _adapters()
+        self._adapters_at_start = _adapters()
 
     def places(self, port: str) -> Sequence[str]:
         """See Edge."""
-        who = self._first.get(port)
-        if who is None or list(self._first.values()).count(who) > 1:
+        adapter = self._adapters_at_start.get(port)
+        if adapter is None or list(self._adapters_at_start.values()).count(adapter) > 1:
             return (port,)
-        return sorted((name for name, other in _adapters().items() if other == who), key=lambda name: name != port)
+        return sorted((name for name, other in _adapters().items() if other == adapter), key=lambda name: name != port)
 
 
 def _adapters() -> dict[str, tuple[object, ...]]:
-    """Who is at which port now: USB adapters that say vendor and serial number."""
+    """Return vendor, product and serial number of the USB adapters that report them, by port."""
     return {
         port.device: (port.vid, port.pid, port.serial_number)
         for port in list_ports.comports()
@@ -60,5 +60,5 @@ def _adapters() -> dict[str, tuple[object, ...]]:
 
 
 def real_edge() -> Edge:
-    """The machine's own ports and disk."""
+    """Return the ports and the disk of this machine."""
     return Edge(_connect, UsbPorts().places, RealDisk())

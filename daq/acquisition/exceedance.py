@@ -1,4 +1,4 @@
-"""When a signal is beyond a limit, and not just one sample of it, which on a line without a checksum proves nothing."""
+"""Detection of a signal that exceeds a limit. A single sample is not sufficient, since links may have no checksum."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from numba import njit
 from numpy.typing import NDArray
 
 TOGETHER = 64
-"""Samples within which a second one beyond the limit confirms the first."""
+"""Largest distance of two samples beyond the limit that confirm each other, samples."""
 
 
-class Look(NamedTuple):
-    """What the samples of one read show.
+class SampleSummary(NamedTuple):
+    """Summary of the samples of one read.
 
     Attributes:
-        invalid: how many are none (NaN).
-        invalid_last: how many of those stand at the end, behind every valid one.
-        newest: the last valid one; NaN where there is none.
-        beyond: the largest magnitude, if two samples close together lie beyond the limit; otherwise None.
+        invalid: number of invalid samples (NaN).
+        invalid_last: number of invalid samples after the last valid one.
+        newest: the last valid sample; NaN if there is none.
+        beyond: the largest magnitude if two samples within `TOGETHER` exceed the limit; otherwise None.
     """
 
     invalid: int
@@ -29,26 +29,26 @@ class Look(NamedTuple):
 
 
 class Exceedance:
-    """Watches one signal, however it is split into batches.
+    """Monitors one signal. The result does not depend on its division into batches.
 
-    A motion beyond the limit shows in the very next sample, or in the next swing; a flipped bit does in neither.
+    A motion beyond the limit shows in the next samples or in the next swing. A bit error does not.
 
     Args:
-        limit: largest magnitude allowed.
+        limit: largest permitted magnitude.
     """
 
     def __init__(self, limit: float) -> None:
         self._limit = float(limit)
         self._since = TOGETHER + 1  # samples since the last one beyond the limit
 
-    def look(self, values: NDArray[np.floating[Any]]) -> Look:
-        """Take the next samples, NaN for none; shape (n,)."""
+    def look(self, values: NDArray[np.floating[Any]]) -> SampleSummary:
+        """Process the next samples, shape (n,), NaN if invalid, and return their summary."""
         own = np.ascontiguousarray(values, np.float64)
         invalid, last, newest, largest, apart, self._since = _look(own, self._limit, self._since)
-        return Look(invalid, last, newest, largest if apart <= TOGETHER else None)
+        return SampleSummary(invalid, last, newest, largest if apart <= TOGETHER else None)
 
     def feed(self, values: NDArray[np.floating[Any]]) -> float | None:
-        """Take the next samples; returns what `Look.beyond` says."""
+        """Process the next samples and return `SampleSummary.beyond`."""
         return self.look(values).beyond
 
 
@@ -56,7 +56,11 @@ class Exceedance:
 def _look(
     values: NDArray[np.float64], limit: float, since: int
 ) -> tuple[int, int, float, float, int, int]:  # pragma: no cover - compiled
-    """Look's numbers, the largest magnitude, the least distance of two beyond the limit, samples since the last."""
+    """Return the counts and the newest value of a SampleSummary, and the state of an Exceedance.
+
+    The state is the largest magnitude, the least distance of two samples beyond the limit, and the distance to the last
+    one, in samples.
+    """
     invalid = invalid_last = 0
     newest, largest = np.nan, 0.0
     apart = TOGETHER + 1
@@ -76,5 +80,5 @@ def _look(
 
 
 def compile_look() -> None:
-    """Load what is compiled, or compile it, before any sample waits for it."""
+    """Compile `_look`, or load it from the cache, so that no sample is delayed by the compilation."""
     Exceedance(1.0).feed(np.zeros(1))

@@ -1,9 +1,9 @@
 # pyright: strict
-"""The table of all interlocks as data: what each guards, its threshold, how soon it acts, what then happens.
+"""Table of all interlocks: guarded quantity, threshold, deadline and reaction of each.
 
-Numbers that more than one reader needs stand here or in the watch that uses them, once. `daq.acquisition.interlocks`
-and the watches it asks judge the rows of `CHANNELS`; the session, which owns links, disk and operator, those of
-`SESSION`. `docs/interlocks.md` shows the same table; a test keeps both equal.
+Constants that several modules use are defined once, here or in the watch that uses them. `daq.acquisition.interlocks`
+and its watches evaluate the rows of `CHANNELS`. The session, which owns links, disk and operator, evaluates the rows of
+`SESSION`. `docs/interlocks.md` contains the same table; a test compares them.
 """
 
 from __future__ import annotations
@@ -19,44 +19,46 @@ from rig_configs.roles import Displacement, PendulumAngles, PendulumLocks, Roles
 from rig_configs.schema import Limits
 
 LOOK_S = 0.1
-"""Wall seconds between two looks at every channel: the period of `Interlocks.tick`, live and in a replay."""
+"""Period of `Interlocks.tick`, live and in a replay, wall s."""
 TOGETHER_S = 0.3
-"""Wall seconds after the first reason of a trip within which others belong to the same one."""
+"""Time after the first reason of a trip within which further reasons belong to the same trip, wall s."""
 DISPLACEMENT_S, ANGLES_S, SPEED_S = 0.3, 1.0, 0.3
-"""Rig time without a sample while the rotor turns …"""
+"""Longest permitted time without a sample while the rotor turns, rig s."""
 AT_REST_S = 2.0
-"""… and at rest, for a channel that a test needs."""
+"""Longest permitted time without a sample at rest, for a channel that the test needs, rig s."""
 HOST_S = 0.3
-"""Wall time that the host's threads may add."""
+"""Additional delay that the threads of the host may cause, wall s."""
 BLIND_S = 0.25
-"""Of samples, more than half of them invalid; a flash is shorter."""
+"""Time over which more than half of the samples must be invalid, s of samples; a flash of light is shorter."""
 GONE_SAMPLES = 5
-"""Invalid ones in a row after a large displacement."""
+"""Number of consecutive invalid samples after a large displacement that means "out of sight"."""
 LARGE = 0.7
-"""Of the amplitude limit."""
+"""Displacement that counts as large, as a share of the amplitude limit."""
 FAULTY_S = 0.1
-"""Of samples, more than half of them with a fault flag."""
+"""Time over which more than half of the samples must have a fault flag, s of samples."""
 LINE_S = 2.0
-"""Wall time without a byte of a device."""
+"""Longest permitted time without a byte of a device, wall s."""
 
 Judge = Literal["channels", "session"]
 _STOP = "rotor stopped, test ended"
-_GOES_ON = "said and kept, exit 3; the run goes on, the device is opened again"
+_CONTINUES = "reported and recorded, exit 3; the run continues"
+_REOPENED = f"{_CONTINUES}, the device is reopened"
+_REPORT = "report of the device"
 
 
 @dataclass(frozen=True)
 class Interlock:
-    """One row.
+    """One row of the table.
 
     Attributes:
-        name: as a trip names it.
-        guards: what it looks at.
-        threshold: beyond which it trips, with units; `limits.NAME` stands for the rig file's number.
-        source: where that number comes from: keys of the rig file's limits, or "constant".
-        deadline: how soon it acts.
-        reaction: what then happens.
-        role: the role that some device must play for it; empty where it needs none.
-        judge: who judges it: the watches over channels, which a log can be put through again, or the session.
+        name: name of the interlock in a trip.
+        guards: monitored quantity.
+        threshold: condition of the trip, with units. `limits.NAME` stands for the value in the rig file.
+        source: source of the threshold: keys of the rig file's limits, "constant", or a device.
+        deadline: delay between the fault and the reaction.
+        reaction: reaction to the trip.
+        role: role that a device of the rig must have; empty if none is required.
+        judge: "channels" for interlocks that a replay of a log can evaluate again, "session" for the others.
     """
 
     name: str
@@ -69,12 +71,12 @@ class Interlock:
     judge: Judge = "channels"
 
     def threshold_of(self, limits: Limits) -> str:
-        """The threshold with a rig's own numbers in it."""
+        """Return the threshold with the limits of a rig."""
         amplitude, speed = f"{limits.amplitude_m * 1e3:g} mm", f"{limits.speed_rpm:g} rpm"
         return self.threshold.replace("limits.amplitude_m", amplitude).replace("limits.speed_rpm", speed)
 
     def has_role(self, roles: Roles) -> bool:
-        """Whether a rig has what it looks at."""
+        """Return whether a rig has the devices that the interlock needs."""
         played: dict[str, object] = {
             "": True,
             Displacement.role: roles.displacements,
@@ -103,7 +105,7 @@ def _beyond(share_and_rpm: tuple[float, float]) -> str:
     return f"{share:.0%} and {rpm:g} rpm".replace("%", " %")
 
 
-def _rows() -> Iterator[Interlock]:
+def _displacement_rows() -> Iterator[Interlock]:
     yield Interlock(
         "amplitude",
         "displacement",
@@ -136,14 +138,19 @@ def _rows() -> Iterator[Interlock]:
         f"{STILL_S:g} s of samples",
         role=Displacement.role,
     )
-    for what, name, seconds, role in (
+
+
+def _silence_rows() -> Iterator[Interlock]:
+    for guards, name, seconds, role in (
         ("displacement", "silent displacement", DISPLACEMENT_S, Displacement.role),
-        ("pendulum angles, and with them the radio", "silent angles", ANGLES_S, PendulumAngles.role),
-        ("actual speed: a word that is too old", "silent speed", SPEED_S, SpeedSource.role),
+        ("pendulum angles and their radio link", "silent angles", ANGLES_S, PendulumAngles.role),
+        ("age of the actual speed", "silent speed", SPEED_S, SpeedSource.role),
     ):
-        yield Interlock(
-            name, what, f"no sample for {seconds:g} s, whatever bytes come", "constant", _silence(seconds), role=role
-        )
+        threshold = f"no sample for {seconds:g} s; bytes without samples do not count"
+        yield Interlock(name, guards, threshold, "constant", _silence(seconds), role=role)
+
+
+def _pendulum_rows() -> Iterator[Interlock]:
     yield Interlock(
         "no index mark",
         "rotor phase",
@@ -164,29 +171,30 @@ def _rows() -> Iterator[Interlock]:
         "lock fault",
         "pendulum locks",
         "a lock reports a fault",
-        "the device's word",
+        _REPORT,
         "at once",
         "test ended",
         PendulumLocks.role,
     )
-    yield from _speed_rows()
+
+
+def _device_rows() -> Iterator[Interlock]:
     yield Interlock(
         "restart",
         "the drive; others while the rotor turns or the test needs them",
-        "a boot-up message, or counters that begin anew",
-        "the device's word",
+        "a boot-up message, or counters that restart",
+        _REPORT,
         "at once",
     )
-    yield Interlock("fault", "every device", "the device reports a fault", "the device's word", "at once")
+    yield Interlock("fault", "every device", "the device reports a fault", _REPORT, "at once")
     yield Interlock(
         "left operation",
         "speed source",
         "a network state other than operational",
-        "the device's word",
+        _REPORT,
         "at once",
         role=SpeedSource.role,
     )
-    yield from _session_rows()
 
 
 def _speed_rows() -> Iterator[Interlock]:
@@ -200,7 +208,7 @@ def _speed_rows() -> Iterator[Interlock]:
     yield Interlock(
         "runaway",
         "actual speed",
-        f"{_beyond(RUNAWAY)} beyond what the drive was told",
+        f"{_beyond(RUNAWAY)} beyond the commanded speed",
         "constant",
         "at once",
         role=SpeedSource.role,
@@ -219,8 +227,8 @@ def _session_rows() -> Iterator[Interlock]:
     yield Interlock(
         "drop-out",
         "speed source",
-        "it leaves operation by itself",
-        "the device's word",
+        "the drive leaves operation without a command",
+        _REPORT,
         f"{LOOK_S:g} s wall",
         role=SpeedSource.role,
         judge="session",
@@ -228,20 +236,20 @@ def _session_rows() -> Iterator[Interlock]:
     yield Interlock(
         "emergency",
         "speed source",
-        "an emergency message that ends no operation",
-        "the device's word",
+        "an emergency message after which the drive remains in operation",
+        _REPORT,
         "at once",
-        "said and kept, exit 3; the run goes on",
+        _CONTINUES,
         SpeedSource.role,
         "session",
     )
     yield Interlock(
         "silent line",
         "every device",
-        f"no byte for {LINE_S:g} s wall, seen twice",
+        f"no byte for {LINE_S:g} s wall in two checks",
         "constant",
         _within(0, LINE_S + 0.5),
-        _GOES_ON,
+        _REOPENED,
         judge="session",
     )
     yield Interlock(
@@ -250,16 +258,16 @@ def _session_rows() -> Iterator[Interlock]:
         "its port fails, or its bytes make its decoder fail",
         "the device",
         "at once",
-        f"{_STOP}; {_GOES_ON} where nothing turns",
+        f"{_STOP}; at rest: {_REOPENED}",
         judge="session",
     )
     yield Interlock(
         "disk",
         "the log",
-        "the disk full, gone, or 64 MB behind",
+        "the disk is full, removed, or 64 MB behind",
         "constant",
         _within(0, 0.25),
-        f"{_STOP}; the log is whole",
+        f"{_STOP}; the log is complete",
         judge="session",
     )
     yield Interlock(
@@ -273,16 +281,23 @@ def _session_rows() -> Iterator[Interlock]:
     )
 
 
-INTERLOCKS: tuple[Interlock, ...] = tuple(_rows())
-"""All rows, in the order in which they are shown."""
+INTERLOCKS: tuple[Interlock, ...] = (
+    *_displacement_rows(),
+    *_silence_rows(),
+    *_pendulum_rows(),
+    *_speed_rows(),
+    *_device_rows(),
+    *_session_rows(),
+)
+"""All rows in the order of the documentation."""
 CHANNELS = tuple(row for row in INTERLOCKS if row.judge == "channels")
 SESSION = tuple(row for row in INTERLOCKS if row.judge == "session")
 
 
 def interlock(name: str) -> Interlock:
-    """The row of a name.
+    """Return the row of an interlock.
 
     Raises:
-        KeyError: there is none.
+        KeyError: no interlock has this name.
     """
     return {row.name: row for row in INTERLOCKS}[name]

@@ -1,10 +1,11 @@
 # pyright: strict
-"""What must stop the rotor, and what a log must be told about its channels; pure decisions, fed by the session.
+"""Evaluation of the interlocks: decisions to stop the rotor, and events of the channels for the log.
 
-While the rotor turns, or may turn, every channel that guards it is due, whatever the test is: every displacement with
-valid samples, pendulum angles with sound encoders, index marks as often as the drive turns, the drive's own word. At
-rest only what a test declared is due. Which roles there are, and their channels' fields, are known here; who made a
-device is not: a sample is invalid when its displacement is NaN, an encoder is faulty when the sample's flags say so.
+The session supplies samples, events and ticks; the module has no I/O and no clock. While the rotor turns, or its state
+is unknown, every channel that guards it is due in every test: all displacements with valid samples, pendulum angles
+without encoder faults, one index mark per revolution of the drive, and the drive's actual speed. At rest only the
+channels that the test requires are due. The module depends on roles and on the fields of their channels, not on the
+type of a device: a sample is invalid if its displacement is NaN, an encoder is faulty if the sample's flags are set.
 """
 
 from __future__ import annotations
@@ -34,19 +35,21 @@ from daq.acquisition.interlock_table import (
 )
 from daq.acquisition.rotor_watch import Finding, RotorWatch
 from daq.acquisition.stuck_watch import StuckWatch
+from daq.channels import ENCODER_FAULT_A, ENCODER_FAULT_B
 from daq.drivers.items import Batch, Event
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits
 
-_FAULTS = {1: "encoder A", 2: "encoder B"}  # flags of a pendulum sample
+_FAULTS = {ENCODER_FAULT_A: "encoder A", ENCODER_FAULT_B: "encoder B"}
 
 
 @dataclass(frozen=True)
 class Stop:
-    """The run has to end, the rotor to stop.
+    """Finding of an interlock that ends the run and stops the rotor.
 
     Attributes:
-        cause: "device" when a device failed, "procedure" when the run went where it must not.
+        cause: "device" if a device failed, "procedure" if the motion exceeded a limit.
+        text: the finding with its values, for the operator.
         interlock: name of its row in `daq.acquisition.interlock_table`.
     """
 
@@ -56,60 +59,77 @@ class Stop:
 
 
 class Share:
-    """Which share of a channel's newest samples is bad, over a stretch of the samples' own time.
+    """Share of bad samples among the newest samples of a channel.
 
     Args:
-        stretch_s: how long.
+        stretch_s: length of the evaluated stretch in the time of the samples, s.
+
+    Attributes:
+        in_a_row: number of bad samples after the last good one.
     """
 
     def __init__(self, stretch_s: float) -> None:
         self._stretch_ns = int(stretch_s * 1e9)
-        self._reads: deque[tuple[int, int, int, int]] = deque()  # first and last time, samples, bad ones
+        self._reads: deque[tuple[int, int, int, int]] = (
+            deque()
+        )  # first and last time, ns; number of samples, of bad ones
         self._samples = self._bad = 0
         self.in_a_row = 0
-        """Bad samples since the last good one."""
 
     def add(self, first_ns: int, last_ns: int, bad: NDArray[np.bool_]) -> None:
-        """Samples of one read, shape (n,)."""
+        """Add the samples of one read.
+
+        Args:
+            first_ns, last_ns: times of the first and the last sample, ns.
+            bad: mask of the bad samples, shape (n,).
+        """
         count = int(np.count_nonzero(bad))
         last = len(bad) - 1 - int(np.flatnonzero(~bad)[-1]) if 0 < count < len(bad) else count
         self.note(first_ns, last_ns, len(bad), count, last)
 
     def note(self, first_ns: int, last_ns: int, samples: int, bad: int, bad_last: int) -> None:
-        """Samples of one read, counted: how many, how many of them bad, and how many bad ones behind every good one."""
+        """Add the samples of one read by their numbers.
+
+        Args:
+            first_ns, last_ns: times of the first and the last sample, ns.
+            samples, bad: number of samples, and of bad ones.
+            bad_last: number of bad samples after the last good one.
+        """
         self.in_a_row = self.in_a_row + bad if bad == samples else bad_last
         self._reads.append((first_ns, last_ns, samples, bad))
         self._samples += samples
         self._bad += bad
         while self._reads[0][1] < last_ns - self._stretch_ns:
-            _, _, samples, gone = self._reads.popleft()
-            self._samples -= samples
-            self._bad -= gone
+            _, _, old_samples, old_bad = self._reads.popleft()
+            self._samples -= old_samples
+            self._bad -= old_bad
 
     @property
     def mostly_bad(self) -> bool:
-        """Whether more than half are bad, over the whole stretch."""
+        """Whether more than half of the samples are bad, over at least 80 % of the stretch."""
         if 2 * self._bad <= self._samples:
             return False
         return bool(self._reads) and self._reads[-1][1] - self._reads[0][0] >= 0.8 * self._stretch_ns
 
     def clear(self) -> None:
-        """Forget all samples."""
+        """Remove all samples."""
         self._reads.clear()
         self._samples = self._bad = self.in_a_row = 0
 
 
 class Interlocks:
-    """Watches every channel of a rig; several threads may feed it.
+    """Monitors every channel of a rig; thread-safe.
 
     Args:
-        limits: of the rig file.
-        roles: of the rig's devices; what is not there guards nothing.
-        patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
-        driving: whether this session may turn the rotor; one that only listens stops nothing.
+        limits: limits of the rig file.
+        roles: roles of the rig's devices. Interlocks of missing roles are inactive.
+        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
+        driving: whether this session may turn the rotor. Sessions that only receive stop nothing.
 
     Attributes:
-        resting: whether the rotor stood at the last tick, and was not told to turn since.
+        channels: silences of the channels.
+        rotor: speed of the rotor.
+        resting: whether the rotor was at rest at the last tick and no speed has been commanded since.
     """
 
     def __init__(self, limits: Limits, roles: Roles, patience: Callable[[float], float], *, driving: bool) -> None:
@@ -119,13 +139,13 @@ class Interlocks:
         self._angles, self._marks, self._speed = (
             role and role.topic for role in (roles.angles, roles.phase, roles.speed)
         )
-        known = [(topic, DISPLACEMENT_S) for topic in self._lasers]
-        known += [(topic, s) for topic, s in ((self._angles, ANGLES_S), (self._speed, SPEED_S)) if topic]
+        limits_s = [(topic, DISPLACEMENT_S) for topic in self._lasers]
+        limits_s += [(topic, s) for topic, s in ((self._angles, ANGLES_S), (self._speed, SPEED_S)) if topic]
         self._silences = dict.fromkeys(self._lasers, "silent displacement")
         self._silences |= {t: n for t, n in ((self._angles, "silent angles"), (self._speed, "silent speed")) if t}
         self._rest_s = AT_REST_S + patience(HOST_S)
         late_s = patience(HOST_S)
-        deadlines = {t: (self._device_of[t], (s if driving else AT_REST_S) + late_s) for t, s in known}
+        deadlines = {t: (self._device_of[t], (s if driving else AT_REST_S) + late_s) for t, s in limits_s}
         self._due = tuple(deadlines)
         self._node_s = deadlines[self._angles][1] if self._angles else math.inf
         if self._marks:
@@ -144,14 +164,14 @@ class Interlocks:
         self._faulty = dict.fromkeys(_FAULTS, False)
         self._faulty_samples = 0
         self._needed: frozenset[str] = frozenset()
-        self._ours = False  # the rotor was told to turn, and has not been seen at rest since
+        self._commanded = False  # a speed was commanded, and the rotor has not come to rest since
         self.resting = False
         self._lock = threading.RLock()
 
-    # --- what happens ------------------------------------------------------------------------------------------
+    # --- input ---------------------------------------------------------------------------------------------------
 
     def begin(self, now_ns: int) -> None:
-        """A log begins."""
+        """Begin a log: reset the counts of silences and bad samples."""
         with self._lock:
             self.channels.begin(now_ns, expected=self._driving)
             self._faulty_samples = 0
@@ -161,24 +181,24 @@ class Interlocks:
             self._faulty = dict.fromkeys(_FAULTS, False)
 
     def end(self, now_ns: int) -> list[Event]:
-        """The log ends; returns what else belongs into it."""
+        """End the log and return its last events."""
         with self._lock:
             return self.channels.end(now_ns)
 
     def need(self, topics: Iterable[str]) -> None:
-        """Channels that the running test lives on, at rest too."""
+        """Set the channels that the running test needs even at rest."""
         with self._lock:
             self._needed = frozenset(topics)
 
     def told(self, rpm: float) -> None:
-        """The drive is told a speed."""
+        """Register a commanded speed, of the drive or of the operator's hand."""
         with self._lock:
-            self._ours = self._ours or rpm != 0
+            self._commanded = self._commanded or rpm != 0
             self.resting = self.resting and rpm == 0
-            self.rotor.told(rpm)
+            self.rotor.commanded(rpm)
 
     def feed(self, batch: Batch, host_ns: int) -> list[Event | Stop]:
-        """Samples came; returns what the log must hold and what must stop the rotor."""
+        """Evaluate samples. Return events for the log and findings that stop the rotor."""
         with self._lock:
             topic = batch.channel.topic
             back = self.channels.heard(topic, host_ns)
@@ -190,33 +210,33 @@ class Interlocks:
             elif topic == self._marks:
                 node_ns = batch.columns["node_time_us"].astype(np.int64) * 1000
                 marks = batch.columns["revolutions"]
-                out += self._wrong(self.rotor.marks_came(host_ns, batch.time_ns, node_ns, marks))
+                out += self._wrong(self.rotor.marks_received(host_ns, batch.time_ns, node_ns, marks))
             elif topic == self._speed:
-                out += self._wrong(self.rotor.drive_said(host_ns, batch.columns["speed_rpm"]))
+                out += self._wrong(self.rotor.drive_reported(host_ns, batch.columns["speed_rpm"]))
             return out
 
     def happened(self, event: Event) -> list[Stop]:
-        """An event of a device; returns what must stop the rotor."""
+        """Evaluate an event of a device. Return findings that stop the rotor."""
         with self._lock:
             if event.kind in ("fault", "restart"):
                 if event.device == self._device_of.get(self._speed or ""):
-                    self.rotor.drive_unknown()
+                    self.rotor.discard_drive()
                 elif event.kind == "restart" and self.resting and event.device not in self._needed_devices():
-                    return []  # a sensor that lost power while nothing turned: a gap
+                    return []  # a sensor that lost power at rest causes a gap, not a stop
                 return [Stop("device", f"{event.device}: {event.text}", event.kind)]
             if event.kind == "network" and event.facts.get("operational") is False:
-                self.rotor.drive_unknown()
+                self.rotor.discard_drive()
                 return [Stop("device", f"{event.device}: {event.text}", "left operation")]
             if event.kind == "lock" and event.facts.get("state") == "fault":
-                text = f"{event.device}: {event.text}: the lock did not do as told. Look at its mechanism"
+                text = f"{event.device}: {event.text}: the lock did not carry out its command. Look at its mechanism"
                 return [Stop("device", text, "lock fault")]
             return []
 
     def tick(self, now_ns: int) -> list[Event | Stop]:
-        """Time passes; returns what the log must hold and what must stop the rotor."""
+        """Check the deadlines. Return events for the log and findings that stop the rotor."""
         with self._lock:
             if self.rotor.at_rest(now_ns) and not self.rotor.target_rpm:
-                self._ours = False
+                self._commanded = False
             turning = self.turning(now_ns)
             self.resting = not turning
             out: list[Event | Stop] = [*self.channels.tick(now_ns)]
@@ -224,11 +244,11 @@ class Interlocks:
                 pass
             elif turning and (why := self.rotor.unseen(now_ns)) is not None:
                 out += self.channels.miss(self._marks, now_ns, why.removeprefix("tacho: "))
-                if not self._node_late(now_ns):  # else it is not the index sensor, and soon said
+                if not self._node_late(now_ns):  # a silent node is reported as silent angles, not as a missing mark
                     out.append(Stop("device", why, "no index mark"))
             elif not turning:
                 out += self.channels.excuse(self._marks, now_ns)
-                self.rotor.turns_begin()
+                self.rotor.reset_turns()
             if not self._driving:
                 return [item for item in out if isinstance(item, Event)]
             out += self._silent(now_ns, turning)
@@ -238,40 +258,42 @@ class Interlocks:
                 out += self._unsound()
             return out
 
-    # --- what is known -----------------------------------------------------------------------------------------
+    # --- state ---------------------------------------------------------------------------------------------------
 
     def turning(self, now_ns: int) -> bool:
-        """Whether the rotor turns, or nobody can say that it does not; one turned by hand at a standing drive is not
-        the interlocks' business."""
+        """Return whether the rotor turns, or its state is unknown.
+
+        A rotor that is turned by hand while the drive is at rest is not monitored and does not count as turning.
+        """
         with self._lock:
-            if self._speed is None:  # a test turns it by hand, or the index marks show that somebody does
+            if self._speed is None:  # without a drive: the test commands a hand, or the index marks show rotation
                 rest = self.rotor.at_rest(now_ns)
-                return rest is False or (self._ours and rest is not True)
-            by_hand = not self._ours and abs(self.rotor.word_rpm(now_ns)) <= self._rest_rpm
+                return rest is False or (self._commanded and rest is not True)
+            by_hand = not self._commanded and abs(self.rotor.drive_rpm(now_ns)) <= self._rest_rpm
             return not by_hand and self.rotor.at_rest(now_ns) is not True
 
     def at_rest(self, now_ns: int) -> bool | None:
-        """See RotorWatch."""
+        """Return whether the rotor is at rest; see RotorWatch."""
         with self._lock:
             return self.rotor.at_rest(now_ns)
 
     def speed_rpm(self, now_ns: int) -> float:
-        """See RotorWatch."""
+        """Return the speed of the rotor, rpm; see RotorWatch."""
         with self._lock:
             return self.rotor.speed_rpm(now_ns)
 
     def rotor_words(self, now_ns: int) -> str:
-        """See RotorWatch."""
+        """Return the state of the rotor's speed as text; see RotorWatch."""
         with self._lock:
             return self.rotor.words(now_ns)
 
     def obstacles(self, now_ns: int) -> list[str]:
-        """Why the rotor must not be turned now; empty when all that guards it is there."""
+        """Return the reasons why the rotor must not be turned now; empty if all guards are working."""
         with self._lock:
             return [stop.text for stop in (*self._silent(now_ns, turning=True), *self._unguarded())]
 
     def losses(self, now_ns: int) -> dict[str, dict[str, int]]:
-        """By device: silences of this log so far in ms, and pendulum samples with a faulty encoder."""
+        """Return by device the silences of this log, ms, and the number of pendulum samples with an encoder fault."""
         with self._lock:
             out = self.channels.losses(now_ns)
             if self._faulty_samples:
@@ -281,7 +303,7 @@ class Interlocks:
     def _needed_devices(self) -> set[str]:
         return {self._device_of[topic] for topic in self._needed if topic in self._device_of}
 
-    # --- parts -------------------------------------------------------------------------------------------------
+    # --- parts ---------------------------------------------------------------------------------------------------
 
     def _node_late(self, now_ns: int) -> bool:
         return self._angles is not None and 2 * self.channels.silent_s(self._angles, now_ns) > self._node_s
@@ -304,22 +326,26 @@ class Interlocks:
         return [self._is_blind(topic) for topic in self._lasers if self._sight[topic].mostly_bad] + self._unsound()
 
     def _unsound(self) -> list[Stop]:
-        words = "pendulums: the node reports a fault of {}. Look at the encoder and its cable on the rotor"
         return [
-            Stop("device", words.format(_FAULTS[bit]), "encoder fault")
+            Stop(
+                "device",
+                f"pendulums: the node reports a fault of {_FAULTS[bit]}. "
+                "Look at the encoder and its cable on the rotor",
+                "encoder fault",
+            )
             for bit, share in self._sound.items()
             if share.mostly_bad
         ]
 
     def _is_blind(self, topic: str) -> Stop:
         text = (
-            f"{topic}: no valid sample in most of the last {BLIND_S:g} s (code {self._code[topic]}): the guard of the "
-            "amplitude is blind. Look at the sensor's window, its target and what stands between"
+            f"{topic}: most samples of the last {BLIND_S:g} s are invalid (code {self._code[topic]}): the amplitude is "
+            "not monitored. Check the sensor's window, its target and the space between them"
         )
         return Stop("device", text, "blind sensor")
 
     def _look(self, topic: str, batch: Batch, host_ns: int) -> list[Event | Stop]:
-        """A laser: too far, blind, or stuck."""
+        """Evaluate a displacement: amplitude, out of sight, blind sensor, stuck sensor."""
         samples, share, displacement = len(batch.time_ns), self._sight[topic], batch.columns["displacement_m"]
         invalid, invalid_last, newest_m, beyond_m = self._exceedances[topic].look(displacement)
         share.note(int(batch.time_ns[0]), int(batch.time_ns[-1]), samples, invalid, invalid_last)
@@ -330,24 +356,22 @@ class Interlocks:
         blind, limit = share.mostly_bad, self._limits.amplitude_m
         out: list[Event | Stop] = [*self._blindness(topic, blind)]
         gone = share.in_a_row >= GONE_SAMPLES and self._seen_m[topic] > LARGE * limit
-        hangs = self._stuck.feed(topic, batch.time_ns, displacement)
-        if not (blind or gone or beyond_m is not None or hangs is not None) or not self._driving:
+        stuck = self._stuck.feed(topic, batch.time_ns, displacement)
+        if not (blind or gone or beyond_m is not None or stuck is not None) or not self._driving:
             return out
         if not self.turning(host_ns):
             self._stuck.clear()
             return out
         if beyond_m is not None or gone:
-            seen = (
-                f"out of sight at {self._seen_m[topic] * 1e3:.1f} mm"
-                if beyond_m is None
-                else f"{beyond_m * 1e3:.1f} mm"
-            )
-            name = "out of sight" if beyond_m is None else "amplitude"
+            if beyond_m is None:
+                name, seen = "out of sight", f"out of sight at {self._seen_m[topic] * 1e3:.1f} mm"
+            else:
+                name, seen = "amplitude", f"{beyond_m * 1e3:.1f} mm"
             out.append(Stop("procedure", f"{topic}: {seen}, limits.amplitude_m is {limit * 1e3:g} mm", name))
-        elif blind or hangs is None:
+        elif blind or stuck is None:
             out.append(self._is_blind(topic))
         else:
-            out.append(Stop("device", hangs, "stuck sensor"))
+            out.append(Stop("device", stuck, "stuck sensor"))
         return out
 
     def _blindness(self, topic: str, blind: bool) -> list[Event]:
@@ -359,7 +383,7 @@ class Interlocks:
         return [Event("blind", HOST, f"{topic}: {words}", facts)]
 
     def _pendulums(self, batch: Batch, host_ns: int) -> list[Event | Stop]:
-        """The pendulum angles: sound, or of a faulty encoder."""
+        """Evaluate pendulum angles: encoder faults."""
         self.rotor.node_heard(host_ns)
         flags = batch.columns["flags"]
         out: list[Event | Stop] = []

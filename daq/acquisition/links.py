@@ -1,5 +1,5 @@
 # pyright: strict
-"""The lines of a session's devices: opened, read, talked over, and opened again where a device comes back."""
+"""Links of a session's devices: opening, reading, dialogues, and reopening of devices that were unplugged."""
 
 from __future__ import annotations
 
@@ -20,23 +20,24 @@ from daq.drivers.items import Event
 from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock, Link
 
-_AGAIN_S = 2.0  # wall seconds between two attempts to open a device that was unplugged
+_RETRY_PERIOD_S = 2.0  # of attempts to open a device that was unplugged, wall s
 
 Taken = Callable[[str, Sequence[tuple[bytes, int]], bytes, int], None]
-"""Is given a device's name, what went to it (each with its host time, ns), what came from it, and when, host ns."""
+"""Called with a device's name, the bytes sent to it (each with its host time, ns), the bytes received, and their host
+time, ns."""
 
 
 class Links:
-    """See the module.
+    """Opens, reads and closes the links of all devices.
 
     Args:
-        devices: of the rig, with their drivers.
-        clock: stamps arrivals; what a dialogue waits by.
-        edge: the ports.
-        core: holds the devices' pipelines.
-        identities: what each device is known to be; what it says when it is opened is put in.
-        take: see Taken.
-        lost: is told of a device whose line has failed.
+        devices: devices of the rig with their drivers.
+        clock: host clock for time stamps and for the waits of dialogues.
+        edge: ports and disk.
+        core: holds the pipelines of the devices.
+        identities: identities by device. The identity that a device reports when it is opened is added.
+        take: see `Taken`.
+        lost: called with the name of a device whose link failed, and the error.
     """
 
     def __init__(
@@ -51,18 +52,18 @@ class Links:
     ) -> None:
         self._devices, self._clock, self._edge, self._core = devices, clock, edge, core
         self._identities, self._taken, self._lost = identities, take, lost
-        self._asked: dict[str, frozenset[str]] = {}  # what of an identity a device says when it is asked
+        self._reported: dict[str, frozenset[str]] = {}  # keys of the identity that a device reports when it is opened
         self._readers: dict[str, DeviceReader] = {}
         self._attending = False
-        self._again_s = 0.0
+        self._retry_at_s = 0.0
 
     # --- beginning and end ---------------------------------------------------------------------------------------
 
     def open(self) -> None:
-        """Open every device's line.
+        """Open the link of every device.
 
         Raises:
-            LinkLost: one cannot be opened; those before it are open.
+            LinkLost: a link cannot be opened. The links before it are open.
         """
         for device in self._devices.values():
             device.driver.prepare()
@@ -72,7 +73,7 @@ class Links:
             self._core.renew(name, device.pipeline({}))
 
     def _reader(self, name: str, link: Link) -> DeviceReader:
-        """Of a device that counts its own samples bytes may gather; where the host's time counts they may not."""
+        """Make a reader. It may collect bytes only if the device counts its samples and host times are not used."""
         driver = self._devices[name].driver
         counts = "counts exactly" in claims_of(driver)
         return DeviceReader(name, link, self._clock, driver.rest_s, lambda: counts and self._core.calm)
@@ -81,7 +82,7 @@ class Links:
         return bool(self._readers)
 
     def read(self) -> None:
-        """Begin to read every device."""
+        """Start reading every device."""
         for name in self._readers:
             self._read(name)
 
@@ -89,48 +90,48 @@ class Links:
         self._readers[name].start(partial(self._taken, name), partial(self._lost, name))
 
     def start_streams(self) -> None:
-        """Have every device say what it is, and start its stream.
+        """Query the identity of every device and start its stream.
 
         Raises:
-            DeviceError: one does not answer as it should.
-            LinkLost: a device is gone.
+            DeviceError: a device does not answer as expected.
+            LinkLost: the link of a device is lost.
         """
         for name, device in self._devices.items():
             self._identities[name] = device.driver.open(name, device.settings, self._talk(name))
-            self._asked[name] = frozenset(self._identities[name]) - {"port"}
+            self._reported[name] = frozenset(self._identities[name]) - {"port"}
 
     def stop_streams(self) -> None:
-        """End the streams; a device that is gone does not keep the others from being stopped."""
+        """End the streams. A lost device does not prevent the end of the others."""
         for name, device in self._devices.items():
             with contextlib.suppress(LinkLost, DeviceError):
                 device.driver.stop(self._talk(name))
 
     def close(self) -> None:
-        """Let go of every line."""
+        """Close every link."""
         for reader in self._readers.values():
             reader.stop()
 
     # --- use -----------------------------------------------------------------------------------------------------
 
     def send(self, name: str, data: bytes) -> None:
-        """Write to a device at once, whatever log and decoders are busy with; the log gets the bytes afterwards.
+        """Write to a device immediately, without waiting for log and decoders. The bytes are logged afterwards.
 
         Raises:
-            LinkLost: the device is gone.
+            LinkLost: the link of the device is lost.
         """
         self._readers[name].send(data)
 
     def answered(self, name: str, text: str) -> None:
-        """A device's answer, for the dialogue that waits for it."""
+        """Pass a device's answer to the dialogue that waits for it."""
         self._readers[name].replies.put(text)
 
     def unread(self, name: str) -> contextlib.AbstractContextManager[object]:
-        """A device is not being read meanwhile."""
+        """Return a context in which a device is not read."""
         return self._readers[name].lock
 
     @contextlib.contextmanager
     def between_reads(self) -> Generator[None]:
-        """No device is being read; what has gone out to them is in the log."""
+        """Context in which no device is read and all sent bytes have been taken."""
         with ExitStack() as stack:
             for name, reader in self._readers.items():
                 stack.enter_context(reader.lock)
@@ -138,31 +139,32 @@ class Links:
             yield
 
     def heard_s(self) -> float:
-        """When any device has sent something last, wall s."""
+        """Return the time of the last byte of any device, wall s."""
         return max(reader.heard_s for reader in self._readers.values())
 
     def _talk(self, name: str) -> OpenDevice:
-        return OpenDevice(self._readers[name], self._clock, partial(self._forget, name))
+        return OpenDevice(self._readers[name], self._clock, partial(self._renew_pipeline, name))
 
-    def _forget(self, name: str) -> None:
-        """A fresh pipeline for a device whose line has just run dry: what it sent before was an answer to another."""
+    def _renew_pipeline(self, name: str) -> None:
+        """Give a device a new pipeline after its buffered bytes were read, which answered an earlier program."""
         with self.unread(name):
             self._core.renew(name, self._devices[name].pipeline(self._identities.get(name, {})))
 
-    # --- devices that come back ----------------------------------------------------------------------------------
+    # --- devices that return -------------------------------------------------------------------------------------
 
     def attend(self, command: RotorCommand | None) -> Iterator[Order]:
-        """Look for devices that were unplugged, or have lost power; called by whoever waits for something.
+        """Try to reopen devices that were unplugged or have lost power.
 
-        So no other thread talks to a device. A device that streams anew by itself is only waited for. While a rotor
-        that we command turns, nothing is looked for: a dialogue would keep the stop waiting.
+        The method is called in the waits of the session, so that no second thread talks to a device. Devices that
+        stream again without a command are not set up. While a commanded rotor turns, no attempt is made, since a
+        dialogue would delay a stop.
 
         Args:
-            command: what the session commands; None where it only listens.
+            command: rotor command of the session; None for sessions that only receive.
         """
         core = self._core
         mute = core.mute if command is not None else ()
-        if not (core.gone or mute) or self._attending or self._clock.wall_s() < self._again_s:
+        if not (core.gone or mute) or self._attending or self._clock.wall_s() < self._retry_at_s:
             return
         if command is not None and command.turning():
             return
@@ -175,16 +177,16 @@ class Links:
                     yield from self._woken(name, command)
         finally:
             self._attending = False
-            self._again_s = self._clock.wall_s() + _AGAIN_S
+            self._retry_at_s = self._clock.wall_s() + _RETRY_PERIOD_S
 
     def reopened(self, name: str, command: RotorCommand | None) -> Iterator[Order]:
-        """Open a device where it may have come back; one that is another than the log's is left alone.
+        """Open a lost device on the ports where it may have returned. A device with another identity is refused.
 
-        Its pipeline goes on: the samples that the gap has cost are counted as at any other gap.
+        Its pipeline continues, so that lost samples are counted as at any other gap.
 
         Args:
-            name: of one whose line is lost.
-            command: what the session commands; None where it only listens.
+            name: name of the device with the lost link.
+            command: rotor command of the session; None for sessions that only receive.
         """
         device, old = self._devices[name], self._readers[name]
         for port in self._edge.places(device.line.port):
@@ -206,7 +208,7 @@ class Links:
             return
 
     def _woken(self, name: str, command: RotorCommand) -> Iterator[Order]:
-        """Set a device up again whose line is there and which sends nothing: it may have lost power."""
+        """Set up a device with an open link that sends nothing, since it may have lost power."""
         try:
             self._set_up_again(name, command)
         except LinkLost as error:
@@ -214,25 +216,25 @@ class Links:
         except _AnotherDevice as error:
             yield from self._refused(name, str(error))
         except DeviceError:
-            return  # it is silent still
+            return  # the device is still silent
 
     def _set_up_again(self, name: str, command: RotorCommand) -> None:
         device = self._devices[name]
         talk = OpenDevice(self._readers[name], self._clock, lambda: None)
         found, known = device.driver.open(name, device.settings, talk), self._identities.get(name, {})
-        changed = [what for what in known if what in self._asked[name] and found.get(what) != known[what]]
+        changed = [key for key in known if key in self._reported[name] and found.get(key) != known[key]]
         if changed:
-            differences = ", ".join(f"{what} {found.get(what)} instead of {known[what]}" for what in changed)
-            raise _AnotherDevice(f"{name}: another device answers there: {differences}")
+            differences = ", ".join(f"{key} {found.get(key)} instead of {known[key]}" for key in changed)
+            raise _AnotherDevice(f"{name}: another device answers on this link: {differences}")
         if name == command.drive_name and command.drive is not None:
             command.drive.start()
 
     def _refused(self, name: str, text: str) -> Iterator[Order]:
-        """The operator learns it, and the log: once, not with every attempt."""
+        """Report a failed attempt to the operator and to the log. Repeated failures are not reported."""
         if text not in self._core.notices:
             yield Note(Event("other", HOST, text, {"of": name}), self._clock.now_ns())
         yield from self._core.warn(text)
 
 
 class _AnotherDevice(DeviceError):
-    """What answers is not what it was."""
+    """The device that answers has another identity than before."""

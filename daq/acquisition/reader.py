@@ -1,8 +1,8 @@
 # pyright: strict
-"""One device being read: its link, the turns in which its bytes are taken, and the thread that takes them.
+"""Reading of one device: its link, the turns that take its bytes, and the thread that runs them.
 
-The turns (`DeviceReader.turns`) wait for nothing: they yield what is to be waited for. A thread waits in real time; a
-link of a simulated rig (`FollowedLink`) waits in the simulation's.
+The turns (`DeviceReader.turns`) are a generator that does not wait; it yields the waits. A thread carries them out in
+real time. A link of a simulated rig (`FollowedLink`) carries them out in simulated time.
 """
 
 from __future__ import annotations
@@ -20,99 +20,107 @@ from typing import Protocol, runtime_checkable
 from daq.errors import LinkLost
 from daq.transports import HostClock, Link
 
-_NEXT_S = 0.005  # wall seconds to wait for the next arrival
-_QUICK = 8  # arrivals in a row, each so soon behind the one before
+_NEXT_S = 0.005  # wait for the next arrival after a rest, wall s
+_MAX_QUICK = 8  # consecutive arrivals within `_NEXT_S` after which a device no longer counts as sparse
 _M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # malloc.h
-_LARGE_BYTES = 128 * 1024
-_HURRIED_S = 0.015  # rig seconds of a rest where rig time passes faster: a turn costs more of it
-_CALM_S = 0.04  # rig seconds that bytes may gather where no interlock waits for them
-_WAIT_S = 0.1  # wall seconds between two looks whether to end
+_LARGE_BYTES = 128 * 1024  # smallest array that glibc takes directly from the system
+_FAST_REST_S = 0.015  # least rest if rig time passes faster than wall time, since a turn takes more rig time; rig s
+_CALM_REST_S = 0.04  # least rest if no interlock waits for the bytes, rig s
+_WAIT_S = 0.1  # longest wait for bytes, after which the thread checks whether to end; wall s
 
 Take = Callable[[Sequence[tuple[bytes, int]], bytes, int], None]
-"""Takes what went out, each with its host time in ns, then what arrived and when."""
+"""Called with the bytes sent (each with its host time, ns), the bytes received, and their host time, ns."""
 
 
 @dataclass(frozen=True)
 class Read:
-    """Wait for bytes, at most so long, wall s; what had arrived before counts."""
+    """Wait for bytes; bytes that have arrived before count.
+
+    Attributes:
+        wall_s: timeout, wall s.
+    """
 
     wall_s: float
 
 
 @dataclass(frozen=True)
 class Rest:
-    """Let bytes gather for so long, rig s."""
+    """Let bytes accumulate.
+
+    Attributes:
+        seconds: duration, rig s.
+    """
 
     seconds: float
 
 
 Turns = Generator[Read | Rest, bytes, None]
-"""Takes the bytes that a wait gave; LinkLost is thrown into it when the link is gone."""
+"""Generator that yields waits and receives their bytes. LinkLost is thrown into it if the link is lost."""
 
 
 @runtime_checkable
 class FollowedLink(Protocol):
-    """A link that carries out a reader's waits itself."""
+    """A link that carries out the waits of a reader itself."""
 
     def follow(self, turns: Turns, failed: Callable[[Exception], None]) -> None:
-        """Begin; an exception that the turns raise goes to `failed` and ends them."""
+        """Start the turns. An exception of the turns ends them and is passed to `failed`."""
         ...
 
 
 def keep_heap_whole() -> None:
-    """Keep holes out of this process's heap over a run of hours, where the C library is glibc.
+    """Prevent fragmentation of this process's heap in runs of hours, if the C library is glibc.
 
-    Readers make arrays that the recorder's thread lets go of. With a heap for each thread, glibc's way, such memory
-    comes back in pieces that fit nothing any more; so there is one. And once a large array has been let go of, glibc
-    takes the next ones of that size from the heap too, where the first small thing that settles in the gap makes the
-    heap grow by another such array; so large arrays keep coming from the system and go back to it.
+    Readers allocate arrays that the recorder's thread frees. With one heap for each thread, the default of glibc, the
+    freed pieces cannot be reused. Therefore the process uses one heap. After the first large array is freed, glibc
+    would raise its threshold and allocate further arrays of that size on the heap, where small objects in the gaps make
+    the heap grow. Therefore the threshold is fixed, and large arrays are returned to the system.
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):  # another C library
             mallopt = ctypes.CDLL(None).mallopt
             mallopt(_M_ARENA_MAX, 1)
-            mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)  # naming one ends its being moved
+            mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)  # an explicit threshold is no longer adapted
 
 
 class _Sparse:
-    """Whether a device's bytes come so seldom that each arrival is worth a turn of its own."""
+    """Detects devices that send so rarely that each arrival gets a turn without a rest."""
 
     def __init__(self) -> None:
-        self._is, self._quick, self._last_s = False, 0, -math.inf
+        self._is_sparse, self._quick, self._last_s = False, 0, -math.inf
 
-    def arrived(self, alone: bool, some: bool, wall_s: float) -> bool:
-        """Whether they do.
+    def arrived(self, is_isolated: bool, has_bytes: bool, wall_s: float) -> bool:
+        """Register a turn and return whether the device is sparse.
 
         Args:
-            alone: nothing followed what had come during a rest.
-            some: bytes have come.
-            wall_s: when.
+            is_isolated: whether no bytes followed the bytes that arrived during the rest.
+            has_bytes: whether bytes have arrived.
+            wall_s: time of the turn, wall s.
         """
-        if alone:
-            self._is, self._quick = True, 0
-        elif self._is and some:
+        if is_isolated:
+            self._is_sparse, self._quick = True, 0
+        elif self._is_sparse and has_bytes:
             self._quick = self._quick + 1 if wall_s - self._last_s < _NEXT_S else 0
-            self._is = self._quick < _QUICK
+            self._is_sparse = self._quick < _MAX_QUICK
         self._last_s = wall_s
-        return self._is
+        return self._is_sparse
 
 
 class DeviceReader:
-    """One link and its turns.
+    """Reads one link.
 
     Args:
-        name: the device, as in the rig file.
-        link: an open one.
-        clock: stamps arrivals.
-        rest_s: rig time between two turns: what a wake-up costs counts, not the bytes.
-        calm: whether nothing waits for the device's samples: bytes may gather for longer then.
+        name: name of the device in the rig file.
+        link: the open link.
+        clock: host clock for the time stamps of arrivals.
+        rest_s: rest between two turns, rig s. The cost of a turn depends on the wake-up, not on the number of bytes.
+        calm: returns whether no interlock waits for the device's samples, so that the rest may be longer.
 
     Attributes:
-        lock: held while bytes, in either direction, go to log and pipeline: both see one order. Nothing that goes out
-            waits for it.
+        lock: held while bytes of either direction are passed to log and pipeline, so that both get the same order.
+            Sending does not wait for it.
         replies: text answers of the device.
-        bytes_in: how many bytes have come.
-        heard_s: when bytes came last, wall s of the clock.
+        bytes_in: number of bytes received.
+        heard_s: time of the last bytes, wall s.
     """
 
     def __init__(
@@ -125,35 +133,35 @@ class DeviceReader:
         self.heard_s = clock.wall_s()
         self._clock = clock
         self._writing, self._stamping = threading.Lock(), threading.Lock()
-        self._sent: list[tuple[bytes, int]] = []  # on their way into the log
+        self._sent: list[tuple[bytes, int]] = []  # sent but not yet taken, each with its host time
         self._rest_s, self._calm = rest_s, calm
         self._ending = False
         self._thread: threading.Thread | None = None
 
     def send(self, data: bytes) -> None:
-        """Write bytes to the device at once, whatever log and decoders are busy with; the log gets them afterwards.
+        """Write to the device immediately, without waiting for log and decoders. The bytes are logged afterwards.
 
         Raises:
-            LinkLost: the device is gone.
+            LinkLost: the link of the device is lost.
         """
-        with self._writing:  # what goes out and what is kept of it have one order
+        with self._writing:  # the order on the link is the order in the log
             with self._stamping:
                 self._sent.append((data, self._clock.now_ns()))
             self.link.write(data)
 
     def sent(self) -> list[tuple[bytes, int]]:
-        """What went out since the last call, each with its host time, ns; call it under `lock`."""
+        """Return the bytes sent since the last call, each with its host time, ns. The caller holds `lock`."""
         with self._stamping:
             out, self._sent = self._sent, []
             return out
 
     def start(self, take: Take, fail: Callable[[Exception], None]) -> None:
-        """Begin to read.
+        """Start reading.
 
         Args:
-            take: called under `lock` with what went out since its last call, then the bytes that arrived (or none) and
-                the host time of the last one's arrival.
-            fail: called once when the device is gone, or with a decoder's bug: either must stop the rig.
+            take: called under `lock` with the bytes sent since its last call, the bytes received (possibly none) and
+                the host time of the last arrival, ns.
+            fail: called once, with the error of a lost link or an exception of `take`.
         """
         self.heard_s = self._clock.wall_s()
         turns = self.turns(take)
@@ -169,7 +177,7 @@ class DeviceReader:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the turns and let go of the link."""
+        """End the turns and close the link."""
         self._ending = True
         if self._thread is not None and threading.current_thread() is not self._thread:
             self._thread.join(timeout=2.0)
@@ -196,26 +204,26 @@ class DeviceReader:
             wanted = turns.send(data)
 
     def turns(self, take: Take) -> Turns:
-        """Take bytes at every rest's end, each turn stamped with the arrival of its last byte.
+        """Take bytes at the end of every rest, with the arrival time of the last byte.
 
-        What came during a rest is not stamped as it is fetched, which would be late by an unknown part of the rest: it
-        waits for the next arrival, as long as that is near. Where none is, bytes come message by message: there is no
-        rest then until they come thick and fast again.
+        Bytes that arrived during a rest are not stamped when they are read, since that time is late by an unknown part
+        of the rest. They are taken with the next arrival, for which the turn waits up to `_NEXT_S`. If no bytes follow,
+        the device sends single messages, and there is no rest until arrivals follow each other quickly again.
         """
         rested, sparse = b"", _Sparse()
         while True:
             try:
                 data = yield Read(_NEXT_S if rested else _WAIT_S)
             except LinkLost:
-                if rested:  # its last bytes are bytes too
+                if rested:  # bytes that arrived before the loss of the link are taken too
                     self._arrived(rested, take)
                 raise
             if rested or data or self._sent:
                 self._arrived(rested + data, take)
-                alone, rested = bool(rested) and not data, b""  # not twice, should the next line fail
-                if not sparse.arrived(alone, bool(data), self._clock.wall_s()):
-                    least_s = _HURRIED_S if self._clock.rate > 1 else _CALM_S if self._calm() else 0.0
-                    yield Rest(max(self._rest_s, least_s))
+                is_isolated, rested = bool(rested) and not data, b""  # cleared here: the bytes must not be taken twice
+                if not sparse.arrived(is_isolated, bool(data), self._clock.wall_s()):
+                    min_rest_s = _FAST_REST_S if self._clock.rate > 1 else _CALM_REST_S if self._calm() else 0.0
+                    yield Rest(max(self._rest_s, min_rest_s))
                     rested = yield Read(0.0)
 
     def _arrived(self, data: bytes, take: Take) -> None:
@@ -224,7 +232,7 @@ class DeviceReader:
             if data:
                 self.bytes_in += len(data)
                 self.heard_s = self._clock.wall_s()
-            if not self._sent:  # nearly always
+            if not self._sent:  # the usual case
                 take((), data, host_ns)
                 return
             sent = self.sent()
@@ -235,12 +243,12 @@ class DeviceReader:
 
 @dataclass(frozen=True)
 class OpenDevice:
-    """A device being read, as its driver talks to it (see Talk).
+    """An open device for the dialogues of its driver; implements Talk.
 
     Attributes:
-        reader: of the device.
-        clock: what a dialogue waits by.
-        begin_anew: gives the device a fresh pipeline.
+        reader: reader of the device.
+        clock: host clock for the waits of dialogues.
+        begin_anew: gives the device a new pipeline.
     """
 
     reader: DeviceReader

@@ -1,4 +1,4 @@
-"""The last seconds of every channel, for whoever has to know now: procedures, interlocks, the terminal."""
+"""The newest samples of every channel in memory, for guided tests, trips and displays."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _FIRST_ROWS = 4096
 
 
 class Recent:
-    """The last seconds of every channel; several threads may add and look.
+    """The newest samples of every channel; thread-safe.
 
-    Rows stand one after the other in one table a channel, which is made once and then moved up from time to time: a
-    recording of hours must not leave a small array behind for every read.
+    The rows of a channel are stored in one table, whose content is moved to its front when it is full. Separate arrays
+    for every read would fragment the memory in recordings of hours.
 
     Args:
-        keep_s: how far back, in the samples' own time.
-        known: the channels; the usual ones if None.
+        keep_s: maximum age of the samples in their own time, s.
+        known: the channels; those of `daq.channels.CHANNELS` if None.
     """
 
     def __init__(self, keep_s: float, known: Iterable[channels.Channel] | None = None) -> None:
@@ -32,25 +32,25 @@ class Recent:
         self._lock = threading.Lock()
 
     def add(self, batch: Batch) -> None:
-        """Append one batch and forget what is too old."""
+        """Append one batch. Samples that are too old are removed when the table is full."""
         with self._lock:
             self._tables[batch.channel.topic].add(batch, self._keep_ns)
 
     def last(self, topic: str, fields: tuple[str, ...], since_ns: int = 0) -> tuple[NDArray[np.int64], list[Any]]:
-        """Times (ns) and columns of a channel since an instant; empty arrays when there is nothing."""
+        """Return times (ns) and columns of a channel since an instant; empty arrays if there are no samples."""
         with self._lock:
             rows = self._tables[topic].since(since_ns)
             return rows["time_ns"].copy(), [rows[name].copy() for name in fields]
 
     def clear(self) -> None:
-        """Forget everything (the clock maps begin anew with each log)."""
+        """Remove all samples, since every log has new clock maps."""
         with self._lock:
             for table in self._tables.values():
                 table.end = 0
 
 
 class _Table:
-    """Rows of one channel; those before `end` count."""
+    """Rows of one channel. The rows before `end` are valid."""
 
     def __init__(self, channel: channels.Channel) -> None:
         layout = [(name, channel.dtype[name]) for name in channel.names]
@@ -69,12 +69,12 @@ class _Table:
         self.end += count
 
     def since(self, since_ns: int) -> NDArray[Any]:
-        """Rows since an instant: times of a channel ascend."""
+        """Return the rows since an instant. The times of a channel ascend."""
         rows = self._rows[: self.end]
         return rows[np.searchsorted(rows["time_ns"], since_ns) :]
 
     def _make_room(self, count: int, oldest_ns: int) -> None:
-        """Move up what is young enough; a larger table if that is still most of it."""
+        """Move the rows since `oldest_ns` to the front, of a larger table if they fill most of the present one."""
         kept = self.since(oldest_ns)
         needed = len(kept) + count
         rows = self._rows if 4 * needed <= 3 * len(self._rows) else np.empty(2 * needed, self._rows.dtype)

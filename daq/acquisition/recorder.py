@@ -1,10 +1,9 @@
-"""Writes one run to one MCAP file: raw bytes first, then what was decoded from them.
+"""Recording of one run in one MCAP file: raw bytes and the samples decoded from them.
 
-The threads that read devices only leave their work in a bounded backlog. Every 50 ms one writer thread takes all of it,
-writes it as one block per channel and hands it to the system; another thread then waits for the disk, so that a disk
-that dawdles delays nobody. The backlog, the disk's pace and the room left on it are measured all the time
-(`Recorder.state`), and `Recorder.trouble` says when the run has to end: before anything is lost, and while there is
-still room to finish the file.
+The reader threads add items to a bounded backlog. Every 50 ms the writer thread takes the backlog, writes one block for
+each channel and passes it to the operating system. A third thread waits for the disk, so that a slow disk delays
+neither readers nor writer. Backlog, delay of the disk and free space are measured continuously (`Recorder.state`).
+`Recorder.trouble` is set when the run has to end, before data is lost and while there is space to finish the file.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from daq import channels
 from daq.channels import CHANNELS, Channel
@@ -24,27 +23,60 @@ from daq.errors import LogError, RecordingError
 from daq.log.file import LogFile, ReservedName
 from daq.transports.host_clock import HostClock
 
-_FLUSH_S = 0.05
+_FLUSH_S = 0.05  # period of writer and sync, wall s
 BACKLOG_BYTES = 64 * 2**20
-"""More waiting than this, minutes of a rig's bytes, and the disk is given up as too slow."""
-_SLOW_SHARE = 0.02  # of the backlog, or …
-_SLOW_SYNC_S = 1.0  # … so long behind: the disk is called slow
-_ITEM_BYTES = 400  # what an item costs beside its data
-_SPARE_BYTES = 2 * 2**20  # room kept on the disk to finish the file …
-_SPARE_BYTES_A_FLUSH = 300  # … whose index grows with every flush
+"""Largest backlog, some minutes of a rig's bytes. A larger one ends the run, since the disk is too slow."""
+_SLOW_SHARE = 0.02  # of `BACKLOG_BYTES`: the disk counts as slow above this share, or …
+_SLOW_SYNC_S = 1.0  # … if the oldest bytes have not been synchronised for this time, wall s
+_ITEM_BYTES = 400  # memory of an item in addition to its data
+_SPARE_BYTES = 2 * 2**20  # space reserved on the disk to finish the file …
+_SPARE_BYTES_A_FLUSH = 300  # … and its increase with every flush, for the index of the file
+
+
+class _Raw(NamedTuple):
+    """Raw bytes in the backlog."""
+
+    device: str
+    direction: int
+    data: bytes
+    host_ns: int
+
+
+class _Samples(NamedTuple):
+    """Decoded samples in the backlog."""
+
+    batch: Batch
+    host_ns: int
+
+
+class _HostEvent(NamedTuple):
+    """An event in the backlog."""
+
+    event: Event
+    host_ns: int
+
+
+class _Health(NamedTuple):
+    """A health report in the backlog."""
+
+    facts: Mapping[str, Any]
+    host_ns: int
+
+
+_Item = _Raw | _Samples | _HostEvent | _Health
 
 
 @dataclass(frozen=True)
 class DiskState:
-    """How the disk keeps up.
+    """State of the disk.
 
     Attributes:
-        backlog_bytes: what waits to be written.
-        unsynced_s: age of the oldest bytes that the disk does not surely have, wall s.
-        slow_s: how long, all in all, the disk was behind, wall s.
+        backlog_bytes: size of the backlog.
+        unsynced_s: age of the oldest bytes that have not been synchronised to the disk, wall s.
+        slow_s: total time for which the disk was slow, wall s.
         written_bytes: size of the file.
-        free_bytes: room left on the disk.
-        seconds_left: how long that lasts at this rate, wall s; infinite as long as nothing is known.
+        free_bytes: free space of the disk.
+        seconds_left: time until the disk is full at the present rate, wall s; infinite if unknown.
     """
 
     backlog_bytes: int = 0
@@ -56,37 +88,37 @@ class DiskState:
 
     @property
     def slow(self) -> bool:
-        """Behind so far that someone should know, long before anything is lost."""
+        """Whether the disk is slow enough for a report, long before data is lost."""
         return self.backlog_bytes > _SLOW_SHARE * BACKLOG_BYTES or self.unsynced_s > _SLOW_SYNC_S
 
     def facts(self) -> dict[str, Any]:
-        """For a health report."""
+        """Return the state as JSON values for a health report."""
         known = self.seconds_left != float("inf")
         return {**vars(self), "seconds_left": self.seconds_left if known else None, "slow": self.slow}
 
 
 class Disk(Protocol):
-    """Where logs are written to."""
+    """Disk to which logs are written."""
 
     def free_bytes(self, folder: Path) -> int:
-        """Room that is left.
+        """Return the free space of the disk of a folder.
 
         Raises:
-            OSError: the folder is gone.
+            OSError: the folder does not exist.
         """
         ...
 
     def sync(self, log: LogFile) -> None:
-        """Wait until the disk has what was handed to the system.
+        """Wait until the disk has stored everything that was passed to the operating system.
 
         Raises:
-            OSError: it fails.
+            OSError: writing failed.
         """
         ...
 
 
 class RealDisk:
-    """See Disk."""
+    """The disk of this machine; implements Disk."""
 
     def free_bytes(self, folder: Path) -> int:
         """See Disk."""
@@ -98,20 +130,24 @@ class RealDisk:
 
 
 class Recorder:
-    """One log being written.
+    """Writes one log.
 
     Args:
-        path: the finished file's name, ending in .mcap, or one that was reserved.
-        clock: the host clock that stamps health reports.
+        path: path of the finished file, ending in .mcap, or a reserved name.
+        clock: host clock for the time stamps of health reports.
         metadata: flat facts of the run (test, point, operator's note, software version …).
-        attachments: files that go in whole, by name (rig snapshot, identities).
-        devices: names of the devices whose raw bytes are kept.
-        sample_channels: what is decoded.
-        disk: where it is written to.
+        attachments: contents of the attachments (rig snapshot, identities), by name.
+        devices: names of the devices whose raw bytes are recorded.
+        sample_channels: channels of the decoded samples.
+        disk: disk to which the log is written; the disk of this machine if None.
+
+    Attributes:
+        trouble: error that ends the recording; None if there is none.
+        path, part: path of the finished file, and of the file that is being written.
 
     Raises:
-        LogError: the file or the rest of a cut one of its name exists already.
-        RecordingError: it cannot be created, or the disk has no room for it.
+        LogError: the file, or an unfinished file of its name, exists already.
+        RecordingError: the file cannot be created, or the disk has insufficient space.
     """
 
     def __init__(
@@ -126,11 +162,11 @@ class Recorder:
     ) -> None:
         self._clock, self._disk = clock, disk or RealDisk()
         self.trouble: RecordingError | None = None
-        self._failure: Exception | None = None  # the disk's: nothing more can be written
+        self._failure: Exception | None = None  # error of the disk, after which nothing can be written
         self._log = LogFile(path, metadata, attachments, devices, clock.now_ns(), sample_channels)
         self.path, self.part = self._log.path, self._log.part
         self._lock = threading.RLock()
-        self._backlog: list[tuple[Any, ...]] = []
+        self._backlog: list[_Item] = []
         self._backlog_bytes = 0
         self._unsynced = threading.Event()
         self._flushed_at = self._synced_to = clock.wall_s()
@@ -142,55 +178,58 @@ class Recorder:
             self._log.close()
             self.part.unlink()
             raise RecordingError(
-                f"{self.path.parent}: {self.state().free_bytes / 1e6:.1f} MB of room, at least "
+                f"{self.path.parent}: {self.state().free_bytes / 1e6:.1f} MB free, at least "
                 f"{2 * _SPARE_BYTES / 1e6:.1f} MB are needed to begin a log. Make room on the disk"
             )
         self._syncing = clock.every(_FLUSH_S, self._sync, "sync", self._fail)
         self._writing = clock.every(_FLUSH_S, self._write_all, "recorder", self._fail)
 
-    # --- from the readers --------------------------------------------------------------------------------------
+    # --- from the readers ----------------------------------------------------------------------------------------
 
     def raw(self, device: str, direction: int, data: bytes, host_ns: int) -> bool:
-        """Keep bytes as they came or went; False when the run has ended, and what they decode to is not wanted either.
+        """Record bytes in either direction.
 
-        What was decoded from bytes that were taken is always taken: a log holds both or neither.
+        Samples decoded from accepted bytes are always accepted, so that a log contains both or neither.
+
+        Returns:
+            False if the recording has ended; the samples decoded from the bytes must not be recorded either.
         """
         if self.trouble is not None:
             return False
-        self._leave(("raw", device, direction, data, host_ns), len(data))
+        self._add(_Raw(device, direction, data, host_ns), len(data))
         return True
 
     def batch(self, batch: Batch, host_ns: int) -> None:
-        """Keep decoded samples."""
-        self._leave(("batch", batch, host_ns), len(batch.time_ns) * batch.channel.dtype.itemsize)
+        """Record decoded samples."""
+        self._add(_Samples(batch, host_ns), len(batch.time_ns) * batch.channel.dtype.itemsize)
 
     def event(self, event: Event, host_ns: int) -> None:
-        """Keep an event."""
-        self._leave(("event", event, host_ns), 0)
+        """Record an event."""
+        self._add(_HostEvent(event, host_ns), 0)
 
     def health(self, facts: Mapping[str, Any]) -> None:
-        """Keep a snapshot of rates and losses."""
-        self._leave(("health", dict(facts), self._clock.now_ns()), 0)
+        """Record a health report."""
+        self._add(_Health(dict(facts), self._clock.now_ns()), 0)
 
-    def _leave(self, item: tuple[Any, ...], size: int) -> None:
+    def _add(self, item: _Item, size: int) -> None:
         with self._lock:
             self._backlog.append(item)
             self._backlog_bytes += size + _ITEM_BYTES
-            too_much = self._backlog_bytes > BACKLOG_BYTES
-        if too_much:
+            is_full = self._backlog_bytes > BACKLOG_BYTES
+        if is_full:
             self._end_because(
                 f"the disk is too slow, {BACKLOG_BYTES / 2**20:.0f} MB wait to be written. The log ends here and is "
-                "whole; use a faster disk, or find out what else is writing to this one"
+                "complete; use a faster disk, or find out which other program is writing to this one"
             )
 
     def together(self) -> AbstractContextManager[Any]:
-        """A context: what is left within it is written together, so a log has bytes and their samples, or neither."""
+        """Return a context whose items are written together, so that a log has bytes and samples or neither."""
         return self._lock
 
-    # --- how it goes -------------------------------------------------------------------------------------------
+    # --- state ---------------------------------------------------------------------------------------------------
 
     def state(self) -> DiskState:
-        """How the disk keeps up, now."""
+        """Return the present state of the disk."""
         behind = self._flushed_at > self._synced_to
         written = self._size()
         free = self._disk.free_bytes(self.part.parent)
@@ -205,7 +244,7 @@ class Recorder:
         )
 
     def look(self) -> DiskState:
-        """How the disk keeps up, and end the run while there is still room to finish the file."""
+        """Return the state of the disk. End the recording while there is still space to finish the file."""
         try:
             state = self.state()
             if not self._log.is_there():
@@ -215,8 +254,8 @@ class Recorder:
             return DiskState()
         if state.free_bytes < self._spare():
             self._end_because(
-                f"the disk is full ({state.free_bytes / 1e6:.1f} MB left). The log ends here and is whole; make room "
-                "and repeat the test"
+                f"the disk is full ({state.free_bytes / 1e6:.1f} MB left). The log ends here and is complete; make "
+                "room and repeat the test"
             )
         return state
 
@@ -233,10 +272,10 @@ class Recorder:
         if self.trouble is None:
             self.trouble = RecordingError(f"{self.path}: {why}")
 
-    # --- writing -----------------------------------------------------------------------------------------------
+    # --- writing -------------------------------------------------------------------------------------------------
 
     def _write_all(self) -> None:
-        """Write what is there; a late turn is made good by the next one's being larger."""
+        """Write the whole backlog. After a delay the next block is larger."""
         with self._lock:
             items, self._backlog = self._backlog, []
             size = self._backlog_bytes
@@ -244,7 +283,7 @@ class Recorder:
             try:
                 self._write(items)
                 self._log.flush()
-            except Exception as error:  # whatever it is: it must be seen, and the backlog go on being emptied
+            except Exception as error:  # every error must be reported, and the backlog must still be emptied
                 self._fail(error)
             self._flushes += 1
             self._flushed_at = self._clock.wall_s()
@@ -252,25 +291,25 @@ class Recorder:
         with self._lock:
             self._backlog_bytes -= size
 
-    def _write(self, items: list[tuple[Any, ...]]) -> None:
-        """Raw bytes and events as they came; the samples of a channel together, which is quicker and packs better."""
+    def _write(self, items: list[_Item]) -> None:
+        """Write raw bytes and events in their order, and the samples of each channel as one block."""
         batches: dict[str, list[tuple[Batch, int]]] = {}
         for item in items:
             match item:
-                case ("raw", device, direction, data, host_ns):
+                case _Raw(device, direction, data, host_ns):
                     self._log.raw(device, direction, data, host_ns)
-                case ("batch", batch, host_ns):
+                case _Samples(batch, host_ns):
                     batches.setdefault(batch.channel.topic, []).append((batch, host_ns))
-                case ("event", event, host_ns):
+                case _HostEvent(event, host_ns):
                     self._log.event(event, host_ns)
-                case (_, facts, host_ns):
+                case _Health(facts, host_ns):
                     self._log.note(channels.HEALTH_TOPIC, facts, host_ns, host_ns)
         for arrived in batches.values():
             batch, host_ns = joined(arrived)
             self._log.batch(batch, host_ns)
 
     def _sync(self) -> None:
-        """Keep the disk up to date; a slow disk delays this and nothing else."""
+        """Synchronise the file with the disk. A slow disk delays only this thread."""
         if not self._unsynced.is_set() or self._failure is not None:
             return
         self._unsynced.clear()
@@ -285,17 +324,17 @@ class Recorder:
     def _fail(self, error: Exception) -> None:
         self._failure = self._failure or error
         if isinstance(error, FileNotFoundError):
-            what = "the folder or the file in it has gone, and what was recorded with it; look for it, repeat the test"
+            advice = "the folder or the file has been removed, with the recording; look for it, or repeat the test"
         else:
-            room = "make room on the disk, or use another" if isinstance(error, OSError) else "tell the developers"
-            what = f"{self.part.name} is readable up to the last flush and `rig recover` makes it whole; {room}"
-        self._end_because(f"writing failed ({error}). {what}")
+            remedy = "make room on the disk, or use another" if isinstance(error, OSError) else "inform the developers"
+            advice = f"{self.part.name} is readable up to the last flush, and `rig recover` completes it; {remedy}"
+        self._end_because(f"writing failed ({error}). {advice}")
 
     def close(self, summary: Mapping[str, Any]) -> Path:
-        """Finish the file; the summary (losses, verdicts) goes in as metadata.
+        """Finish the file and return its path. The summary (losses, verdicts) is written as metadata.
 
         Raises:
-            RecordingError: the disk failed; what was written until then stays readable in the .part file.
+            RecordingError: the disk failed. The content up to the last flush stays readable in the .part file.
         """
         self._writing.stop(None)
         self._syncing.stop(None)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What an open session commands: the speed source, the pendulum locks, and the stop of the rotor at its end."""
+"""Commands of an open session: speed source, pendulum locks, and the stop of the rotor at the end of the session."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ import contextlib
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from daq.acquisition.core import Core, DriveSeen
+from daq.acquisition.core import Core, DriveState
 from daq.drivers.contract import MovesLocks, PendulumLocks, Pipeline, RotorGuard, SpeedSource, TurnsRotor
 from daq.drivers.devices import Device
 from daq.drivers.items import Event
 from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock
 
-_REACH_S = 0.5  # wall seconds between two attempts to reach it again
-_BY_ITSELF_S = 8.0  # wall seconds for a drive out of reach to stop by itself, and for the index marks to show it
+_RETRY_PERIOD_S = 0.5  # of attempts to reopen the link of the drive, wall s
+_MAX_WATCHDOG_STOP_S = 8.0  # for an unreachable drive to stop the rotor by its watchdog, wall s
 
 
 class RotorCommand:
-    """See the module.
+    """Commands the rotor and the locks of an open session.
 
     Args:
-        core: asked for permission, and whether the rotor stands.
-        devices: of the rig, with their drivers.
+        core: permits commands and holds the state of the rotor.
+        devices: devices of the rig with their drivers.
         send: writes bytes to a device, by its name.
-        clock: for the waits.
-        check: raises the first trouble.
+        clock: host clock for the waits.
+        check: raises the error that ended the run, if any.
 
     Attributes:
-        drive: what turns the rotor; None where nothing does.
-        drive_name: its device.
-        locks: what holds the pendulums; None where nothing does.
+        drive: speed source; None if the rig has none.
+        drive_name: name of the speed source's device; empty if the rig has none.
+        locks: pendulum locks; None if the rig has none that can be commanded.
     """
 
     def __init__(
@@ -55,69 +55,73 @@ class RotorCommand:
                 self.locks = device.driver.locks(device.settings, partial(send, name), clock)
 
     def permit(self, rpm: float | None) -> None:
-        """Ask before the drive is enabled (None) or ordered to turn, or the operator is asked to turn the rotor.
+        """Permit that the drive is enabled (`rpm` is None), or that drive or operator turn the rotor at a speed.
 
         Raises:
-            DeviceError, ProcedureError: it must not turn so.
+            DeviceError: a device that guards the rotor is missing or has failed.
+            ProcedureError: the speed exceeds the limit.
         """
         self._check()
         self._core.permit(rpm, self._clock.now_ns())
 
     def at_rest(self) -> bool | None:
-        """Whether the rotor stands, by the drive's fresh word and the index marks; None when neither is there."""
+        """Return whether the rotor is at rest, from the drive's newest report and the index marks; None if unknown."""
         return self._core.interlocks.at_rest(self._clock.now_ns())
 
     def turning(self) -> bool:
-        """Whether the rotor turns, or may."""
+        """Return whether the rotor turns, or its state is unknown."""
         return self._core.interlocks.turning(self._clock.now_ns())
 
     @property
     def dropped_out(self) -> bool:
-        """Whether the drive left operation by itself."""
+        """Whether the drive left operation without a command."""
         return self.drive is not None and self.drive.dropped_out is not None
 
-    def seen(self) -> DriveSeen | None:
-        """How the drive stands; None where there is none."""
+    def drive_state(self) -> DriveState | None:
+        """Return the state of the drive, or None if the rig has no drive."""
         drive = self.drive
-        return None if drive is None else DriveSeen(drive.enabled, drive.dropped_out, drive.why())
+        return None if drive is None else DriveState(drive.enabled, drive.dropped_out, drive.why())
 
     def notice(self, device: str, pipeline: Pipeline) -> None:
-        """A device's pipeline has just been fed."""
+        """Update the drive from the pipeline of a device that has just been fed."""
         if self.drive is not None and device == self.drive_name:
             self.drive.notice(pipeline)
 
     def acknowledged(self, event: Event) -> None:
-        """A device acknowledged a command."""
+        """Pass an acknowledgement of a device to the locks."""
         if self.locks is not None:
             self.locks.heard(event)
 
     def quick_stop(self) -> None:
-        """Have the drive stop; where it is out of reach, its own watch over our heartbeat does."""
+        """Stop the drive. If its link is lost, its heartbeat watchdog stops it."""
         if self.drive is not None:
             with contextlib.suppress(Exception):
                 self.drive.quick_stop()
 
-    def bring_to_rest(self, say: Callable[[str], None], opened: bool, reach: Callable[[], bool]) -> bool:
-        """At the end of a session: stop the rotor and let go of the drive; whether both are known to have happened.
+    def bring_to_rest(self, notify: Callable[[str], None], opened: bool, reach: Callable[[], bool]) -> bool:
+        """Stop the rotor and release the drive at the end of a session.
 
         Args:
-            say: is told what is being waited for.
+            notify: called with one line of text for each wait.
             opened: whether all devices had been opened.
-            reach: opens the drive's line again where it was lost; whether it is there.
+            reach: reopens the link of the drive if it was lost, and returns whether it is open again.
+
+        Returns:
+            Whether the drive confirmed rest and release.
         """
         if self.drive is None:
             return not self.turning()
         try:
-            return self.drive.stop(say)
-        except (LinkLost, DeviceError):  # its own watchdog stops it now; the index marks show it
-            end = self._clock.wall_s() + _BY_ITSELF_S
-            again_s = 0.0
+            return self.drive.stop(notify)
+        except (LinkLost, DeviceError):  # the drive's watchdog stops the rotor; the index marks show when
+            end = self._clock.wall_s() + _MAX_WATCHDOG_STOP_S
+            retry_at_s = 0.0
             while opened and self.at_rest() is False and self._clock.wall_s() < end:
-                if self._clock.wall_s() >= again_s:  # one that turns by itself heeds no watchdog
+                if self._clock.wall_s() >= retry_at_s:  # the watchdog may have failed
                     with contextlib.suppress(LinkLost, DeviceError):
                         if reach():
                             self.drive.quick_stop()
-                            return self.drive.stop(say)
-                    again_s = self._clock.wall_s() + _REACH_S
+                            return self.drive.stop(notify)
+                    retry_at_s = self._clock.wall_s() + _RETRY_PERIOD_S
                 self._clock.wait(0.02)
             return False

@@ -1,7 +1,7 @@
-"""An open rig: the ports, the clock and the disk around the acquisition's core.
+"""An open rig: ports, clock and disk for the core of the acquisition.
 
-Every device has a reader; what it takes goes to the core (`daq.acquisition.core`), and what the core orders is carried
-out here: bytes and samples into the log, a warning to the operator, a stop to the drive.
+Every device has a reader. The session passes the bytes of the readers to the core (`daq.acquisition.core`) and carries
+out its orders: it writes to the log, warns the operator and stops the drive.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ from daq.version import software_version
 from rig_configs.ports import refuse_shared_ports
 from rig_configs.schema import Rig
 
-_ALIVE_S = 3.0  # wall seconds
-_NEWEST_S = 20.0  # how far back the newest stretch of a channel may lie
+_MAX_START_S = 3.0  # from the start of the streams to samples of every device, wall s
+_MAX_NEWEST_AGE_S = 20.0  # of samples that `newest` returns, rig s
 
 
 class Session:
@@ -52,16 +52,23 @@ class Session:
     Args:
         rig: the rig file.
         clock: the host clock.
-        identities: what the devices are known to be, for a session that only listens; `open` asks them itself.
-        say: told what the operator has to know at once, a line each.
-        edge: the ports and the disk; the machine's own if None.
+        identities: identities of the devices. Used by sessions that only receive. `open` queries the devices itself.
+        say: called with one line of text for the operator.
+        edge: ports and disk; those of the machine if None.
     Raises (from `open` and `listen`):
         LinkLost: a port cannot be opened.
-        DeviceError: a device does not answer as it should.
+        DeviceError: a device does not answer as expected.
     Raises:
-        RigFileError: two devices have one port.
-    Raises (at the end of a `with` that nothing else ends):
+        RigFileError: two devices have the same port.
+    Raises (at the end of a `with` statement that ends without another error):
         DeviceError: the rotor still turns.
+
+    Attributes:
+        observers: called with every event of a device.
+        noted: called with every event of the host and its time, ns.
+        reported: called with every health report and its time, ns.
+        left: after `close`, the warning that the rotor may turn or the drive may hold it; empty if neither.
+        log: path of the newest recording; None before the first.
     """
 
     def __init__(
@@ -74,28 +81,28 @@ class Session:
     ) -> None:
         self.rig, self.clock = rig, clock
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
-        self.observers: list[Callable[[Event], None]] = []  # told of every event of a device
-        self.noted: list[Callable[[Event, int], None]] = []  # told of every event of the host, with its time
-        self.reported: list[Callable[[Mapping[str, Any], int], None]] = []  # told of every health report, with its time
-        self.left = ""  # at its end: of a rotor that may turn, or a drive that may hold it; empty when neither
-        self.log: Path | None = None  # of the newest recording
+        self.observers: list[Callable[[Event], None]] = []
+        self.noted: list[Callable[[Event, int], None]] = []
+        self.reported: list[Callable[[Mapping[str, Any], int], None]] = []
+        self.left = ""
+        self.log: Path | None = None
         self._edge = edge or real_edge()
         self._channels = tuple(channels_of(rig.devices).values())
         self._known = devices_of(rig.devices)
-        refuse_shared_ports(rig.devices)  # a rig that no file was read for, as a log's
-        self._say = say
+        refuse_shared_ports(rig.devices)  # the rig may come from a log and not from a checked file
+        self._notify = say
         self._core = Core(rig, clock.patience, driving=True)
         self._links: Links | None = None
         self._recorder: Recorder | None = None
         self._command: RotorCommand | None = None
         self._ticking: Repeated | None = None
         self._opened = False
-        self._log_changes = threading.RLock()  # no tick between a log's last words and its end
+        self._log_changes = threading.RLock()  # excludes ticks between the last events of a log and its end
 
-    # --- beginning and end -------------------------------------------------------------------------------------
+    # --- beginning and end ---------------------------------------------------------------------------------------
 
     def open(self) -> Session:
-        """Open every link, identify the devices, start their streams."""
+        """Open every link, identify the devices and start their streams."""
         try:
             links = self._open_links()
             self._core.commanding = True
@@ -105,8 +112,8 @@ class Session:
             if self._command.drive is not None:
                 self._command.drive.start()
             self._wait_alive("every device to send samples")
-            self._begin_anew(None)  # what waited in the ports' buffers was late and would mislead the clock maps
-            self._wait_alive("every device to go on sending samples")
+            self._begin_anew(None)  # bytes from the port buffers were delayed and would disturb the clock maps
+            self._wait_alive("every device to continue to send samples")
             self._start_watching()
         except BaseException as error:
             self.close(error)
@@ -114,10 +121,14 @@ class Session:
         return self
 
     def listen(self, path: Path | ReservedName, metadata: Mapping[str, str]) -> Session:
-        """Open every link without a word and record from the first byte; whoever runs the rig is someone else.
+        """Open every link without sending anything, and record from the first byte. Another program runs the rig.
 
-        Nothing is configured and nothing is turned; a device may be silent. Identities are those given to the session,
-        else the rig file's word counts.
+        No device is configured and the rotor is not turned. A device may be silent. The identities are those given to
+        the session; where one is missing, the rig file applies.
+
+        Args:
+            path: of the log.
+            metadata: facts of the run.
         """
         self._core = Core(self.rig, self.clock.patience, driving=False)
         try:
@@ -135,7 +146,7 @@ class Session:
         compile_look()
         compile_line()
         links = Links(self._known, self.clock, self._edge, self._core, self.identities, self._take, self._lost)
-        self._links = links  # what is open when one fails is closed again
+        self._links = links  # before `open`, so that `close` closes the links if one of them fails
         links.open()
         return links
 
@@ -146,7 +157,7 @@ class Session:
 
     def _start_watching(self) -> None:
         self._opened = self._core.guarding = True
-        # nobody would look at disk and silence any more: that ends the run
+        # an error in a tick ends the run, since disk and silence would no longer be monitored
         self._ticking = self.clock.every(LOOK_S, self._tick, "health", self._fail)
 
     def __enter__(self) -> Session:
@@ -158,20 +169,20 @@ class Session:
         self.close(error)
 
     def close(self, because: BaseException | None = None) -> None:
-        """Stop drive and streams, close every link; a log that is still open ends with how it ended.
+        """Stop drive and streams, finish an open log with the reason of its end, and close every link.
 
         Args:
-            because: what ended the session; None when it came to its end.
+            because: error that ended the session; None if it ended without one.
         Raises:
-            DeviceError: the rotor still turns, or may, and nothing else ended the session.
+            DeviceError: the rotor turns or may turn, and `because` is None.
         """
         if self._core.closing:
             return
-        self._core.guarding = False  # what ends now ends because we say so
+        self._core.guarding = False  # streams that end from here on were ended by the session
         self.left = "the wait for the rotor to stop was interrupted"
-        stands: bool | None = False
+        at_rest: bool | None = False
         try:
-            stands, self.left = self._stop_devices()
+            at_rest, self.left = self._stop_devices()
         finally:
             try:
                 if self._recorder is not None:
@@ -183,16 +194,16 @@ class Session:
                     self._ticking.stop()
                 if self._links is not None:
                     self._links.close()
-        if not stands and because is None:
+        if not at_rest and because is None:
             raise DeviceError(self.left)
 
     @property
     def closed(self) -> bool:
-        """Whether it has come to its end: the log is whole, the lines are given up."""
+        """Whether the session has ended: the log is complete and the links are closed."""
         return self._core.closing
 
     def _ended(self, because: BaseException | None) -> str:
-        """What ended the session or a log, in words; empty when nothing did."""
+        """Return the text of the error that ended the session or a log; empty if there is none."""
         if self.trouble is not None:
             return str(self.trouble)
         if isinstance(because, KeyboardInterrupt):
@@ -202,9 +213,10 @@ class Session:
         return str(because) if isinstance(because, RigError) else f"{type(because).__name__}: {because}"
 
     def _reach_drive(self) -> bool:
-        """Open the drive's line again where it was lost; whether it is there now."""
+        """Open the drive's link again if it was lost. Return whether it was lost and is open now."""
         links, command = self._links, self._command
-        assert links is not None and command is not None  # noqa: PT018
+        if links is None or command is None:
+            return False
         name = command.drive_name
         if name not in self._core.gone:
             return False
@@ -212,67 +224,65 @@ class Session:
         return name not in self._core.gone
 
     def _stop_devices(self) -> tuple[bool, str]:
-        """Rotor to rest, streams off; a device that is gone does not keep the others from being stopped.
+        """Bring the rotor to rest and stop the streams. A lost device does not prevent the stop of the others.
 
         Returns:
-            Whether the rotor stands, as far as it is ours to stop; what there is to say of one that is not known to, or
-            of a drive that is not known to have let go of it: empty when both are.
+            Whether the rotor is at rest (True if this session does not turn it), and a warning if the rotor may turn
+            or the drive may not have released it; empty otherwise.
         """
         if self._command is None or self._links is None:
             return True, ""
         drive = self._command.drive_name
-        released = self._command.bring_to_rest(self._say, self._opened, self._reach_drive)
+        released = self._command.bring_to_rest(self._notify, self._opened, self._reach_drive)
         self._links.stop_streams()
-        stands = self.rotor_at_rest()
-        if released or not self._opened or (stands and not drive):
+        at_rest = self.rotor_at_rest()
+        if released or not self._opened or (at_rest and not drive):
             return True, ""
-        if stands:
-            text = (
-                f"{drive}: nobody can tell whether it has let go of the rotor, which stands; look at its power and line"
-            )
+        if at_rest:
+            text = f"{drive}: the rotor is at rest, but the drive may not have released it; check its power and cable"
         else:
-            still = "nobody can tell whether the rotor stands" if stands is None else "the rotor still turns"
-            text = f"{still} ({self.rotor_words()}); keep away from it"
+            text = f"{_not_at_rest(at_rest)} ({self.rotor_words()}); keep away from it"
         self._carry_out(self._core.warn(text))
-        return bool(stands), text
+        return bool(at_rest), text
 
     def _wait_alive(self, what: str) -> None:
-        """Wait for samples of every device; of those that give none, say what came instead."""
+        """Wait for samples of every device. The error describes what the other devices sent."""
         try:
-            self.wait_for(lambda: not self._silent(), _ALIVE_S, what)
+            self.wait_for(lambda: not self._silent(), _MAX_START_S, what)
         except DeviceError as error:
             silent = self._silent()
             if self.trouble is not None or not silent:
                 raise
-            raise DeviceError(f"{error}: {'; '.join(map(self._what_came, silent))}") from error
+            raise DeviceError(f"{error}: {'; '.join(map(self._received, silent))}") from error
 
     def _silent(self) -> list[str]:
-        """Devices of which no sample has come."""
+        """Return the devices that have not sent a sample."""
         return [
             name
             for name, device in self._known.items()
             if not all(len(self.recent.last(channel.topic, ())[0]) for channel in device.channels)
         ]
 
-    def _what_came(self, name: str) -> str:
+    def _received(self, name: str) -> str:
+        """Describe what a device without samples has sent."""
         bytes_in, losses = self._core.bytes_in[name], self._core.pipelines[name].losses
         lost = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in losses.items() if n)
-        came = f"{bytes_in} bytes came, none of them a sample" if bytes_in else "silent"
+        received = f"{bytes_in} bytes received, none of them a sample" if bytes_in else "silent"
         why = self.told(name)[1] or "Look at its power, its settings and the rig file"
-        return f"{name}: {came}{f' ({lost})' if lost else ''}. {why[:1].upper()}{why[1:]}"
+        return f"{name}: {received}{f' ({lost})' if lost else ''}. {why[:1].upper()}{why[1:]}"
 
-    # --- bytes, and what the core makes of them ------------------------------------------------------------------
+    # --- bytes, and the orders of the core -----------------------------------------------------------------------
 
     def send(self, name: str, data: bytes) -> None:
-        """Write to a device at once, whatever log and decoders are busy with; the log gets the bytes afterwards.
+        """Write to a device immediately, without waiting for log and decoders. The bytes are logged afterwards.
 
         Raises:
-            LinkLost: the device is gone.
+            LinkLost: the link of the device is lost.
         """
         self._open.send(name, data)
 
     def _take(self, name: str, sent: Sequence[tuple[bytes, int]], data: bytes, host_ns: int) -> None:
-        """What went to a device and then what came from it."""
+        """Pass the bytes sent to a device, and then the bytes received from it, to the core."""
         for written, written_ns in sent:
             self._carry_out(self._core.feed(name, TX, written, written_ns))
         if data:
@@ -290,7 +300,7 @@ class Session:
             self._carry_out(
                 self._core.tick(
                     self.clock.now_ns(),
-                    command.seen() if command is not None else None,
+                    command.drive_state() if command is not None else None,
                     recorder.look() if recorder is not None else None,
                     recorder.trouble if recorder is not None else None,
                 )
@@ -315,7 +325,7 @@ class Session:
                     for reported in self.reported:
                         reported(facts, self.clock.now_ns())
                 case Warn(text):
-                    self._say(text)
+                    self._notify(text)
                 case StopRotor():
                     if self._command is not None:
                         self._command.quick_stop()
@@ -328,21 +338,21 @@ class Session:
         elif event.kind == "acknowledge" and self._command is not None:
             self._command.acknowledged(event)
 
-    # --- what is known -------------------------------------------------------------------------------------------
+    # --- state ---------------------------------------------------------------------------------------------------
 
     @property
     def recent(self) -> Recent:
-        """The last seconds of every channel."""
+        """The newest samples of every channel."""
         return self._core.recent
 
     @property
     def rates(self) -> RateWatches:
-        """The rates of the devices' clocks."""
+        """Rates of the device clocks."""
         return self._core.rates
 
     @property
     def trouble(self) -> Exception | None:
-        """The first thing that ended the run; None as long as it is fine."""
+        """The first error that ended the run; None if there is none."""
         return self._core.trouble
 
     @trouble.setter
@@ -351,12 +361,12 @@ class Session:
 
     @property
     def notices(self) -> list[str]:
-        """What the operator learnt: a run with any is not a clean one."""
+        """Warnings shown to the operator. A run with warnings is not a clean run."""
         return self._core.notices
 
     @property
     def lenient(self) -> bool:
-        """Whether a device that is not what the rig file says is only looked at, as by `rig check`."""
+        """Whether deviations from the rig file are only reported, as `rig check` requires."""
         return self._core.lenient
 
     @lenient.setter
@@ -365,56 +375,65 @@ class Session:
 
     @property
     def drive(self) -> SpeedSource:
-        """What turns the rotor in an open session.
+        """Speed source of an open session.
 
         Raises:
-            DeviceError: nothing does.
+            DeviceError: the session has none.
         """
         if self._command is None or self._command.drive is None:
-            raise DeviceError(f"rig {self.rig.name} has no open speed source: nothing turns its rotor by command")
+            raise DeviceError(f"rig {self.rig.name} has no open speed source: its rotor cannot be turned by command")
         return self._command.drive
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """Channels that its devices fill all the time."""
+        """Channels to which the devices send continuously."""
         return tuple(channel.topic for device in self._known.values() for channel in device.channels)
 
     @property
     def bytes_in(self) -> int:
-        """Bytes from all devices so far."""
+        """Number of bytes received from all devices."""
         return sum(self._core.bytes_in.values())
 
     @property
     def silent_s(self) -> float:
-        """How long no device has sent anything, wall s."""
+        """Time since any device sent bytes, wall s."""
         return self.clock.wall_s() - self._open.heard_s()
 
     def newest(self, topic: str, fields: tuple[str, ...], seconds: float) -> tuple[NDArray[np.int64], list[Any]]:
-        """The newest stretch of a channel, counted back from its newest sample: a late read is no silence."""
-        time_ns, columns = self.recent.last(topic, fields, self.clock.now_ns() - int(_NEWEST_S * 1e9))
+        """Return the newest samples of a channel.
+
+        Args:
+            topic: of the channel.
+            fields: names of the columns.
+            seconds: length of the stretch, counted back from the newest sample, so that a late read is not a gap.
+
+        Returns:
+            Times, ns, and the columns; empty if the newest sample is older than 20 s.
+        """
+        time_ns, columns = self.recent.last(topic, fields, self.clock.now_ns() - int(_MAX_NEWEST_AGE_S * 1e9))
         if len(time_ns) == 0:
             return time_ns, columns
         new = time_ns > time_ns[-1] - int(seconds * 1e9)
         return time_ns[new], [column[new] for column in columns]
 
     def told(self, name: str) -> tuple[bool, str]:
-        """Whether a device has said what it is, with all that this leads to done, and what was wrong with it.
+        """Return whether a device has described itself, and its deviation from the rig file (empty if there is none).
 
-        A device that never says anything of itself has said all there is.
+        Devices that never describe themselves return (True, "").
         """
         with self._open.unread(name):
             pipeline = self._core.pipelines[name]
             return (pipeline.told, pipeline.complaint) if isinstance(pipeline, TellsItself) else (True, "")
 
     def all_told(self) -> bool:
-        """Whether every device has said what it is."""
+        """Return whether every device has described itself."""
         return all(self.told(name)[0] for name in self._known)
 
     def own_checks(self, events: Iterable[Event]) -> dict[str, Checks]:
-        """What drivers look at in their open devices, by device.
+        """Return the checks that the drivers make on their open devices, by device.
 
         Args:
-            events: of the seconds that were looked at.
+            events: of the checked time span.
         """
         happened, command = list(events), self._command
         return {
@@ -428,50 +447,50 @@ class Session:
         }
 
     def rotor_at_rest(self) -> bool | None:
-        """Whether the rotor stands, by the drive's fresh word and the index marks; None when neither is there."""
+        """Return whether the rotor is at rest, from the drive's newest report and the index marks; None if unknown."""
         return self._core.interlocks.at_rest(self.clock.now_ns())
 
     def turning(self) -> bool:
-        """Whether the rotor turns, or may: nobody can say that it does not."""
+        """Return whether the rotor turns, or its state is unknown."""
         return self._core.interlocks.turning(self.clock.now_ns())
 
     def rotor_rpm(self) -> float:
-        """How fast the rotor turns, by all that is known; NaN when nobody can tell."""
+        """Return the rotor speed, rpm: the higher value of drive and index marks, NaN if unknown."""
         return self._core.interlocks.speed_rpm(self.clock.now_ns())
 
     def rotor_words(self) -> str:
-        """What is known of the rotor's speed, for a message."""
+        """Return the state of the rotor's speed for a message."""
         return self._core.interlocks.rotor_words(self.clock.now_ns())
 
     # --- recording -----------------------------------------------------------------------------------------------
 
     def disk(self) -> DiskState | None:
-        """How the disk keeps up with the recording; None when nothing is recorded."""
+        """Return the state of the disk, or None if no log is recorded."""
         recorder = self._recorder
         return None if recorder is None else recorder.state()
 
     def losses(self) -> dict[str, dict[str, int]]:
-        """Counted losses of every device since the recording began; a silence counts while it lasts."""
+        """Return the losses of every device since the start of the log, including silences that have not ended."""
         return self._core.losses(self.clock.now_ns())
 
     def note(self, event: Event) -> None:
-        """Put what the host found out into the log, if one is being recorded."""
+        """Write an event of the host to the log, if one is recorded, and notify the observers."""
         self._note(event, self.clock.now_ns())
 
     def _note(self, event: Event, host_ns: int) -> None:
         recorder = self._recorder
         if recorder is not None:
             recorder.event(event, host_ns)
-        for tell in self.noted:
-            tell(event, host_ns)
+        for notify in self.noted:
+            notify(event, host_ns)
 
     def start_recording(self, path: Path | ReservedName, metadata: Mapping[str, str], before_s: float = 0.0) -> None:
-        """Begin a log. Every device gets a fresh pipeline, so that the log alone decodes to the same samples.
+        """Begin a log. Every device gets a new pipeline, so that the log alone decodes to the same samples.
 
         Args:
             path: of the log.
             metadata: facts of the run.
-            before_s: how much of what came before now belongs to it, s; at most `daq.acquisition.core.PAST_S`.
+            before_s: length of the pre-trigger, s; at most `daq.acquisition.core.PAST_S`.
         """
         if self._recorder is not None:
             self.stop_recording({"ended": self._ended(None) or "another recording began"})
@@ -498,14 +517,14 @@ class Session:
         self._begin_anew(recorder, before_s, seeds)
 
     def _learn(self) -> None:
-        """What devices are by their own bytes holds from log to log, as what they say when they are opened."""
+        """Add to the identities what the pipelines have learnt from the bytes, for the next log."""
         for name, pipeline in self._core.pipelines.items():
             if isinstance(pipeline, LearnsIdentity):
                 with self._open.unread(name):
                     self.identities.setdefault(name, {}).update(pipeline.learned)
 
     def _seeds(self) -> dict[str, dict[str, Any]]:
-        """How the devices' clocks stand, as far as it is known: a log's first samples need not find it out again."""
+        """Return the states of the device clocks, so that the clock maps of the next log start with them."""
         seeds: dict[str, dict[str, Any]] = {}
         for name, pipeline in self._core.pipelines.items():
             with self._open.unread(name):
@@ -517,7 +536,7 @@ class Session:
     def _begin_anew(
         self, recorder: Recorder | None, before_s: float = 0.0, seeds: Mapping[str, Mapping[str, Any]] | None = None
     ) -> None:
-        """Give every device a fresh pipeline, at a boundary between two reads."""
+        """Give every device a new pipeline, at a boundary between two reads."""
         pipelines = make_pipelines(self.rig.devices, self.identities, seeds=seeds)
         with self._log_changes, self._open.between_reads():
             self._recorder = recorder
@@ -530,7 +549,7 @@ class Session:
                     recorder.event(order.event, order.host_ns)
 
     def stop_recording(self, summary: Mapping[str, Any]) -> Path:
-        """End the log; losses and how it ended go into its summary."""
+        """End the log and return its path. Losses and the reason of the end are written to its summary."""
         recorder = self._recorder
         assert recorder is not None
         with self._log_changes, self._open.between_reads():
@@ -548,10 +567,10 @@ class Session:
     # --- waiting and commands ------------------------------------------------------------------------------------
 
     def check(self) -> None:
-        """Raise the first trouble; devices that were unplugged are looked for meanwhile."""
+        """Raise the error that ended the run, if any, and try to reopen devices with a lost link."""
         core, command = self._core, self._command
         if core.trouble is None and command is not None and command.dropped_out and core.guarding:
-            end = self.clock.wall_s() + 2.0  # the core stops the rotor, and waits a moment for the drive's reason
+            end = self.clock.wall_s() + 2.0  # the core stops the rotor and waits for the drive's reason
             while core.trouble is None and self.clock.wall_s() < end:
                 self.clock.wait(0.01)
         if core.trouble is not None:
@@ -560,65 +579,78 @@ class Session:
             self._carry_out(self._open.attend(command))
 
     def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
-        """Wait until a condition holds, at most so long on the wall's clock.
+        """Wait until a condition is true.
+
+        Args:
+            condition: is evaluated every 3 ms.
+            wall_s: timeout, wall s.
+            what: description of the condition for the message.
 
         Raises:
-            DeviceError: it does not come true in time.
+            DeviceError: timeout.
         """
         deadline = self.clock.wall_s() + wall_s
         while not condition():
             self.check()
             if self.clock.wall_s() > deadline:
-                raise DeviceError(f"waited {wall_s:g} s for {what}; it did not come")
+                raise DeviceError(f"waited {wall_s:g} s for {what}: timeout")
             self.clock.wait(0.003)
 
     def wait_for_rest(self, wall_s: float) -> None:
-        """Wait until the rotor stands.
+        """Wait until the rotor is at rest.
+
+        Args:
+            wall_s: timeout, wall s.
 
         Raises:
-            DeviceError: it does not, or nobody can tell.
+            DeviceError: at the timeout the rotor turns, or its state is unknown.
         """
         deadline = self.clock.wall_s() + wall_s
         while not (rest := self.rotor_at_rest()):
             self.check()
             if self.clock.wall_s() > deadline:
-                still = "nobody can tell whether the rotor stands" if rest is None else "the rotor still turns"
-                raise DeviceError(f"{still} after {wall_s:g} s: {self.rotor_words()}. Look at drive and rotor")
+                text = f"{_not_at_rest(rest)} after {wall_s:g} s: {self.rotor_words()}. Look at drive and rotor"
+                raise DeviceError(text)
             self.clock.wait(0.003)
 
     def need(self, *topics: str) -> None:
-        """Channels that the running test lives on, at rest too; silence of one ends it. Without any: none."""
+        """Set the channels that the running test needs even at rest. Silence of one of them ends the test."""
         self._core.interlocks.need(topics)
 
     def permit_by_hand(self, rpm: float | None) -> None:
-        """Ask before the operator is told to turn the rotor; from then on it is watched as if a drive turned it.
+        """Permit that the operator turns the rotor. From then on it is monitored as a driven rotor.
 
         Args:
-            rpm: the speed; None before anything turns.
+            rpm: the speed; None before the first one.
 
         Raises:
-            DeviceError, ProcedureError: a guard is missing, or the speed is beyond its limit.
+            DeviceError: a device that guards the rotor is missing or has failed.
+            ProcedureError: the speed exceeds the limit.
         """
         assert self._command is not None
         self._command.permit(rpm)
 
     def stop(self, reason: str) -> None:
-        """The operator wants the rotor stopped: the drive is told at once, by the caller's thread, and the run ends."""
+        """End the run for the operator. The drive gets the stop immediately, in the caller's thread."""
         self._carry_out(self._core.fail(OperatorStop(reason), self.clock.now_ns()))
 
     def command_node(self, action: str) -> None:
-        """Have the pendulums locked or released, until it is acknowledged.
+        """Send a command for the pendulum locks and wait for its acknowledgement.
 
         Raises:
-            DeviceError: refused (the message says why), never acknowledged, or the rig has no locks to command.
+            DeviceError: the command was refused (with the reason) or not acknowledged, or the rig has no such locks.
         """
         if self._command is None or self._command.locks is None or self.rig.roles.locks is None:
             raise DeviceError(f"rig {self.rig.name} has no locks that can be commanded: {action} by hand")
         self._command.locks.command(action, self.check)
 
 
+def _not_at_rest(at_rest: bool | None) -> str:
+    return "the state of the rotor is unknown" if at_rest is None else "the rotor still turns"
+
+
 def _keep(recorder: Recorder, order: Keep) -> None:
-    """Bytes and what they hold, together; after the run's end the recorder takes neither, and interlocks go on."""
+    """Record bytes with their items. After the end of the run the recorder accepts neither."""
     with recorder.together():
         if recorder.raw(order.device, order.direction, order.data, order.host_ns):
             for item in order.items:

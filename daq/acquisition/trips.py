@@ -1,8 +1,9 @@
 # pyright: strict
-"""A trip as one event: every reason that came together, and the two seconds around it of every channel.
+"""A trip as one event: all reasons within a short time, and an excerpt of every channel around it.
 
-Interlocks go on finding the same fault, and a stopped rotor makes others. What is found within `TOGETHER_S` of the
-first reason belongs to the trip; what comes later is named beside it. No clock and no I/O here: every time is given.
+Interlocks report the same fault repeatedly, and stopping the rotor causes further findings. Findings within
+`TOGETHER_S` of the first reason belong to the trip. Later findings are listed by name only. The module has no clock and
+no I/O; all times are arguments.
 """
 
 from __future__ import annotations
@@ -27,22 +28,22 @@ from daq.log.outcome import TRIP
 from rig_configs.roles import Roles
 
 BEFORE_S, AFTER_S = 1.0, 1.0
-"""Rig time around the first reason that a trip's event holds."""
+"""Length of the excerpt before and after the first reason, rig s."""
 POINTS = 99
-"""The most points of one field."""
-_READ_S = 0.1  # wall seconds that the last samples may be under way
-_MOST_REASONS = 24
+"""Maximum number of points of one field."""
+_MAX_READ_DELAY_S = 0.1  # of the last samples of the excerpt, wall s
+_MAX_REASONS = 24
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
 
 @dataclass(frozen=True)
 class Reason:
-    """One of a trip.
+    """One reason of a trip.
 
     Attributes:
         interlock: name of its row in `daq.acquisition.interlock_table`.
-        text: what was found, with the values.
-        host_ns: when, ns since 1970.
+        text: the finding with its values.
+        host_ns: time of the finding, ns since 1970.
     """
 
     interlock: str
@@ -51,68 +52,68 @@ class Reason:
 
     @property
     def of(self) -> tuple[str, str]:
-        """What tells it from others; see `finding_of`."""
+        """Key of the finding; see `finding_of`."""
         return finding_of(self.interlock, self.text)
 
 
 def finding_of(interlock: str, text: str) -> tuple[str, str]:
-    """What tells one finding from others: the same one, found again, has other numbers in its text."""
+    """Return the key of a finding: repeated findings differ only in the numbers of their texts."""
     return interlock, _NUMBER.sub("#", text)
 
 
 class Trips:
-    """Makes the trip of one log an event; several threads may call it.
+    """Collects the trip of one log and makes its event; thread-safe.
 
     Args:
-        channels: those whose samples are kept beside it.
-        roles: of the rig; the speed comes from the speed source, without one from the index marks.
-        patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
+        channels: channels of the excerpt.
+        roles: roles of the rig. The speed comes from the speed source, without one from the index marks.
+        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
 
     Attributes:
-        reasons: of the trip so far, the first one first; empty as long as nothing tripped.
+        reasons: reasons of the trip so far in their order; empty without a trip.
     """
 
     def __init__(self, channels: Iterable[Channel], roles: Roles, patience: Callable[[float], float]) -> None:
         self._channels, self._roles = tuple(channels), roles
         self._together_ns = int(patience(TOGETHER_S) * 1e9)
-        self._due_ns = int((AFTER_S + patience(_READ_S)) * 1e9)
+        self._due_ns = int((AFTER_S + patience(_MAX_READ_DELAY_S)) * 1e9)
         self._lock = threading.Lock()
-        self._told = False
+        self._is_reported = False
         self._later: dict[str, None] = {}
         self.reasons: tuple[Reason, ...] = ()
 
     def tripped(self, interlock: str, text: str, host_ns: int) -> None:
-        """An interlock found something; the same thing found again changes nothing.
+        """Add a finding of an interlock. Repetitions of a finding are ignored.
 
         Args:
             interlock: name of its row.
             text: the reason.
-            host_ns: when it was found.
+            host_ns: time of the finding, ns since 1970.
         """
         reason = Reason(interlock, text, host_ns)
         with self._lock:
-            if self._told or any(known.of == reason.of for known in self.reasons):
+            if self._is_reported or any(known.of == reason.of for known in self.reasons):
                 return
             if self.reasons and (
-                host_ns > self.reasons[0].host_ns + self._together_ns or len(self.reasons) == _MOST_REASONS
+                host_ns > self.reasons[0].host_ns + self._together_ns or len(self.reasons) == _MAX_REASONS
             ):
                 self._later[interlock] = None
                 return
             self.reasons = (*self.reasons, reason)
 
     def tick(self, now_ns: int, recent: Recent) -> list[Event]:
-        """Time passes; returns the trip, once, as soon as the seconds behind it are there."""
+        """Return the event of the trip, once, when the excerpt is complete."""
         with self._lock:
-            due = self.reasons and not self._told and now_ns >= self.reasons[0].host_ns + self._due_ns
+            due = self.reasons and not self._is_reported and now_ns >= self.reasons[0].host_ns + self._due_ns
             return [self._event(now_ns, recent)] if due else []
 
     def end(self, now_ns: int, recent: Recent) -> list[Event]:
-        """The log ends; returns the trip where that is not done yet."""
+        """Return the event of the trip at the end of the log, unless it has been returned."""
         with self._lock:
-            return [self._event(now_ns, recent)] if self.reasons and not self._told else []
+            return [self._event(now_ns, recent)] if self.reasons and not self._is_reported else []
 
     def _event(self, now_ns: int, recent: Recent) -> Event:
-        self._told = True
+        self._is_reported = True
         first_ns = self.reasons[0].host_ns
         until_ns = min(first_ns + int(AFTER_S * 1e9), now_ns)
         names = list(dict.fromkeys(reason.interlock for reason in self.reasons))
@@ -132,7 +133,7 @@ class Trips:
         return Event(TRIP, HOST, f"{', '.join(names)}: {'; also '.join(r.text for r in self.reasons)}", facts)
 
     def _speed_rpm(self, at_ns: int, recent: Recent) -> float | None:
-        """The speed source's last word before the trip, otherwise the speed between the last two index marks."""
+        """Return the last report of the speed source before the trip, or the speed between the last two index marks."""
         speed, phase = self._roles.speed, self._roles.phase
         if speed is not None:
             time_ns, (rpm,) = recent.last(speed.topic, ("speed_rpm",))
@@ -161,7 +162,7 @@ class Trips:
 
 
 def _series(time_ns: NDArray[np.int64], values: NDArray[Any], first_ns: int) -> dict[str, list[Any]]:
-    """A field's points: times in ms from the trip, values, null where there is none."""
+    """Return the points of a field: times relative to the trip, ms, and values, None for missing values."""
     rows = kept_rows(values)
     return {
         "t_ms": [_ms(int(at), first_ns) for at in time_ns[rows].tolist()],
@@ -170,12 +171,13 @@ def _series(time_ns: NDArray[np.int64], values: NDArray[Any], first_ns: int) -> 
 
 
 def kept_rows(values: NDArray[Any]) -> NDArray[np.intp]:
-    """Rows of a field that are kept, at most `POINTS`: of each stretch its least, its greatest, the first that is none.
+    """Return the rows of a field for the excerpt, at most `POINTS`.
 
-    Of a field that never changes, and of a counter that only rises, both ends say it all.
+    Each section of the field is reduced to its minimum, its maximum and its first missing value. Constant fields and
+    strictly increasing counters are reduced to their ends.
 
     Args:
-        values: shape (n,), n ≥ 1.
+        values: shape (n,), n ≥ 1; NaN for missing values.
 
     Returns:
         Ascending row numbers.
@@ -190,10 +192,10 @@ def kept_rows(values: NDArray[Any]) -> NDArray[np.intp]:
     edges = np.linspace(0, n, POINTS // 3 + 1).astype(int).tolist()
     for start, end in pairwise(edges):
         stretch = values[start:end].astype(float)
-        none = np.isnan(stretch)
-        if none.any():
-            kept.add(start + int(np.argmax(none)))
-        if not none.all():
+        missing = np.isnan(stretch)
+        if missing.any():
+            kept.add(start + int(np.argmax(missing)))
+        if not missing.all():
             kept |= {start + int(np.nanargmin(stretch)), start + int(np.nanargmax(stretch))}
     return np.array(sorted(kept))
 
@@ -203,7 +205,7 @@ def _ms(time_ns: int, first_ns: int) -> float:
 
 
 def _number(value: float) -> float | int | None:
-    """As JSON can hold it: whole numbers as they are, others to six digits, null for none."""
+    """Convert a number to JSON: integers unchanged, floats with six digits, None if it is not finite."""
     if isinstance(value, int):
         return value
     return float(f"{value:.6g}") if math.isfinite(value) else None

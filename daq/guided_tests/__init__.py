@@ -1,1 +1,1 @@
-"""Tests that lead an operator from locked pendulums to a finished log."""
+"""Guided tests: procedures from locked pendulums to a finished log."""

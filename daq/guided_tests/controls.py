@@ -1,8 +1,8 @@
 # pyright: strict
-"""What an operator may ask of a running test: pause, resume, abort, a note; and what the test shows meanwhile.
+"""Requests of the operator to a running test (pause, resume, abort, note), and the status of the test.
 
-Any thread may ask: a keyboard, a web page, a simulated operator. The test itself takes what was asked at its next look
-and answers in `status`. A pause takes effect in the next state in which the rig may wait.
+Any thread may add a request: keyboard, web page, simulated operator. The test takes the requests at its next look and
+answers in `status`. A pause takes effect in the next state in which the rig may wait.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ Verb = Literal["pause", "resume", "abort", "note"]
 
 @dataclass(frozen=True)
 class Request:
-    """One thing asked for.
+    """One request of the operator.
 
     Attributes:
-        text: the reason of an abort, the text of a note.
+        verb: kind of the request.
+        text: reason of an abort, or text of a note.
     """
 
     verb: Verb
@@ -29,15 +30,15 @@ class Request:
 
 @dataclass(frozen=True)
 class Status:
-    """What a test is at.
+    """Status of a test.
 
     Attributes:
-        test, state: its name, its state's; empty before the first.
-        words: what is going on, for a person.
-        share: of the state that is done, 0 … 1; None where that cannot be estimated.
-        paused: whether it waits for `resume`.
-        answer: to the newest request; empty when there is nothing to answer.
-        numbers: the test's, as it was asked for.
+        test, state: names of the test and of its state; empty before the first test.
+        words: description of the progress for the operator.
+        share: completed share of the state, 0 … 1; None if it cannot be estimated.
+        paused: whether the test waits for `resume`.
+        answer: answer to the newest request; empty without a request.
+        numbers: numbers of the test, by name.
     """
 
     test: str = ""
@@ -50,35 +51,35 @@ class Status:
 
 
 class Controls:
-    """See above. One object serves one session's tests, one after the other.
+    """Passes requests to the tests of one session; thread-safe.
 
     Attributes:
-        status: of the running test; replaced as a whole.
+        status: status of the running test; the object is replaced with every change.
     """
 
     def __init__(self) -> None:
         self.status = Status()
-        self._asked: deque[Request] = deque()
+        self._requests: deque[Request] = deque()
 
     def pause(self) -> None:
-        """Wait in the next state in which the rig may wait."""
-        self._asked.append(Request("pause"))
+        """Request a pause in the next state in which the rig may wait."""
+        self._requests.append(Request("pause"))
 
     def resume(self) -> None:
-        """Go on after a pause; takes back a pause that has not begun."""
-        self._asked.append(Request("resume"))
+        """Request the end of a pause. A pause that has not begun is cancelled."""
+        self._requests.append(Request("resume"))
 
     def abort(self, reason: str = "") -> None:
-        """End the test: its log ends with the reason, the rotor comes to rest, the pendulums are locked."""
-        self._asked.append(Request("abort", reason))
+        """Request the end of the test. Its log ends with the reason, the rotor is stopped, the pendulums are locked."""
+        self._requests.append(Request("abort", reason))
 
     def note(self, text: str) -> None:
-        """Put a note into the log, with the time at which it is taken."""
-        self._asked.append(Request("note", text))
+        """Request a note in the log. Its time is the time at which the test takes the request."""
+        self._requests.append(Request("note", text))
 
     def take(self) -> list[Request]:
-        """What was asked since the last time, in its order."""
+        """Return and remove the waiting requests in their order."""
         taken: list[Request] = []
-        while self._asked:
-            taken.append(self._asked.popleft())
+        while self._requests:
+            taken.append(self._requests.popleft())
         return taken

@@ -1,48 +1,52 @@
 # pyright: strict
-"""How every guided test begins and ends: the rotor at rest, the pendulums locked, the log finished."""
+"""Common beginning and ending of all guided tests: rotor at rest, pendulums locked, log finished."""
 
 from __future__ import annotations
 
 import math
 
 from daq.guided_tests.hands import HAND_RAMP_RPM_S
-from daq.guided_tests.kinds import Asked
+from daq.guided_tests.kinds import RAD_S_PER_RPM, Asked
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import Look, State, Table, View
 from rig_configs.schema import Rig
 
-_STATUS_S = 2.5  # a device describes itself each second; one of these messages may be lost
-_LOCKED_LOOK_S = 0.2  # how long closed locks are looked at before they are believed
-_SPIN_UP_S = 60.0  # beside what the ramp takes, rig time
-_BY_HAND_S = 240.0  # the same where a person turns the rotor, wall s
-_NEAR_RESONANCE = 0.1  # of its speed: the orbit is several times as large there
-_RPM = math.pi / 30
-ASK_TO_LOCK = "the rotor at rest: lock both pendulums, A at 0° and B at 180°"
+_MAX_STATUS_S = 2.5  # wait for a device's description; it is sent every second, and one message may be lost
+_LOCKED_LOOK_S = 0.2  # stretch over which closed locks are observed before the counters are checked, rig s
+_SPIN_UP_S = 60.0  # permitted in addition to the duration of the ramp, rig s
+_BY_HAND_S = 240.0  # the same if a person turns the rotor, wall s
+_NEAR_RESONANCE = 0.1  # relative distance from a resonance below which the orbit is several times as large
+
+ASK_TO_LOCK = "with the rotor at rest, lock both pendulums: A at 0°, B at 180°"
 
 
-def framed(asked: Asked, *states: State, releases: bool = False) -> Table:
-    """A test's own states between the beginning and the ending that all tests share.
+def framed(request: Asked, *states: State, releases: bool = False) -> Table:
+    """Return the table of a test: common beginning, own states, common ending.
 
     Args:
-        releases: whether it lets the pendulums go, so that they are locked again at the end.
+        request: the requested test.
+        states: the test's own states.
+        releases: whether the test releases the pendulums, so that they are locked again at the end.
     """
-    beginning = (REST, LOCK, LOCKS_SEEN, COUNTERS) if asked.rig.roles.angles is not None else (REST, LOCK)
+    beginning = (REST, LOCK, LOCKS_SEEN, COUNTERS) if request.rig.roles.angles is not None else (REST, LOCK)
     return Table((*beginning, *states), (FINISH, STOP, LOCK_AGAIN) if releases else (FINISH, STOP))
 
 
-def spin_up(asked: Asked, rpm: float, free: bool = False) -> tuple[State, ...]:
-    """Bring the rotor to a speed by the ramp it has for that, before the log begins.
+def spin_up(request: Asked, rpm: float, free: bool = False) -> tuple[State, ...]:
+    """Return the states that bring the rotor to a speed with the rig's own ramp, before the log begins.
 
     Args:
-        free: whether the pendulums are free meanwhile, as a start-up from rest has them.
+        request: the requested test.
+        rpm: the speed.
+        free: whether the pendulums are free meanwhile, as in a start-up from rest.
     """
-    role = asked.rig.roles.speed
+    role = request.rig.roles.speed
     ramp = HAND_RAMP_RPM_S if role is None else role.ramp_rpm_per_s
 
     def at_speed(view: View) -> Look:
         off = abs(view.rpm - rpm)
         if math.isnan(view.rpm):
-            return Look(False, f"spinning up to {rpm:.0f} rpm: nothing shows the speed yet")
+            return Look(False, f"spinning up to {rpm:.0f} rpm: the speed is not measured yet")
         return Look(off < 0.01 * rpm + 2, f"spinning up, {view.rpm:.0f} of {rpm:.0f} rpm", share_of(view.rpm, rpm))
 
     ready = State(
@@ -53,7 +57,7 @@ def spin_up(asked: Asked, rpm: float, free: bool = False) -> tuple[State, ...]:
         does=f"ramp the rotor to {rpm:.0f} rpm",
         enter=lambda orders: orders.turn(rpm, ramp, free),
         actor="rotor",
-        asks=f"turn the rotor to {rpm:.0f} rpm, by about {ramp:.0f} rpm a second, and hold it there",
+        asks=f"turn the rotor to {rpm:.0f} rpm, by about {ramp:.0f} rpm per second, and hold this speed",
         waits_for=f"{rpm:.0f} rpm, to 1 % and 2 rpm",
         look=at_speed,
         rpm=rpm,
@@ -70,8 +74,8 @@ def spin_up(asked: Asked, rpm: float, free: bool = False) -> tuple[State, ...]:
 
 
 def near_resonance(rig: Rig, rpm: float) -> str:
-    """Why a test must not wait at a speed; empty when it may."""
-    for natural in (w / _RPM for w in rig.physics.natural_frequencies_rad_s):
+    """Return the reason why a test must not wait at a speed; empty if it may."""
+    for natural in (w / RAD_S_PER_RPM for w in rig.physics.natural_frequencies_rad_s):
         if abs(rpm / natural - 1) < _NEAR_RESONANCE:
             return (
                 f"{rpm:.0f} rpm is within {100 * _NEAR_RESONANCE:.0f} % of the resonance expected at {natural:.0f} rpm"
@@ -80,19 +84,19 @@ def near_resonance(rig: Rig, rpm: float) -> str:
 
 
 def share_of(now: float, whole: float) -> float | None:
-    """A share for a progress bar; None where nothing is measured."""
+    """Return a completed share, 0 … 1, or None if `now` is not finite."""
     return min(1.0, max(0.0, now / whole)) if math.isfinite(now) else None
 
 
 def _described(view: View) -> Look:
-    """Whether the encoders' device has described itself; after a while its silence is no obstacle."""
-    late = view.in_state_s > _STATUS_S + view.measures.patience_s(_STATUS_S)
-    seen = late or view.measures.angles_described()
-    return Look(view.in_state_s >= _LOCKED_LOOK_S and seen, "looking at the locks")
+    """Wait until the encoders' device has described itself, at most for a limited time."""
+    late = view.in_state_s > _MAX_STATUS_S + view.measures.patience_s(_MAX_STATUS_S)
+    described = late or view.measures.angles_described()
+    return Look(view.in_state_s >= _LOCKED_LOOK_S and described, "checking the locks")
 
 
-def _believe(orders: Orders) -> None:
-    orders.believe_locked(0.5 * _LOCKED_LOOK_S)
+def _check_counters(orders: Orders) -> None:
+    orders.check_counters(0.5 * _LOCKED_LOOK_S)
 
 
 REST = State(
@@ -104,20 +108,18 @@ REST = State(
     usual_s=0.5,
     no_pause="the rotor may turn",
 )
-LOCK = State(
-    "lock", does="hold both pendulums at their places", enter=Orders.hold, actor="locks", asks=ASK_TO_LOCK, usual_s=1.0
-)
+LOCK = State("lock", does="lock both pendulums", enter=Orders.hold, actor="locks", asks=ASK_TO_LOCK, usual_s=1.0)
 LOCKS_SEEN = State(
     "locks seen",
-    waits_for="the encoders' device to describe itself",
+    waits_for="the description of the encoders' device",
     look=_described,
     period_s=_LOCKED_LOOK_S,
-    limit_s=4 * _STATUS_S,
+    limit_s=4 * _MAX_STATUS_S,
     wall=True,
     usual_s=0.4,
     late="counters",
 )
-COUNTERS = State("counters", does="hold the counters against the closed locks, refuse what cannot be", enter=_believe)
+COUNTERS = State("counters", does="check the counters at the closed locks", enter=_check_counters)
 _ENDING = "the test is ending"
 FINISH = State("finish", does="end the log", enter=Orders.finish, no_pause=_ENDING)
 STOP = State(

@@ -1,8 +1,8 @@
 # pyright: strict
-"""What turns the rotor and what holds the pendulums: a device, or the operator's hand.
+"""Rotor and locks of a guided test: operated by a device, or by the operator's hand.
 
-Tests ask for the same either way. A device is commanded; a hand is asked for, and what it did is judged by what the
-sensors see. Where no sensor sees it, the operator has to say that it was done.
+Tests use the same interface for both. A device gets a command. The operator gets a request, and the sensors show
+whether it was carried out. Without such a sensor the operator has to confirm it.
 """
 
 from __future__ import annotations
@@ -21,35 +21,39 @@ from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
 from daq.drivers.items import Event
 from daq.errors import DeviceError
+from daq.guided_tests.measures import ANGLE_FIELDS
 from rig_configs.roles import PendulumAngles
 
 Array = NDArray[np.floating[Any]]
 
 HUMAN_S = 120.0
-"""How long a person may take, wall s."""
-_LOCK_S = 10.0  # how long a mechanism may take, wall s
+"""Timeout for a person, wall s."""
+MAX_LOCK_S = 10.0
+"""Timeout for a lock's mechanism, wall s."""
 _STOP_RAMP_RPM_S = 400.0
-_REST_S = 30.0  # wall s
-_SEEN_S = 1.0  # wall s
-_STANDS_S = 0.4  # how long pendulums are looked at before they count as held, rig s
-_STANDS_RAD = math.radians(0.3)
+_MAX_STOP_S = 30.0  # timeout for the rotor to come to rest, wall s
+_MAX_SEEN_S = 1.0  # timeout for locked pendulums to be measured, wall s
+_HELD_S = 0.4  # stretch over which pendulums are observed before they count as held, rig s
+_MAX_HELD_MOTION_RAD = math.radians(0.3)  # peak to peak of a held pendulum
 SEEN_RAD = math.radians(0.35)
-"""A pendulum that has moved this far moves: four steps of an ordinary encoder."""
+"""Displacement above which a pendulum counts as moving: four steps of an ordinary encoder."""
 _FREE_RAD = 5 * SEEN_RAD
-_LEAST_S = 0.03  # of its uncertainty: identification takes no damping from a release that is known no better
+_MIN_RELEASE_STD_S = 0.03  # standard uncertainty of a release by hand; identification takes no damping from it
 HAND_RAMP_RPM_S = 20.0
-"""What a hand is asked for where a test has no ramp of its own."""
+"""Ramp that is requested from the operator if the test has no ramp of its own."""
 
-Tell = Callable[[str, float | None], None]
+Progress = Callable[[str, float | None], None]
+"""Called with a description of the progress and the completed share, 0 … 1 (None if unknown)."""
 Wait = Callable[[Callable[[], bool], float, str], None]
-"""Wait for a condition, at most so many wall seconds, in words for what, as `Session.wait_for`."""
+"""Waits for a condition: arguments are the condition, the timeout in wall s, and its description; see
+`Session.wait_for`."""
 
 
 class Operator(Protocol):
-    """Who does by hand what the rig cannot do: a person at the terminal, or the simulated operator of the demo."""
+    """Operates by hand what the rig cannot: a person at the terminal, or the simulated operator."""
 
     def pluck(self, axis: str) -> None:
-        """Displace the column by a few mm along an axis and let go."""
+        """Displace the column by a few mm along an axis and release it."""
         ...
 
     def flick(self) -> None:
@@ -57,90 +61,91 @@ class Operator(Protocol):
         ...
 
     def scatter(self) -> None:
-        """Leave both free pendulums (or balls) anywhere, elsewhere each time; the rotor stands."""
+        """Bring both free pendulums (or balls) to arbitrary angles, different each time. The rotor is at rest."""
         ...
 
     def lock(self, seen: bool) -> None:
-        """Hold both pendulums at their places: A at 0°, B at 180°.
+        """Lock both pendulums: A at 0°, B at 180°.
 
         Args:
-            seen: whether sensors will tell that it was done; else return only when it is.
+            seen: whether sensors measure the result; otherwise return only when both are locked.
         """
         ...
 
     def release(self) -> None:
-        """Let both pendulums go, both at once."""
+        """Release both pendulums at the same time."""
         ...
 
     def turn(self, rpm: float, ramp_rpm_per_s: float) -> None:
-        """Bring the rotor to a speed, steadily, and hold it there; 0: to rest."""
+        """Bring the rotor to a speed with a steady ramp and hold it; 0: bring it to rest."""
         ...
 
 
 class Rotor(Protocol):
-    """How a test turns the rotor."""
+    """Turns the rotor for a test."""
 
     ramp_rpm_per_s: float
-    """How fast it speeds up where the test has no ramp of its own."""
+    """Ramp if the test has none of its own, rpm per s."""
 
     @property
     def speed_rpm(self) -> float:
-        """How fast it turns now; NaN when nobody can tell."""
+        """Present speed, rpm; NaN if unknown."""
         ...
 
     def begin(self) -> str:
-        """Make ready to turn it, at rest; returns what the operator has to know, empty when nothing."""
+        """Prepare the rotor at rest for turning. Return a message for the operator, empty if there is none."""
         ...
 
     def go(self, rpm: float, ramp_rpm_per_s: float) -> None:
-        """Ramp to a speed; returns at once.
+        """Start a ramp to a speed and return immediately.
 
         Raises:
-            DeviceError, ProcedureError: it must not turn now, or not so fast.
+            DeviceError: a device that guards the rotor is missing or has failed.
+            ProcedureError: the speed exceeds the limit.
         """
         ...
 
     def stop(self) -> None:
-        """Bring it to rest and let go of it.
+        """Bring the rotor to rest and release it.
 
         Raises:
-            DeviceError: it does not stand, or nobody can tell.
+            DeviceError: the rotor still turns, or its state is unknown.
         """
         ...
 
     def quick_stop(self) -> None:
-        """Stop it as fast as can be; returns at once."""
+        """Start to stop the rotor as fast as possible and return immediately."""
         ...
 
 
 class Locks(Protocol):
-    """How a test holds the pendulums and lets them go."""
+    """Locks and releases the pendulums for a test."""
 
     def lock(self) -> None:
-        """Hold both at their places, rotor at rest.
+        """Lock both pendulums while the rotor is at rest.
 
         Raises:
-            DeviceError: they are not held in time.
+            DeviceError: timeout.
         """
         ...
 
     def release(self, turning: bool) -> int:
-        """Let both go.
+        """Release both pendulums.
 
         Args:
-            turning: whether the rotor turns, so that pendulums that are free move.
+            turning: whether the rotor turns, so that free pendulums move.
 
         Returns:
-            When, ns since 1970.
+            Time of the release, ns since 1970.
 
         Raises:
-            DeviceError: refused, or nothing moved.
+            DeviceError: the command was refused, or no pendulum moved.
         """
         ...
 
 
 class DrivenRotor:
-    """See Rotor: turned by the rig's speed source."""
+    """Rotor that the rig's speed source turns; implements Rotor."""
 
     def __init__(self, session: Session) -> None:
         role = session.rig.roles.speed
@@ -156,8 +161,8 @@ class DrivenRotor:
         """See Rotor."""
         drive = self._s.drive
         drive.enable()
-        told, drive.was_reset = drive.was_reset, ""
-        return told
+        message, drive.was_reset = drive.was_reset, ""
+        return message
 
     def go(self, rpm: float, ramp_rpm_per_s: float) -> None:
         """See Rotor."""
@@ -170,12 +175,12 @@ class DrivenRotor:
         if abs(drive.actual_rpm) <= self._s.rig.roles.rest_rpm and not drive.enabled:
             return
         drive.set_ramp(_STOP_RAMP_RPM_S)
-        if not drive.enabled:  # it coasts, perhaps since a host was killed: brake it
+        if not drive.enabled:  # the rotor coasts, for example after a host was killed
             self.begin()
         drive.set_speed(0)
-        self._s.wait_for_rest(_REST_S)
+        self._s.wait_for_rest(_MAX_STOP_S)
         self._s.clock.sleep(0.5)
-        self._s.wait_for_rest(_REST_S)
+        self._s.wait_for_rest(_MAX_STOP_S)
         drive.disable()
 
     def quick_stop(self) -> None:
@@ -184,16 +189,18 @@ class DrivenRotor:
 
 
 class HandRotor:
-    """See Rotor: turned by the operator, judged by the rotor's phase.
+    """Rotor that the operator turns, monitored by its index marks; implements Rotor.
 
     Args:
-        tell: told what is waited for.
+        session: the open rig.
+        operator: turns the rotor.
+        progress: called with a description of each wait.
     """
 
     ramp_rpm_per_s = HAND_RAMP_RPM_S
 
-    def __init__(self, session: Session, operator: Operator, tell: Tell) -> None:
-        self._s, self._operator, self._tell = session, operator, tell
+    def __init__(self, session: Session, operator: Operator, progress: Progress) -> None:
+        self._s, self._operator, self._progress = session, operator, progress
 
     @property
     def speed_rpm(self) -> float:
@@ -211,11 +218,11 @@ class HandRotor:
         self._operator.turn(rpm, ramp_rpm_per_s)
 
     def stop(self) -> None:
-        """See Rotor; a rotor of which nobody can tell whether it turns is the operator's to know."""
+        """See Rotor. A rotor whose state is unknown counts as turning, so that the operator has to stop it."""
         if not self._s.turning():
             self._s.permit_by_hand(0.0)
             return
-        self._tell("stop the rotor", None)
+        self._progress("stop the rotor", None)
         self._operator.turn(0.0, HAND_RAMP_RPM_S)
         self._s.permit_by_hand(0.0)
         self._s.wait_for_rest(HUMAN_S)
@@ -226,7 +233,7 @@ class HandRotor:
 
 
 class CommandedLocks:
-    """See Locks: the rig's own, which tell their state in the flags of the pendulum samples."""
+    """Locks of the rig, which report their state in the flags of the pendulum samples; implements Locks."""
 
     def __init__(self, session: Session, wait: Wait) -> None:
         self._s, self._wait_for = session, wait
@@ -243,27 +250,27 @@ class CommandedLocks:
         return self._opened_ns()
 
     def _wait(self, closed: bool) -> None:
-        def there() -> bool:
+        def reached() -> bool:
             _, (flags,) = self._newest(0.1)
             return len(flags) > 0 and flags[-1] & LOCKS_CLOSED == (LOCKS_CLOSED if closed else 0)
 
-        self._wait_for(there, _LOCK_S, f"both locks to {'close' if closed else 'open'}")
+        self._wait_for(reached, MAX_LOCK_S, f"both locks to {'close' if closed else 'open'}")
 
     def _opened_ns(self) -> int:
-        """Time of the first sample with both locks open, after the last one with a lock closed."""
+        """Return the time of the first sample with both locks open after the last sample with a closed lock, ns."""
         time_ns, (flags,) = self._newest(19.0)
         closed = np.flatnonzero((flags & LOCKS_CLOSED) != 0)
         return int(time_ns[min(closed[-1] + 1, len(time_ns) - 1)]) if len(closed) else int(time_ns[0])
 
-    def _newest(self, seconds: float) -> tuple[np.ndarray, list[np.ndarray]]:
+    def _newest(self, seconds: float) -> tuple[NDArray[np.int64], list[NDArray[Any]]]:
         return self._s.newest("pendulums", ("flags",), seconds)
 
 
 class HandLocks:
-    """See Locks: the operator's hand, seen by the encoders where there are any."""
+    """Locks that the operator closes and opens, monitored by the encoders if the rig has any; implements Locks."""
 
-    def __init__(self, session: Session, operator: Operator, tell: Tell, wait: Wait) -> None:
-        self._s, self._operator, self._tell, self._wait_for = session, operator, tell, wait
+    def __init__(self, session: Session, operator: Operator, progress: Progress, wait: Wait) -> None:
+        self._s, self._operator, self._progress, self._wait_for = session, operator, progress, wait
         self._angles: PendulumAngles | None = session.rig.roles.angles
 
     def lock(self) -> None:
@@ -271,66 +278,65 @@ class HandLocks:
         if self._angles is None:
             self._operator.lock(seen=False)
             return
-        with contextlib.suppress(DeviceError):  # nobody is asked for what a host that was late has only not seen yet
-            self._wait_for(lambda: self._wrong() == "", _SEEN_S, "both pendulums to be seen at their places")
+        with contextlib.suppress(DeviceError):  # no request if the pendulums are locked and the host was only late
+            self._wait_for(lambda: self._wrong() == "", _MAX_SEEN_S, "both pendulums to be measured at their locks")
             return
-        self._tell("lock both pendulums: A at 0°, B at 180°", None)
+        self._progress("lock both pendulums: A at 0°, B at 180°", None)
         self._operator.lock(seen=True)
-        self._wait_for(lambda: self._wrong() == "", HUMAN_S, "both pendulums to stand at their places")
+        self._wait_for(lambda: self._wrong() == "", HUMAN_S, "both pendulums to be at rest at their locks")
 
     def release(self, turning: bool) -> int:
-        """See Locks; at rest nothing shows it."""
+        """See Locks. At rest the release is not measured."""
         if not turning or self._angles is None:
             self._operator.release()
             return self._s.clock.now_ns()
         topic = self._angles.topic
-        _, columns = self._s.newest(topic, _THETA, _STANDS_S)
-        stood = np.array([np.median(column) for column in columns])
-        asked = self._s.clock.now_ns()
+        _, columns = self._s.newest(topic, ANGLE_FIELDS, _HELD_S)
+        held_rad = np.array([np.median(column) for column in columns])
+        requested_ns = self._s.clock.now_ns()
         self._operator.release()
 
         def moved() -> bool:
-            _, columns = self._s.recent.last(topic, _THETA, asked)
-            return bool(np.any(np.abs(np.column_stack(columns) - stood) > _FREE_RAD))
+            _, columns = self._s.recent.last(topic, ANGLE_FIELDS, requested_ns)
+            return bool(np.any(np.abs(np.column_stack(columns) - held_rad) > _FREE_RAD))
 
-        self._wait_for(moved, HUMAN_S, "the pendulums to be let go")
-        time_ns, columns = self._s.recent.last(topic, _THETA, asked)
-        since_s, std_s = let_go((time_ns - asked) * 1e-9, np.abs(np.column_stack(columns) - stood))
-        let_go_ns = asked + int(since_s * 1e9)
+        self._wait_for(moved, HUMAN_S, "the pendulums to be released")
+        time_ns, columns = self._s.recent.last(topic, ANGLE_FIELDS, requested_ns)
+        since_s, std_s = release_time((time_ns - requested_ns) * 1e-9, np.abs(np.column_stack(columns) - held_rad))
+        released_ns = requested_ns + int(since_s * 1e9)
         for pendulum in (0, 1):
-            facts = {"pendulum": pendulum, "state": "released", "time_ns": let_go_ns, "time_std_s": std_s}
-            self._s.note(Event("lock", HOST, f"pendulum {'AB'[pendulum]} let go by hand, as its angle shows", facts))
-        return let_go_ns
+            facts = {"pendulum": pendulum, "state": "released", "time_ns": released_ns, "time_std_s": std_s}
+            text = f"pendulum {'AB'[pendulum]} released by hand, time estimated from its angle"
+            self._s.note(Event("lock", HOST, text, facts))
+        return released_ns
 
     def _wrong(self) -> str:
-        """What keeps the pendulums from counting as held; empty when they are."""
+        """Return the reason why the pendulums do not count as held; empty if they do."""
         assert self._angles is not None
-        time_ns, columns = self._s.newest(self._angles.topic, _THETA, _STANDS_S)
-        if len(time_ns) < _STANDS_S * self._angles.rate_Hz / 3:
+        time_ns, columns = self._s.newest(self._angles.topic, ANGLE_FIELDS, _HELD_S)
+        if len(time_ns) < _HELD_S * self._angles.rate_Hz / 3:
             return "their angles are missing"
         theta = np.column_stack(columns)
-        if np.any(np.ptp(theta, axis=0) > _STANDS_RAD):
+        if np.any(np.ptp(theta, axis=0) > _MAX_HELD_MOTION_RAD):
             return "they move"
         held = np.full(len(theta), LOCKS_CLOSED)
         return misplaced(lock_positions(theta, held, self._angles.zero_std_deg))
 
 
-_THETA = ("theta3_rad", "theta4_rad")
+def release_time(time_s: Array, moved_rad: Array) -> tuple[float, float]:
+    """Estimate the time at which both pendulums were released, from the start of their motion.
 
-
-def let_go(time_s: Array, moved_rad: Array) -> tuple[float, float]:
-    """When pendulums that begin to move were let go, both at once.
-
-    From rest an angle grows with the square of the time at first: it takes as long again to four times an angle as it
-    took to that angle. The orbit makes the torque vary, so half of that is how far the answer may be off.
+    From rest an angle first grows with the square of the time. The time from an angle to its fourfold therefore equals
+    the time from the release to that angle. The orbit makes the torque vary, so half of this time is taken as the
+    standard uncertainty.
 
     Args:
-        time_s: of the samples, shape (n,).
-        moved_rad: how far each has moved, shape (n, 2); at least one of them farther than four times `SEEN_RAD`.
+        time_s: times of the samples, s, shape (n,).
+        moved_rad: displacement of each pendulum, rad, shape (n, 2); at least one exceeds four times `SEEN_RAD`.
 
     Returns:
-        Time and its standard uncertainty, s.
+        Time of the release and its standard uncertainty, s.
     """
     farther = moved_rad.max(axis=1)
     seen, later = (float(time_s[int(np.argmax(farther > angle))]) for angle in (SEEN_RAD, 4 * SEEN_RAD))
-    return 2 * seen - later, max(_LEAST_S, 0.5 * (later - seen))
+    return 2 * seen - later, max(_MIN_RELEASE_STD_S, 0.5 * (later - seen))

@@ -1,12 +1,13 @@
 # pyright: strict
-"""The kinds of guided tests: rows found among the entry points of what is installed (group `rig.guided_tests`).
+"""Kinds of guided tests, registered as entry points of the group `rig.guided_tests` by installed packages.
 
-A test needs signals; whoever turns the rotor and holds the pendulums may be a device or the operator's hand. Commands,
-importer, planner and procedures read these rows; the project's own tests are registered the same way as any other.
+A test needs signals. Rotor and locks may be operated by a device or by the operator's hand. Commands, importer, planner
+and procedures use these registrations. The project's own tests are registered in the same way.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -21,30 +22,31 @@ if TYPE_CHECKING:
     from rig_configs.schema import Rig
 
 GROUP = "rig.guided_tests"
+RAD_S_PER_RPM = math.pi / 30
 SIGNALS: Mapping[str, str] = {
     "x": "displacement along x",
     "y": "displacement along y",
     "angles": "pendulum angles",
     "phase": "rotor phase",
 }
-"""Signals by their short names, in words."""
+"""Descriptions of the signals by their short names."""
 CHANNELS: Mapping[str, str] = {"x": "laser/x", "y": "laser/y", "angles": "pendulums", "phase": "tacho"}
-"""Channels that hold them in every log."""
+"""Topics of the signals in every log."""
 
 
 class Refused(ProcedureError):
-    """A test is not run as asked for: nothing was turned, nothing recorded."""
+    """A test request was refused. The rotor was not turned and nothing was recorded."""
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number that a test may be given.
+    """A number that a test accepts.
 
     Attributes:
-        words: what it is, with its unit.
-        default: without one given; a function takes the rig and the point's name, None where there is no default.
-        low, high: what it may be, both ends included.
-        whole: whether it counts something.
+        words: description with unit.
+        default: default value, or a function of the rig and the point's name that returns it (None without default).
+        low, high: permitted range, both ends included.
+        whole: whether it must be an integer.
     """
 
     words: str
@@ -54,20 +56,20 @@ class Number:
     whole: bool = False
 
     def value(self, rig: Rig, point: str) -> float | None:
-        """What it is where nobody gave one."""
+        """Return the default value, or None if there is no default."""
         return self.default(rig, point) if callable(self.default) else self.default
 
 
 @dataclass(frozen=True)
 class Asked:
-    """A test with all it was asked for.
+    """A requested test with all its numbers.
 
     Attributes:
-        rig: whose parameters, limits and points count.
-        kind: of the test.
-        test: its name in the log.
+        rig: rig with the parameters, limits and points of the test.
+        kind: kind of the test.
+        test: name of the test in the log.
         point: name of the point; empty without one.
-        numbers: a value of each of the kind's numbers.
+        numbers: value of each number of the kind, by name.
     """
 
     rig: Rig
@@ -77,7 +79,7 @@ class Asked:
     numbers: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
-def _nothing_against(asked: Asked) -> str:
+def _no_text(request: Asked) -> str:
     return ""
 
 
@@ -86,17 +88,17 @@ class TestKind:
     """One kind of guided test.
 
     Attributes:
-        name: as in a log; where `point` is "named", the point's name stands behind it.
-        line: what it does, one line.
-        needs: signals without which it shows nothing.
+        name: name of the test; if `point` is "named", the name in the log is followed by the point's name.
+        line: description in one line.
+        needs: short names of the required signals.
         turns: whether the rotor turns.
-        table: its states.
-        gives: parameters that identification may take from its log, by their names in parameters.toml.
-        point: whether a point's name is part of its own, may be given, or neither.
-        numbers: what may be given, by name.
-        refusal: why it is not run as asked for; empty when it may be.
-        warning: what it cannot show as asked for; empty when nothing.
-        summed: for a test that is run `count` times: the whole of the runs' summaries; None for one that is run once.
+        table: returns the states of the requested test.
+        gives: parameters that identification may take from the log, by their names in parameters.toml.
+        point: "named" if the point's name is part of the test's name, "optional" if a point may be given, "" if not.
+        numbers: numbers that the test accepts, by name.
+        refusal: returns the reason why a requested test is refused; empty if it is accepted.
+        warning: returns the limitation of a requested test; empty if there is none.
+        summed: combines the summaries of the runs of a test that is run `count` times; None for a test with one run.
     """
 
     __test__ = False  # not a pytest class
@@ -109,29 +111,29 @@ class TestKind:
     gives: tuple[str, ...] = ()
     point: Literal["", "named", "optional"] = ""
     numbers: Mapping[str, Number] = field(default_factory=dict[str, Number])
-    refusal: Callable[[Asked], str] = _nothing_against
-    warning: Callable[[Asked], str] = _nothing_against
+    refusal: Callable[[Asked], str] = _no_text
+    warning: Callable[[Asked], str] = _no_text
     summed: Callable[[Sequence[Mapping[str, Any]]], Mapping[str, Any]] | None = None
 
     @property
     def channels(self) -> frozenset[str]:
-        """Of what it needs."""
+        """Topics of the required signals."""
         return frozenset(CHANNELS[signal] for signal in self.needs)
 
     @property
     def trusts_angles(self) -> bool:
-        """Whether counters that are wrong at the locks are a reason to refuse it."""
+        """Whether the test is refused if the counters are wrong at the closed locks."""
         return self.turns or "angles" in self.needs
 
     def lives_on(self, roles: Roles) -> tuple[str, ...]:
-        """Channels that must not fall silent at rest, either: those on which it waits for a person."""
+        """Return the channels whose silence ends the test even at rest, while it waits for the operator."""
         if self.trusts_angles:
             return (CHANNELS["angles"],) if roles.angles else ()
         return tuple(sensor.topic for sensor in roles.displacements)
 
 
 class _Kinds(Mapping[str, TestKind]):
-    """All kinds that are installed, the project's own first in the order of a campaign; loaded when asked for."""
+    """All installed kinds, the project's own first in the order of a campaign. Each is loaded at first use."""
 
     def __getitem__(self, name: str) -> TestKind:
         points = _installed()
@@ -152,7 +154,7 @@ _CAMPAIGN = ("ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down", "p
 
 @cache
 def _installed() -> Mapping[str, EntryPoint]:
-    """Entry points by name, in the order in which a campaign needs them; others follow by name."""
+    """Return the entry points by name, in the order of a campaign. Other tests follow in alphabetical order."""
     found = {point.name: point for point in entry_points(group=GROUP)}
     order = {name: place for place, name in enumerate(_CAMPAIGN)}
     return {name: found[name] for name in sorted(found, key=lambda name: (order.get(name, len(order)), name))}
@@ -171,7 +173,7 @@ def _loaded(point: EntryPoint) -> TestKind:
 
 
 def kind_of(test: str) -> TestKind | None:
-    """The kind of a test by its name in a log; None when none is installed."""
+    """Return the kind of a test by its name in a log, or None if it is not installed."""
     if test in KINDS:
         return None if KINDS[test].point == "named" else KINDS[test]
     named = (name for name in KINDS if test.startswith(f"{name}-") and KINDS[name].point == "named")
@@ -179,22 +181,25 @@ def kind_of(test: str) -> TestKind | None:
 
 
 def lacking(kind: TestKind, roles: Roles) -> tuple[str, ...]:
-    """Signals that a rig cannot give a test, in words."""
-    there = {"x": roles.along("x"), "y": roles.along("y"), "angles": roles.angles, "phase": roles.phase}
-    return tuple(SIGNALS[signal] for signal in kind.needs if there[signal] is None)
+    """Return the descriptions of the signals that a test needs and the rig does not measure."""
+    sources = {"x": roles.along("x"), "y": roles.along("y"), "angles": roles.angles, "phase": roles.phase}
+    return tuple(SIGNALS[signal] for signal in kind.needs if sources[signal] is None)
 
 
 def refusal(test: str, roles: Roles) -> str:
-    """Why a rig cannot do a test; empty when it can."""
+    """Return the reason why a rig cannot run a test; empty if it can."""
     kind = kind_of(test)
     missing = () if kind is None else lacking(kind, roles)
     if not missing:
         return ""
-    return f"{test} needs {' and '.join(missing)}: no device of the rig file gives that. Nothing was turned"
+    return f"{test} needs {' and '.join(missing)}: no device of the rig file measures that. Nothing was turned"
 
 
 def given_on(kind: TestKind, roles: Roles) -> tuple[str, ...]:
-    """Parameters that a rig's own sensors can show of what a kind gives: one alone shows its direction's suspension."""
+    """Return the parameters of a kind that the rig's sensors can measure.
+
+    A single displacement sensor measures the suspension in its own direction only.
+    """
     axes = {sensor.axis for sensor in roles.displacements}
     hidden = {"x": ("k2", "zeta2"), "y": ("k1", "zeta1")}[axes.pop()] if len(axes) == 1 else ()
     return tuple(name for name in kind.gives if not name.startswith(hidden))

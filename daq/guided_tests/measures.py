@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a guided test looks at while it runs: the newest stretch of each signal."""
+"""Measured values for the looks of a guided test, from the newest samples of each signal."""
 
 from __future__ import annotations
 
@@ -15,63 +15,66 @@ from daq.signals.window_means import amplitude_means, whole_revolutions
 
 Array = NDArray[np.float64]
 
+ANGLE_FIELDS = ("theta3_rad", "theta4_rad")
+"""Fields of the pendulum angles A and B in their channel."""
+
 
 class Measures:
-    """Of an open session."""
+    """Measured values of an open session."""
 
     def __init__(self, session: Session) -> None:
         self._s = session
 
     def since(self, seconds: float) -> int:
-        """An instant so long ago, rig s, ns since 1970."""
+        """Return the time that lies a number of rig seconds in the past, ns since 1970."""
         return self._s.clock.now_ns() - int(seconds * 1e9)
 
     def patience_s(self, wall_s: float) -> float:
-        """A time-out in wall seconds as rig time, s."""
+        """Convert a timeout in wall seconds to rig seconds."""
         return self._s.clock.patience(wall_s)
 
     def angles_described(self) -> bool:
-        """Whether the device of the pendulum angles has described itself; true where there is none."""
+        """Return whether the device of the pendulum angles has described itself; True if the rig has none."""
         role = self._s.rig.roles.angles
         return role is None or self._s.told(role.device)[0]
 
     def rest_m(self, topic: str, seconds: float) -> float:
-        """Median of a laser's newest stretch, m; NaN without valid samples."""
+        """Return the median of a laser's newest samples, m; NaN without valid samples."""
         _, (x,) = self._s.newest(topic, ("displacement_m",), seconds)
-        known: Array = x[np.isfinite(x)]
-        return float(np.median(known)) if len(known) else math.nan
+        valid: Array = x[np.isfinite(x)]
+        return float(np.median(valid)) if len(valid) else math.nan
 
     def extremes(self, topic: str, seconds: float) -> tuple[float, float]:
-        """Least and largest of a laser over its newest stretch, m; NaN where much of it is missing or invalid."""
+        """Return minimum and maximum of a laser's newest samples, m; NaN if over a fifth are missing or invalid."""
         if self.valid(topic, seconds) < 0.8 * seconds:
             return math.nan, math.nan
         _, (x,) = self._s.newest(topic, ("displacement_m",), seconds)
         return float(np.nanmin(x)), float(np.nanmax(x))
 
     def peak_to_peak(self, topic: str, seconds: float) -> float:
-        """Of a laser over its newest stretch, m; NaN where much of it is missing or invalid."""
+        """Return the peak-to-peak value of a laser's newest samples, m; NaN as in `extremes`."""
         low, high = self.extremes(topic, seconds)
         return high - low
 
     def valid(self, topic: str, seconds: float) -> float:
-        """How many seconds of valid samples a laser's newest stretch holds."""
+        """Return the number of valid samples in a laser's newest stretch, expressed in seconds."""
         _, (x,) = self._s.newest(topic, ("displacement_m",), seconds)
         rates = {sensor.topic: sensor.rate_Hz for sensor in self._s.rig.roles.displacements}
         return float(np.count_nonzero(np.isfinite(x))) / rates[topic]
 
     def largest_since(self, topic: str, since_ns: int, rest_m: float) -> float:
-        """Largest distance of a laser from its reading at rest since an instant, m."""
+        """Return the largest distance of a laser's samples since an instant from its reading at rest, m."""
         _, (x,) = self._s.recent.last(topic, ("displacement_m",), since_ns)
         return float(np.nanmax(np.abs(x - rest_m), initial=0.0))
 
     def revolutions_since(self, since_ns: int) -> float:
-        """Whole revolutions of the rotor since an instant, by its index marks."""
+        """Return the number of whole revolutions of the rotor since an instant, from its index marks."""
         _, (turns,) = self._s.recent.last("tacho", ("revolutions",), since_ns)
         return float(int(turns[-1]) - int(turns[0])) if len(turns) else 0.0
 
     def turned_since(self, since_ns: int) -> tuple[Array, Array]:
-        """How far the pendulums have turned since an instant, rad, and their largest speeds, rad/s; shapes (2,)."""
-        time_ns, columns = self._s.recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
+        """Return the ranges of the pendulum angles since an instant, rad, and the top speeds, rad/s; shapes (2,)."""
+        time_ns, columns = self._s.recent.last("pendulums", ANGLE_FIELDS, since_ns)
         step = 50
         if len(time_ns) <= step:
             return np.zeros(2), np.full(2, 1e-3)
@@ -80,17 +83,26 @@ class Measures:
         return np.ptp(angles, axis=0), np.max(np.abs(rates), axis=0)
 
     def rates(self) -> Array:
-        """Pendulum speeds over the newest fifth of a second of samples, rad/s, shape (2,); NaN without samples."""
-        time_ns, (a, b) = self._s.newest("pendulums", ("theta3_rad", "theta4_rad"), 0.2)
+        """Return the mean pendulum speeds over the newest 0.2 s, rad/s, shape (2,); NaN without samples."""
+        time_ns, (a, b) = self._s.newest("pendulums", ANGLE_FIELDS, 0.2)
         if len(time_ns) < 10:
             return np.full(2, np.nan)
         turned: Array = np.array([a[-1] - a[0], b[-1] - b[0]], np.float64)
         return turned / float((time_ns[-1] - time_ns[0]) * 1e-9)
 
     def signals(self, since_ns: int, lasers_since_ns: int | None = None) -> tuple[Array, ...]:
-        """Angle times and angles, marks and (perhaps later) lasers since an instant, times in s from it."""
+        """Return the signals since an instant for `daq.signals.settling.settled`.
+
+        Args:
+            since_ns: start of angles and index marks, and zero of all times.
+            lasers_since_ns: start of the displacements, `since_ns` if None.
+
+        Returns:
+            Angle times, s; angles, rad, shape (n, 2); mark times, s; mark phases, rad; times, s, and displacements, m,
+            of x and of y, of which every fourth sample is taken.
+        """
         recent = self._s.recent
-        t, (a, b) = recent.last("pendulums", ("theta3_rad", "theta4_rad"), since_ns)
+        t, (a, b) = recent.last("pendulums", ANGLE_FIELDS, since_ns)
         m, (turns,) = recent.last("tacho", ("revolutions",), since_ns)
         tx, (x,) = recent.last("laser/x", ("displacement_m",), lasers_since_ns or since_ns)
         ty, (y,) = recent.last("laser/y", ("displacement_m",), lasers_since_ns or since_ns)
@@ -110,34 +122,37 @@ class Measures:
         )
 
     def locked_steady(self) -> Settling:
-        """Whether the orbit of the turning rotor with locked pendulums is steady."""
+        """Return whether the orbit of the turning rotor with locked pendulums is steady."""
         _, _, marks, phase, tx, x, ty, y = self.signals(self.since(15.0))
         return locked_settled(marks, phase, tx, x, ty, y)
 
     def steady(
         self, released_ns: int, step_rad: float, tolerances: Mapping[str, float], free: bool = False
     ) -> Settling:
-        """Whether pendulums and orbit are steady after a release.
+        """Return whether pendulums and orbit are steady after a release.
 
         Args:
-            released_ns: when, ns since 1970; with `free` when the speed was reached.
-            step_rad: of the encoders' code.
-            tolerances: other than the usual ones, see `settled`.
-            free: whether the pendulums were free before: where they stood then is no place of release.
+            released_ns: time of the release, ns since 1970; with `free` the time at which the speed was reached.
+            step_rad: resolution of the encoders, rad.
+            tolerances: tolerances that differ from the defaults of `settled`.
+            free: whether the pendulums were free before, so that there are no angles of release.
         """
-        since = released_ns - (0 if free else 1_500_000_000)  # to know how the pendulums stood
+        since = released_ns - (0 if free else 1_500_000_000)  # with the angles before the release
         signals = self.signals(since, max(since, self.since(15.0)))
         release = None if free else (released_ns - since) * 1e-9
         return settled(*signals, release_time_s=release, angle_step_rad=step_rad, **tolerances)
 
     def mean_angles_rad(self, seconds: float = 2.0) -> tuple[float, float]:
-        """Mean pendulum angles over the newest stretch, rad."""
-        _, (a, b) = self._s.newest("pendulums", ("theta3_rad", "theta4_rad"), seconds)
+        """Return the mean pendulum angles over the newest stretch, rad."""
+        _, (a, b) = self._s.newest("pendulums", ANGLE_FIELDS, seconds)
         means: Array = np.column_stack([a, b]).mean(axis=0)
         return float(means[0]), float(means[1])
 
     def amplitudes_m(self, seconds: float = 2.0) -> tuple[float, float]:
-        """Order-1 amplitudes of x and y over whole revolutions of the newest stretch, m; NaN without marks."""
+        """Return the order-1 amplitudes of x and y over whole revolutions of the newest stretch, m.
+
+        They are NaN without index marks.
+        """
         _, _, marks, phase, tx, x, ty, y = self.signals(self.since(seconds + 3.0))
         edges = whole_revolutions(marks, phase, seconds, 1)
         found = amplitude_means(tx, x, ty, y, marks, phase, edges, 1) if len(edges) == 2 else None

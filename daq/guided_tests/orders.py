@@ -1,5 +1,5 @@
 # pyright: strict
-"""What the states of a guided test may order: the log, the rotor, the pendulums' locks, the operator."""
+"""Orders of the states of a guided test: log, rotor, pendulum locks, operator."""
 
 from __future__ import annotations
 
@@ -15,17 +15,26 @@ from daq.acquisition.lock_positions import battery_low, flagged, lock_positions,
 from daq.acquisition.session import Session
 from daq.drivers.items import Event
 from daq.errors import DeviceError, ProcedureError, RigError
-from daq.guided_tests.hands import CommandedLocks, DrivenRotor, HandLocks, HandRotor, Locks, Operator, Rotor
+from daq.guided_tests.hands import (
+    CommandedLocks,
+    DrivenRotor,
+    HandLocks,
+    HandRotor,
+    Locks,
+    Operator,
+    Progress,
+    Rotor,
+    Wait,
+)
 from daq.guided_tests.kinds import Asked
-from daq.guided_tests.measures import Measures
+from daq.guided_tests.measures import ANGLE_FIELDS, Measures
 from daq.log.numbering import next_number, one_at_a_time
 from daq.log.outcome import ending
 from rig_configs.roles import PendulumAngles
 
-_LAST_S = 3.0  # rig s; no device is read while they are decoded, and the rotor still turns
-_LOOK_S = 0.5  # the stretch of flags that is looked at while a test runs, rig s
-
-Progress = Callable[[str, float | None], None]
+_PAST_S = 3.0  # pre-trigger of the log of a test that was stopped before its log, rig s; short, since it is decoded
+# while no device is read and the rotor turns
+_FLAGS_S = 0.5  # stretch of the flags that are checked while a test runs, rig s
 
 
 @dataclass(frozen=True)
@@ -33,8 +42,8 @@ class Kept:
     """A finished log.
 
     Attributes:
-        log: the file.
-        summary: the facts that went into it.
+        log: path of the file.
+        summary: facts that were written to its summary.
     """
 
     log: Path
@@ -42,32 +51,35 @@ class Kept:
 
 
 class Orders:
-    """Of one open session; `prepare` begins each test.
+    """Carries out the orders of the tests of one session. `prepare` begins each test.
 
     Args:
-        session: open rig.
-        operator: whose hands do what no device does.
-        folder: where logs go; names are counted up.
-        progress: called with what is going on and the share done where that is known.
-        note: the operator's note, kept in every log.
+        session: the open rig.
+        operator: operates by hand what no device operates.
+        folder: folder of the logs, whose names are numbered.
+        progress: called with a description of the progress and the completed share, 0 … 1 (None if unknown).
+        note: the operator's note, written to every log.
 
     Attributes:
-        parameters: which identified parameters the speeds follow from; "" for the rig file's own. Kept in every log.
-        measures: of the signals.
-        rotor, locks: who turns the rotor and holds the pendulums.
-        wait: how orders wait for somebody: `Session.wait_for`, until the runner lets requests interrupt it.
-        asked: the test.
-        memory: what states remember; `facts`: what goes into the log's summary.
-        missed: what was not reached so far; empty when nothing. `aborted`: whether the operator ended it.
-        warnings: what the operator has to be told, sentences.
-        kept: the test's log when it is finished.
+        parameters: name of the identified parameters from which the speeds follow; "" for those of the rig file. It is
+            written to every log.
+        measures: measured values of the signals.
+        rotor, locks: rotor and locks of the test.
+        wait: waits for a condition; `Session.wait_for` until the runner replaces it by a wait that a request can end.
+        request: the requested test.
+        memory: values that states keep for later states.
+        facts: facts for the summary of the log.
+        missed: description of the conditions that were not reached; empty if there are none.
+        aborted: whether the operator ended the test.
+        warnings: warnings for the operator.
+        kept: the finished log of the test; None before it is finished.
     """
 
     def __init__(self, session: Session, operator: Operator, folder: Path, progress: Progress, note: str = "") -> None:
         self.session, self.operator, self.clock = session, operator, session.clock
         self.parameters = ""
         self.measures = Measures(session)
-        self.wait: Callable[[Callable[[], bool], float, str], None] = session.wait_for
+        self.wait: Wait = session.wait_for
         roles = session.rig.roles
 
         def wait(condition: Callable[[], bool], wall_s: float, what: str) -> None:
@@ -77,43 +89,43 @@ class Orders:
         commanded = roles.locks is not None
         self.locks: Locks = CommandedLocks(session, wait) if commanded else HandLocks(session, operator, progress, wait)
         self._folder, self._progress, self._note = folder, progress, note
-        self._notes_to_come: list[Event] = []
+        self._early_notes: list[Event] = []  # notes made before the log begins
         self._recording = self._turned = self._held = self._trusts_angles = False
 
-    def prepare(self, asked: Asked, facts: Mapping[str, str]) -> None:
-        """A test begins; nothing has been ordered for it.
+    def prepare(self, request: Asked, facts: Mapping[str, str]) -> None:
+        """Begin a test: reset the state of the previous one.
 
         Args:
-            asked: the test.
-            facts: for its log's metadata, beside its numbers.
+            request: the requested test.
+            facts: facts for the metadata of its log.
         """
-        self.asked, self._facts = asked, dict(facts)
+        self.request, self._facts = request, dict(facts)
         self.memory: dict[str, Any] = {}
         self.facts: dict[str, Any] = {}
         self.missed, self.aborted, self.warnings = "", False, list[str]()
         self.kept: Kept | None = None
         self._recording = self._turned = self._held = self._trusts_angles = False
 
-    # --- words -------------------------------------------------------------------------------------------------
+    # --- messages ----------------------------------------------------------------------------------------------
 
-    def tell(self, text: str, share: float | None = None) -> None:
-        """What is going on."""
-        self._progress(f"{self.asked.test}: {text}", share)
+    def report(self, text: str, share: float | None = None) -> None:
+        """Report the progress to the operator."""
+        self._progress(f"{self.request.test}: {text}", share)
 
     def warn(self, text: str) -> None:
-        """What the operator has to be told; it stays in the log."""
+        """Report a warning to the operator and keep it for the log. An empty text is ignored."""
         if text:
             self.warnings.append(text)
             self._progress(text, None)
 
     def note(self, text: str) -> None:
-        """The operator's word, into the log with its time; one made before the log begins is its first event."""
+        """Write a note of the operator to the log with its time. Notes before the log begins are its first events."""
         now_ns = self.clock.now_ns()
         event = Event("note", HOST, text, {"time_ns": now_ns})
         if self._recording:
             self.session.note(event)
         elif self.kept is None:
-            self._notes_to_come.append(event)
+            self._early_notes.append(event)
         else:
             self.warn(f"the log had ended, so it lacks the note: {text}")
 
@@ -123,41 +135,45 @@ class Orders:
         """Begin the test's log.
 
         Args:
-            before_s: how much of what came before it is to hold, rig s.
+            before_s: length of the pre-trigger, rig s.
         """
         self._begin(before_s)
 
     def _begin(self, before_s: float) -> Path:
-        asked = self.asked
+        request = self.request
         self._folder.mkdir(parents=True, exist_ok=True)
-        known = {"parameters": self.parameters} if self.parameters else {}
-        facts = {"test": asked.test, "note": self._note, **known, **self._facts}
-        self.session.need(*asked.kind.lives_on(self.session.rig.roles))
+        parameters = {"parameters": self.parameters} if self.parameters else {}
+        facts = {"test": request.test, "note": self._note, **parameters, **self._facts}
+        self.session.need(*request.kind.lives_on(self.session.rig.roles))
         with one_at_a_time(self._folder):  # two tests of two rigs may log into one folder
-            path = self._folder / f"{next_number(p.name for p in self._folder.iterdir()):02d}-{asked.test}.mcap"
+            path = self._folder / f"{next_number(p.name for p in self._folder.iterdir()):02d}-{request.test}.mcap"
             self.session.start_recording(path, facts, before_s)
         self._recording = True
-        for event in self._notes_to_come:
+        for event in self._early_notes:
             self.session.note(event)
-        self._notes_to_come.clear()
+        self._early_notes.clear()
         return path
 
-    def keep_the_past(self) -> None:
-        """Begin the log of a test that something ended before its own would, where the rotor turns or may.
+    def record_past(self) -> None:
+        """Begin the log of a test that an error ended before its log, if the rotor turns or its state is unknown.
 
-        What came last is in it, what ended the test, and the rotor's way to rest: the session's end finishes it.
+        The log contains the last seconds, the error, and the run-down of the rotor. The end of the session finishes it.
         """
         if self._recording or self.kept is not None or self.session.trouble is None or not self.session.turning():
             return
         try:
-            path = self._begin(_LAST_S)
+            path = self._begin(_PAST_S)
         except (RigError, OSError) as error:
-            self.warn(f"no log had begun, and none of what stopped the rig can be kept: {error}")
+            self.warn(f"no log had begun, and the last {_PAST_S:g} s cannot be recorded: {error}")
         else:
-            self.warn(f"no log had begun: the last {_LAST_S:g} s and the rotor's way to rest are kept in {path}")
+            self.warn(f"no log had begun: the last {_PAST_S:g} s and the run-down of the rotor are recorded in {path}")
 
     def finish(self) -> None:
-        """Finish the log, if one has begun."""
+        """Finish the log, if one has begun.
+
+        Raises:
+            RigError: a device or an interlock failed in the last stretch of the log.
+        """
         if not self._recording:
             return
         if wrong_rates := self.session.rates.summary():
@@ -167,64 +183,63 @@ class Orders:
             facts["warnings"] = "; ".join(self.warnings)
         self._recording = False
         self.kept = Kept(self.session.stop_recording(facts), facts)
-        self.session.check()  # what went wrong in the last stretch must not look like a finished test
+        self.session.check()  # a test with an error in its last stretch must not count as finished
 
-    # --- looking -----------------------------------------------------------------------------------------------
+    # --- checks ------------------------------------------------------------------------------------------------
 
     @property
     def angles(self) -> PendulumAngles:
-        """Who measures the pendulums' angles."""
+        """Role of the device that measures the pendulum angles."""
         role = self.session.rig.roles.angles
-        assert role is not None, "a test that needs them was not refused"
+        assert role is not None, "tests that need the angles are refused on this rig"
         return role
 
     def check(self) -> None:
-        """Whether the rig is fine.
+        """Check the session, and the encoders if the test needs the angles.
 
         Raises:
-            RigError: what an interlock, a reader or an encoder found.
+            RigError: an interlock, a reader or an encoder reported an error.
         """
         self.session.check()
         if self._trusts_angles:
-            _, (flags,) = self.session.newest(self.angles.topic, ("flags",), _LOOK_S)
+            _, (flags,) = self.session.newest(self.angles.topic, ("flags",), _FLAGS_S)
             if faults := flagged(flags):
-                error = ProcedureError(f"{self.angles.device}: {'. '.join(faults)}; the rotor was told to stop")
-                self.session.trouble = self.session.trouble or error  # the log that is still open ends with it
+                error = ProcedureError(f"{self.angles.device}: {'. '.join(faults)}; the rotor was commanded to stop")
+                self.session.trouble = self.session.trouble or error  # the reason of the end in the open log
                 self.rotor.quick_stop()
                 raise error
 
-    def believe_locked(self, span_s: float) -> None:
-        """Hold the counters against the closed locks, and heed what the device says of itself.
+    def check_counters(self, span_s: float) -> None:
+        """Check the counters at the closed locks, and the description of their device.
 
         Args:
-            span_s: the newest stretch of samples that is looked at.
+            span_s: length of the newest stretch of samples that is checked, rig s.
 
         Raises:
-            DeviceError: the device is not what the rig file says.
-            ProcedureError: the test trusts the angles, and they cannot be believed.
+            DeviceError: the device deviates from the rig file.
+            ProcedureError: the counters are wrong and the test needs the angles.
         """
         device = self.angles.device
-        if complaint := self.session.told(device)[1]:  # made while the session still opened, when nobody was stopped
+        if complaint := self.session.told(device)[1]:  # it stopped nothing while the session was being opened
             raise DeviceError(f"{device}: {complaint}")
-        columns = ("theta3_rad", "theta4_rad", "flags")
-        _, (a, b, flags) = self.session.newest(self.angles.topic, columns, span_s)
+        _, (a, b, flags) = self.session.newest(self.angles.topic, (*ANGLE_FIELDS, "flags"), span_s)
         wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, self.angles.zero_std_deg))]
         trouble = ". ".join(text for text in wrong if text)
-        if trouble and self.asked.kind.trusts_angles:
+        if trouble and self.request.kind.trusts_angles:
             raise ProcedureError(f"{device}: {trouble}. Nothing was turned, nothing recorded")
         self.warn(f"{device}: {trouble}" if trouble else "")
-        self._trusts_angles = self.asked.kind.trusts_angles
+        self._trusts_angles = self.request.kind.trusts_angles
         self.warn(f"{device}: its battery is low; change it before the next test" if battery_low(flags) else "")
 
     # --- rotor and pendulums -----------------------------------------------------------------------------------
 
     def hold(self) -> None:
-        """Hold both pendulums at their places, rotor at rest."""
+        """Lock both pendulums while the rotor is at rest."""
         self.locks.lock()
         self._held = True
 
     def hold_again(self) -> None:
-        """Hold pendulums that this test has let go; after an abort, open locks are a warning."""
+        """Lock the pendulums if this test has released them. After an abort a failure is only a warning."""
         if "released_ns" not in self.memory or self._held:
             return
         try:
@@ -234,32 +249,37 @@ class Orders:
                 raise
             self.warn(f"the pendulums are not locked: {error}")
 
-    def let_go(self, turning: bool) -> None:
-        """Let both pendulums go; `released_ns` remembers when.
+    def release(self, turning: bool) -> None:
+        """Release both pendulums and store the time in `memory["released_ns"]`, ns since 1970.
+
+        Args:
+            turning: whether the rotor must turn.
 
         Raises:
-            ProcedureError: the rotor is to turn, and stands.
+            ProcedureError: `turning` is set and this test has not turned the rotor.
         """
         if turning and not self._turned:
-            raise ProcedureError(f"{self.asked.test}: the rotor stands, so the pendulums are not released")
+            raise ProcedureError(f"{self.request.test}: the rotor is at rest, so the pendulums are not released")
         self._held = False
         self.memory["released_ns"] = self.locks.release(turning)
 
     def make_ready(self) -> None:
-        """Make ready to turn the rotor, at rest."""
+        """Prepare the rotor at rest for turning."""
         self.warn(self.rotor.begin())
 
     def turn(self, rpm: float, ramp_rpm_per_s: float, free: bool = False) -> None:
-        """Ramp the rotor to a speed; returns at once.
+        """Start a ramp of the rotor to a speed and return immediately.
 
         Args:
-            free: whether the pendulums are meant to be free from the start.
+            rpm: the speed.
+            ramp_rpm_per_s: slope of the ramp.
+            free: whether the pendulums may be free at the start.
 
         Raises:
-            ProcedureError: the pendulums are not held although they should be, and it stands.
+            ProcedureError: the rotor is at rest, and the pendulums are not locked although `free` is not set.
         """
         if not self._held and not self._turned and not free:
-            raise ProcedureError(f"{self.asked.test}: the pendulums are not locked, so the rotor is not turned")
+            raise ProcedureError(f"{self.request.test}: the pendulums are not locked, so the rotor is not turned")
         self._turned = True
         self.rotor.go(rpm, ramp_rpm_per_s)
 
@@ -269,6 +289,6 @@ class Orders:
         self._turned = False
 
     def quick_stop(self) -> None:
-        """Stop a rotor that this test has turned, as fast as can be; nothing else waits for it any more."""
+        """Stop a rotor that this test has turned as fast as possible, without waiting for rest."""
         if self._turned:
             self.rotor.quick_stop()

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a guided test will do, without opening a device: its table with the rig's numbers and who acts."""
+"""Plan of a guided test: its table with the numbers of the rig and the actor of each state. No device is opened."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class PlannedState:
     """One state of a plan.
 
     Attributes:
-        name, does, waits_for: as in the table.
-        who: a device's name, "operator" or "program".
-        asks: what the operator is asked for; empty where a device or the program acts.
-        rpm: the rotor's speed at its end.
-        usual_s: how long it takes as a rule, rig time.
-        limit_s: how long it may take; 0 where its orders have time limits of their own.
-        limit_is_wall: whether the limit is wall time.
-        no_pause: why a test must not wait here; empty where it may.
-        done, late: the states that follow.
+        name, does, waits_for: as in State.
+        who: name of the acting device, "operator" or "program".
+        asks: request to the operator; empty if a device or the program acts.
+        rpm: rotor speed at the end of the state, rpm.
+        usual_s: usual duration, rig s.
+        limit_s: longest permitted duration, s; 0 if the orders have timeouts of their own.
+        limit_is_wall: whether `limit_s` is wall time.
+        no_pause: reason why the test must not pause here; empty if it may.
+        done, late: names of the states that follow these outcomes.
     """
 
     name: str
@@ -46,19 +46,19 @@ class PlannedState:
 
 @dataclass(frozen=True)
 class Plan:
-    """A test as it will be run.
+    """Plan of a requested test.
 
     Attributes:
-        test, line: its name, what it does.
-        needs: which device measures what, by signal.
-        gives: parameters that identification may take from it.
-        numbers: what it was asked for.
-        states: in their usual order.
-        repeats: how many times it is run.
-        usual_s: how long all of it takes as a rule, rig time.
-        top_rpm: the highest speed.
-        limit_rpm, limit_m: of the interlocks.
-        warning: what it cannot show; empty when nothing.
+        test, line: name and description of the test.
+        needs: name of the measuring device, by signal.
+        gives: parameters that identification may take from the log.
+        numbers: numbers of the test, by name.
+        states: states in their usual order.
+        repeats: number of runs.
+        usual_s: usual duration of all runs, rig s.
+        top_rpm: highest speed, rpm.
+        limit_rpm, limit_m: limits of the interlocks, rpm and m.
+        warning: limitation of the test; empty if there is none.
     """
 
     test: str
@@ -76,37 +76,37 @@ class Plan:
 
     @property
     def prompts(self) -> tuple[str, ...]:
-        """What the operator will be asked for, in order."""
+        """Requests to the operator in their order."""
         return tuple(state.asks for state in self.states if state.asks)
 
     def facts(self) -> dict[str, Any]:
-        """As JSON can hold it."""
+        """Return the plan as JSON values."""
         return {**asdict(self), "prompts": list(self.prompts)}
 
 
-def plan(asked: Asked) -> Plan:
-    """The plan of a test that was not refused."""
-    rig, kind = asked.rig, asked.kind
-    table = kind.table(asked)
+def plan(request: Asked) -> Plan:
+    """Return the plan of a requested test."""
+    rig, kind = request.rig, request.kind
+    table = kind.table(request)
     leads = table.transitions
     states = tuple(
         _planned(row, rig.roles, leads[row.name, Outcome.DONE], leads[row.name, Outcome.LATE]) for row in table.rows
     )
-    repeats = int(asked.numbers.get("count", 1)) if kind.summed else 1
+    repeats = int(request.numbers.get("count", 1)) if kind.summed else 1
     device_of = rig.roles.device_of
     return Plan(
-        test=asked.test,
+        test=request.test,
         line=kind.line,
         needs={SIGNALS[signal]: device_of[CHANNELS[signal]] for signal in kind.needs},
         gives=given_on(kind, rig.roles),
-        numbers=dict(asked.numbers),
+        numbers=dict(request.numbers),
         states=states,
         repeats=repeats,
         usual_s=repeats * sum(state.usual_s for state in states),
         top_rpm=max((state.rpm for state in states), default=0.0),
         limit_rpm=rig.limits.speed_rpm,
         limit_m=rig.limits.amplitude_m,
-        warning=kind.warning(asked),
+        warning=kind.warning(request),
     )
 
 

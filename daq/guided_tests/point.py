@@ -8,31 +8,31 @@ from collections.abc import Callable
 from typing import Any
 
 from daq.guided_tests.frame import framed, near_resonance, spin_up
-from daq.guided_tests.kinds import Asked, Number, TestKind
+from daq.guided_tests.kinds import RAD_S_PER_RPM, Asked, Number, TestKind
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import MOTION, Look, State, Table, View, after
 from daq.guided_tests.test_inputs import speed_refusal
 from daq.signals.settling import Settling
 from rig_configs.schema import Rig
 
-_RPM = math.pi / 30
 _POINT_LIMIT_S = 90.0
-_LOCKED_STEADY_S = 60.0  # rig time
-# Stricter than the second look, and that than the analysis of the whole log: what is called steady here is so there.
+_MAX_LOCKED_STEADY_S = 60.0  # wait for a steady orbit before the release, rig s
+# Stricter than the second look and the analysis, so that a steady state here is one in the log too.
 _STEADY = {"angle_tolerance_rad": math.radians(0.05), "amplitude_tolerance_m": 2e-6}
 _BEFORE_RELEASE_S = 4.0
-_AFTER_RELEASE_S = 3.0  # too early to look
-_AFTER_STEADY_S = 2.5  # of steady state in the log; asked again after it with the analysis's own tolerances
+_AFTER_RELEASE_S = 3.0  # after the release before the first look, rig s
+_AFTER_STEADY_S = 2.5  # steady state in the log before the second look with the tolerances of the analysis, rig s
 
 
-def point_states(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool]) -> tuple[State, ...]:
-    """The states from the spin-up to the steady state after a release.
+def point_states(request: Asked, rpm: float, ends: Callable[[View, Settling], bool]) -> tuple[State, ...]:
+    """Return the states from the spin-up to the steady state after a release.
 
     Args:
+        request: the requested test.
         rpm: the speed.
-        ends: whether an answer that is not "settled" ends the wait, too.
+        ends: whether a result that is not settled ends the wait.
     """
-    waiting = near_resonance(asked.rig, rpm)
+    waiting = near_resonance(request.rig, rpm)
 
     def orbit_steady(view: View) -> Look:
         found = view.measures.locked_steady()
@@ -40,17 +40,17 @@ def point_states(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool
         return Look(found.settled, f"waiting for a steady orbit, {found.why}", facts=facts)
 
     return (
-        *spin_up(asked, rpm),
+        *spin_up(request, rpm),
         State(
             "steady orbit",
             waits_for="an orbit of steady amplitude",
             look=orbit_steady,
             rpm=rpm,
             usual_s=12.0,
-            limit_s=_LOCKED_STEADY_S,
+            limit_s=_MAX_LOCKED_STEADY_S,
             late="before the release",
             no_pause=waiting,
-            late_warning=f"the orbit was not steady {_LOCKED_STEADY_S:g} s after the spin-up; the release follows",
+            late_warning=f"the orbit was not steady {_MAX_LOCKED_STEADY_S:g} s after the spin-up; the release follows",
         ),
         State(
             "before the release",
@@ -66,21 +66,21 @@ def point_states(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool
         ),
         State(
             "release",
-            does="let both pendulums go",
-            enter=lambda orders: orders.let_go(turning=True),
+            does="release both pendulums",
+            enter=lambda orders: orders.release(turning=True),
             actor="locks",
-            asks="release both pendulums, both at once",
+            asks="release both pendulums at the same time",
             rpm=rpm,
             usual_s=0.3,
             no_pause=MOTION,
         ),
-        settle_state(asked, rpm, ends),
+        settle_state(request, rpm, ends),
     )
 
 
-def settle_state(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool], free: bool = False) -> State:
-    """The state that waits for the steady state after a release, or with `free` after the speed was reached."""
-    angles = asked.rig.roles.angles
+def settle_state(request: Asked, rpm: float, ends: Callable[[View, Settling], bool], free: bool = False) -> State:
+    """Return the state that waits for the steady state after a release, or with `free` after reaching the speed."""
+    angles = request.rig.roles.angles
     step_rad = math.nan if angles is None else angles.step_rad
     begun = "at speed" if free else "after release"
 
@@ -104,33 +104,33 @@ def settle_state(asked: Asked, rpm: float, ends: Callable[[View, Settling], bool
         rpm=rpm,
         usual_s=30.0,
         limit_s=_POINT_LIMIT_S + _AFTER_STEADY_S,
-        missed=lambda view: _not_steady(asked, view),
+        missed=lambda view: _not_steady(request, view),
         no_pause=MOTION,
     )
 
 
-def _not_steady(asked: Asked, view: View) -> str:
-    """What a point did not reach at its limit; one that is expected to slip, and does, has reached its end."""
+def _not_steady(request: Asked, view: View) -> str:
+    """Return what a point has not reached at its time limit; empty if it slips as expected."""
     last: Settling | None = view.memory.get("last")
-    known = asked.rig.points.get(asked.point)
-    if last is not None and last.slipping and known is not None and known.expected == "slipping":
+    point = request.rig.points.get(request.point)
+    if last is not None and last.slipping and point is not None and point.expected == "slipping":
         return ""
     return f"the steady state within {_POINT_LIMIT_S:g} s of the release: {last.why if last else 'no data'}"
 
 
-def _table(asked: Asked) -> Table:
-    states = point_states(asked, asked.numbers["speed_rpm"], lambda view, last: False)
-    return framed(asked, *states, releases=True)
+def _table(request: Asked) -> Table:
+    states = point_states(request, request.numbers["speed_rpm"], lambda view, last: False)
+    return framed(request, *states, releases=True)
 
 
 def point_speed_rpm(rig: Rig, point: str) -> float | None:
-    """The speed of a rig's point, by its (identified) k1; None without a point."""
-    return rig.physics.speed_rad_s(rig.points[point].speed_ratio) / _RPM if point in rig.points else None
+    """Return the speed of a rig's point, rpm, from its (identified) k1; None if the rig has no such point."""
+    return rig.physics.speed_rad_s(rig.points[point].speed_ratio) / RAD_S_PER_RPM if point in rig.points else None
 
 
-def refusal(asked: Asked) -> str:
-    """Why the speed is not run."""
-    return speed_refusal(asked.rig, asked.numbers["speed_rpm"])
+def refusal(request: Asked) -> str:
+    """Return the reason why the speed of a requested point is refused; empty if it is accepted."""
+    return speed_refusal(request.rig, request.numbers["speed_rpm"])
 
 
 SPEED = {"speed_rpm": Number("speed, rpm", point_speed_rpm)}

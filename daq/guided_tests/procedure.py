@@ -1,7 +1,7 @@
 # pyright: strict
-"""The guided tests of an open session, by name.
+"""Guided tests of an open session.
 
-Every test ends with a finished log and the rotor at rest, or with the error that ended it and the rotor stopping.
+Every test ends with a finished log and the rotor at rest, or with an error and a stop of the rotor.
 """
 
 from __future__ import annotations
@@ -12,26 +12,26 @@ from pathlib import Path
 from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
 from daq.guided_tests.controls import Controls
-from daq.guided_tests.hands import Operator
+from daq.guided_tests.hands import MAX_LOCK_S, Operator, Progress
 from daq.guided_tests.kinds import Asked
-from daq.guided_tests.orders import Orders, Progress
+from daq.guided_tests.orders import Orders
 from daq.guided_tests.runner import NotReached, Runner, TestDone
 from daq.guided_tests.test_inputs import asked
 from rig_configs.schema import Rig
 
-_LOCK_S = 10.0  # wall s
-_ZEROED_S = 0.2  # rig time between a lock that closes and counters that are zeroed there
+_ZEROED_S = 0.2  # wait before and after the counters are zeroed, rig s
 
 
 class Procedures:
-    """See Orders for the arguments.
+    """Runs guided tests; for the other arguments see Orders.
 
     Args:
-        controls: through which the operator pauses, resumes, aborts and notes; one of its own where nobody does.
+        controls: passes the requests of the operator; a new object if None.
 
     Attributes:
         controls: see above.
-        parameters: which identified parameters the speeds follow from; "" for the rig file's own. Kept in every log.
+        parameters: name of the identified parameters from which the speeds follow; "" for those of the rig file. It is
+            written to every log.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Procedures:
 
     @property
     def parameters(self) -> str:
-        """See above."""
+        """Name of the identified parameters from which the speeds follow; see the class."""
         return self._orders.parameters
 
     @parameters.setter
@@ -58,23 +58,23 @@ class Procedures:
         self._orders.parameters = label
 
     def run(self, test: str, rig: Rig | None = None, *, point: str = "", **numbers: float) -> TestDone:
-        """One guided test by its name.
+        """Run one guided test.
 
         Args:
-            test: as `test_inputs.asked` takes it.
-            rig: whose (identified) parameters its speeds follow from; None: the session's.
-            point: name of a point.
-            numbers: those that are not to be the kind's own.
+            test: name of the test, as in `test_inputs.asked`.
+            rig: rig with the (identified) parameters from which the speeds follow; the session's rig if None.
+            point: name of a point; empty without one.
+            numbers: numbers that replace the defaults, by name.
 
         Raises:
-            Refused: the rig cannot run it as asked for; nothing was turned.
-            NotReached: it ended before a log began.
-            RigError: an interlock or a device ended it.
+            Refused: the rig cannot run the requested test. The rotor was not turned.
+            NotReached: the test ended before its log began.
+            RigError: an interlock or a device ended the test.
         """
         return self.carry_out(asked(rig or self._rig, test, numbers, point))
 
     def carry_out(self, wanted: Asked) -> TestDone:
-        """See `run`."""
+        """Run a requested test; see `run`."""
         if wanted.kind.summed is None:
             return self._once(wanted, "")
         count, runs = int(wanted.numbers["count"]), list[TestDone]()
@@ -95,28 +95,28 @@ class Procedures:
         return self._runner.run(wanted, wanted.kind.table(wanted), facts)
 
     def ring_down(self, axis: str) -> TestDone:
-        """Pluck along an axis, record until it has rung down to a fiftieth."""
+        """Run a ring-down: pluck along an axis, record until the amplitude has decayed to 1/50."""
         return self.run(f"ring-down-{axis}")
 
     def spin_down(self) -> TestDone:
-        """Release both pendulums at rest, flick them, record until they have slowed by e⁵."""
+        """Run a spin-down: release both pendulums at rest, flick them, record until they have slowed by e⁵."""
         return self.run("spin-down")
 
     def run_up(self, top_rpm: float, duration_s: float) -> TestDone:
-        """Ramp from rest through both resonances with locked pendulums."""
+        """Run a run-up: ramp from rest through both resonances with locked pendulums."""
         return self.run("run-up", top_rpm=top_rpm, duration_s=duration_s)
 
     def run_down(self, top_rpm: float, duration_s: float) -> TestDone:
-        """Ramp from above both resonances to rest with locked pendulums."""
+        """Run a run-down: ramp from above both resonances to rest with locked pendulums."""
         return self.run("run-down", top_rpm=top_rpm, duration_s=duration_s)
 
     def point(self, name: str, speed_rad_s: float) -> TestDone:
-        """Spin up with locked pendulums, wait until the orbit is steady, release, record until all is steady."""
+        """Run a point: spin up with locked pendulums, wait for a steady orbit, release, record to the steady state."""
         return self.run(f"point-{name}", speed_rpm=speed_rad_s * 30 / math.pi)
 
 
 def _whole(wanted: Asked, runs: list[TestDone], missed: str, aborted: bool) -> TestDone:
-    """A repeated test of its runs."""
+    """Combine the runs of a repeated test."""
     assert wanted.kind.summed is not None
     summary = dict(wanted.kind.summed([run.summary for run in runs]))
     warnings = tuple(f"{run.log.name}: {warning}" for run in runs for warning in run.warnings)
@@ -124,10 +124,10 @@ def _whole(wanted: Asked, runs: list[TestDone], missed: str, aborted: bool) -> T
 
 
 def zero_counters(session: Session) -> None:
-    """Close both locks and zero the node's counters there, where their zero belongs; the rotor must be at rest.
+    """Close both locks and zero the node's counters at this position. The rotor must be at rest.
 
     Raises:
-        DeviceError: refused, a lock does not close, or the rig has no locks that can be commanded.
+        DeviceError: a command was refused, a lock does not close, or the rig has no locks that can be commanded.
     """
     session.command_node("lock both")
 
@@ -135,7 +135,7 @@ def zero_counters(session: Session) -> None:
         _, (flags,) = session.recent.last("pendulums", ("flags",), session.clock.now_ns() - 2_000_000_000)
         return len(flags) > 0 and flags[-1] & LOCKS_CLOSED == LOCKS_CLOSED
 
-    session.wait_for(closed, _LOCK_S, "both locks to close")
+    session.wait_for(closed, MAX_LOCK_S, "both locks to close")
     session.clock.sleep(_ZEROED_S)
     session.command_node("zero")
     session.clock.sleep(_ZEROED_S)

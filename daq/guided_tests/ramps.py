@@ -9,15 +9,15 @@ from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import Look, State, Table, View, after
 from daq.guided_tests.test_inputs import default_top_rpm, ramp_refusal, ramp_warning
 
-_SLOW_SHARE = 0.03  # of the top speed: below it a run-down has too few index marks to go on
+_MIN_SPEED_SHARE = 0.03  # of the top speed; below it a run-down has too few index marks and ends
 _RAMP_S = 40.0
 _THROUGH = "the rotor passes through resonances"
 
 
-def _up(asked: Asked) -> Table:
-    top, duration = asked.numbers["top_rpm"], asked.numbers["duration_s"]
+def _up(request: Asked) -> Table:
+    top, duration = request.numbers["top_rpm"], request.numbers["duration_s"]
 
-    def there(view: View) -> Look:
+    def at_top(view: View) -> Look:
         return Look(view.rpm > 0.985 * top, f"{view.rpm:.0f} rpm", share_of(view.rpm, top))
 
     def begin(orders: Orders) -> None:
@@ -25,7 +25,7 @@ def _up(asked: Asked) -> Table:
         orders.begin()
 
     return framed(
-        asked,
+        request,
         State(
             "begin",
             does="make ready to turn the rotor, begin the log",
@@ -43,9 +43,9 @@ def _up(asked: Asked) -> Table:
             actor="rotor",
             rpm=top,
             enter=lambda orders: orders.turn(top, top / duration),
-            asks=f"turn the rotor up to {top:.0f} rpm, steadily, by {top / duration:.0f} rpm a second",
+            asks=f"turn the rotor up to {top:.0f} rpm with a steady ramp of {top / duration:.0f} rpm per second",
             waits_for=f"{0.985 * top:.0f} rpm",
-            look=there,
+            look=at_top,
             usual_s=duration,
             limit_s=1.5 * duration,
             missed=lambda view: f"the top speed: {view.rpm:.0f} of {top:.0f} rpm after {1.5 * duration:g} s",
@@ -64,15 +64,15 @@ def _up(asked: Asked) -> Table:
     )
 
 
-def _down(asked: Asked) -> Table:
-    top, duration = asked.numbers["top_rpm"], asked.numbers["duration_s"]
+def _down(request: Asked) -> Table:
+    top, duration = request.numbers["top_rpm"], request.numbers["duration_s"]
 
     def slow(view: View) -> Look:
-        return Look(view.rpm < _SLOW_SHARE * top, f"{view.rpm:.0f} rpm", share_of(top - view.rpm, top))
+        return Look(view.rpm < _MIN_SPEED_SHARE * top, f"{view.rpm:.0f} rpm", share_of(top - view.rpm, top))
 
     return framed(
-        asked,
-        *spin_up(asked, top),
+        request,
+        *spin_up(request, top),
         State(
             "top",
             does="begin the log",
@@ -89,8 +89,8 @@ def _down(asked: Asked) -> Table:
             does=f"ramp to rest in {duration:g} s",
             enter=lambda orders: orders.turn(0.0, top / duration),
             actor="rotor",
-            asks=f"bring the rotor to rest, steadily, by {top / duration:.0f} rpm a second",
-            waits_for=f"{_SLOW_SHARE * top:.0f} rpm",
+            asks=f"bring the rotor to rest with a steady ramp of {top / duration:.0f} rpm per second",
+            waits_for=f"{_MIN_SPEED_SHARE * top:.0f} rpm",
             look=slow,
             period_s=0.2,
             usual_s=duration,
@@ -102,17 +102,17 @@ def _down(asked: Asked) -> Table:
     )
 
 
-def _refusal(asked: Asked) -> str:
-    return ramp_refusal(asked.rig, asked.numbers["top_rpm"], asked.numbers["duration_s"])
+def _refusal(request: Asked) -> str:
+    return ramp_refusal(request.rig, request.numbers["top_rpm"], request.numbers["duration_s"])
 
 
-def _warning(asked: Asked) -> str:
-    return ramp_warning(asked.rig, asked.numbers["top_rpm"])
+def _warning(request: Asked) -> str:
+    return ramp_warning(request.rig, request.numbers["top_rpm"])
 
 
 _NUMBERS = {
     "top_rpm": Number("top speed, rpm", lambda rig, point: default_top_rpm(rig)),
-    "duration_s": Number("how long the ramp takes, s", _RAMP_S),
+    "duration_s": Number("duration of the ramp, s", _RAMP_S),
 }
 _GIVES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
 RUN_UP = TestKind(

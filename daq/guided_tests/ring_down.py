@@ -1,142 +1,195 @@
 # pyright: strict
-"""Ring-down: pluck along an axis, record until it has rung down to a fiftieth."""
+"""Ring-down: pluck along an axis, record until the amplitude has decayed to 1/50."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from daq.acquisition.core import PAST_S
 from daq.guided_tests.frame import framed
 from daq.guided_tests.hands import HUMAN_S
 from daq.guided_tests.kinds import CHANNELS, Asked, Number, TestKind
+from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import FAULT, MOTION, Look, State, Table, View, no_orders
 
-_ANSWER_S = 5.0  # how long a device may take, wall s
-_CALM_S = 30.0  # how long a column that rings at first may take to come to rest, rig s
-_SEEN_S = 10.0  # how far back to look for what a person did; a person may take minutes, the signals must stay few
+_MAX_ANSWER_S = 5.0  # wait for valid samples of a device, wall s
+_MAX_CALM_S = 30.0  # wait for the column to come to rest before the pluck, rig s
+_MAX_PLUCK_AGE_S = 10.0  # stretch in which a pluck is searched, rig s; the wait may last minutes, the data stay few
 _BEFORE_S, _AFTER_PLUCK_S, _WINDOW_S = 0.7, 0.8, 0.6
-_RING_DOWN_S = 60.0  # rig time
-_PLUCKED_M = 3e-4  # a displacement that is no longer vibration of the building
-_STILL_M = 4e-5  # peak to peak
-_SWUNG = 0.3  # of the farthest to one side a column that was let go swings at least so far to the other
-_BACK = 0.1  # of it: so near to rest has come back who is not held any more
+_MAX_RING_DOWN_S = 60.0  # rig s
+_PLUCKED_M = 3e-4  # displacement that vibration of the building does not reach
+_STILL_M = 4e-5  # peak to peak of a column at rest
+_MIN_SWING_RATIO = 0.3  # swing to the other side, relative to the largest displacement, of a released column
+_MAX_REST_OFFSET_RATIO = 0.1  # distance from rest, relative to the largest displacement, of a released column
 
 PRE_TRIGGER = Number("s in the log before the motion; 0: the log begins with the wait", 0.0, 0.0, PAST_S)
 
 
-def _table(axis: str, asked: Asked) -> Table:
-    topic, before_s = CHANNELS[axis], asked.numbers["pre_trigger_s"]
-    later = before_s > 0
+@dataclass(frozen=True)
+class _RingDown:
+    """The states of one ring-down.
 
-    def calm(view: View) -> Look:
-        now = view.measures.peak_to_peak(topic, _WINDOW_S)
+    Attributes:
+        axis: "x" or "y".
+        topic: channel of the displacement along the axis.
+        before_s: length of the pre-trigger, rig s; 0 if the log begins with the wait for the pluck.
+    """
+
+    axis: str
+    topic: str
+    before_s: float
+
+    # --- looks -------------------------------------------------------------------------------------------------
+
+    def calm(self, view: View) -> Look:
+        """Wait until the column is nearly at rest. Without valid samples the next state reports it."""
+        now = view.measures.peak_to_peak(self.topic, _WINDOW_S)
         words = f"waiting for the column to come to rest: {now * 1e3:.2f} mm peak to peak"
-        return Look(not now >= _PLUCKED_M, words)  # of a blocked sensor the next state says it
+        return Look(not now >= _PLUCKED_M, words)
 
-    def quiet(view: View) -> Look:
-        enough = view.in_state_s >= _BEFORE_S and view.measures.valid(topic, 0.5) > 0.4
-        return Look(enough, "looking at the column at rest", remember={"rest_m": view.measures.rest_m(topic, 0.5)})
+    def quiet(self, view: View) -> Look:
+        """Measure the column at rest."""
+        done = view.in_state_s >= _BEFORE_S and view.measures.valid(self.topic, 0.5) > 0.4
+        return Look(done, "measuring the column at rest", remember={"rest_m": view.measures.rest_m(self.topic, 0.5)})
 
-    def plucked(view: View) -> Look:
-        since = max(view.asked_ns, view.measures.since(_SEEN_S))
-        farthest = view.measures.largest_since(topic, since, view.memory["rest_m"])
-        return Look(farthest > _PLUCKED_M, f"pluck the column along {axis} by 2 to 3 mm and let go")
+    def plucked(self, view: View) -> Look:
+        """Wait for a displacement since the request."""
+        since = max(view.entry_began_ns, view.measures.since(_MAX_PLUCK_AGE_S))
+        largest = view.measures.largest_since(self.topic, since, view.memory["rest_m"])
+        return Look(largest > _PLUCKED_M, f"pluck the column along {self.axis} by 2 to 3 mm and release it")
 
-    def rung_down(view: View) -> Look:
-        """Still again, near where it was at rest, after a swing to both sides: a hand that holds it is no ring-down."""
-        low, high = view.measures.extremes(topic, _WINDOW_S)
+    def rung_down(self, view: View) -> Look:
+        """Wait until the displacement is at rest near the rest position after swings to both sides.
+
+        A column that is held by hand does not meet these conditions. While the sensor is blocked the look is not done.
+        """
+        low, high = view.measures.extremes(self.topic, _WINDOW_S)
         if view.in_state_s < _AFTER_PLUCK_S or not math.isfinite(high - low):
-            return Look(False)  # a blocked sensor shows nothing of the column
+            return Look(False)
         rest, now = view.memory["rest_m"], high - low
         peak = max(view.memory.get("peak_m", 0.0), now)
         least, most = min(view.memory.get("low_m", 0.0), low - rest), max(view.memory.get("high_m", 0.0), high - rest)
-        far = max(-least, most)
-        swung = min(-least, most) > _SWUNG * far
-        back = abs(0.5 * (low + high) - rest) < max(_BACK * far, _STILL_M)
-        still = now < peak / 50 or now < _STILL_M
-        share = min(1.0, math.log(max(peak, 1e-9) / max(now, 1e-9)) / math.log(50)) if swung else 0.0
+        largest, offset = max(-least, most), 0.5 * (low + high) - rest
+        has_swung = min(-least, most) > _MIN_SWING_RATIO * largest
+        is_back = abs(offset) < max(_MAX_REST_OFFSET_RATIO * largest, _STILL_M)
+        is_still = now < peak / 50 or now < _STILL_M
+        share = min(1.0, math.log(max(peak, 1e-9) / max(now, 1e-9)) / math.log(50)) if has_swung else 0.0
         words = f"{now * 1e3:.2f} mm peak to peak"
-        if still and not back:
-            words = f"let go of the column: it is held {(0.5 * (low + high) - rest) * 1e3:+.2f} mm from rest"
-        elif still and not swung:
-            words = f"the column came back without a swing: pluck it along {axis} again and let go at once"
+        if is_still and not is_back:
+            words = f"release the column: it is held {offset * 1e3:+.2f} mm from rest"
+        elif is_still and not has_swung:
+            words = f"the column returned without a swing: pluck along {self.axis} again, release at once"
         remember = {"peak_m": peak, "low_m": least, "high_m": most}
-        return Look(still and back and swung, words, share, remember)
+        return Look(is_still and is_back and has_swung, words, share, remember)
 
-    def left(view: View) -> str:
-        now, peak = view.measures.peak_to_peak(topic, _WINDOW_S), view.memory.get("peak_m", 0.0)
-        seen = "the sensor sees nothing" if math.isnan(now) else f"{now * 1e3:.2f} of {peak * 1e3:.2f} mm were left"
-        if now < _STILL_M or now < peak / 50:
-            seen = "it was held, or brought back by hand"
-        return f"the column to be let go and ring down to a fiftieth within {_RING_DOWN_S:g} s: {seen}"
+    # --- texts after the time limit ----------------------------------------------------------------------------
 
-    return framed(
-        asked,
-        State(
-            "calm",
-            does="",
-            waits_for=f"less than {_PLUCKED_M * 1e3:g} mm peak to peak",
-            look=calm,
-            period_s=0.1,
-            usual_s=0.2,
-            limit_s=_CALM_S,
-            missed=lambda view: (
-                f"the column to come to rest within {_CALM_S:g} s: "
-                f"{view.measures.peak_to_peak(topic, _WINDOW_S) * 1e3:.2f} mm peak to peak left. Find what shakes it"
+    def not_calm(self, view: View) -> str:
+        """Return what was not reached in the state "calm"."""
+        now_mm = view.measures.peak_to_peak(self.topic, _WINDOW_S) * 1e3
+        return (
+            f"the column to come to rest within {_MAX_CALM_S:g} s: {now_mm:.2f} mm peak to peak left. "
+            "Find the source of the vibration"
+        )
+
+    def not_rung_down(self, view: View) -> str:
+        """Return what was not reached in the state "ring"."""
+        now, peak = view.measures.peak_to_peak(self.topic, _WINDOW_S), view.memory.get("peak_m", 0.0)
+        if math.isnan(now):
+            found = "the sensor gives no valid samples"
+        elif now < _STILL_M or now < peak / 50:
+            found = "it was held, or brought back by hand"
+        else:
+            found = f"{now * 1e3:.2f} of {peak * 1e3:.2f} mm were left"
+        return f"the column to be released and ring down to a fiftieth within {_MAX_RING_DOWN_S:g} s: {found}"
+
+    # --- states ------------------------------------------------------------------------------------------------
+
+    def waiting_states(self) -> tuple[State, ...]:
+        """Return the states before the pluck."""
+        has_pre_trigger = self.before_s > 0
+        return (
+            State(
+                "calm",
+                waits_for=f"less than {_PLUCKED_M * 1e3:g} mm peak to peak",
+                look=self.calm,
+                period_s=0.1,
+                usual_s=0.2,
+                limit_s=_MAX_CALM_S,
+                missed=self.not_calm,
             ),
-        ),
-        State(
-            "quiet",
-            does="" if later else "begin the log",
-            enter=no_orders if later else lambda orders: orders.begin(before_s),
-            waits_for="half a second of valid samples",
-            look=quiet,
-            period_s=0.1,
-            usual_s=1.0,
-            limit_s=_ANSWER_S,
-            wall=True,
-            late=FAULT,
-            missed=lambda view: f"waited {_ANSWER_S:g} s for half a second of valid samples of {topic}",
-        ),
-        State(
-            "pluck",
-            does="ask for the pluck",
-            enter=lambda orders: orders.operator.pluck(axis),
-            actor="operator",
-            asks=f"displace the column by 2 to 3 mm along {axis} and let go",
-            waits_for=f"{_PLUCKED_M * 1e3:g} mm from rest",
-            look=plucked,
-            period_s=0.02,
-            usual_s=10.0,
-            limit_s=HUMAN_S,
-            wall=True,
-            missed=lambda view: f"a pluck along {axis} within {HUMAN_S:g} s",
-        ),
-        State(
-            "ring",
-            does="begin the log" if later else "",
-            waits_for="a swing, then a fiftieth of it, or 0.04 mm",
-            enter=(lambda orders: orders.begin(before_s)) if later else no_orders,
-            look=rung_down,
-            usual_s=15.0,
-            limit_s=_RING_DOWN_S,
-            missed=left,
-            fact="rung_down",
-            no_pause=MOTION,
-        ),
-    )
+            State(
+                "quiet",
+                does="" if has_pre_trigger else "begin the log",
+                enter=no_orders if has_pre_trigger else self._begin_log,
+                waits_for="half a second of valid samples",
+                look=self.quiet,
+                period_s=0.1,
+                usual_s=1.0,
+                limit_s=_MAX_ANSWER_S,
+                wall=True,
+                late=FAULT,
+                missed=lambda view: f"waited {_MAX_ANSWER_S:g} s for half a second of valid samples of {self.topic}",
+            ),
+        )
+
+    def moving_states(self) -> tuple[State, ...]:
+        """Return the states of the pluck and of the ring-down."""
+        has_pre_trigger = self.before_s > 0
+        return (
+            State(
+                "pluck",
+                does="request the pluck",
+                enter=lambda orders: orders.operator.pluck(self.axis),
+                actor="operator",
+                asks=f"displace the column by 2 to 3 mm along {self.axis} and release it",
+                waits_for=f"{_PLUCKED_M * 1e3:g} mm from rest",
+                look=self.plucked,
+                period_s=0.02,
+                usual_s=10.0,
+                limit_s=HUMAN_S,
+                wall=True,
+                missed=lambda view: f"a pluck along {self.axis} within {HUMAN_S:g} s",
+            ),
+            State(
+                "ring",
+                does="begin the log" if has_pre_trigger else "",
+                waits_for="a swing, then a fiftieth of it, or 0.04 mm",
+                enter=self._begin_log if has_pre_trigger else no_orders,
+                look=self.rung_down,
+                usual_s=15.0,
+                limit_s=_MAX_RING_DOWN_S,
+                missed=self.not_rung_down,
+                fact="rung_down",
+                no_pause=MOTION,
+            ),
+        )
+
+    def _begin_log(self, orders: Orders) -> None:
+        orders.begin(self.before_s)
 
 
-_SUSPENSION = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")  # a hand never pulls along one axis alone
+def _table(axis: str, request: Asked) -> Table:
+    ring_down = _RingDown(axis, CHANNELS[axis], request.numbers["pre_trigger_s"])
+    return framed(request, *ring_down.waiting_states(), *ring_down.moving_states())
+
+
+_SUSPENSION = (
+    "k1_N_per_m",
+    "k2_N_per_m",
+    "zeta1",
+    "zeta2",
+)  # both directions, since a hand does not pull exactly along one axis
 
 
 def _kind(axis: str) -> TestKind:
     return TestKind(
         f"ring-down-{axis}",
-        f"pluck the column along {axis}, record until it has rung down to a fiftieth",
+        f"pluck the column along {axis}, record until the amplitude has decayed to 1/50",
         (axis,),
         turns=False,
-        table=lambda asked: _table(axis, asked),
+        table=lambda request: _table(axis, request),
         gives=_SUSPENSION,
         numbers={"pre_trigger_s": PRE_TRIGGER},
     )

@@ -1,7 +1,7 @@
 # pyright: strict
-"""Runs a test's table: orders, looks, outcomes, transitions; and takes what the operator asks for meanwhile.
+"""Execution of a test's table: orders, looks, outcomes, transitions, and the requests of the operator.
 
-The one place where a guided test waits. Time is the session's clock; nothing here starts a thread or opens a file.
+All waits of a guided test are in this module, on the session's clock. It starts no thread and opens no file.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from daq.guided_tests.kinds import Asked
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import END, FAULT, Look, Outcome, State, Table, View
 
-_PAUSE_LOOK_S = 0.1  # rig time between two looks while a test is paused
+_PAUSE_LOOK_S = 0.1  # period of the looks while a test is paused, rig s
 
 
 @dataclass(frozen=True)
 class TestDone:
-    """A finished test.
+    """Result of a finished test.
 
     Attributes:
-        test: its name.
-        log: its log, finished and whole; of a repeated test the last one.
-        summary: the facts that went into the log's summary; of a repeated test the whole of its runs.
-        missed: what was not reached; empty when the test came to its end.
-        warnings: what its operator has to be told, sentences.
-        aborted: whether the operator ended it.
-        runs: of a repeated test, each of its runs.
+        test: name of the test.
+        log: path of the finished log; for a repeated test the last one.
+        summary: facts of the log's summary; for a repeated test the combined summary of its runs.
+        missed: condition that was not reached; empty if the test reached its end.
+        warnings: warnings for the operator.
+        aborted: whether the operator ended the test.
+        runs: results of the runs of a repeated test.
     """
 
     __test__ = False  # not a pytest class
@@ -47,25 +47,25 @@ class TestDone:
 
 
 class NotReached(ProcedureError):
-    """A test did not reach its end, and no log had begun: there is nothing to keep.
+    """A test ended before its log began.
 
     Attributes:
-        aborted: whether the operator ended it.
+        aborted: whether the operator ended the test.
     """
 
     aborted = False
 
 
 class _Aborted(Exception):
-    """The operator ended the test while its orders waited for somebody."""
+    """The operator ended the test."""
 
 
 class Runner:
-    """Of one session's tests, one after the other.
+    """Runs the tests of one session, one after the other.
 
     Args:
-        orders: what states may order.
-        controls: what the operator may ask for.
+        orders: carries out the orders of the states.
+        controls: passes the requests of the operator.
     """
 
     def __init__(self, orders: Orders, controls: Controls) -> None:
@@ -75,21 +75,21 @@ class Runner:
         self._ending: frozenset[str] = frozenset()
         orders.wait = self._wait
 
-    def run(self, asked: Asked, table: Table, facts: Mapping[str, str]) -> TestDone:
+    def run(self, request: Asked, table: Table, facts: Mapping[str, str]) -> TestDone:
         """Run a test to its end.
 
         Args:
-            asked: the test.
-            table: its states.
-            facts: for its log's metadata.
+            request: the requested test.
+            table: states of the test.
+            facts: facts for the metadata of its log.
 
         Raises:
-            NotReached: it ended before a log began.
-            RigError: an interlock, a device or an encoder ended it; the rotor was stopped.
+            NotReached: the test ended before its log began.
+            RigError: an interlock, a device or an encoder ended the test. The rotor was stopped.
         """
         orders = self._orders
-        orders.prepare(asked, facts)
-        orders.warn(asked.kind.warning(asked))
+        orders.prepare(request, facts)
+        orders.warn(request.kind.warning(request))
         self._abort, self._ending = None, frozenset(row.name for row in table.ending)
         try:
             transitions, name = table.transitions, table.rows[0].name
@@ -99,55 +99,55 @@ class Runner:
                 name = transitions[name, outcome]
                 self._conclude(state, outcome, name)
         except BaseException:
-            with contextlib.suppress(Exception):  # the error that ended the test is the one to raise
+            with contextlib.suppress(Exception):  # the error that ended the test must be the one that is raised
                 orders.quick_stop()
             with contextlib.suppress(Exception):
-                orders.keep_the_past()
+                orders.record_past()
             raise
         return self._done()
 
     def _done(self) -> TestDone:
         orders = self._orders
         if orders.kept is None:
-            error = NotReached(orders.missed or "the test's table begins no log")
+            error = NotReached(orders.missed or "the table of the test does not begin a log")
             error.aborted = orders.aborted
             raise error
         facts, warnings = orders.kept.summary, tuple(orders.warnings)
-        return TestDone(orders.asked.test, orders.kept.log, facts, orders.missed, warnings, orders.aborted)
+        return TestDone(orders.request.test, orders.kept.log, facts, orders.missed, warnings, orders.aborted)
 
     # --- one state ---------------------------------------------------------------------------------------------
 
     def _outcome(self, state: State) -> Outcome:
-        """Enter a state, look until it is over."""
+        """Enter a state and look until it is over."""
         orders = self._orders
         self._show(state, Look(False, state.does or f"waiting for {state.waits_for}"))
         self._entered = state
         try:
-            self._heed_requests(state)
-            asked_ns = self._clock.now_ns()
+            self._take_requests(state)
+            entry_began_ns = self._clock.now_ns()
             state.enter(orders)
             limit_s = self._clock.patience(state.limit_s) if state.wall else state.limit_s
             entered_ns = self._clock.now_ns()
             end_ns = entered_ns + int(limit_s * 1e9)
             while True:
                 orders.check()
-                end_ns += self._heed_requests(state)
-                look = state.look(self._view(asked_ns, entered_ns))
+                end_ns += self._take_requests(state)
+                look = state.look(self._view(entry_began_ns, entered_ns))
                 orders.memory |= look.remember
                 orders.facts |= look.facts
                 self._show(state, look)
                 if look.done:
                     return Outcome.DONE
                 if self._clock.now_ns() > end_ns:
-                    return self._late(state, self._view(asked_ns, entered_ns))
+                    return self._late(state, self._view(entry_began_ns, entered_ns))
                 self._clock.sleep(state.period_s)
         except _Aborted:
             return Outcome.ABORT
 
-    def _view(self, asked_ns: int, entered_ns: int) -> View:
+    def _view(self, entry_began_ns: int, entered_ns: int) -> View:
         orders = self._orders
         now_ns = self._clock.now_ns()
-        return View(orders.measures, now_ns, entered_ns, asked_ns, orders.rotor.speed_rpm, orders.memory)
+        return View(orders.measures, now_ns, entered_ns, entry_began_ns, orders.rotor.speed_rpm, orders.memory)
 
     def _late(self, state: State, view: View) -> Outcome:
         missed = state.missed(view)
@@ -156,7 +156,7 @@ class Runner:
         return Outcome.LATE
 
     def _conclude(self, state: State, outcome: Outcome, target: str) -> None:
-        """What an outcome leaves behind."""
+        """Record an outcome, and raise the error of a transition to FAULT."""
         orders = self._orders
         if outcome is Outcome.ABORT:
             if not orders.aborted and orders.kept is None:
@@ -167,10 +167,10 @@ class Runner:
         if target == FAULT:
             raise DeviceError(orders.missed)
 
-    # --- what the operator asks for ----------------------------------------------------------------------------
+    # --- requests of the operator ------------------------------------------------------------------------------
 
     def _wait(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
-        """See Session.wait_for; an abort ends the wait."""
+        """Wait for a condition as Session.wait_for does. An abort ends the wait."""
 
         def over() -> bool:
             for request in self._controls.take():
@@ -181,8 +181,8 @@ class Runner:
         if self._abort is not None:
             raise _Aborted
 
-    def _heed_requests(self, state: State) -> int:
-        """Take what was asked; while the test is paused, wait here. Returns for how long, ns."""
+    def _take_requests(self, state: State) -> int:
+        """Take the waiting requests, wait while the test is paused, and return the duration of the wait, ns."""
         begun = self._clock.now_ns()
         while True:
             for request in self._controls.take():
@@ -191,7 +191,7 @@ class Runner:
                 raise _Aborted
             if not self._pausing or state.no_pause:
                 break
-            self._show(state, Look(False, f"paused; {state.does or state.waits_for} when it goes on"), paused=True)
+            self._show(state, Look(False, f"paused before: {state.does or state.waits_for}"), paused=True)
             self._orders.check()
             self._clock.sleep(_PAUSE_LOOK_S)
         return self._clock.now_ns() - begun
@@ -207,10 +207,10 @@ class Runner:
             self._answer("the test is being aborted")
         elif request.verb == "resume":
             self._pausing = False
-            self._answer("going on")
+            self._answer("the test continues")
         else:
             self._pausing = True
-            later = f"not here: {state.no_pause}. The test pauses in the next state that may wait"
+            later = f"no pause here: {state.no_pause}. The test pauses in the next state that may wait"
             self._answer(later if state.no_pause else "paused")
 
     def _answer(self, text: str) -> None:
@@ -218,6 +218,6 @@ class Runner:
 
     def _show(self, state: State, look: Look, *, paused: bool = False) -> None:
         words = look.words or (f"waiting for {state.waits_for}" if state.waits_for else state.does)
-        answer, asked = self._controls.status.answer, self._orders.asked
-        self._controls.status = Status(asked.test, state.name, words, look.share, paused, answer, asked.numbers)
-        self._orders.tell(words, look.share)
+        answer, request = self._controls.status.answer, self._orders.request
+        self._controls.status = Status(request.test, state.name, words, look.share, paused, answer, request.numbers)
+        self._orders.report(words, look.share)

@@ -13,23 +13,23 @@ from daq.guided_tests.kinds import Asked, TestKind
 from daq.guided_tests.ring_down import PRE_TRIGGER
 from daq.guided_tests.table import MOTION, Look, State, Table, View, after, no_orders
 
-_SEEN_S = 10.0  # how far back to look for what a person did
-_BEFORE_S = 0.7
-_SPIN_DOWN_S = 120.0  # rig time
-_FLICKED_RAD = 0.5
+_MAX_FLICK_AGE_S = 10.0  # stretch of the angles in which a flick is searched, rig s
+_BEFORE_S = 0.7  # at rest before the flick, rig s
+_MAX_SPIN_DOWN_S = 120.0  # rig s
+_FLICKED_RAD = 0.5  # turn of a pendulum that counts as a flick
 
 
 def _flicked(view: View) -> Look:
-    since = max(view.asked_ns, view.measures.since(_SEEN_S))
+    since = max(view.entry_began_ns, view.measures.since(_MAX_FLICK_AGE_S))
     turned = view.measures.turned_since(since)[0]
     words = "flick both pendulums, slower than two turns a second"
-    return Look(bool(np.all(turned > _FLICKED_RAD)), words, remember={"asked_ns": view.asked_ns})
+    return Look(bool(np.all(turned > _FLICKED_RAD)), words, remember={"flick_since_ns": view.entry_began_ns})
 
 
 def _slowed(view: View) -> Look:
-    rates, (_, peak) = np.abs(view.measures.rates()), view.measures.turned_since(view.memory["asked_ns"])
+    rates, (_, peak) = np.abs(view.measures.rates()), view.measures.turned_since(view.memory["flick_since_ns"])
     if not np.all(np.isfinite(rates)):
-        return Look(False)  # radio silence shows nothing of the pendulums
+        return Look(False)  # the angles are missing while the radio is silent
     share = float(np.min(np.log(peak / np.maximum(rates, 1e-3)))) / 5.0
     return Look(share >= 1.0, f"{rates[0]:.2f} and {rates[1]:.2f} rad/s", min(1.0, max(0.0, share)))
 
@@ -37,18 +37,18 @@ def _slowed(view: View) -> Look:
 def _left(view: View) -> str:
     a, b = np.abs(view.measures.rates())
     seen = "their angles are missing" if math.isnan(a + b) else f"{a:.2f} and {b:.2f} rad/s were left"
-    return f"the pendulums to slow down by e⁵ within {_SPIN_DOWN_S:g} s: {seen}"
+    return f"the pendulums to slow down by e⁵ within {_MAX_SPIN_DOWN_S:g} s: {seen}"
 
 
-def _table(asked: Asked) -> Table:
-    before_s = asked.numbers["pre_trigger_s"]
+def _table(request: Asked) -> Table:
+    before_s = request.numbers["pre_trigger_s"]
     later = before_s > 0
     return framed(
-        asked,
+        request,
         State(
             "release",
-            does="let both pendulums go, rotor at rest",
-            enter=lambda orders: orders.let_go(turning=False),
+            does="release both pendulums with the rotor at rest",
+            enter=lambda orders: orders.release(turning=False),
             actor="locks",
             asks="release both pendulums",
             usual_s=0.5,
@@ -65,7 +65,7 @@ def _table(asked: Asked) -> Table:
         ),
         State(
             "flick",
-            does="ask for the flick",
+            does="request the flick",
             enter=lambda orders: orders.operator.flick(),
             actor="operator",
             asks="flick both pendulums, slower than two turns a second",
@@ -84,7 +84,7 @@ def _table(asked: Asked) -> Table:
             waits_for="both slower by e⁵",
             look=_slowed,
             usual_s=25.0,
-            limit_s=_SPIN_DOWN_S,
+            limit_s=_MAX_SPIN_DOWN_S,
             missed=_left,
             fact="slowed_down",
             no_pause=MOTION,

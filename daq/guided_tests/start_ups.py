@@ -1,8 +1,8 @@
 # pyright: strict
-"""Start-ups: the same spin-up and release again and again, each into its own log, each steady state classed.
+"""Start-ups: repeated spin-ups and releases, each in its own log, with a classification of the steady states.
 
-With `from_rest` the pendulums (or balls, which have no locks) are let go before the rotor turns, as in a machine in
-use, and begin elsewhere each time.
+With `from_rest` the pendulums (or balls, which have no locks) are released before the rotor turns, as in a machine in
+use, and start from different angles.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from daq.guided_tests.table import MOTION, State, Table, View, after, not_missed
 from daq.signals.settling import Settling
 from daq.signals.state_type import state_type
 
-_SLIPS_S = 30.0  # a pendulum that slips so long after the release is taken to go on
+_MIN_SLIPPING_S = 30.0  # slipping for this time after the release counts as permanent, rig s
 _CLASSES = {"I": "balanced"}
-_BEFORE_S = 1.0  # of pendulums at their locks, to begin the log with
-_SCATTERED_S = 2.0
+_BEFORE_S = 1.0  # pendulums at their locks at the start of the log, rig s
+_SCATTERED_S = 2.0  # wait after the pendulums were scattered, rig s
 
 
 def _slips(view: View, last: Settling) -> bool:
-    return last.slipping and view.now_ns - int(view.memory["released_ns"]) > _SLIPS_S * 1e9
+    return last.slipping and view.now_ns - int(view.memory["released_ns"]) > _MIN_SLIPPING_S * 1e9
 
 
 def _slips_at_speed(view: View, last: Settling) -> bool:
-    return last.slipping and view.in_state_s > _SLIPS_S
+    return last.slipping and view.in_state_s > _MIN_SLIPPING_S
 
 
-def _class(orders: Orders) -> None:
-    """What the start-up came to: "balanced", "slipping" or "other", with angles and amplitudes where it settled."""
+def _classify(orders: Orders) -> None:
+    """Write the class of the start-up to the facts: "balanced", "slipping" or "other", and the settled values."""
     last: Settling | None = orders.memory.get("last")
     state, facts = "not settled", dict[str, Any]()
     if last is not None and last.settled:
         a, b = orders.measures.mean_angles_rad()
         x, y = orders.measures.amplitudes_m()
-        state = state_type((a, b), orders.asked.rig.physics)
+        state = state_type((a, b), orders.request.rig.physics)
         facts = {"theta3_deg": math.degrees(a) % 360, "theta4_deg": math.degrees(b) % 360}
         facts |= {"amplitude_x_mm": 1e3 * x, "amplitude_y_mm": 1e3 * y}
     elif last is not None and last.slipping:
@@ -51,8 +51,8 @@ def _class(orders: Orders) -> None:
     orders.facts |= {"class": kind, "state": state, **facts}
 
 
-def _from_rest(asked: Asked, rpm: float) -> tuple[State, ...]:
-    """The states from the release at rest to the steady state."""
+def _from_rest(request: Asked, rpm: float) -> tuple[State, ...]:
+    """Return the states from the release at rest to the steady state."""
     return (
         State(
             "begin",
@@ -66,43 +66,43 @@ def _from_rest(asked: Asked, rpm: float) -> tuple[State, ...]:
         ),
         State(
             "release",
-            does="let both pendulums go, rotor at rest",
-            enter=lambda orders: orders.let_go(turning=False),
+            does="release both pendulums with the rotor at rest",
+            enter=lambda orders: orders.release(turning=False),
             actor="locks",
             asks="release both pendulums",
             usual_s=0.5,
         ),
         State(
             "scatter",
-            does="ask for both to be left anywhere",
+            does="request arbitrary angles of both pendulums",
             enter=lambda orders: orders.operator.scatter(),
             actor="operator",
-            asks="leave both pendulums or balls anywhere, elsewhere each time",
+            asks="bring both pendulums or balls to arbitrary angles, different each time",
             waits_for=f"{_SCATTERED_S:g} s",
             look=after(_SCATTERED_S),
             period_s=0.1,
             usual_s=_SCATTERED_S,
             limit_s=60.0,
         ),
-        *(replace(state, no_pause=state.no_pause or MOTION) for state in spin_up(asked, rpm, free=True)),
-        settle_state(asked, rpm, _slips_at_speed, free=True),
+        *(replace(state, no_pause=state.no_pause or MOTION) for state in spin_up(request, rpm, free=True)),
+        settle_state(request, rpm, _slips_at_speed, free=True),
     )
 
 
-def _table(asked: Asked) -> Table:
-    rpm = asked.numbers["speed_rpm"]
-    states = _from_rest(asked, rpm) if asked.numbers["from_rest"] else point_states(asked, rpm, _slips)
-    classed = State("class", does="class the steady state: balanced, slipping or other", enter=_class)
+def _table(request: Asked) -> Table:
+    rpm = request.numbers["speed_rpm"]
+    states = _from_rest(request, rpm) if request.numbers["from_rest"] else point_states(request, rpm, _slips)
+    classed = State("class", does="classify the steady state: balanced, slipping or other", enter=_classify)
     *before, settle = states
     settle = replace(settle, missed=not_missed, late=classed.name)
-    return framed(asked, *before, settle, classed, releases=True)
+    return framed(request, *before, settle, classed, releases=True)
 
 
 def summed(runs: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
-    """How often each class came, and the mean and range of what was measured in it.
+    """Return the number of start-ups by class and by state, and mean and range of the quantities of each state.
 
     Args:
-        runs: the summaries of the logs; those of runs that were broken off lack `class` and are not counted.
+        runs: summaries of the logs. Aborted runs lack `class` and are not counted.
     """
     classed = [run for run in runs if "class" in run]
     counts = Counter(str(run["class"]) for run in classed)
@@ -116,34 +116,34 @@ def summed(runs: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
 
 
 def _ranges(runs: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
-    """Mean, least and largest of each quantity; angles about their direction's mean, in degrees."""
+    """Return mean, minimum and maximum of each quantity; angles in degrees, relative to their mean direction."""
     found: dict[str, Any] = {}
     for key in ("theta3_deg", "theta4_deg", "amplitude_x_mm", "amplitude_y_mm"):
         values = [float(run[key]) for run in runs if key in run]
         if not values:
             continue
-        middle = _direction(values) if key.endswith("_deg") else sum(values) / len(values)
+        middle = _mean_direction_deg(values) if key.endswith("_deg") else sum(values) / len(values)
         off = [(v - middle + 180) % 360 - 180 if key.endswith("_deg") else v - middle for v in values]
         mean = middle + sum(off) / len(off)
         found[key] = {"mean": mean, "least": middle + min(off), "largest": middle + max(off)}
     return found
 
 
-def _direction(degrees: Sequence[float]) -> float:
+def _mean_direction_deg(degrees: Sequence[float]) -> float:
     turned = [math.radians(v) for v in degrees]
     return math.degrees(math.atan2(sum(map(math.sin, turned)), sum(map(math.cos, turned)))) % 360
 
 
 KIND = TestKind(
     "start-ups",
-    "spin up and release again and again, or release and spin up; class every steady state",
+    "spin up and release repeatedly, or release and spin up; classify every steady state",
     ("x", "y", "angles", "phase"),
     turns=True,
     table=_table,
     point="optional",
     numbers={
         **SPEED,
-        "count": Number("how many start-ups", 20, 1, 10_000, whole=True),
+        "count": Number("number of start-ups", 20, 1, 10_000, whole=True),
         "from_rest": Number("1: pendulums free before the rotor turns, 0: released at speed", 0, 0, 1, whole=True),
     },
     refusal=refusal,

@@ -1,14 +1,14 @@
 # pyright: strict
-"""A guided test as a table of states: what each does, what it waits for, how long, and where each outcome leads.
+"""A guided test as a table of states: orders, condition, time limit and transitions of each state.
 
-A row is read by the runner, by `rig test … --plan` and by the model check alike, so the table is the documentation.
+The runner, `rig test … --plan` and the model check use the same rows.
 
-    entry      orders are given (rotor, locks, log, operator)
-    look       a function without side effects of the signals and of what earlier looks remembered, every `period_s`
-    DONE       to the row named by `done`, else to the next row
-    LATE       `limit_s` has passed: to the row named by `late`, else to the ending; "fault" is an error of the rig
-    ABORT      the operator ends the test: to the ending, from every row before it
-    an error   interlocks and devices: no row follows, the rotor is stopped and the error ends the test
+    entry      the orders of the state are carried out (rotor, locks, log, operator)
+    look       a function without side effects of the signals and of the memory, called every `period_s`
+    DONE       the condition is met: the row `done` follows, or the next row
+    LATE       `limit_s` has passed: the row `late` follows, or the ending; "fault" is an error of the rig
+    ABORT      the operator ends the test: the ending follows
+    an error   of an interlock or a device: the rotor is stopped and the error ends the test; no row follows
 
 The ending is the same for every test: it ends the log, brings the rotor to rest and locks the pendulums.
 """
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from daq.guided_tests.orders import Orders
 
 END, FAULT = "end", "fault"
-"""Where a test is over: in order, or with an error of the rig."""
+"""Targets of transitions that end a test: normally, or with an error of the rig."""
 MOTION = "the motion is being recorded and does not wait"
-"""Why a test is not paused while something rings, swings or settles."""
+"""Reason against a pause while the column rings down or the pendulums move."""
 
 Actor = Literal["program", "rotor", "locks", "operator"]
 
 
 class Outcome(StrEnum):
-    """What a state came to."""
+    """Outcome of a state."""
 
     DONE = "done"
     LATE = "late"
@@ -42,39 +42,40 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class View:
-    """What a look may use.
+    """Input of a look.
 
     Attributes:
-        measures: the newest stretch of each signal.
-        now_ns, entered_ns: host time, now and when the state had been entered, ns since 1970.
-        asked_ns: host time when its entry began: what a person does while being asked counts, ns since 1970.
-        rpm: the rotor's speed; NaN where it is not measured.
-        memory: what entries and earlier looks remembered.
+        measures: measured values of the signals.
+        now_ns: host time, ns since 1970.
+        entered_ns: host time at which the orders of the state had been carried out, ns since 1970.
+        entry_began_ns: host time before the orders, ns since 1970. Actions of the operator count from here.
+        rpm: rotor speed, rpm; NaN if it is not measured.
+        memory: values that entries and earlier looks have stored.
     """
 
     measures: Measures
     now_ns: int
     entered_ns: int
-    asked_ns: int
+    entry_began_ns: int
     rpm: float
     memory: Mapping[str, Any]
 
     @property
     def in_state_s(self) -> float:
-        """Rig time since the state was entered, s."""
+        """Time since the state was entered, rig s."""
         return (self.now_ns - self.entered_ns) * 1e-9
 
 
 @dataclass(frozen=True)
 class Look:
-    """What a look found.
+    """Result of a look.
 
     Attributes:
-        done: whether what the state waits for has come.
-        words: for the operator.
-        share: of the state that is done, 0 … 1; None where that cannot be estimated.
-        remember: for later looks and states.
-        facts: for the log's summary.
+        done: whether the condition of the state is met.
+        words: description of the progress for the operator.
+        share: completed share of the state, 0 … 1; None if it cannot be estimated.
+        remember: values to store in the memory for later looks and states.
+        facts: facts for the summary of the log.
     """
 
     done: bool
@@ -85,21 +86,21 @@ class Look:
 
 
 def at_once(view: View) -> Look:
-    """For a state that is over when its orders have been carried out."""
+    """Return a look that is done, for states that are over when their orders have been carried out."""
     return Look(True)
 
 
 def after(seconds: float, words: str = "") -> Callable[[View], Look]:
-    """A look that waits for some rig time."""
+    """Return a look that waits for a time, rig s."""
     return lambda view: Look(view.in_state_s >= seconds, words, min(1.0, view.in_state_s / seconds))
 
 
 def no_orders(orders: Orders) -> None:
-    """For a state that only waits."""
+    """Do nothing on entry, for states that only wait."""
 
 
 def not_missed(view: View) -> str:
-    """For a state whose limit is no failure."""
+    """Return an empty text, for states whose time limit is not a failure."""
     return ""
 
 
@@ -108,23 +109,23 @@ class State:
     """One row of a test's table.
 
     Attributes:
-        name: unique in the table.
-        does: what happens on entry, in words.
-        enter: orders given on entry.
-        waits_for: what ends the state, in words; empty for one that is over with its orders.
-        look: see Look.
-        period_s: rig time between two looks.
-        limit_s: how long it may take: rig time, or wall time where a person or a mechanism is waited for.
+        name: name of the state, unique in the table.
+        does: description of the orders on entry; empty without orders.
+        enter: carries out the orders on entry.
+        waits_for: description of the condition; empty for states that are over with their orders.
+        look: evaluates the condition.
+        period_s: period of the looks, rig s.
+        limit_s: time limit, in rig s, or in wall s if the state waits for a person or a mechanism.
         wall: whether `limit_s` is wall time.
-        usual_s: how long it takes as a rule, rig time, for the plan.
-        actor: who acts; "rotor" and "locks" are a device, or the operator where the rig has none.
-        asks: what the operator is asked for where the operator acts.
-        rpm: the rotor's speed at the state's end.
-        no_pause: why the test must not wait here; empty where it may.
-        done, late: rows that follow these outcomes; empty: the next row, the ending.
-        missed: after LATE, what was not reached; empty where that is no failure.
-        late_warning: after LATE, what the operator has to be told; empty: nothing.
-        fact: key of the log's summary that holds whether the outcome was DONE; empty: none.
+        usual_s: usual duration for the plan, rig s.
+        actor: who acts. "rotor" and "locks" stand for a device, or for the operator if the rig has no such device.
+        asks: request to the operator if the operator acts.
+        rpm: rotor speed at the end of the state, rpm.
+        no_pause: reason why the test must not pause here; empty if it may.
+        done, late: names of the rows that follow these outcomes; empty for the next row and for the ending.
+        missed: returns the condition that was not reached after LATE; empty if the time limit is not a failure.
+        late_warning: warning for the operator after LATE; empty for none.
+        fact: key of the log's summary for whether the outcome was DONE; empty for none.
     """
 
     name: str
@@ -152,11 +153,11 @@ class Table:
     """The states of one test in their usual order.
 
     Args:
-        states: rows before the ending; the first is entered first.
-        ending: rows that every test ends with, whatever it came to.
+        states: rows before the ending, starting with the first state.
+        ending: rows at the end of the test after every outcome.
 
     Raises:
-        ValueError: two rows of one name, or a transition to a row that is not there.
+        ValueError: two rows have the same name, or a transition leads to a missing row.
     """
 
     states: tuple[State, ...]
@@ -174,12 +175,12 @@ class Table:
 
     @property
     def rows(self) -> tuple[State, ...]:
-        """All states, the ending's last."""
+        """All states, with the ending last."""
         return (*self.states, *self.ending)
 
     @property
     def transitions(self) -> Mapping[tuple[str, Outcome], str]:
-        """Where every outcome of every state leads."""
+        """Name of the state that follows each outcome of each state."""
         rows, found = self.rows, dict[tuple[str, Outcome], str]()
         first_of_ending = self.ending[0].name if self.ending else END
         for state, following in zip(rows, [*(row.name for row in rows[1:]), END], strict=True):
@@ -190,5 +191,5 @@ class Table:
         return found
 
     def row(self, name: str) -> State:
-        """The state of a name."""
+        """Return the state of a name."""
         return next(state for state in self.rows if state.name == name)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Whether a guided test can be run as asked for: known before a device is opened, a drive enabled, a log begun."""
+"""Check of a requested guided test before a device is opened, a drive is enabled or a log begins."""
 
 from __future__ import annotations
 
@@ -7,55 +7,61 @@ import math
 from collections.abc import Mapping
 
 from daq.guided_tests import kinds
-from daq.guided_tests.kinds import KINDS, Asked, Refused, TestKind
+from daq.guided_tests.kinds import KINDS, RAD_S_PER_RPM, Asked, Refused, TestKind
 from rig_configs.schema import Rig
 
-_LEAST_RPM = 1.0  # whole rpm on the drive's wire; the schema keeps limits.speed_rpm far within its 16 bits
-_RAMPS_RPM_S = (0.1, 1000.0)  # finest step of the drive's ramp, and what a rig file may ask of it
-_RPM = math.pi / 30
+_MIN_RPM = 1.0  # resolution of the drive's protocol; the schema limits limits.speed_rpm to far less than its 16 bits
+_RAMP_RANGE_RPM_S = (0.1, 1000.0)  # resolution of the drive's ramp, and the largest ramp of a rig file
 
 
 def test_names(rig: Rig) -> tuple[str, ...]:
-    """Every guided test of a rig, its points as "point-NAME"."""
+    """Return the names of all guided tests of a rig, its points as "point-NAME"."""
+    return _names(rig, separator="-")
+
+
+def _names(rig: Rig, separator: str) -> tuple[str, ...]:
+    """Return the names of all guided tests of a rig, with `separator` between a test and its point."""
     return tuple(
         name
         for kind in KINDS.values()
-        for name in ((f"{kind.name}-{point}" for point in rig.points) if kind.point == "named" else (kind.name,))
+        for name in (
+            (f"{kind.name}{separator}{point}" for point in rig.points) if kind.point == "named" else (kind.name,)
+        )
     )
 
 
 def possible_tests(rig: Rig) -> tuple[str, ...]:
-    """Those of them that the rig's devices have the signals for."""
+    """Return the names of the guided tests whose signals the rig measures."""
     return tuple(test for test in test_names(rig) if not kinds.refusal(test, rig.roles))
 
 
 def speed_refusal(rig: Rig, rpm: float) -> str:
-    """Why the rotor is not turned at a speed; empty when it may be."""
+    """Return the reason why a speed is refused; empty if it is accepted."""
     limit = rig.limits.speed_rpm
-    if not math.isfinite(rpm) or rpm < _LEAST_RPM:
-        return f"expected a speed of {_LEAST_RPM:g} to {limit:g} rpm, got {rpm:g}: nothing was turned"
+    if not math.isfinite(rpm) or rpm < _MIN_RPM:
+        return f"expected a speed of {_MIN_RPM:g} to {limit:g} rpm, got {rpm:g}: nothing was turned"
     if rpm > limit:
         return (
-            f"{rpm:.0f} rpm wanted, limits.speed_rpm is {limit:.0f}: nothing was turned. Ask for less, or raise the "
-            "limit in the rig file if the rotor is built for it"
+            f"{rpm:.0f} rpm requested, limits.speed_rpm is {limit:.0f}: nothing was turned. Request a lower speed, or "
+            "raise the limit in the rig file if the rotor is built for it"
         )
     return ""
 
 
 def ramp_refusal(rig: Rig, top_rpm: float, duration_s: float) -> str:
-    """Why a run-up or a run-down is not begun; empty when it may be."""
+    """Return the reason why a run-up or a run-down is refused; empty if it is accepted."""
     if not math.isfinite(duration_s) or duration_s <= 0:
         return f"expected a duration above 0 s for the ramp, got {duration_s:g} s: nothing was turned"
     if why := speed_refusal(rig, top_rpm):
         return why
     ramp = top_rpm / duration_s
-    least, most = _RAMPS_RPM_S
+    least, most = _RAMP_RANGE_RPM_S
     if not least <= ramp <= most:
         return (
-            f"{top_rpm:.0f} rpm in {duration_s:g} s is a ramp of {ramp:.3g} rpm/s, the drive's go from {least:g} to "
+            f"{top_rpm:.0f} rpm in {duration_s:g} s is a ramp of {ramp:.3g} rpm/s, the drive's range is {least:g} to "
             f"{most:g}: nothing was turned. Take {top_rpm / most:.2g} to {top_rpm / least:.0f} s"
         )
-    lower, higher = sorted(w / _RPM for w in rig.physics.natural_frequencies_rad_s)
+    lower, higher = sorted(w / RAD_S_PER_RPM for w in rig.physics.natural_frequencies_rad_s)
     if top_rpm <= lower:
         return (
             f"a ramp to {top_rpm:.0f} rpm passes no resonance: they are expected at {lower:.0f} and {higher:.0f} rpm. "
@@ -65,37 +71,37 @@ def ramp_refusal(rig: Rig, top_rpm: float, duration_s: float) -> str:
 
 
 def ramp_warning(rig: Rig, top_rpm: float) -> str:
-    """What a ramp to this speed can't show; empty when it passes both resonances."""
-    higher = max(rig.physics.natural_frequencies_rad_s) / _RPM
+    """Return the limitation of a ramp to this speed; empty if it passes both resonances."""
+    higher = max(rig.physics.natural_frequencies_rad_s) / RAD_S_PER_RPM
     if top_rpm > higher:
         return ""
     return (
-        f"the ramp ends at {top_rpm:.0f} rpm, below the resonance expected at {higher:.0f} rpm: it shows only the other"
+        f"the ramp to {top_rpm:.0f} rpm ends below the resonance expected at {higher:.0f} rpm: it passes only the other"
     )
 
 
 def default_top_rpm(rig: Rig) -> float:
-    """Top speed of a run-up nobody gave one for: well above the higher resonance, within the limits."""
-    return min(1.3 * max(rig.physics.natural_frequencies_rad_s) / _RPM, rig.limits.speed_rpm)
+    """Return the default top speed of a run-up, rpm: 1.3 times the higher resonance, at most the limit."""
+    return min(1.3 * max(rig.physics.natural_frequencies_rad_s) / RAD_S_PER_RPM, rig.limits.speed_rpm)
 
 
 def asked(rig: Rig, test: str, given: Mapping[str, float] | None = None, point: str = "") -> Asked:
-    """A test with all its numbers, judged before a device is opened.
+    """Return a requested test with all its numbers.
 
     Args:
-        rig: whose parameters, points and limits count.
+        rig: rig with the parameters, points and limits.
         test: one of `test_names`, or a kind's name with `point`.
-        given: numbers by name; the others are the kind's own.
-        point: name of a point.
+        given: numbers by name; the defaults of the kind apply to the others.
+        point: name of a point; empty without one.
 
     Raises:
-        Refused: the rig has no such test, no signals for it, or it cannot be run with these numbers.
+        Refused: the rig has no such test, does not measure its signals, or a number is invalid.
     """
     kind = KINDS.get(test) if point else kinds.kind_of(test)
     named = kind is not None and kind.point == "named"
     name = f"{test}-{point}" if named and point else test
     if kind is None or (named and name not in test_names(rig)):
-        raise Refused(f"{name!r}: no such test. Known: {', '.join(test_names(rig)).replace('point-', 'point ')}")
+        raise Refused(f"{name!r}: no such test. Known: {', '.join(_names(rig, separator=' '))}")
     point = point or (name.removeprefix(f"{kind.name}-") if named else "")
     if point and (not kind.point or point not in rig.points):
         takes = f"one of {', '.join(rig.points)}" if kind.point else "no point"
@@ -109,7 +115,7 @@ def asked(rig: Rig, test: str, given: Mapping[str, float] | None = None, point: 
 
 
 def _numbers(rig: Rig, kind: TestKind, test: str, given: Mapping[str, float], point: str) -> Mapping[str, float]:
-    """A value for each of a kind's numbers."""
+    """Return a value for each number of a kind."""
     if unknown := sorted(given.keys() - kind.numbers.keys()):
         takes = ", ".join(kind.numbers) or "none"
         raise Refused(f"{test} takes no {' and no '.join(unknown)}; the numbers it takes: {takes}. Nothing was turned")
@@ -135,7 +141,7 @@ def _out_of_range(found: Asked) -> str:
 
 
 def refusal(rig: Rig, test: str, given: Mapping[str, float] | None = None) -> str:
-    """Why a guided test is not begun; empty when it may be. Arguments as of `asked`."""
+    """Return the reason why a guided test is refused; empty if it is accepted. Arguments as in `asked`."""
     try:
         asked(rig, test, given)
     except Refused as why:

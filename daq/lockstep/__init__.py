@@ -1,7 +1,7 @@
-"""A whole rig in one thread, on a clock of its own: the far ends, the acquisition, the operator.
+"""A complete virtual rig in one thread on a simulated clock: far ends, acquisition and operator.
 
-Time passes while somebody waits, and as fast as the machine computes. Everything random comes from the seed, so that a
-campaign, with faults placed to the microsecond, is repeatable bit for bit.
+Time advances during waits, as fast as the machine computes. All random numbers come from the seed, so that a campaign
+with faults at given microseconds is repeatable bit for bit.
 """
 
 from daq.lockstep.rehearsal import Rehearsal

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A cable of a simulated rig: what a host has in hand when it opens the port."""
+"""Cables of a simulated rig, and the links of the ports that a host opens."""
 
 from __future__ import annotations
 
@@ -11,19 +11,25 @@ from daq.acquisition.reader import Rest, Turns
 from daq.errors import LinkLost
 from daq.lockstep.clock import SimulatedClock
 
-_WAKE_S = (40e-6, 80e-6)  # the least that waking a thread takes, and the mean of what comes on top
-_LATE_SHARE, _LATE_S = 2e-3, (1e-3, 15e-3)  # now and then the host's scheduler has something else to do
-_QUEUE_BYTES = 4 * 2**20  # an adapter's driver queue
+_WAKE_S = (40e-6, 80e-6)  # least time to wake a thread, and mean of the additional time
+_LATE_SHARE, _LATE_S = 2e-3, (1e-3, 15e-3)  # share of wake-ups that the host's scheduler delays, and range of the delay
+_QUEUE_BYTES = 4 * 2**20  # driver queue of an adapter
 
 
 class Cable:
-    """One device's cable. The far end puts bytes in; the link that a host has opened wakes its reader.
+    """Cable of one device. The far end supplies bytes, and the link that a host has opened wakes its reader.
+
+    Args:
+        device: name of the device.
+        clock: the simulated clock.
+        random: random numbers of the wake-up times.
 
     Attributes:
-        port: its name; another one after it was plugged in again.
-        sent: by the host, not yet at the device.
-        overrun_bytes: that came while no room was left.
-        asked: called when the host has written.
+        port: name of the port, which changes when the cable is plugged in again.
+        sent: bytes from the host that have not reached the device.
+        overrun_bytes: number of bytes lost because the driver queue was full.
+        link: link that the host has opened; None if there is no open link.
+        on_write: called when the host has written.
     """
 
     def __init__(self, device: str, clock: SimulatedClock, random: np.random.Generator) -> None:
@@ -33,13 +39,13 @@ class Cable:
         self.sent = bytearray()
         self.overrun_bytes = 0
         self.link: LockstepLink | None = None
-        self.asked: Callable[[], None] = lambda: None
+        self.on_write: Callable[[], None] = lambda: None
 
     def open(self, port: str) -> LockstepLink:
         """Open the port.
 
         Raises:
-            LinkLost: nothing is there.
+            LinkLost: the port does not exist.
         """
         if not self._plugged or port != self.port:
             raise LinkLost(f"{port}: cannot be opened (no such port). Is the device plugged in?")
@@ -48,37 +54,40 @@ class Cable:
         return self.link
 
     def cut(self) -> None:
-        """Unplug it: whoever has it open learns of it with its next read or write."""
+        """Unplug the cable. The next read or write of an open link raises LinkLost."""
         self._plugged = False
         link, self.link = self.link, None
         if link is not None:
             link.lose()
 
     def plug(self) -> str:
-        """Plug it in again; its new name."""
+        """Plug the cable in again and return the new port name."""
         if not self._plugged:
             self._plugged, self._times = True, self._times + 1
             self.port = f"lockstep:{self._device}#{self._times}"
         return self.port
 
     def wake_s(self) -> float:
-        """How long a thread takes to wake up."""
+        """Return a random time that a thread takes to wake up, s."""
         least, mean = _WAKE_S
         late = self._random.uniform(*_LATE_S) if self._random.random() < _LATE_SHARE else 0.0
         return least + self._random.exponential(mean) + late
 
     def after(self, seconds: float, do: Callable[[], object]) -> None:
-        """Have the host do something."""
+        """Schedule an action of the host."""
         self._clock.after(seconds, do)
 
     def arrive(self, data: bytes) -> None:
-        """Bytes of the device reach the host's port."""
+        """Pass bytes of the device to the open link."""
         if self.link is not None and data:
             self.overrun_bytes += self.link.arrive(data)
 
 
 class LockstepLink:
-    """See Link and FollowedLink: its reader's waits are those of the simulated clock."""
+    """Link of a simulated rig, which carries out its reader's waits on the simulated clock.
+
+    It implements Link and FollowedLink.
+    """
 
     def __init__(self, cable: Cable) -> None:
         self.name = cable.port
@@ -87,11 +96,15 @@ class LockstepLink:
         self._turns: Turns | None = None
         self._failed: Callable[[Exception], None] = lambda error: None
         self._lost = self._closed = False
-        self._reading = 0  # number of the wait for bytes under way; 0: none
+        self._reading = 0  # number of the present wait for bytes; 0 if there is none
         self._count = 0
 
     def read(self, timeout_s: float) -> bytes:
-        """See Link; only a thread would read so."""
+        """See Link. A followed link is not read by a thread.
+
+        Raises:
+            NotImplementedError: always.
+        """
         raise NotImplementedError("a simulated link is followed, not read")
 
     def write(self, data: bytes) -> None:
@@ -99,7 +112,7 @@ class LockstepLink:
         if self._lost or self._closed:
             raise LinkLost(f"{self.name}: lost while writing. Look at cable and power")
         self._cable.sent += data
-        self._cable.asked()
+        self._cable.on_write()
 
     def close(self) -> None:
         """See Link."""
@@ -113,7 +126,7 @@ class LockstepLink:
         self._go(None)
 
     def arrive(self, data: bytes) -> int:
-        """Bytes are there; how many found no room."""
+        """Add received bytes to the queue and return the number of bytes for which it had no space."""
         room = max(0, _QUEUE_BYTES - len(self._buffer))
         self._buffer += data[:room]
         if self._reading:
@@ -122,7 +135,7 @@ class LockstepLink:
         return max(0, len(data) - room)
 
     def lose(self) -> None:
-        """The cable is cut."""
+        """Mark the link as lost."""
         self._lost = True
         if self._reading:
             number, self._reading = self._reading, 0
@@ -143,13 +156,13 @@ class LockstepLink:
         return data
 
     def _go(self, data: bytes | None) -> None:
-        """The reader goes on until it waits again."""
+        """Run the reader until its next wait, with the bytes of the last wait (None for its start)."""
         turns = self._turns
         assert turns is not None
         try:
             wanted = next(turns) if data is None else turns.send(data)
             while not isinstance(wanted, Rest):
-                if self._buffer:  # what had arrived is read before a cut is noticed
+                if self._buffer:  # bytes that arrived before the loss are read first
                     wanted = turns.send(self._taken())
                 elif self._lost:
                     turns.throw(LinkLost(f"{self.name}: the other end closed. Look at cable and power"))

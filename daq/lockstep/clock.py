@@ -1,8 +1,8 @@
 # pyright: strict
-"""A host's clock that passes only while somebody waits for it, and does then what is due.
+"""A simulated host clock whose time advances only during waits, in which the scheduled actions are run.
 
-What is due is the world's (the rig moves, a cable is cut) or the host's (a reader wakes up, a tick). A host that is
-busy with something else does its part late; the world goes on.
+An action belongs to the world (motion of the rig, a cable is unplugged) or to the host (a reader wakes up, a tick).
+While the host is busy its actions are delayed; actions of the world are not.
 """
 
 from __future__ import annotations
@@ -15,16 +15,20 @@ from typing import Any
 from daq.transports.host_clock import HostClock, Repeated
 
 START_NS = 1_700_000_000_000_000_000
-_LOOK_NS = 100_000  # the least that a wait takes: a loop around it comes to an end too
-_FOREVER_S = 3600.0
+_MIN_WAIT_NS = 100_000  # least duration of a wait, so that loops of waits end
+_MAX_GET_S = 3600.0  # wait of a queue without timeout, after which an error is raised
 
 
 class WaitedInVain(RuntimeError):
-    """Something waits for what never comes, or inside of what is done while others wait."""
+    """A wait without timeout did not end, or an action of the clock called a wait."""
 
 
 class SimulatedClock(HostClock):
-    """See the module. Rig time and wall time are one."""
+    """The simulated clock; see the module. Rig time equals wall time.
+
+    Args:
+        start_ns: initial time, ns since 1970.
+    """
 
     def __init__(self, start_ns: int = START_NS) -> None:
         super().__init__()
@@ -41,40 +45,44 @@ class SimulatedClock(HostClock):
         return self._now_ns
 
     def wall_s(self) -> float:
-        """See HostClock; since the clock's beginning."""
+        """See HostClock. The time counts from the start of the clock."""
         return (self._now_ns - self._start_ns) * 1e-9
 
-    # --- what is due -------------------------------------------------------------------------------------------
+    # --- actions -----------------------------------------------------------------------------------------------
 
     def at(self, when_ns: int, do: Callable[[], object], world: bool = False) -> None:
-        """Do something at an instant; of two at the same instant the one that was asked for first.
+        """Schedule an action. Actions of the same time are run in the order of their scheduling.
 
         Args:
-            when_ns: ns since 1970; one that has passed means at once.
-            do: it must not wait.
-            world: whether it happens however busy the host is.
+            when_ns: time of the action, ns since 1970; a past time means the present time.
+            do: the action, which must not wait.
+            world: whether the action belongs to the world, which a busy host does not delay.
         """
         self._count += 1
         heapq.heappush(self._due, (max(when_ns, self._now_ns), self._count, world, do))
 
     def after(self, seconds: float, do: Callable[[], object], world: bool = False) -> None:
-        """The same, some time from now, s."""
+        """Schedule an action after a number of seconds; see `at`."""
         self.at(self._now_ns + round(seconds * 1e9), do, world)
 
     def busy(self, seconds: float) -> None:
-        """The host does nothing of ours for so long, s."""
+        """Delay all actions of the host for a number of seconds."""
         self._busy_until_ns = max(self._busy_until_ns, self._now_ns + round(seconds * 1e9))
 
     def pass_until(self, when_ns: int, ready: Callable[[], bool] = lambda: False) -> None:
-        """Let time pass up to an instant, or until something is ready; it is asked after each thing that is done.
+        """Advance the time and run the actions.
+
+        Args:
+            when_ns: time at which to return, ns since 1970.
+            ready: evaluated after each action; the method returns when it is true.
 
         Raises:
-            WaitedInVain: called by what is done meanwhile.
+            WaitedInVain: the method was called by an action.
         """
         if self._doing:
-            raise WaitedInVain("expected something that is done at once, it waits: only the one thread may wait")
+            raise WaitedInVain("an action of the simulated clock waits: expected an action that returns at once")
         while not ready():
-            end_ns = max(when_ns, self._busy_until_ns)  # who waits wakes up when the host does
+            end_ns = max(when_ns, self._busy_until_ns)  # a wait does not end while the host is busy
             if not self._due or self._due[0][0] > end_ns:
                 self._now_ns = max(self._now_ns, end_ns)
                 return
@@ -95,7 +103,7 @@ class SimulatedClock(HostClock):
 
     def wait(self, wall_seconds: float) -> None:
         """See HostClock."""
-        self.pass_until(self._now_ns + max(round(wall_seconds * 1e9), _LOOK_NS))
+        self.pass_until(self._now_ns + max(round(wall_seconds * 1e9), _MIN_WAIT_NS))
 
     def every(
         self, wall_seconds: float, do: Callable[[], object], name: str, failed: Callable[[Exception], None]
@@ -109,7 +117,7 @@ class SimulatedClock(HostClock):
 
 
 class _Repeating:
-    """See Repeated."""
+    """A repeated action on the simulated clock; implements Repeated."""
 
     def __init__(
         self, clock: SimulatedClock, period_s: float, do: Callable[[], object], failed: Callable[[Exception], None]
@@ -135,7 +143,7 @@ class _Repeating:
 
 
 class _Inbox(queue.Queue[Any]):
-    """A queue whose wait lets time pass."""
+    """A queue whose `get` advances the simulated clock."""
 
     def __init__(self, clock: SimulatedClock) -> None:
         super().__init__()
@@ -144,8 +152,8 @@ class _Inbox(queue.Queue[Any]):
     def get(self, block: bool = True, timeout: float | None = None) -> Any:
         """See queue.Queue."""
         if block and self.empty():
-            seconds = _FOREVER_S if timeout is None else max(timeout, 0.0)
+            seconds = _MAX_GET_S if timeout is None else max(timeout, 0.0)
             self._clock.pass_until(self._clock.now_ns() + round(seconds * 1e9), lambda: not self.empty())
             if timeout is None and self.empty():
-                raise WaitedInVain(f"waited {_FOREVER_S:g} s, without a time-out, for an answer that never came")
+                raise WaitedInVain(f"waited {_MAX_GET_S:g} s without a timeout for an answer: none arrived")
         return super().get(block=False)

@@ -1,14 +1,14 @@
 # pyright: strict
-"""Guided tests on the virtual rig from Python: one thread, simulated time, the same bytes for the same seed."""
+"""Guided tests on the virtual rig from Python, in one thread and simulated time, repeatable by the seed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from daq.acquisition.session import Session
+from daq.guided_tests.hands import Progress
 from daq.guided_tests.procedure import Procedures, TestDone
 from daq.lockstep.rig import LockstepRig
 from daq.virtual_rig.simulated_operator import SimulatedOperator
@@ -17,21 +17,22 @@ from rig_configs.load import with_truth
 
 
 class Rehearsal:
-    """An open virtual rig with an operator at it. Logs, drivers and tests are those of a real rig.
+    """An open virtual rig with a simulated operator. Logs, drivers and tests are the same as on a real rig.
 
-    It is opened when made; `close` it, or use it in a `with` statement.
+    The constructor opens the rig. Call `close` at the end, or use a `with` statement.
 
     Args:
-        rig: a rig file's name or path; it needs a [virtual] table.
-        folder: where logs go, made where it is missing. Names are counted up, nothing is written over.
-        settings: `--set` texts over the rig file; `virtual.seed=3` draws other noise, clocks and calibration errors.
-        tell: told what is going on and the share done where that is known.
+        rig: name or path of a rig file with a [virtual] table.
+        folder: folder of the logs, created if it is missing. Names are numbered; no file is overwritten.
+        settings: settings KEY=VALUE that replace values of the rig file. `virtual.seed=3` changes noise, clocks and
+            calibration errors.
+        progress: called with a description of the progress and the completed share, 0 … 1 (None if unknown).
 
     Attributes:
-        rig: the rig file with this rig's ports.
+        rig: the rig file with the ports of this rig.
 
     Raises:
-        RigFileError: the rig file is wrong, or has no [virtual] table.
+        RigFileError: the rig file is invalid, or has no [virtual] table.
     """
 
     def __init__(
@@ -39,7 +40,7 @@ class Rehearsal:
         rig: str | Path,
         folder: str | Path,
         settings: tuple[str, ...] | list[str] = (),
-        tell: Callable[[str, float | None], None] | None = None,
+        progress: Progress | None = None,
     ) -> None:
         loaded = load_rig(rig, settings=list(settings))
         if loaded.virtual is None:
@@ -49,44 +50,44 @@ class Rehearsal:
         Path(folder).mkdir(parents=True, exist_ok=True)
         self._session = Session(self.rig, self._far.clock, edge=self._far.edge)
         self._session.__enter__()
-        self._tests = Procedures(self._session, SimulatedOperator(self._far), Path(folder), tell or _tell_nobody)
+        self._tests = Procedures(self._session, SimulatedOperator(self._far), Path(folder), progress or _no_progress)
 
     @property
     def truth(self) -> Mapping[str, float]:
-        """What the rig really is now, by the names of parameters.toml; nothing that measures can see it."""
+        """True parameters of the rig at present, by the names of parameters.toml. Tests do not use them."""
         return self._far.ask("truth")["truth"]
 
     def record(self, test: str, parameters: IdentifiedParameters | None = None, **numbers: float) -> TestDone:
-        """Run a guided test and keep its log.
+        """Run a guided test and record its log.
 
         Args:
-            test: as `rig test` takes it: ring-down-x, ring-down-y, spin-down, run-up, run-down, point-A …
-            parameters: from which the test's speeds follow; None for the rig file's own.
-            numbers: of the test that are not to be its own, as `top_rpm=900`.
+            test: name of the test as in `rig test`: ring-down-x, ring-down-y, spin-down, run-up, run-down, point-A …
+            parameters: identified parameters from which the speeds follow; None for those of the rig file.
+            numbers: numbers that replace the defaults of the test, for example `top_rpm=900`.
 
         Returns:
-            Its `log`, what was `missed`, and `warnings`.
+            Result with `log`, `missed` and `warnings`.
 
         Raises:
-            Refused: the rig cannot run it so.
-            NotReached: it ended before a log began.
-            RigError: an interlock or a device ended it.
+            Refused: the rig cannot run the requested test.
+            NotReached: the test ended before its log began.
+            RigError: an interlock or a device ended the test.
         """
         rig = self.rig if parameters is None else with_parameters(self.rig, parameters)
         self._tests.parameters = "" if parameters is None else "identified parameters"
         return self._tests.run(test, rig, point="", **numbers)
 
     def change(self, setting: str) -> None:
-        """Change the rig's hardware, as a person would between two tests.
+        """Change the simulated hardware, as a person changes a real rig between two tests.
 
         Args:
-            setting: KEY=VALUE by the names of the rig file, as `suspension.k2_N_per_m=+7%`.
+            setting: KEY=VALUE with a key of the rig file, for example `suspension.k2_N_per_m=+7%`.
 
         Raises:
-            RigFileError: no such number, or one that cannot be.
+            RigFileError: the key does not exist, or the value is invalid.
         """
         key, value = parse_setting(setting)
-        with_truth(self.rig, key, value)  # says what is wrong with it, in the rig file's words
+        with_truth(self.rig, key, value)  # raises RigFileError, which names the keys of the rig file
         self._far.ask("set", key=key.removeprefix("virtual.truth."), value=value)
 
     def close(self) -> None:
@@ -102,5 +103,5 @@ class Rehearsal:
         self._session.__exit__(kind, error, trace)
 
 
-def _tell_nobody(text: str, share: float | None) -> Any:
-    """Nobody is told."""
+def _no_progress(text: str, share: float | None) -> None:
+    """Ignore the progress."""

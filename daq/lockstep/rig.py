@@ -1,5 +1,5 @@
 # pyright: strict
-"""A simulated rig and its cables on a simulated clock: what a session opens, and what an operator's hands reach."""
+"""A simulated rig and its cables on a simulated clock, for a session and a simulated operator."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from daq.virtual_rig.rig import SimulatedRig
 from rig_configs.schema import Rig
 
 STEP_S = (0.002, 0.008)
-"""What an adapter gathers before it hands bytes to the host, s: at random between these, as real ones and their hosts.
+"""Range of the random time for which an adapter collects bytes before it passes them to the host, s.
 
-At a fixed rate its turns and the devices' clocks would beat: bytes that wait for the next turn, a little longer each
-time, look like a clock that is off.
+With a constant period the adapter and the device clocks would beat: the delay of the bytes would grow slowly, which
+looks like a wrong clock rate.
 """
-_LINE_S = 0.3e-3  # for the host's bytes to reach a device
+_LINE_DELAY_S = 0.3e-3  # of the host's bytes on their way to a device
 
 
 class SimulatedDisk:
-    """See Disk: as much room as it is given, and as quick.
+    """A simulated disk without delay; implements Disk.
 
     Attributes:
-        room_bytes: what is left.
+        room_bytes: free space.
     """
 
     def __init__(self, room_bytes: int = 100 * 2**30) -> None:
@@ -43,20 +43,20 @@ class SimulatedDisk:
         return self.room_bytes
 
     def sync(self, log: LogFile) -> None:
-        """See Disk: at once."""
+        """See Disk. It returns immediately."""
 
 
 class LockstepRig:
-    """See the module.
+    """A simulated rig with cables, disk and clock.
 
     Args:
-        rig: a rig file with a [virtual] table; its seed is that of all that is random here too.
+        rig: a rig file with a [virtual] table. All random numbers come from its seed.
 
     Attributes:
-        clock: of whoever runs the rig.
-        edge: ports and disk of whoever runs the rig.
-        disk: the simulated one.
-        cables: by device.
+        clock: clock for the session.
+        edge: ports and disk for the session.
+        disk: the simulated disk.
+        cables: cables by device.
         far: the simulated rig.
         turn_s: see STEP_S.
     """
@@ -64,7 +64,7 @@ class LockstepRig:
     def __init__(self, rig: Rig) -> None:
         self.clock, self.disk = SimulatedClock(), SimulatedDisk()
         self.far = SimulatedRig(rig, self.clock.patience)
-        assert rig.virtual is not None, "SimulatedRig refuses a rig without it"
+        assert rig.virtual is not None, "SimulatedRig refuses rigs without [virtual]"
         seed = rig.virtual.seed
         self.cables = {
             name: Cable(name, self.clock, np.random.default_rng([seed, 77, number]))
@@ -73,25 +73,25 @@ class LockstepRig:
         self.edge = Edge(self._connect, self._places, self.disk)
         self.turn_s = STEP_S
         self._pace = np.random.default_rng([seed, 78])
-        self._asked = False
+        self._exchange_is_due = False
         for cable in self.cables.values():
-            cable.asked = self._look_soon
+            cable.on_write = self._exchange_soon
         self._step()
 
     def __enter__(self) -> LockstepRig:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Nothing is held that has to be given back."""
+        """Do nothing: the rig holds no resources."""
 
     def port_settings(self) -> list[str]:
-        """Settings that point a rig file's devices at this rig."""
+        """Return the settings KEY=VALUE that connect the devices of a rig file to this rig."""
         return [f"devices.{name}.port={json.dumps(cable.port)}" for name, cable in self.cables.items()]
 
     def _connect(self, line: Line, port: str) -> LockstepLink:
         cable = self.cables.get(_device_of(port))
         if cable is None:
-            raise LinkLost(f"{port}: no cable of this simulated rig: {', '.join(self.cables)}")
+            raise LinkLost(f"{port}: no such port; this simulated rig has cables of {', '.join(self.cables)}")
         return cable.open(port)
 
     def _places(self, port: str) -> Sequence[str]:
@@ -99,18 +99,18 @@ class LockstepRig:
         return () if cable is None else (cable.port,)
 
     def _step(self) -> None:
-        self._look()
+        self._exchange()
         self.clock.after(self._pace.uniform(*self.turn_s), self._step, world=True)
 
-    def _look_soon(self) -> None:
-        """The host has written: devices that answer do not wait for the next regular look."""
-        if not self._asked:
-            self._asked = True
-            self.clock.after(_LINE_S, self._look, world=True)
+    def _exchange_soon(self) -> None:
+        """Schedule an exchange after a write of the host, so that answers do not wait for the next regular one."""
+        if not self._exchange_is_due:
+            self._exchange_is_due = True
+            self.clock.after(_LINE_DELAY_S, self._exchange, world=True)
 
-    def _look(self) -> None:
-        """The world looks at its cables and moves on."""
-        self._asked = False
+    def _exchange(self) -> None:
+        """Exchange the bytes of all cables with the simulated rig and advance its motion."""
+        self._exchange_is_due = False
         received = {name: bytes(cable.sent) for name, cable in self.cables.items() if cable.sent}
         for name in received:
             self.cables[name].sent.clear()
@@ -120,10 +120,10 @@ class LockstepRig:
                 self.cables[name].arrive(data)
 
     def ask(self, do: str, **what: Any) -> dict[str, Any]:
-        """What a hand does at the rig, or an onlooker asks (see `daq.virtual_rig.control`).
+        """Carry out a request of the control port (see `daq.virtual_rig.control`) and return the answer.
 
         Raises:
-            ValueError: the rig refused; the message says why.
+            ValueError: the rig refused the request; the message contains the reason.
         """
         match do:
             case "unplug":

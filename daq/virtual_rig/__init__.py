@@ -1,6 +1,6 @@
-"""A process that behaves on its wires like the rig.
+"""The virtual rig: a process whose ports behave like those of a real rig.
 
-It integrates the nonlinear motion of its own truth, lets imperfect sensors look at it, and speaks the devices' own
-protocols on ptys or TCP ports. What a person does by hand on a rig (pluck, flick, move a clamp) reaches it through a
-control port that only the simulated operator uses. Nothing else in the suite imports this package.
+It integrates the nonlinear motion with its true parameters, simulates imperfect sensors, and implements the protocols
+of the devices on ptys or TCP ports. Actions of a person at the rig (pluck, flick, move a clamp) are requests to its
+control port, which only the simulated operator uses. Only simulations and far ends import this package.
 """

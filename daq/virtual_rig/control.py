@@ -1,12 +1,12 @@
-"""The control port: what a person does by hand on the rig, and what only an onlooker of a simulation can know.
+"""Control port of the virtual rig: manual actions of a person at the rig, faults, and the state of the simulation.
 
-One JSON object a line over TCP on loopback; the first must carry the token that the rig printed at its start.
+The protocol is one JSON object per line over TCP on loopback. The first request must contain the token that the rig
+printed at its start. Each request has one answer line.
 Requests: {"do": "pluck", "x_mm": …, "y_mm": …, "hold_s": …}, {"do": "flick", "pendulum": 0|1, "speed_rad_s": …},
 {"do": "lock"}, {"do": "release"}, {"do": "turn", "rpm": …, "ramp_rpm_per_s": …} where no device does these,
 {"do": "set", "key": "suspension.k2_N_per_m", "value": …}, {"do": "truth"}, {"do": "state"}, {"do": "faults"},
 {"do": "fail", "device": …, "what": …, "value": …, "seconds": …} or with "end": true,
 {"do": "unplug", "device": …}, {"do": "plug", "device": …}, {"do": "quit"}.
-Each is answered by one line.
 """
 
 from __future__ import annotations
@@ -17,13 +17,21 @@ import json
 import queue
 import socket
 import threading
-from typing import Any
+from typing import Any, cast
 
 _LINE_LIMIT = 65536
 
 
 class ControlServer:
-    """Accepts the simulated operator; requests are carried out by the rig's own loop."""
+    """Accepts connections of the simulated operator. The loop of the rig carries out the requests.
+
+    Args:
+        token: token that every connection must present.
+
+    Attributes:
+        port: TCP port on loopback.
+        requests: requests with the queues for their answers.
+    """
 
     def __init__(self, token: str) -> None:
         self._token = token
@@ -46,7 +54,7 @@ class ControlServer:
     def _serve(self, peer: socket.socket) -> None:
         self._peers.add(peer)
         try:
-            with contextlib.suppress(OSError):  # whoever hangs up has gone
+            with contextlib.suppress(OSError):  # the peer closed the connection
                 self._converse(peer)
         finally:
             self._peers.discard(peer)
@@ -56,10 +64,8 @@ class ControlServer:
         with peer.makefile("rwb") as stream:
             allowed = False
             while line := stream.readline(_LINE_LIMIT):
-                try:
-                    request = json.loads(line)
-                    assert isinstance(request, dict)
-                except (ValueError, AssertionError):
+                request = _json_object(line)
+                if request is None:
                     stream.write(b'{"error": "expected one JSON object a line"}\n')
                     stream.flush()
                     return
@@ -81,10 +87,10 @@ class ControlServer:
                         self._fetched.notify_all()
 
     def close(self, patience_s: float = 0.0) -> None:
-        """Stop listening and hang up.
+        """Stop listening and close the connections.
 
         Args:
-            patience_s: how long answers that were given may take to be sent, wall s.
+            patience_s: longest wait until pending answers have been sent, wall s.
         """
         self._listener.close()
         with self._fetched:
@@ -94,11 +100,19 @@ class ControlServer:
                 peer.shutdown(socket.SHUT_RDWR)
 
 
+def _json_object(line: bytes) -> dict[str, Any] | None:
+    try:
+        value = json.loads(line)
+    except ValueError:
+        return None
+    return cast("dict[str, Any]", value) if isinstance(value, dict) else None
+
+
 class OperatorLine:
-    """The simulated operator's end of the control port.
+    """Connection of the simulated operator to the control port.
 
     Args:
-        port, token: as the rig printed them.
+        port, token: as printed by the rig.
     """
 
     def __init__(self, port: int, token: str) -> None:
@@ -111,8 +125,8 @@ class OperatorLine:
         """Send one request and wait for its answer.
 
         Raises:
-            ConnectionError: the rig is gone.
-            ValueError: the rig refused; the message says why.
+            ConnectionError: the rig closed the connection.
+            ValueError: the rig refused the request; the message contains the reason.
         """
         with self._lock:
             self._stream.write(json.dumps({"token": self._token, "do": do, **what}).encode() + b"\n")
@@ -126,16 +140,16 @@ class OperatorLine:
         return answer
 
     def wait_for_end(self) -> None:
-        """Wait until the rig has gone, once it was asked to quit.
+        """Wait until the rig has ended after the request "quit".
 
         Raises:
-            TimeoutError: it goes on for more than ten seconds.
+            TimeoutError: the rig has not ended within ten seconds.
         """
         with contextlib.suppress(ConnectionError):
             while self._socket.recv(1):
                 pass
 
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._stream.close()
         self._socket.close()

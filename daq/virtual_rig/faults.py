@@ -1,5 +1,5 @@
 # pyright: strict
-"""What goes wrong at a simulated rig: a device's own faults, and those that any device and its line can have."""
+"""Faults of a simulated rig: a device's own faults, and the faults that every device and its line can have."""
 
 from __future__ import annotations
 
@@ -11,38 +11,36 @@ import numpy as np
 from daq.drivers.simulated import FarEnd, FaultKind
 
 LINE_FAULTS: Mapping[str, FaultKind] = {
-    "power": FaultKind("its supply fails; when it is back the device begins anew"),
-    "mute": FaultKind("nothing that it sends arrives"),
-    "unheard": FaultKind("nothing that the host sends reaches it"),
-    "garbage": FaultKind(
-        "bytes that are none of its own stand in its stream", 200, meaning="bytes a second", limits=(0, 1e6)
-    ),
+    "power": FaultKind("the supply fails; when it returns, the device restarts"),
+    "mute": FaultKind("the bytes of the device do not reach the host"),
+    "unheard": FaultKind("the bytes of the host do not reach the device"),
+    "garbage": FaultKind("random bytes are inserted into its stream", 200, meaning="bytes per second", limits=(0, 1e6)),
     "bit errors": FaultKind("bits of its stream are wrong", 1e-3, meaning="share of its bytes"),
     "lost bytes": FaultKind("bytes of its stream are lost", 1e-3, meaning="share of its bytes"),
 }
-"""Faults of any device; one of its own by the same name goes before."""
+"""Faults of every device. A device's own fault of the same name takes precedence."""
 
-_MOST = 1e15
+_MAX_NUMBER = 1e15
 
 
 def number(request: Mapping[str, Any], key: str, default: float | None = None) -> float:
-    """A finite number of a request.
+    """Return a finite number of a request.
 
     Raises:
-        ValueError: it is missing and has no default, or is none.
+        ValueError: the value is not a finite number, or it is missing and has no default.
     """
     value = request.get(key, default)
-    if not isinstance(value, int | float) or not abs(value) <= _MOST:  # NaN is not, either
+    if not isinstance(value, int | float) or not abs(value) <= _MAX_NUMBER:  # the negated form rejects NaN
         raise ValueError(f"expected a finite number for {key!r}, got {value!r}")
     return value
 
 
 class Faults:
-    """The faults of all devices: placed, ended in time, and laid over the bytes.
+    """Sets and ends the faults of all devices, and applies them to the bytes.
 
     Args:
-        far_ends: the devices by name.
-        random: makes an own stream of random numbers for a name.
+        far_ends: far ends by name of the device.
+        random: returns the random number stream of a name.
     """
 
     def __init__(self, far_ends: Mapping[str, FarEnd], random: Callable[[str], np.random.Generator]) -> None:
@@ -52,28 +50,28 @@ class Faults:
         self._ends_s: dict[tuple[str, str], float] = {}
 
     def kinds(self, device: str) -> dict[str, FaultKind]:
-        """What can go wrong with a device: its own kinds first.
+        """Return the kinds of faults of a device, its own first.
 
         Raises:
-            ValueError: no such device.
+            ValueError: the device does not exist.
         """
         own = self._far_end(device).fault_kinds
         return {**own, **{what: kind for what, kind in LINE_FAULTS.items() if what not in own}}
 
     def standing(self, device: str) -> dict[str, float]:
-        """The faults that last now, with their values."""
+        """Return the values of a device's present faults, by name."""
         return {what: value for (name, what), value in self._standing.items() if name == device}
 
     def place(self, request: Mapping[str, Any], now_s: float) -> None:
-        """Place or end a fault.
+        """Set or end a fault.
 
         Args:
-            request: "device" and "what"; "value", without it that of the kind; "end": true ends the fault; "seconds":
-                after so much rig time it ends by itself.
+            request: "device" and "what"; "value" (default: that of the kind); "end": true ends the fault; "seconds":
+                duration of the fault, rig s.
             now_s: rig time, s.
 
         Raises:
-            ValueError: no such device or fault, or one that cannot be so.
+            ValueError: device or fault do not exist, the value is invalid, or the fault cannot be ended or timed.
         """
         device, what = str(request.get("device")), str(request.get("what"))
         far_end = self._far_end(device)
@@ -81,7 +79,7 @@ class Faults:
         value, seconds = request.get("value", kind.value), request.get("seconds")
         if (request.get("end") or seconds is not None) and kind.end is None:
             raise ValueError(
-                f"{what!r} of {device} cannot be ended or timed: it happens once, or is none that the device lists"
+                f"{what!r} of {device} cannot be ended or timed: it happens once, or is not listed by the device"
             )
         if request.get("end"):
             value = kind.end
@@ -99,7 +97,7 @@ class Faults:
 
     def _apply(self, device: str, far_end: FarEnd, what: str, value: Any, now_s: float) -> None:
         kind = self.kinds(device).get(what)
-        if kind is None:  # one that it does not list may still be one it has
+        if kind is None:  # a device may accept faults that it does not list
             self._unlisted(device, far_end, what, value)
             return
         low, high = kind.limits
@@ -124,17 +122,17 @@ class Faults:
             raise ValueError(f"{device}: no fault {what!r}; it can have: {', '.join(self.kinds(device))}") from error
 
     def end_in_time(self, now_s: float) -> None:
-        """End the faults whose time is over."""
+        """End the faults whose duration is over."""
         for device, what in [place for place, end_s in self._ends_s.items() if end_s <= now_s]:
             self.place({"device": device, "what": what, "end": True}, now_s)
 
     def heard(self, device: str, data: bytes) -> bytes:
-        """What reaches a device of what the host has sent."""
+        """Return the bytes of the host that reach a device."""
         alive = self._far_ends[device].line_alive and not self._lasts(device, "unheard")
         return data if alive else b""
 
     def arrives(self, device: str, data: bytes, seconds: float) -> bytes:
-        """What the host gets of what a device has sent in some rig time."""
+        """Return the bytes that reach the host, of the bytes that a device sent in a number of rig seconds."""
         if self._standing:
             if self._lasts(device, "mute") or not self._far_ends[device].line_alive:
                 return b""
@@ -147,7 +145,7 @@ class Faults:
         return data
 
     def _lasts(self, device: str, what: str) -> float:
-        """Value of a line's fault that lasts; 0 where it does not, or is the device's own of that name."""
+        """Return the value of a present fault of the line; 0 if there is none, or if it is a fault of the device."""
         return 0.0 if what in self._far_ends[device].fault_kinds else self._standing.get((device, what), 0.0)
 
     def _lossy(self, device: str, data: bytes, share: float) -> bytes:
@@ -168,7 +166,7 @@ class Faults:
 
 
 def listed(kinds: Mapping[str, FaultKind]) -> dict[str, dict[str, Any]]:
-    """Kinds of faults as JSON."""
+    """Return kinds of faults as JSON values."""
     return {
         what: {
             "words": kind.words,

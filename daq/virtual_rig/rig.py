@@ -1,5 +1,5 @@
 # pyright: strict
-"""The simulated rig without wires and clock: bytes from the host in, bytes to the host out, on a time that is given."""
+"""The simulated rig without I/O and clock: it converts bytes from the host to bytes for the host at a given time."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from rig_configs.load import with_truth
 from rig_configs.schema import Rig
 
 _RPM = math.pi / 30
-_FARTHEST_MM = 50.0
-_FASTEST_RPM = 20_000.0
+_MAX_PLUCK_MM = 50.0
+_MAX_SPEED_RPM = 20_000.0  # and rpm per s
 
 
 class SimulatedRig:
-    """All simulated devices around one motion. It has no threads, opens nothing and reads no clock.
+    """All simulated devices with a common motion. It has no threads, no I/O and no clock.
 
     The same rig file, seed, times, bytes and requests yield the same bytes.
 
     Args:
         rig: a rig file with a [virtual] table.
-        patience: rig seconds of a time-out given in wall seconds (`HostClock.patience`).
+        patience: converts a timeout in wall seconds to rig seconds (`HostClock.patience`).
 
     Attributes:
-        motion: of rotor, column and pendulums.
-        far_ends: the simulated device of each name in the rig file.
+        motion: motion of rotor, column and pendulums.
+        far_ends: simulated devices by their names in the rig file.
 
     Raises:
         RigConfigError: the rig file has no [virtual] table.
@@ -40,7 +40,7 @@ class SimulatedRig:
 
     def __init__(self, rig: Rig, patience: Callable[[float], float] = float) -> None:
         if rig.virtual is None:
-            raise RigConfigError(f"rig {rig.name} has no [virtual] table: there is nothing to simulate")
+            raise RigConfigError(f"rig {rig.name} has no [virtual] table, which the simulation needs")
         self._rig = rig
         self.motion = Motion(rig.true_physics, rig.virtual.drive.slip, rig.virtual.drive.lag_s)
         world = World(rig.virtual, self.motion, patience)
@@ -48,17 +48,17 @@ class SimulatedRig:
             name: device.far_end(world) for name, device in devices_of(rig.devices).items()
         }
         self._faults = Faults(self.far_ends, world.rng)
-        self._let_go_s: float | None = None
+        self._hold_ends_s: float | None = None
 
     def step(self, now_s: float, received: Mapping[str, bytes]) -> dict[str, bytes]:
-        """Answer the host, then let the rig move up to now.
+        """Answer the host, then advance the motion to the present time.
 
         Args:
             now_s: rig time, s; not before that of the last step.
-            received: what the host has sent to each device since the last step; a device may be missing.
+            received: bytes of the host since the last step, by device; devices without bytes may be missing.
 
         Returns:
-            What each device sends, by its name in the rig file; every device is there.
+            Bytes of every device, by its name in the rig file.
         """
         motion, faults, before_s = self.motion, self._faults, self.motion.time_s
         faults.end_in_time(now_s)
@@ -67,9 +67,9 @@ class SimulatedRig:
             name: far_end.receive(heard[name], before_s) if heard[name] else b""
             for name, far_end in self.far_ends.items()
         }
-        if self._let_go_s is not None and now_s >= self._let_go_s:
+        if self._hold_ends_s is not None and now_s >= self._hold_ends_s:
             motion.let_go()
-            self._let_go_s = None
+            self._hold_ends_s = None
         for name, far_end in self.far_ends.items():
             sent[name] += far_end.step(before_s)
         stretch = motion.advance(now_s)
@@ -79,17 +79,17 @@ class SimulatedRig:
         return {name: faults.arrives(name, data, motion.time_s - before_s) for name, data in sent.items()}
 
     def do(self, request: Mapping[str, Any], now_s: float) -> dict[str, Any]:
-        """Carry out what a hand does at the rig, a fault, or an onlooker's question (see `daq.virtual_rig.control`).
+        """Carry out a request of the control port: a manual action, a fault, or a query (`daq.virtual_rig.control`).
 
         Args:
-            request: "do" and what belongs to it.
+            request: "do" and its arguments.
             now_s: rig time, s.
 
         Returns:
-            The answer; {"ok": True} where nothing was asked.
+            The answer; {"ok": True} for actions.
 
         Raises:
-            KeyError, TypeError, ValueError: no such request, or one that is incomplete or cannot be carried out.
+            KeyError, TypeError, ValueError: the request is unknown, incomplete or cannot be carried out.
         """
         match request.get("do"):
             case "pluck" | "flick" | "lock" | "release" | "turn" as act:
@@ -124,17 +124,17 @@ class SimulatedRig:
         return {**facts, "devices": devices}
 
     def _by_hand(self, act: str, request: Mapping[str, Any], now_s: float) -> None:
-        """What a person does at the rig; what a device holds is not the hand's."""
+        """Carry out a manual action. Actions that a device of the rig carries out are refused."""
         roles, motion = self._rig.roles, self.motion
         holder = roles.locks if act in ("lock", "release") else roles.speed if act == "turn" else None
         if holder is not None:
-            raise ValueError(f"that is {holder.device}'s to do, no hand is needed")
+            raise ValueError(f"{holder.device} carries out this action, it cannot be done by hand")
         match act:
             case "pluck":
                 x_mm, y_mm = number(request, "x_mm", 0.0), number(request, "y_mm", 0.0)
-                if math.hypot(x_mm, y_mm) > _FARTHEST_MM:
-                    raise ValueError(f"the column takes at most {_FARTHEST_MM:g} mm, got {x_mm:g} and {y_mm:g} mm")
-                self._let_go_s = now_s + number(request, "hold_s", 0.5)
+                if math.hypot(x_mm, y_mm) > _MAX_PLUCK_MM:
+                    raise ValueError(f"the column takes at most {_MAX_PLUCK_MM:g} mm, got {x_mm:g} and {y_mm:g} mm")
+                self._hold_ends_s = now_s + number(request, "hold_s", 0.5)
                 motion.hold(1e-3 * x_mm, 1e-3 * y_mm)
             case "flick":
                 pendulum = request["pendulum"]
@@ -144,14 +144,16 @@ class SimulatedRig:
                     raise ValueError(f"pendulum {'AB'[pendulum]} is held: release it first")
             case "turn":
                 rpm, ramp = number(request, "rpm"), number(request, "ramp_rpm_per_s")
-                if not (abs(rpm) <= _FASTEST_RPM and 0 < ramp <= _FASTEST_RPM):
-                    raise ValueError(f"expected at most {_FASTEST_RPM:g} rpm and a ramp above 0, got {rpm:g}, {ramp:g}")
+                if not (abs(rpm) <= _MAX_SPEED_RPM and 0 < ramp <= _MAX_SPEED_RPM):
+                    raise ValueError(
+                        f"expected at most {_MAX_SPEED_RPM:g} rpm and a ramp above 0, got {rpm:g}, {ramp:g}"
+                    )
                 motion.target_rad_s, motion.ramp_rad_s2 = rpm * _RPM, ramp * _RPM
             case _:
                 for pendulum in (0, 1):
                     motion.lock(pendulum, 0.0) if act == "lock" else motion.release(pendulum)
 
     def _set(self, key: str, value: Any) -> None:
-        """Change the truth from now on (a clamp has moved, a magnet pack was replaced)."""
+        """Change the true parameters from now on (a clamp has moved, a magnet pack was replaced)."""
         self._rig = with_truth(self._rig, key, value)
         self.motion.physics = self._rig.true_physics

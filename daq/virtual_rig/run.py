@@ -1,5 +1,5 @@
 # pyright: strict
-"""The virtual rig's edge: wires, wall clock and control port around a simulated rig."""
+"""I/O of the virtual rig: wires, wall clock and control port of a simulated rig."""
 
 from __future__ import annotations
 
@@ -23,22 +23,27 @@ from daq.virtual_rig.rig import SimulatedRig
 from daq.virtual_rig.running import Running, leave_note
 from rig_configs.schema import Rig
 
-_TICK_S = 0.002  # wall time between two looks at the world
-_LOOK_S = 0.0005  # the same while time stands
-_FAREWELL_S = 0.2  # wall time for the last answer to be fetched
+_TICK_S = 0.002  # period of the steps, wall s
+_HELD_TICK_S = 0.0005  # period of the steps while the clock is held, wall s
+_MAX_LAST_ANSWER_S = 0.2  # wait until the last answer has been sent, wall s
 
 
 class VirtualRig:
-    """A simulated rig whose devices are on wires and whose time passes by itself.
+    """A simulated rig with devices on wires and a running clock.
 
     Args:
         rig: a rig file with a [virtual] table.
         time_scale: seconds of rig time per wall second.
         link: "pty", "tcp" or "auto".
-        pace: file of a clock that the host shares; time stands then while either is late. None: it never does.
+        pace: file of a clock that the host shares and that is held while rig or host are late. None: the clock is
+            never held.
 
     Attributes:
-        moved: called when a device has got another port.
+        rig: the simulated rig.
+        wires: wires by device.
+        token: token of the control port.
+        control: the control port.
+        moved: called when a device has a new port.
     """
 
     def __init__(self, rig: Rig, time_scale: float = 1.0, link: str = "auto", pace: Path | None = None) -> None:
@@ -46,7 +51,7 @@ class VirtualRig:
         self._clock = PacedClock(time_scale, pace) if pace is not None else HostClock(time_scale)
         self._t0_ns = self._clock.now_ns()
         self.rig = SimulatedRig(rig, self._clock.patience)
-        self.rig.motion.advance(0.001)  # compile before anyone connects
+        self.rig.motion.advance(0.001)  # compile before the first connection
         self.wires: dict[str, Wire] = {name: make_wire(link) for name in self.rig.far_ends}
         self._pulled: set[str] = set()
         self.token = secrets.token_urlsafe(16)
@@ -56,49 +61,49 @@ class VirtualRig:
 
     @property
     def zero_ns(self) -> int:
-        """The beginning of the rig's time, ns since 1970."""
+        """Start of the rig's time, ns since 1970."""
         return self._t0_ns
 
     def running(self) -> Running:
-        """What the hands need of it."""
+        """Return the data that a simulated operator needs to connect."""
         return Running(self._name, os.getpid(), self.control.port, self.token, self._clock.rate, self.ports())
 
     def ports(self) -> dict[str, str]:
-        """Port of each device, by its name in the rig file."""
+        """Return the port of each device, by its name in the rig file."""
         return {name: wire.port for name, wire in self.wires.items()}
 
     def quit_at_end_of_input(self) -> None:
-        """Wait for standard input to close, then end."""
+        """Wait until standard input is closed, then end the rig."""
         sys.stdin.read()
         self._running = False
 
     def run(self) -> None:
-        """Until it is asked to quit."""
-        self._t0_ns = self._clock.now_ns() - int(self.rig.motion.time_s * 1e9)  # what compiling took is not rig time
+        """Run until the request "quit"."""
+        self._t0_ns = self._clock.now_ns() - int(self.rig.motion.time_s * 1e9)  # the compilation is not rig time
         due = time.monotonic()
         while self._running:
             self.step()
-            due = max(due + (_TICK_S if self._passes() else _LOOK_S), time.monotonic())
+            due = max(due + (_TICK_S if self._passes() else _HELD_TICK_S), time.monotonic())
             self._wait(due)
 
     def _passes(self) -> bool:
-        """Whether time passes, or stands until the host has fetched what is in the cables."""
+        """Return whether the clock runs. A paced clock is held until the host has read the bytes in the cables."""
         if not isinstance(self._clock, PacedClock):
             return True
         return self._clock.go_on(self._held_up)
 
     def _held_up(self) -> bool:
-        held_up = [wire.held_up() for wire in self.wires.values()]  # each looks
+        held_up = [wire.held_up() for wire in self.wires.values()]  # a list, since every wire must be checked
         return any(held_up)
 
     def close(self) -> None:
-        """Pull every cable and end the control port; the answer to the last request is still delivered."""
-        self.control.close(_FAREWELL_S)
+        """Close every wire and the control port. The answer to the last request is still sent."""
+        self.control.close(_MAX_LAST_ANSWER_S)
         for wire in self.wires.values():
             wire.close()
 
     def _wait(self, due: float) -> None:
-        """Sleep until the next tick; a host's bytes end the sleep."""
+        """Sleep until the next tick. Bytes of the host end the sleep."""
         descriptors = [d for w in self.wires.values() if (d := w.descriptor()) is not None]
         timeout = max(0.0, due - time.monotonic())
         if sys.platform == "win32":
@@ -107,7 +112,7 @@ class VirtualRig:
             select.select(descriptors, [], [], timeout)
 
     def step(self) -> None:
-        """One look at the world: operator, incoming bytes, motion, outgoing bytes."""
+        """Process requests of the operator, received bytes, motion and bytes to send."""
         now_s = (self._clock.now_ns() - self._t0_ns) * 1e-9
         self._operator(now_s)
         sent = self.rig.step(now_s, {name: wire.receive() for name, wire in self.wires.items()})
@@ -150,7 +155,7 @@ class VirtualRig:
         return device
 
     def _plug(self, device: str) -> str:
-        """Plug a device in again, as the system does: perhaps under another name."""
+        """Plug a device in again and return its port, which may have a new name as on a real system."""
         if device not in self._pulled:
             raise ValueError(f"{device} is plugged in, at {self.wires[device].port}")
         self.wires[device].close()
@@ -170,14 +175,14 @@ class VirtualRig:
 def serve(
     virtual: VirtualRig, ready: Callable[[Path | None], None], note: Path | None, leaves_note: bool, until_eof: bool
 ) -> None:
-    """Run a virtual rig until it is asked to quit, or interrupted.
+    """Run a virtual rig until the request "quit" or an interrupt.
 
     Args:
         virtual: the rig; it is closed at the end.
-        ready: called with the note's path before the rig runs.
-        note: where the hands find it; None: in their usual place.
-        leaves_note: whether they shall find it.
-        until_eof: end, too, when standard input closes: whoever started it is gone.
+        ready: called with the path of the note before the rig runs.
+        note: path of the note for the simulated operator; None for the default path.
+        leaves_note: whether to write the note.
+        until_eof: whether to end the rig also when standard input is closed, which shows that its parent has ended.
 
     Raises:
         OSError: the note cannot be written.

@@ -1,8 +1,9 @@
 # pyright: strict
-"""Finding a virtual rig that runs: the note it leaves for the hands, which only its user can read.
+"""Discovery of running virtual rigs: notes for the simulated operator that only their user can read.
 
-The note holds the control port and its token. It lies in a folder of the user's own ($XDG_RUNTIME_DIR, or what the
-system has in its place) and is removed at the rig's end. A note whose rig was killed is found out by its dead port.
+A note contains the control port and its token. It is a file in a private folder of the user ($XDG_RUNTIME_DIR, or its
+equivalent on the system) and is removed at the end of the rig. The port of a killed rig does not answer, which
+identifies its note as outdated.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ _START_ONE = "start one in another terminal: rig virtual"
 
 @dataclass(frozen=True)
 class Running:
-    """A virtual rig that runs.
+    """Data of a running virtual rig.
 
     Attributes:
-        rig: name of its rig file.
-        pid: of its process.
-        control_port, token: of its control port.
+        rig: name of the rig file.
+        pid: process id.
+        control_port, token: TCP port and token of the control port.
         time_scale: seconds of rig time per wall second.
-        ports: of its devices, by their names in the rig file.
+        ports: ports of the devices, by their names in the rig file.
     """
 
     rig: str
@@ -46,39 +47,39 @@ class Running:
 
 
 def notes_folder() -> Path:
-    """Where rigs of this user leave their notes; made where it is missing.
+    """Return the folder of the notes of this user. It is created if it is missing.
 
     Raises:
-        DeviceError: others could read or change what is in it.
+        DeviceError: other users could read or change its content.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if sys.platform == "win32":
         folder = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / _FOLDER / "running"
-        folder.mkdir(parents=True, exist_ok=True)  # the user's profile is closed to others
+        folder.mkdir(parents=True, exist_ok=True)  # other users have no access to the user's profile
         return folder
     folder = Path(runtime) / _FOLDER if runtime else Path(tempfile.gettempdir()) / f"{_FOLDER}-{os.getuid()}"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     found = folder.lstat()
     if folder.is_symlink() or found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise DeviceError(
-            f"{folder}: expected a folder that you alone can use, since it is to hold a token; "
-            "remove it, or name a file of your own with --control"
+            f"{folder}: expected a folder that only you can access, since it contains a token; "
+            "remove it, or choose another file with --control"
         )
     return folder
 
 
 def leave_note(running: Running, path: Path | None = None) -> Path:
-    """Write a rig's note, readable by its user only; an older one by this name is replaced.
+    """Write the note of a rig, readable by its user only. An older note of the same path is replaced.
 
     Args:
         running: the rig.
-        path: of the note; None: in `notes_folder`, named after the control port, which no two rigs share.
+        path: path of the note; None for a file in `notes_folder` with the number of the control port in its name.
 
     Returns:
-        The note's path.
+        Path of the note.
 
     Raises:
-        OSError: it cannot be written there.
+        OSError: the note cannot be written.
     """
     path = notes_folder() / f"virtual-{running.control_port}.json" if path is None else path
     fresh = path.with_name(f"{path.name}.{running.pid}")
@@ -90,11 +91,11 @@ def leave_note(running: Running, path: Path | None = None) -> Path:
 
 
 def read_note(path: Path) -> Running:
-    """The rig that left a note.
+    """Read the note of a rig.
 
     Raises:
-        RigConfigError: the file is no such note.
-        OSError: it cannot be read.
+        RigConfigError: the file is not the note of a virtual rig.
+        OSError: the file cannot be read.
     """
     try:
         found: Any = json.loads(path.read_text(encoding="utf-8"))
@@ -111,14 +112,14 @@ def read_note(path: Path) -> Running:
 
 
 def reach(control: Path | None = None) -> tuple[Running, OperatorLine]:
-    """The rig that runs, and a line to its control port.
+    """Return a running rig and a connection to its control port.
 
     Args:
-        control: its note; None: the one rig of this user that runs.
+        control: path of its note; None for the only running rig of this user.
 
     Raises:
-        DeviceError: none runs.
-        RigConfigError: several run and none was chosen, or the file is no note.
+        DeviceError: no virtual rig runs.
+        RigConfigError: several rigs run and `control` is None, or the file is not a note.
     """
     if control is not None:
         try:
@@ -139,13 +140,13 @@ def reach(control: Path | None = None) -> tuple[Running, OperatorLine]:
 
 
 def _alive() -> list[tuple[Path, Running, OperatorLine]]:
-    """The rigs that answer; notes of those that were killed are removed."""
+    """Return the rigs that answer. Notes of rigs that were killed are removed."""
     found: list[tuple[Path, Running, OperatorLine]] = []
     for path in sorted(notes_folder().glob("virtual-*.json")):
         try:
             running = read_note(path)
         except (OSError, RigConfigError):
-            continue  # it is being removed, or is none of ours
+            continue  # the file is being removed, or is not a note
         try:
             line = OperatorLine(running.control_port, running.token)
         except ConnectionRefusedError:
@@ -155,7 +156,7 @@ def _alive() -> list[tuple[Path, Running, OperatorLine]]:
             continue
         try:
             line.ask("truth")
-        except (OSError, ValueError):  # another program has the port now
+        except (OSError, ValueError):  # another program uses the port now
             line.close()
             with contextlib.suppress(OSError):
                 path.unlink()

@@ -1,4 +1,4 @@
-"""A guided test's surroundings without a rig, a thread or a wall clock: session, rotor and locks that record orders."""
+"""Test doubles for guided tests without rig, thread and wall clock: session, rotor and locks that record orders."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Bench:
         while not condition():
             self.check()
             if self.clock.ns > end:
-                raise DeviceError(f"waited {wall_s:g} s for {what}; it did not come")
+                raise DeviceError(f"waited {wall_s:g} s for {what}: timeout")
             self.clock.sleep(1.0)
 
     def newest(self, topic: str, fields: tuple[str, ...], seconds: float) -> tuple[Any, list[Any]]:

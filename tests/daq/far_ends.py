@@ -1,4 +1,4 @@
-"""The virtual rig's far ends, the real pipelines and the interlocks in one thread, on a time of their own."""
+"""The far ends of the virtual rig, the real pipelines and the interlocks in one thread on simulated time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The log's messages: constant layout, real protobuf, JSON notes."""
+"""Messages of a log: constant layout, valid protobuf, JSON notes."""
 
 import json
 from contextlib import suppress

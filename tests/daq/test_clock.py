@@ -1,4 +1,4 @@
-"""Clock maps: continuous, strictly increasing, close to the truth; rates with intervals that hold."""
+"""Clock maps are continuous, strictly increasing and accurate; the intervals of the rates contain the true rates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a look at a rig is held against: one thing wrong fails its check, its device, and nothing else."""
+"""Checks of an observed rig: one deviation fails its check and its device, and no other."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_a_healthy_rig_passes_with_what_was_seen_and_expected() -> None:
         "verdict": "pass",
         "note": "± 1000 ppm in 2.0 s",
     }
-    assert "longer look" in devices["laser_x"]["clock_ppm"].note
+    assert "longer check" in devices["laser_x"]["clock_ppm"].note
     assert devices["encoder"]["battery_mV"].value == 3712
     assert devices["encoder"]["firmware"].value == "1.4"
 

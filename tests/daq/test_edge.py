@@ -1,4 +1,4 @@
-"""Where an unplugged adapter is looked for: where one with its identity is now, and nowhere else."""
+"""Search for an unplugged adapter: only on ports with its identity."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ X, Y = Port("ttyUSB0", serial_number="X1"), Port("ttyUSB1", serial_number="Y1")
 
 
 def looked(monkeypatch: pytest.MonkeyPatch, first: list[Port], now: list[Port], port: str) -> list[str]:
-    """Where an adapter is looked for that was at a port at first."""
+    """Return the ports on which an adapter is searched that was on a port at the start."""
     there = list(first)
     monkeypatch.setattr("daq.acquisition.edge.list_ports.comports", lambda: list(there))
     ports = UsbPorts()

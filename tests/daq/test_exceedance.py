@@ -1,4 +1,4 @@
-"""The amplitude interlock: one sample beyond the limit trips nothing, a motion beyond it always does."""
+"""The amplitude interlock: a single sample beyond the limit does not trip it, a motion beyond the limit does."""
 
 import numpy as np
 from hypothesis import given

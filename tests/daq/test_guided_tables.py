@@ -1,4 +1,4 @@
-"""The tables of all guided tests: every way through them ends with the rotor at rest, the log ended, no wrong order."""
+"""Tables of all guided tests: every path ends with the rotor at rest and the log finished, without a wrong order."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_a_speed_that_nothing_shows_yet_is_said_so() -> None:
     wanted = asked(HAND, "point-A", {})
     (up,) = [row for row in wanted.kind.table(wanted).rows if row.name == "spin up"]
     look = up.look(View(cast("Measures", None), 0, 0, 0, float("nan"), {}))
-    assert (look.done, look.words) == (False, "spinning up to 149 rpm: nothing shows the speed yet")
+    assert (look.done, look.words) == (False, "spinning up to 149 rpm: the speed is not measured yet")
 
 
 @pytest.mark.parametrize("name", [name for name in ASKED if ASKED[name].kind.turns])
@@ -252,7 +252,7 @@ def test_a_pause_in_motion_is_answered_and_takes_effect_where_the_rig_may_wait(t
         return Look(not (state.name == "spin up" and len(answers) < 2))
 
     finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
-    assert any(answer.startswith("not here: the rotor passes through resonances") for answer in answers)
+    assert any(answer.startswith("no pause here: the rotor passes through resonances") for answer in answers)
     assert paused[:1] == ["steady orbit"]
 
 
@@ -281,12 +281,12 @@ def test_a_table_with_a_transition_to_nowhere_is_refused() -> None:
 
 def test_orders_that_would_turn_unlocked_or_release_at_rest_are_refused(tmp_path: Path) -> None:
     kind = ASKED["point"].kind
-    for name, wrong in (("turn", "not locked"), ("let go", "not released")):
-        order = {"turn": lambda orders: orders.turn(100.0, 10.0), "let go": lambda orders: orders.let_go(True)}[name]
+    for name, wrong in (("turn", "not locked"), ("release", "not released")):
+        order = {"turn": lambda orders: orders.turn(100.0, 10.0), "release": lambda orders: orders.release(True)}[name]
         opened = State("open", enter=lambda orders: orders.locks.release(False))
-        forgets = State("forgets", enter=lambda orders: setattr(orders, "_held", False))
+        unlocked = State("unlocked", enter=lambda orders: setattr(orders, "_held", False))
         bench, asked_ = Bench(RIG), Asked(RIG, kind, "point-B", "B", ASKED["point"].numbers)
-        table = framed(asked_, opened, forgets, State(name, enter=order))
+        table = framed(asked_, opened, unlocked, State(name, enter=order))
         assert wrong in str(finished(bench, asked_, table, Controls(), tmp_path))
         assert bench.wrong == []
 

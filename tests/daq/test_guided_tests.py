@@ -1,4 +1,4 @@
-"""Guided tests on a virtual rig: what is refused before anything turns, and what is said of an end not reached."""
+"""Guided tests on a virtual rig: refusals before anything turns, and reports of tests that miss their end."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from rig_cli.main import run
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
@@ -21,6 +19,8 @@ from daq.signals.completeness import missing_warnings
 from daq.signals.run import load_run
 from daq.transports import HostClock, slcan
 from daq.virtual_rig.simulated_operator import SimulatedOperator
+from rig_cli.main import run
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import LATE_BEATS, TIME_SCALE
@@ -102,7 +102,7 @@ def test_an_end_that_is_not_reached_is_said_kept_and_exits_1(
     assert "not reached  the top speed" in capsys.readouterr().out
 
 
-def test_check_exits_3_where_the_drive_is_not_known_to_have_let_go(
+def test_check_exits_3_if_the_drive_has_not_confirmed_its_release(
     virtual_rig: VirtualRigProcess, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rest = RotorCommand.bring_to_rest
@@ -110,7 +110,7 @@ def test_check_exits_3_where_the_drive_is_not_known_to_have_let_go(
     ports = [word for setting in virtual_rig.port_settings() for word in ("--set", setting)]
     assert run(["check", "virtual", "--seconds", "0.4", "--time-scale", f"{TIME_SCALE}", *ports, "--json"]) == 3
     captured = capsys.readouterr()
-    left = "drive: nobody can tell whether it has let go of the rotor, which stands"
+    left = "drive: the rotor is at rest, but the drive may not have released it"
     assert left in json.loads(captured.out)["warnings"][0]
     assert f"warning: {left}" in captured.err
 

@@ -1,4 +1,4 @@
-"""Rigs that a hand turns and locks, and rigs of few devices: real sessions with the virtual rig behind its ports."""
+"""Rigs that the operator turns and locks by hand, and rigs with few devices: sessions on ports of the virtual rig."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig_cli.check_page import look_at
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.device_check import device_checks
 from daq.acquisition.interlocks import Interlocks
 from daq.acquisition.session import Session
 from daq.errors import DeviceError, ProcedureError
-from daq.guided_tests.hands import SEEN_RAD, let_go
+from daq.guided_tests.hands import SEEN_RAD, release_time
 from daq.guided_tests.procedure import Procedures, zero_counters
 from daq.replay import check
 from daq.signals.run import load_run
@@ -26,6 +24,8 @@ from daq.virtual_rig.simulated_operator import SimulatedOperator
 from identification import NotIdentifiable, identify
 from identification.pendulums.release import fit_release
 from identification.pendulums.suspension_knowledge import Knowledge
+from rig_cli.check_page import look_at
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import TIME_SCALE
@@ -69,7 +69,7 @@ def test_one_laser_is_checked_rings_down_and_is_identified(one: tuple[VirtualRig
     assert all(abs(found.values[name] - truth[name]) < 4 * found.std[name] for name in ("k1_N_per_m", "zeta1"))
 
 
-def test_pendulums_are_locked_let_go_and_flicked_by_hand(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
+def test_pendulums_are_locked_released_and_flicked_by_hand(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
     process, rig = hand
     with Session(rig, process.clock) as session:
         done = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet).spin_down()
@@ -83,8 +83,8 @@ def test_the_rotor_is_turned_and_the_pendulums_released_by_hand(
     hand: tuple[VirtualRigProcess, Rig], tmp_path: Path
 ) -> None:
     process, rig = hand
-    said: list[str] = []
-    with Session(rig, process.clock, say=said.append) as session:
+    messages: list[str] = []
+    with Session(rig, process.clock, say=messages.append) as session:
         tests = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet)
         done = tests.point("B", rig.physics.speed_rad_s(1.6))
     run = load_run(done.log)
@@ -95,29 +95,31 @@ def test_the_rotor_is_turned_and_the_pendulums_released_by_hand(
     with pytest.raises(NotIdentifiable, match="one by hand"):
         fit_release(run, Knowledge.nominal(rig.physics), 0.001)
     assert [row.topic for row in check(done.log) if row.difference] == []
-    assert said == []
+    assert messages == []
 
 
-def test_a_hand_that_turns_too_fast_is_told_to_stop(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
+def test_an_operator_who_turns_too_fast_is_instructed_to_stop(
+    hand: tuple[VirtualRigProcess, Rig], tmp_path: Path
+) -> None:
     process, rig = hand
-    said: list[str] = []
+    messages: list[str] = []
 
     class Hasty(SimulatedOperator):
         def turn(self, rpm: float, ramp_rpm_per_s: float) -> None:
             super().turn(2.5 * rpm, 400.0)
 
     words = r"index marks come at .* rpm, limits.speed_rpm is 1200; stop the rotor"
-    session = Session(rig, process.clock, say=said.append)
+    session = Session(rig, process.clock, say=messages.append)
     with pytest.raises(ProcedureError, match=words), session:
         Procedures(session, Hasty(process.line), tmp_path, quiet).run_up(900.0, 40.0)
-    assert any("STOP THE ROTOR: the index marks" in text for text in said)
+    assert any("STOP THE ROTOR: the index marks" in text for text in messages)
     with pytest.raises(ProcedureError, match="nothing was turned"), Session(rig, process.clock) as session:
         Procedures(session, SimulatedOperator(process.line), tmp_path, quiet).run_up(1300.0, 40.0)
 
 
-def test_an_index_sensor_that_dies_is_no_rotor_at_rest(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
+def test_a_failed_index_sensor_is_not_taken_for_rest(hand: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
     process, rig = hand
-    said: list[str] = []
+    messages: list[str] = []
 
     def later() -> None:
         process.clock.sleep(7.5)
@@ -129,14 +131,14 @@ def test_an_index_sensor_that_dies_is_no_rotor_at_rest(hand: tuple[VirtualRigPro
             if rpm > 0:
                 threading.Thread(target=later).start()
 
-    session = Session(rig, process.clock, say=said.append)
-    with pytest.raises(DeviceError, match=r"tacho: no index mark for .* nothing else shows"), session:
+    session = Session(rig, process.clock, say=messages.append)
+    with pytest.raises(DeviceError, match=r"tacho: no index mark for .* no other device measures"), session:
         Procedures(session, Unlucky(process.line), tmp_path, quiet).run_up(900.0, 40.0)
-    assert any("STOP THE ROTOR: tacho" in text for text in said)
-    assert any("nobody can tell whether the rotor stands" in text and "keep away" in text for text in said)
+    assert any("STOP THE ROTOR: tacho" in text for text in messages)
+    assert any("the state of the rotor is unknown" in text and "keep away" in text for text in messages)
 
 
-def test_a_covered_laser_ends_no_recording_of_a_rig_that_nobody_is_known_to_turn() -> None:
+def test_a_covered_laser_does_not_end_a_recording_without_a_commanded_speed() -> None:
     rig = load_rig("one_laser")
     interlocks = Interlocks(rig.limits, rig.roles, lambda s: s, driving=True)
     interlocks.begin(START_NS)
@@ -161,11 +163,11 @@ def test_other_makers_devices_record_turn_and_replay(tmp_path: Path) -> None:
 
 
 @given(st.floats(0.5, 40.0), st.floats(0.0, 0.5), st.floats(-0.9, 0.9))
-def test_a_release_lies_within_what_is_said_of_its_instant(torque: float, at: float, jerk: float) -> None:
-    """From rest under a torque that changes by up to nine tenths of itself until it is seen."""
+def test_the_time_of_a_release_lies_within_its_uncertainty(torque: float, at: float, jerk: float) -> None:
+    """A pendulum starts from rest under a torque that changes by up to 90 % until its motion is detected."""
     time = np.arange(0.0, at + 3.0, 0.001)
     since = np.maximum(time - at, 0.0)
     reach = np.sqrt(2 * 4 * SEEN_RAD / torque)  # about when the angle has grown to where it is looked at last
     moved = 0.5 * torque * since**2 * (1 + jerk * since / (3 * reach))
-    found, std = let_go(time, np.column_stack([moved, 0.1 * moved]))
+    found, std = release_time(time, np.column_stack([moved, 0.1 * moved]))
     assert abs(found - at) < 2 * std

@@ -1,4 +1,4 @@
-"""The rows of the table of interlocks that a session judges: links, drive, disk, operator, each made to trip."""
+"""The interlocks that the session evaluates (links, drive, disk, operator): each trips on a virtual rig."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.interlock_table import SESSION
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
 from daq.log import open_log
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from tests.conftest import LATE_BEATS, TIME_SCALE
 
@@ -67,7 +67,7 @@ def is_stopped(_: Session, __: VirtualRigProcess, ___: pytest.MonkeyPatch) -> No
 
 
 SCENARIOS: dict[str, tuple[Trip, str]] = {
-    "drop-out": (drops_out, "the drive went to FAULT by itself"),
+    "drop-out": (drops_out, "the drive entered FAULT without a command"),
     "emergency": (has_an_emergency, "emergency 0x3220"),
     "silent line": (falls_silent, "laser_x: silent for 2 s"),
     "lost device": (is_lost, "laser_y|closed|descriptor|gone"),
@@ -90,17 +90,17 @@ def test_every_row_of_the_session_trips_and_stands_in_the_log(
             session.start_recording(tmp_path / "a.mcap", {"test": "record"})
             trips(session, far_end, monkeypatch)
             session.stop_recording({})
-    except BaseException as error:  # what ends a session is the row's own
+    except BaseException as error:  # the error depends on the row
         ended = error
     monkeypatch.undo()
     with open_log(tmp_path / "a.mcap") as log:
         summary = {key: json.loads(text) for key, text in log.metadata["summary"].items()}
-    goes_on = "goes on" in row.reaction
-    assert (ended is None) == goes_on
-    found = " ".join(summary["warnings"]) if goes_on else summary["ended"]
+    continues = "continues" in row.reaction
+    assert (ended is None) == continues
+    found = " ".join(summary["warnings"]) if continues else summary["ended"]
     assert any(each in found for each in words.split("|")), found
     assert far_end.line.ask("state")["drive"] != cia402.OPERATION_ENABLED
-    if row.name == "drop-out":  # its fault is none of the next session's, nor is its boot-up
+    if row.name == "drop-out":  # clear the fault and wait for the boot-up, which would disturb the next session
         far_end.line.ask("fail", device="drive", what="restart")
         end = far_end.line.ask("state")["time_s"] + 2.0
         while far_end.line.ask("state")["time_s"] < end:

@@ -1,4 +1,4 @@
-"""Every row of the table of interlocks trips; the table is what the code does and what the documents show."""
+"""Every row of the interlock table trips in its scenario; code, table and documentation agree."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def happens(event: Event) -> Scenario:
 
 
 def swings_out_of_sight(bench: Bench) -> None:
-    """Last seen at 9 mm, then not any more: for less time than makes a sensor blind."""
+    """Measured at 9 mm, then invalid for less time than the blind-sensor interlock needs."""
     sensor = bench.rig.roles.along("x")
     assert sensor is not None
     seen = distance_words.code([0.5 * sensor.range_m + 9e-3 * sensor.lever_ratio], sensor.range_m)
@@ -44,7 +44,7 @@ def swings_out_of_sight(bench: Bench) -> None:
 
 
 def nothing(bench: Bench) -> None:
-    """The limit is low enough."""
+    """Do nothing: the limit is exceeded without a fault."""
 
 
 SCENARIOS: dict[str, tuple[Scenario, tuple[str, ...]]] = {
@@ -65,27 +65,27 @@ SCENARIOS: dict[str, tuple[Scenario, tuple[str, ...]]] = {
     "fault": (happens(Event("fault", "drive", "the rotor does not follow")), ()),
     "left operation": (fails("drive", "network", 0x04), ()),
 }
-"""What makes each row trip on a rotor that turns at 600 rpm, and the limits that it takes."""
+"""Fault that trips each row at 600 rpm, and the settings of the limits."""
 
 
 @pytest.mark.parametrize("row", CHANNELS, ids=lambda row: row.name)
 def test_every_row_trips_and_is_named(row) -> None:
     assert row.name in SCENARIOS, f"{row.name}: no scenario trips it"
-    happens_so, settings = SCENARIOS[row.name]
+    scenario, settings = SCENARIOS[row.name]
     with Bench(*settings) as bench:
         bench.turn(600)
-        happens_so(bench)
+        scenario(bench)
         bench.pass_time(4.0)
         named = [stop.interlock for _, stop in bench.stops]
     assert row.name in named
-    assert {interlock(name).judge for name in named} == {"channels"}  # every name is a row's
+    assert {interlock(name).judge for name in named} == {"channels"}  # every name is that of a row
 
 
 def test_every_scenario_is_of_a_row() -> None:
     assert set(SCENARIOS) == {row.name for row in CHANNELS}
 
 
-def test_rows_have_names_of_their_own_and_say_all() -> None:
+def test_rows_have_unique_names_and_no_empty_columns() -> None:
     assert len({row.name for row in INTERLOCKS}) == len(INTERLOCKS) == len(CHANNELS) + len(SESSION)
     for row in INTERLOCKS:
         assert all((row.name, row.guards, row.threshold, row.source, row.deadline, row.reaction))
@@ -98,7 +98,7 @@ def test_a_threshold_shows_the_rig_s_own_limit() -> None:
     assert "beyond 900 rpm" in interlock("overspeed").threshold_of(limits)
 
 
-def test_a_row_asks_for_its_role() -> None:
+def test_a_row_requires_its_role() -> None:
     whole, hand, none = load_rig("virtual").roles, load_rig("by_hand").roles, Roles()
     assert [row.name for row in CHANNELS if not row.has_role(whole)] == []
     assert not interlock("runaway").has_role(hand)
@@ -107,7 +107,7 @@ def test_a_row_asks_for_its_role() -> None:
     assert not interlock("stuck sensor").has_role(load_rig("one_laser").roles)
 
 
-def test_the_backlog_is_as_the_table_says() -> None:
+def test_the_backlog_limit_agrees_with_the_table() -> None:
     assert f"{BACKLOG_BYTES / 2**20:g} MB" in interlock("disk").threshold
 
 

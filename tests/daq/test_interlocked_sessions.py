@@ -1,4 +1,4 @@
-"""Sessions on a virtual rig that fails: the rotor is stopped, the right words are said, the log says how it ended."""
+"""Sessions on a virtual rig with faults: the rotor is stopped, operator and log get the reason."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
 from daq.errors import DeviceError, ProcedureError
@@ -20,6 +19,7 @@ from daq.log import open_log
 from daq.log.losses import losses_of
 from daq.replay import check
 from daq.virtual_rig.simulated_operator import SimulatedOperator
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import LATE_BEATS, TIME_SCALE
@@ -86,7 +86,7 @@ def test_a_node_that_dies_behind_its_dongle_ends_a_run_up(far_end: VirtualRigPro
 
     try:
         with (
-            pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was told to stop"),
+            pytest.raises(DeviceError, match=r"pendulums: silent .*; the rotor was commanded to stop"),
             Session(rig, far_end.clock) as session,
         ):
             Procedures(session, SimulatedOperator(far_end.line), tmp_path, dies).run_up(600.0, 25.0)
@@ -119,29 +119,30 @@ def test_a_drive_that_restarts_is_named_at_once(far_end: VirtualRigProcess, rig:
             assert math.isnan(session.drive.actual_rpm)
             assert session.drive.state == cia402.UNKNOWN
     assert "the drive started again" in str(summary_of(tmp_path / "a.mcap")["ended"])
-    assert far_end.line.ask("state")["speed_rpm"] < 0.5  # it ran down, and was waited for
+    assert far_end.line.ask("state")["speed_rpm"] < 0.5  # the session waited until the rotor had run down
     with open_log(tmp_path / "a.mcap") as log:
         assert [e["device"] for e in log.events if e["kind"] == "restart"] == ["drive"]
 
 
 def test_a_lone_emergency_is_said_and_kept(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
-    said: list[str] = []
-    with Session(rig, far_end.clock, say=said.append) as session:
+    messages: list[str] = []
+    with Session(rig, far_end.clock, say=messages.append) as session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         far_end.line.ask("fail", device="drive", what="emergency", value=0x3220)
         session.wait_for(lambda: any("0x3220" in notice for notice in session.notices), 5.0, "the emergency")
-        session.check()  # it goes on
+        session.check()  # the run continues
         far_end.line.ask("fail", device="drive", what="emergency", value=0)
         session.wait_for(lambda: not session.drive.emergencies, 5.0, "the error reset")
         path = session.stop_recording({})
-    ours = [words for words in said if "0x8130" not in words]  # that one is of a host too busy to beat in time
+    # a host that is too busy to send its heartbeat in time reports 0x8130
+    ours = [words for words in messages if "0x8130" not in words]
     assert ours == ["warning: drive: emergency 0x3220, DC link under-voltage. The run is not clean"]
     assert summary_of(path)["warnings"] == session.notices
     assert summary_of(path)["ended"] == "the test's end"
 
 
 def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
-    fault = r"drive went to FAULT by itself; emergency 0x3220, DC link under-voltage"
+    fault = r"drive entered FAULT without a command; emergency 0x3220, DC link under-voltage"
     with pytest.raises(ProcedureError, match=fault), Session(rig, far_end.clock) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 200)
@@ -150,22 +151,22 @@ def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig
     assert "0x3220, DC link under-voltage" in str(summary_of(tmp_path / "a.mcap")["ended"])
     assert far_end.line.ask("state")["speed_rpm"] < 0.5
     far_end.line.ask("fail", device="drive", what="restart")
-    wait_rig_time(far_end, 2.0)  # its boot-up is none of the next session's
+    wait_rig_time(far_end, 2.0)  # the boot-up would disturb the next session
 
 
 def test_a_rotor_that_still_turns_at_the_end_is_said(
     far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("daq.drivers.run_down._MAX_RUN_DOWN_S", 1.0)
-    said: list[str] = []
+    messages: list[str] = []
     still = "the rotor still turns"
-    with pytest.raises(DeviceError, match=still), Session(rig, far_end.clock, say=said.append) as session:  # noqa: PT012
+    with pytest.raises(DeviceError, match=still), Session(rig, far_end.clock, say=messages.append) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 300)
-        far_end.line.ask("fail", device="drive", what="fault", value=0x3220)  # no torque: it coasts
+        far_end.line.ask("fail", device="drive", what="fault", value=0x3220)  # without torque the rotor coasts
     assert far_end.line.ask("state")["watchdog_ms"] > 0
     assert still in str(summary_of(tmp_path / "a.mcap")["ended"])
-    assert any(still in text for text in said)
+    assert any(still in text for text in messages)
     far_end.line.ask("fail", device="drive", what="restart")
     while far_end.line.ask("state")["speed_rpm"] > 0.5:
         wait_rig_time(far_end, 0.5)
@@ -189,9 +190,9 @@ def test_a_rotor_that_is_blind_to_a_laser_is_not_turned(far_end: VirtualRigProce
         with Session(rig, far_end.clock) as session:
             far_end.line.ask("fail", device="laser_x", what="code", value=262076)
             session.clock.sleep(1.0)
-            with pytest.raises(DeviceError, match="not turned: laser/x: no valid sample"):
+            with pytest.raises(DeviceError, match="not turned: laser/x: most samples"):
                 session.drive.enable()
-            with pytest.raises(ProcedureError, match="5000 rpm wanted"):
+            with pytest.raises(ProcedureError, match="5000 rpm requested"):
                 session.drive.set_speed(5000)
             assert far_end.line.ask("state")["drive"] != cia402.OPERATION_ENABLED
     finally:
@@ -246,7 +247,7 @@ def test_a_faulty_encoder_is_refused_at_the_locks_and_ends_a_test_that_needs_it(
 
     try:
         with (
-            pytest.raises(ProcedureError, match=r"fault of encoder B: .*the rotor was told to stop"),
+            pytest.raises(ProcedureError, match=r"fault of encoder B: .*the rotor was commanded to stop"),
             Session(rig, far_end.clock) as session,
         ):
             Procedures(session, Breaks(far_end.line), tmp_path, quiet).spin_down()

@@ -1,12 +1,12 @@
-"""Which guided tests a rig can do: by its roles, refused with what is missing before anything is opened."""
+"""Guided tests that a rig can run: refused by its roles, with the missing signals, before a device is opened."""
 
 from __future__ import annotations
 
 import pytest
 
-from rig_cli.main import run
 from daq.guided_tests import test_inputs as inputs
 from daq.guided_tests.kinds import KINDS, kind_of, refusal
+from rig_cli.main import run
 from rig_configs import load_rig
 
 ONE, HAND, OTHER = (load_rig(name) for name in ("one_laser", "by_hand", "other_devices"))

@@ -1,4 +1,4 @@
-"""A session that only listens: not a byte is sent, and the log holds every byte that came, first and last."""
+"""Sessions that only receive: no byte is sent, and the log contains every received byte from the first to the last."""
 
 from __future__ import annotations
 

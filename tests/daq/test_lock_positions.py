@@ -1,4 +1,4 @@
-"""Counters held against closed locks: zeroed elsewhere, exchanged or off, it is said, and what to do."""
+"""Counters at closed locks: a wrong zero, an exchange or an offset is reported with its remedy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ A, B = rotorlink.FLAG_LOCK_A_CLOSED, rotorlink.FLAG_LOCK_B_CLOSED
 ZERO_STD_DEG = 0.05
 
 
-def said(a_deg: float, b_deg: float, flags: int = A | B, swing_deg: float = 0.0) -> str:
+def misplacement(a_deg: float, b_deg: float, flags: int = A | B, swing_deg: float = 0.0) -> str:
     swing = swing_deg * np.sin(np.linspace(0, 6.28, 40))
     theta = np.radians(np.column_stack([np.full(40, a_deg) + swing, np.full(40, b_deg)]))
     return misplaced(lock_positions(theta, np.full(40, flags, np.uint32), ZERO_STD_DEG))
@@ -25,13 +25,13 @@ def said(a_deg: float, b_deg: float, flags: int = A | B, swing_deg: float = 0.0)
     play=st.tuples(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4)),
 )
 def test_a_pendulum_at_its_own_lock_is_plausible_after_any_number_of_turns(turns, play) -> None:
-    assert said(360 * turns[0] + play[0], 180 + 360 * turns[1] + play[1]) == ""
+    assert misplacement(360 * turns[0] + play[0], 180 + 360 * turns[1] + play[1]) == ""
 
 
 @given(where=st.floats(-3600, 3600))
 def test_a_counter_zeroed_elsewhere_is_said_with_what_to_do(where: float) -> None:
     off = (where + 180) % 360 - 180
-    text = said(where, 180.0)
+    text = misplacement(where, 180.0)
     if abs(off) > lock_tolerance_deg(ZERO_STD_DEG) + 1e-6:
         assert "pendulum A reads" in text
         assert "expected 0°" in text
@@ -41,14 +41,14 @@ def test_a_counter_zeroed_elsewhere_is_said_with_what_to_do(where: float) -> Non
 
 
 def test_a_b_zeroed_at_its_own_lock_and_an_exchange_are_called_by_name() -> None:
-    assert "its zero is A's lock, half a revolution away" in said(0.0, 0.0)
-    assert "A and B are exchanged" in said(180.0, 0.3)
-    assert "moves by" in said(0.0, 180.0, swing_deg=4.0)
+    assert "its zero is A's lock, half a revolution away" in misplacement(0.0, 0.0)
+    assert "A and B are exchanged" in misplacement(180.0, 0.3)
+    assert "moves by" in misplacement(0.0, 180.0, swing_deg=4.0)
 
 
 def test_an_open_lock_says_nothing_of_its_pendulum() -> None:
-    assert said(77.0, 180.0, flags=B) == ""
-    assert said(77.0, 33.0, flags=0) == ""
+    assert misplacement(77.0, 180.0, flags=B) == ""
+    assert misplacement(77.0, 33.0, flags=0) == ""
     assert lock_positions(np.empty((0, 2)), np.empty(0, np.uint32), ZERO_STD_DEG) == ()
 
 

@@ -1,4 +1,4 @@
-"""A whole session in one thread, on simulated time: repeatable bit for bit, and right on its bad days."""
+"""Whole sessions in one thread on simulated time: repeatable bit for bit, and correct under faults."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def opened(name: str, *settings: str) -> tuple[LockstepRig, Session]:
 # --- the clock ---------------------------------------------------------------------------------------------------
 
 
-def test_what_is_due_is_done_in_order_and_only_while_somebody_waits() -> None:
+def test_actions_run_in_order_and_only_during_waits() -> None:
     clock, done = SimulatedClock(), []
     for seconds in (0.3, 0.1, 0.2, 0.1):
         clock.after(seconds, lambda s=seconds: done.append((s, round(clock.wall_s(), 3))))
@@ -46,7 +46,7 @@ def test_what_is_due_is_done_in_order_and_only_while_somebody_waits() -> None:
     assert clock.wall_s() == 0.25
 
 
-def test_a_busy_host_does_its_part_late_and_the_world_goes_on() -> None:
+def test_actions_of_a_busy_host_are_delayed_and_those_of_the_world_are_not() -> None:
     clock, done = SimulatedClock(), []
     clock.after(0.1, lambda: done.append(("host", clock.wall_s())))
     clock.after(0.2, lambda: done.append(("world", clock.wall_s())), world=True)
@@ -56,14 +56,14 @@ def test_a_busy_host_does_its_part_late_and_the_world_goes_on() -> None:
     assert clock.wall_s() >= 0.5  # who waits wakes up when the host does
 
 
-def test_what_is_done_meanwhile_must_not_wait() -> None:
+def test_actions_must_not_wait() -> None:
     clock = SimulatedClock()
     clock.after(0.1, lambda: clock.wait(1.0))
     with pytest.raises(WaitedInVain):
         clock.wait(1.0)
 
 
-def test_what_repeats_itself_ends_with_its_first_failure() -> None:
+def test_a_repeated_action_ends_with_its_first_failure() -> None:
     clock, times, failures = SimulatedClock(), [], []
 
     def do() -> None:
@@ -81,7 +81,7 @@ def test_what_repeats_itself_ends_with_its_first_failure() -> None:
 
 
 def test_two_processes_record_the_same_bytes(tmp_path: Path) -> None:
-    """Whatever order the hashes of texts have in a process."""
+    """The order of hashes of strings differs between processes."""
     digests = set()
     for number in ("1", "2"):
         code = f"""
@@ -153,8 +153,8 @@ def test_a_pre_trigger_holds_the_seconds_before_the_pluck(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("rig", ["virtual", "other_devices"])
-def test_a_log_s_first_samples_bear_the_times_that_its_last_ones_do(rig: str, tmp_path: Path) -> None:
-    """What was known of the clocks before the log began goes into it, so that it decodes to the same times."""
+def test_the_first_samples_of_a_log_are_timed_like_its_last_ones(rig: str, tmp_path: Path) -> None:
+    """The clock states before the log are written to it, so that it decodes to the same times."""
     _, session = opened(rig)
     angles = session.rig.roles.angles
     assert angles is not None
@@ -173,7 +173,7 @@ def test_a_log_s_first_samples_bear_the_times_that_its_last_ones_do(rig: str, tm
 
 
 class Hand(SimulatedOperator):
-    """An operator's hand that holds the column for so long, or brings it back to rest before it lets go."""
+    """An operator who holds the column for some time, or brings it back to rest before the release."""
 
     def __init__(self, sim: LockstepRig, *holds: tuple[float, float]) -> None:
         super().__init__(sim)
@@ -207,7 +207,7 @@ def test_a_column_that_was_brought_back_by_hand_has_not_rung_down(tmp_path: Path
         tests = Procedures(session, Hand(sim, *back), tmp_path, lambda text, share: words.append(text))
         done = tests.run("ring-down-x")
     assert "held, or brought back by hand" in done.missed
-    assert any("came back without a swing" in text for text in words)
+    assert any("returned without a swing" in text for text in words)
 
 
 def test_a_ring_down_begins_with_a_column_at_rest(tmp_path: Path) -> None:
@@ -225,14 +225,14 @@ def test_a_ring_down_begins_with_a_column_at_rest(tmp_path: Path) -> None:
 
 
 def wait_checking(session: Session, seconds: float) -> None:
-    """As an operator waits: what goes wrong ends it."""
+    """Wait as an operator does: an error ends the wait."""
     end = session.clock.wall_s() + seconds
     while session.clock.wall_s() < end:
         session.check()
         session.clock.wait(0.05)
 
 
-def test_an_adapter_that_is_plugged_in_elsewhere_is_found_and_the_rest_goes_on(tmp_path: Path) -> None:
+def test_an_adapter_on_another_port_is_found_and_the_other_devices_continue(tmp_path: Path) -> None:
     sim, session = opened("virtual")
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
@@ -280,13 +280,13 @@ def test_another_device_on_the_cable_is_left_alone(tmp_path: Path) -> None:
         session.stop_recording({})
     with open_log(tmp_path / "a.mcap") as log:
         refused = [event for event in log.events if event["kind"] == "other"]
-        assert ["serial 14200001 instead of another" in event["text"] for event in refused] == [True], "said once"
+        assert ["serial 14200001 instead of another" in event["text"] for event in refused] == [True], "reported once"
         assert not any(event["kind"] == "back" for event in log.events)
     assert any("instead of another" in notice for notice in session.notices)
 
 
-def test_nothing_is_looked_for_while_the_rotor_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A dialogue with a device that was plugged in again would keep whoever watches the rotor waiting."""
+def test_no_device_is_reopened_while_the_rotor_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A dialogue with a device that was plugged in again would delay the monitoring of the rotor."""
     sim, session = opened("virtual")
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
@@ -315,7 +315,7 @@ def test_an_unplugged_adapter_stops_a_rotor_that_turns(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("back_s", [0.4, 2.5])
 def test_a_rotor_that_runs_away_while_its_cable_is_out_is_stopped_once_it_is_back(back_s: float) -> None:
-    """No watchdog stops a controller that turns by itself: the session's end reaches for it."""
+    """No watchdog stops a controller that turns without a command: the end of the session reopens its link."""
     sim, session = opened("other_devices")
     with pytest.raises(DeviceError, match="motor: silent"), session:  # noqa: PT012
         sim.ask("unplug", device="motor")
@@ -327,7 +327,7 @@ def test_a_rotor_that_runs_away_while_its_cable_is_out_is_stopped_once_it_is_bac
 
 
 def test_a_turning_rotor_that_runs_away_while_its_cable_is_out_is_stopped_once_it_is_back() -> None:
-    """The lost line ends the run; it is looked for all the same."""
+    """The lost link ends the run, and is reopened nevertheless."""
     sim, session = opened("other_devices")
     with pytest.raises(LinkLost, match="motor: the other end closed"), session:  # noqa: PT012
         session.drive.enable()
@@ -342,7 +342,7 @@ def test_a_turning_rotor_that_runs_away_while_its_cable_is_out_is_stopped_once_i
 
 
 @pytest.mark.parametrize(("rig", "drive"), [("virtual", "drive"), ("other_devices", "motor")])
-def test_a_drive_that_falls_silent_at_rest_is_said_not_to_have_let_go_and_the_others_are_stopped(
+def test_a_silent_drive_at_rest_is_reported_as_not_released_and_the_others_are_stopped(
     rig: str, drive: str, tmp_path: Path
 ) -> None:
     sim, session = opened(rig)
@@ -355,11 +355,11 @@ def test_a_drive_that_falls_silent_at_rest_is_said_not_to_have_let_go_and_the_ot
         session._open.stop_streams = lambda: (stopped.append("streams"), stop_streams())  # type: ignore[method-assign]
     assert stopped == ["streams"]
     assert session.left == (
-        f"{drive}: nobody can tell whether it has let go of the rotor, which stands; look at its power and line"
+        f"{drive}: the rotor is at rest, but the drive may not have released it; check its power and cable"
     )
     assert session.left in session.notices
     with open_log(tmp_path / "a.mcap") as log:
-        assert "nobody can tell whether it has let go" in json.dumps(log.metadata)
+        assert "the drive may not have released it" in json.dumps(log.metadata)
 
 
 # --- randomised faults ---------------------------------------------------------------------------------------------
@@ -367,7 +367,9 @@ def test_a_drive_that_falls_silent_at_rest_is_said_not_to_have_let_go_and_the_ot
 
 @pytest.mark.parametrize("rig", ["virtual", "other_devices"])
 @pytest.mark.parametrize("block", range(10))
-def test_whatever_goes_wrong_the_log_is_right_and_the_rotor_stops(rig: str, block: int, tmp_path: Path) -> None:
+def test_under_every_fault_schedule_the_log_is_correct_and_the_rotor_stops(
+    rig: str, block: int, tmp_path: Path
+) -> None:
     """200 schedules, each by its seed; `python -m benchmarks.fault_schedules` runs thousands."""
     known = load_rig(rig)
     for seed in range(10 * block, 10 * block + 10):
@@ -375,13 +377,13 @@ def test_whatever_goes_wrong_the_log_is_right_and_the_rotor_stops(rig: str, bloc
         assert result.wrong == [], (seed, result.schedule)
 
 
-def test_a_calm_run_trips_nothing(tmp_path: Path) -> None:
+def test_a_run_without_faults_does_not_trip(tmp_path: Path) -> None:
     result = run("virtual", draw(load_rig("virtual"), 3, calm=True), tmp_path)
     assert (result.wrong, result.ended) == ([], "")
 
 
 def test_the_judge_sees_a_sample_that_is_wrong(tmp_path: Path) -> None:
-    """Bits of a line without a checksum are flipped, behind the judge's back."""
+    """Bits of a line without a checksum are flipped after the judge's record."""
     schedule = Schedule(1, 0.0, 5.0, STEP_S, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
     honest = run("virtual", schedule, tmp_path)
     assert honest.wrong == []
@@ -405,7 +407,7 @@ def test_the_judge_sees_early_times_of_a_wire_that_carries_none(
 
 @pytest.mark.parametrize("seed", [413, 1674])
 def test_the_judge_does_not_take_other_motion_for_early_times(seed: int, tmp_path: Path) -> None:
-    """Rounded readings of a rotor that stands and is moved a little once; a laser across a whirl along the other."""
+    """Rounded readings of a rotor at rest that moves once; a laser perpendicular to a whirl along the other axis."""
     result = run("other_devices", draw(load_rig("other_devices"), seed), tmp_path)
     assert result.wrong == []
 
@@ -428,13 +430,13 @@ def test_the_judge_sees_a_rotor_that_is_not_stopped(tmp_path: Path, monkeypatch:
     assert any("blind for" in text for text in found.wrong)
 
 
-def test_what_trips_on_the_way_to_speed_is_kept_although_no_log_had_begun(tmp_path: Path) -> None:
+def test_a_trip_during_the_spin_up_is_recorded_although_no_log_had_begun(tmp_path: Path) -> None:
     """The rotor passes both resonances before a point's log begins."""
     sim, session = opened("virtual")
-    told: list[str] = []
+    messages: list[str] = []
 
     def dies(text: str, share: float | None) -> None:
-        told.append(text)
+        messages.append(text)
         if "spinning up" in text and share is not None and share > 0.5:
             sim.ask("fail", device="encoder", what="dead", value=1.0)
 
@@ -442,7 +444,7 @@ def test_what_trips_on_the_way_to_speed_is_kept_although_no_log_had_begun(tmp_pa
     with pytest.raises(DeviceError, match="pendulums: silent"), session:
         tests.point("B", 500.0 * np.pi / 30)
     (path,) = tmp_path.glob("*.mcap")
-    assert any(path.name in text and "no log had begun" in text for text in told)
+    assert any(path.name in text and "no log had begun" in text for text in messages)
     assert not check(path).channels[0].difference
     with open_log(path) as log:
         assert "pendulums: silent" in json.loads(log.metadata["summary"]["ended"])
@@ -456,12 +458,14 @@ def test_what_trips_on_the_way_to_speed_is_kept_although_no_log_had_begun(tmp_pa
         assert 2.5 < before_s < 3.5
 
 
-def test_a_trip_before_the_log_that_cannot_be_kept_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trip_before_the_log_that_cannot_be_recorded_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     sim, session = opened("virtual")
-    told: list[str] = []
+    messages: list[str] = []
 
     def dies(text: str, share: float | None) -> None:
-        told.append(text)
+        messages.append(text)
         if "spinning up" in text and share is not None and share > 0.5:
             sim.ask("fail", device="encoder", what="dead", value=1.0)
 
@@ -471,11 +475,11 @@ def test_a_trip_before_the_log_that_cannot_be_kept_is_said_so(tmp_path: Path, mo
     monkeypatch.setattr(Session, "start_recording", full)
     with pytest.raises(DeviceError, match="pendulums: silent"), session:
         Procedures(session, SimulatedOperator(sim), tmp_path, dies).point("B", 500.0 * np.pi / 30)
-    assert any("none of what stopped the rig can be kept" in text and "No space left" in text for text in told)
+    assert any("the last 3 s cannot be recorded" in text and "No space left" in text for text in messages)
     assert abs(sim.far.motion.speed_rad_s) < 0.2
 
 
-def test_a_test_that_ends_at_rest_before_its_log_keeps_none(tmp_path: Path) -> None:
+def test_a_test_that_ends_at_rest_before_its_log_records_none(tmp_path: Path) -> None:
     sim, session = opened("virtual")
     tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
     with session:
@@ -486,8 +490,8 @@ def test_a_test_that_ends_at_rest_before_its_log_keeps_none(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("test", ["spin-down", "ring-down-x"])
-def test_what_a_person_does_while_still_being_asked_counts(test: str, tmp_path: Path) -> None:
-    """A host that is slow to come back from asking: the column rings and the pendulums swing meanwhile."""
+def test_actions_of_the_operator_during_the_request_count(test: str, tmp_path: Path) -> None:
+    """The request to the operator returns late: the column rings and the pendulums swing meanwhile."""
     sim, session = opened("virtual")
 
     class Prompt(SimulatedOperator):

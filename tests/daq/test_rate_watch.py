@@ -1,4 +1,4 @@
-"""A device's rate against the rig file's: a wrong one is said whatever the line does, a right one never."""
+"""Rates of devices against the rig file: wrong rates are reported despite an irregular line, correct rates are not."""
 
 from __future__ import annotations
 
@@ -135,9 +135,9 @@ def test_a_host_that_catches_up_is_no_wrong_rate_however_fast_the_rig_runs(pace:
 
 
 def test_a_restart_begins_the_rate_anew() -> None:
-    """A counter that stood still while the device was set up again says nothing of its rate."""
+    """A counter that did not count while the device was set up again does not make its rate wrong."""
     watches = RateWatches(load_rig("virtual").devices)
-    restart = Event("restart", "laser_x", "its counter begins anew")
+    restart = Event("restart", "laser_x", "its counter restarts")
     found: list[Event] = []
     count = 0
     for read in range(1500):

@@ -1,4 +1,4 @@
-"""The last seconds of a channel: what is asked for, and no more memory than they need."""
+"""The newest samples of a channel: the requested stretch is returned, and the memory is bounded."""
 
 import numpy as np
 from hypothesis import given
@@ -27,7 +27,7 @@ def test_it_holds_what_was_added_last(sizes, keep, back):
     times, (turns,) = recent.last("tacho", ("revolutions",), 10**18 + STEP_NS * since)
     assert np.array_equal(times, 10**18 + STEP_NS * turns.astype(np.int64))
     assert np.array_equal(turns, np.arange(total - len(turns), total))
-    assert len(turns) >= min(keep, total - since)  # all that must be kept and was asked for
+    assert len(turns) >= min(keep, total - since)  # all rows that must be kept and were requested
     assert len(turns) <= max(total - since, 0)
     assert len(recent.last("laser/x", ("code",))[0]) == 0
     recent.clear()

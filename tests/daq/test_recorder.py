@@ -1,4 +1,4 @@
-"""The recorder on good, slow and full disks: what was taken is in the file, and what is amiss is said in time."""
+"""The recorder on good, slow and full disks: accepted items are in the file, and faults are reported in time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def begin(path):
 
 
 def feed(recorder, turns, per_turn=40):
-    """Some turns of a reader; returns how many were taken before the recorder said that the run has to end."""
+    """Run some turns of a reader. Return the number accepted before the recorder required the end of the run."""
     for turn in range(turns):
         host_ns = START + 10_000_000 * (turn + 1)
         if not recorder.raw("laser_x", RX, bytes([turn % 256]) * 50, host_ns):
@@ -67,10 +67,10 @@ def test_all_that_was_taken_is_in_the_file_in_order(tmp_path):
 
 
 class Blocked:
-    """A disk that takes nothing until it is let go."""
+    """A disk that blocks until `released` is set."""
 
     def __init__(self, monkeypatch):
-        self.let_go = threading.Event()
+        self.released = threading.Event()
         self.reached = threading.Event()
         flush = LogFile.flush
         first = True
@@ -79,7 +79,7 @@ class Blocked:
             nonlocal first
             if not first:  # the file's own beginning
                 self.reached.set()
-                self.let_go.wait()
+                self.released.wait()
             first = False
             flush(log)
 
@@ -106,7 +106,7 @@ def test_a_slow_disk_is_seen_long_before_the_run_has_to_end_and_nothing_taken_is
     assert taken is not None
     assert slow_at < taken / 10
     assert "too slow" in str(recorder.trouble)
-    disk.let_go.set()
+    disk.released.set()
     path = recorder.close({"losses": {}})  # the file itself is sound and gets its name
     with open_log(path) as log:
         assert log.complete
@@ -114,11 +114,11 @@ def test_a_slow_disk_is_seen_long_before_the_run_has_to_end_and_nothing_taken_is
 
 
 def test_the_age_of_what_the_disk_does_not_have_is_counted(tmp_path, monkeypatch):
-    let_go, reached = threading.Event(), threading.Event()
+    released, reached = threading.Event(), threading.Event()
 
     def wait(log):
         reached.set()
-        let_go.wait()
+        released.wait()
 
     monkeypatch.setattr(LogFile, "sync", wait)
     monkeypatch.setattr(recorder_module, "_SLOW_SYNC_S", 0.0)
@@ -128,7 +128,7 @@ def test_the_age_of_what_the_disk_does_not_have_is_counted(tmp_path, monkeypatch
     state = recorder.state()
     assert state.slow
     assert state.unsynced_s > 0
-    let_go.set()
+    released.set()
     path = recorder.close({})
     with open_log(path) as log:
         assert '"slow_s": 0.0}' not in log.metadata["summary"]["disk"]

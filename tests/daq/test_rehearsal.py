@@ -64,7 +64,7 @@ def test_a_session_that_ends_early_leaves_its_log_and_the_rig_closed(tmp_path: P
         if share is not None and share > 0.3:
             raise OperatorStop("enough")
 
-    with pytest.raises(OperatorStop), Rehearsal("virtual", tmp_path, tell=gives_up) as rehearsal:
+    with pytest.raises(OperatorStop), Rehearsal("virtual", tmp_path, progress=gives_up) as rehearsal:
         rehearsal.record("ring-down-x")
     (log,) = tmp_path.glob("*.mcap")
     with open_log(log) as opened:

@@ -1,4 +1,4 @@
-"""What goes wrong at a simulated rig, seen in the bytes that its devices send."""
+"""Faults of a simulated rig in the bytes of its devices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A whole rig on real ptys: recording, replay, losses, a pulled cable, a killed host, a full disk, an intruder."""
+"""Sessions on ptys of a virtual rig: recording, replay, losses, unplugged cable, killed host, full disk, intruder."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from rig_cli.demo import _radio_check
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.recorder import Recorder
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
@@ -24,6 +22,8 @@ from daq.replay import check
 from daq.transports import HostClock
 from daq.virtual_rig.control import OperatorLine
 from daq.virtual_rig.simulated_operator import SimulatedOperator
+from rig_cli.demo import _radio_check
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import TIME_SCALE
@@ -194,7 +194,7 @@ def test_a_full_disk_ends_the_run_with_a_readable_log_and_a_stopped_rotor(tmp_pa
             assert len(log["laser/x"]) > 1000
 
 
-def test_the_control_port_asks_for_its_token(virtual_rig: VirtualRigProcess) -> None:
+def test_the_control_port_requires_its_token(virtual_rig: VirtualRigProcess) -> None:
     intruder = OperatorLine(virtual_rig.line._socket.getpeername()[1], "wrong")
     with pytest.raises(ValueError, match="token"):
         intruder.ask("truth")
@@ -234,7 +234,7 @@ def test_a_drive_that_stops_by_itself_ends_the_test(virtual_rig: VirtualRigProce
         session.drive.set_speed(300)
         session.wait_for(lambda: session.drive.actual_rpm > 200, 5.0, "the rotor to turn")
         session.drive._beat.stop()  # the host's heartbeat falls silent
-        with pytest.raises(ProcedureError, match="by itself"):
+        with pytest.raises(ProcedureError, match="without a command"):
             session.wait_for(lambda: False, 5.0, "nothing")
         assert virtual_rig.line.ask("state")["drive"] != cia402.OPERATION_ENABLED
 
@@ -277,7 +277,7 @@ def test_the_rest_of_a_cut_recording_is_never_written_over(tmp_path: Path) -> No
 
 
 @needs_posix
-def test_the_virtual_rig_ends_with_whoever_started_it() -> None:
+def test_the_virtual_rig_ends_with_its_parent_process() -> None:
     script = (
         "import sys, time\nfrom rig_cli.simulated import VirtualRigProcess\n"
         "rig = VirtualRigProcess('virtual', [], 1.0)\nprint(rig._process.pid, flush=True)\ntime.sleep(60)"
@@ -314,15 +314,15 @@ def test_ctrl_c_a_polite_kill_and_a_hang_up_end_a_recording_with_a_whole_log(
     ]
     for setting in virtual_rig.port_settings():
         command += ["--set", setting]
-    told = signal.Signals[name]
+    chosen = signal.Signals[name]
     # tests that were started in the background may have this signal ignored, which a child would inherit
-    before = signal.signal(told, signal.SIG_DFL)
+    before = signal.signal(chosen, signal.SIG_DFL)
     host = subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True)
-    signal.signal(told, before)
+    signal.signal(chosen, before)
     part, deadline = log.with_name("run.mcap.part"), time.monotonic() + 120
     while not (part.exists() and part.stat().st_size > 100_000) and time.monotonic() < deadline:
         time.sleep(0.02)
-    host.send_signal(told)
+    host.send_signal(chosen)
     out, _ = host.communicate(timeout=120)
     assert host.returncode == 0
     assert json.loads(out)["log"] == str(log)

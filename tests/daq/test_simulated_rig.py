@@ -1,4 +1,4 @@
-"""The simulated rig without wires and clock."""
+"""The simulated rig without I/O and clock."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def test_answers_come_with_the_step_and_requests_move_the_rig() -> None:
     assert rig.do({"do": "state"}, 0.4)["time_s"] == pytest.approx(0.4)
 
 
-def test_what_a_device_holds_is_not_the_hands_and_a_rig_file_without_truth_is_none() -> None:
+def test_manual_actions_of_a_device_and_rigs_without_virtual_table_are_refused() -> None:
     rig = SimulatedRig(load_rig("virtual"))
     for act in ("lock", "release"):
-        with pytest.raises(ValueError, match="encoder's to do"):
+        with pytest.raises(ValueError, match="encoder carries out this action"):
             rig.do({"do": act}, 0.0)
-    with pytest.raises(ValueError, match="drive's to do"):
+    with pytest.raises(ValueError, match="drive carries out this action"):
         rig.do({"do": "turn", "rpm": 60, "ramp_rpm_per_s": 20}, 0.0)
     with pytest.raises(ValueError, match="unknown request 'quit'"):
         rig.do({"do": "quit"}, 0.0)
-    with pytest.raises(RigConfigError, match="nothing to simulate"):
+    with pytest.raises(RigConfigError, match="which the simulation needs"):
         SimulatedRig(load_rig("virtual").model_copy(update={"virtual": None}))

@@ -1,4 +1,4 @@
-"""What a guided test is asked for is judged before a device is opened."""
+"""Requests of guided tests are checked before a device is opened."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ RIG = load_rig("virtual")
 @pytest.mark.parametrize(
     ("test", "top_rpm", "duration_s", "words"),
     [
-        ("run-up", 5000.0, 40.0, "5000 rpm wanted, limits.speed_rpm is 1200: nothing was turned"),
+        ("run-up", 5000.0, 40.0, "5000 rpm requested, limits.speed_rpm is 1200: nothing was turned"),
         ("run-down", 1200.5, 40.0, "limits.speed_rpm"),
         ("run-up", 900.0, 0.0, "duration above 0 s"),
         ("run-up", 900.0, -5.0, "duration above 0 s"),

@@ -1,4 +1,4 @@
-"""A trip is one event: all reasons that came together, and an excerpt that is bounded and keeps what matters."""
+"""A trip is one event with all reasons of a short time and a bounded excerpt that keeps peaks and gaps."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_all_that_came_together_is_named_and_what_came_later_beside_it() -> None
     trips.tripped("amplitude", "laser/x: 12.1 mm, limits.amplitude_m is 11 mm", T0)
     trips.tripped("amplitude", "laser/x: 12.4 mm, limits.amplitude_m is 11 mm", T0 + 20_000_000)  # the same, again
     trips.tripped("amplitude", "laser/y: 11.9 mm, limits.amplitude_m is 11 mm", T0 + 100_000_000)
-    trips.tripped("runaway", "the drive reports 700 rpm, it was told 600", T0 + 300_000_000)
+    trips.tripped("runaway", "the drive reports 700 rpm, 600 rpm were commanded", T0 + 300_000_000)
     trips.tripped("silent angles", "pendulums: silent for 1.4 s", T0 + 400_000_000)
     trips.tripped("silent angles", "pendulums: silent for 1.5 s", T0 + 500_000_000)
     event = only(trips.end(T0 + S, recent))
@@ -158,7 +158,7 @@ def test_the_excerpt_is_bounded_and_is_json_and_keeps_peaks_and_gaps(n: int, non
     assert max(numbers) == pytest.approx(np.nanmax(seen), rel=1e-5)
     assert min(numbers) == pytest.approx(np.nanmin(seen), rel=1e-5)
     assert (None in series["value"]) == bool(np.isnan(seen).any())
-    assert event.facts["excerpt"]["laser/x"]["counter"]["value"] == [0, 7999]  # a counter's ends say it all
+    assert event.facts["excerpt"]["laser/x"]["counter"]["value"] == [0, 7999]  # a counter is reduced to its ends
     assert event.facts["excerpt"]["laser/x"]["flags"]["value"] == [0, 0]
 
 

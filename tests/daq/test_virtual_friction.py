@@ -1,4 +1,4 @@
-"""The simulated rig with dry friction: its fixed steps against the integrator that locates every stop and start."""
+"""The simulated rig with dry friction: fixed steps compared with the integrator that locates every stop and start."""
 
 from __future__ import annotations
 

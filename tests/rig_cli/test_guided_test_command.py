@@ -163,7 +163,7 @@ def test_a_plan_names_what_the_operator_of_a_rig_without_a_drive_will_be_asked(
     plan = json.loads(out)
     assert not any(state["who"] == "drive" for state in plan["states"])
     assert any(prompt.startswith("turn the rotor to 2") for prompt in plan["prompts"])
-    assert "release both pendulums, both at once" in plan["prompts"]
+    assert "release both pendulums at the same time" in plan["prompts"]
     _, out, _ = said(capsys, "test", "virtual", "point", "B", "--plan", "--json")
     assert json.loads(out)["prompts"] == []
 
@@ -173,7 +173,7 @@ def test_a_plan_names_what_the_operator_of_a_rig_without_a_drive_will_be_asked(
     ("words", "why"),
     [
         ("ring-down-x --top-rpm 900", "ring-down-x takes no top_rpm; the numbers it takes: pre_trigger_s"),
-        ("run-up --number top_rpm=5000", "5000 rpm wanted, limits.speed_rpm is 1200: nothing was turned"),
+        ("run-up --number top_rpm=5000", "5000 rpm requested, limits.speed_rpm is 1200: nothing was turned"),
         ("run-up --number top_rpm", "expected NAME=VALUE"),
         ("run-up A", "the test takes no point"),
         ("start-ups", "expected speed_rpm (speed, rpm) or a point of the rig, got none"),

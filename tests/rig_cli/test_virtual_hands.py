@@ -210,7 +210,7 @@ def test_a_note_is_its_users_alone(by_hand: Served, runtime: Path) -> None:
     assert stat.S_IMODE(by_hand.note.stat().st_mode) == 0o600
     assert stat.S_IMODE(by_hand.note.parent.stat().st_mode) == 0o700
     by_hand.note.parent.chmod(0o755)
-    with pytest.raises(DeviceError, match="expected a folder that you alone can use"):
+    with pytest.raises(DeviceError, match="expected a folder that only you can access"):
         notes_folder()
     by_hand.note.parent.chmod(0o700)
 
