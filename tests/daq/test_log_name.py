@@ -22,7 +22,7 @@ def test_a_reserved_name_is_nobody_elses(tmp_path: Path) -> None:
                 ReservedName(path)
             log.finish({})
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]  # leaving a name that was used takes nothing away
-    with pytest.raises(LogError, match="never written over"):
+    with pytest.raises(LogError, match="never overwritten"):
         ReservedName(path)
     with open_log(path) as log:
         assert log.complete
