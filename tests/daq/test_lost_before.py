@@ -125,7 +125,7 @@ def test_the_losses_and_the_run_count_it(recovered: Path) -> None:
     run = load_run(recovered)
     assert run.losses["log.missing_messages"] == LOST
     assert (run.metadata["missing"], run.metadata["complete"]) == (sentences, False)
-    assert missing_warnings([run]) == [f"good.mcap: the log is not whole: {sentences[0]}"]
+    assert missing_warnings([run]) == [f"good.mcap: the log is incomplete: {sentences[0]}"]
 
 
 def test_a_damaged_log_s_run_says_so_and_a_sound_one_s_does_not(tmp_path: Path) -> None:

@@ -74,7 +74,7 @@ def test_what_calibration_allows_agrees_and_what_it_does_not_is_flagged() -> Non
     assert off.verdict == "disagree"
     assert off.ratio == pytest.approx(1.02, abs=2e-4)
     assert off.text.startswith(f"top and low along x: top shows {off.ratio:.5f} ± ")
-    assert "low is what is taken" in off.text
+    assert "the readings of low are used" in off.text
     assert compared(1, 1.02, gain_std=0.02).verdict == "agree"
 
 
