@@ -1,4 +1,4 @@
-"""Parquet: a file per table; units and provenance in the schema's metadata, where any reader finds them."""
+"""Parquet: one file per table; units and provenance are in the schema's metadata, which every reader provides."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class ParquetFiles:
 
     Args:
         layouts: the tables.
-        places: the file of each table.
+        places: file of each table, by name.
     """
 
     def __init__(self, layouts: Sequence[Layout], places: Mapping[str, Path]) -> None:
@@ -29,7 +29,7 @@ class ParquetFiles:
         self._writers: dict[str, pq.ParquetWriter] = {}
         try:
             for name, schema in self._schemas.items():
-                # the arrow schema would hide what is added at the end, and only then it is known what is missing
+                # a stored arrow schema would hide the metadata added at the end, when the missing parts are known
                 self._writers[name] = pq.ParquetWriter(places[name], schema, compression="zstd", store_schema=False)
         except BaseException:
             self.close()

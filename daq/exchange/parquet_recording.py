@@ -1,4 +1,4 @@
-"""Parquet files recorded elsewhere."""
+"""Parquet recordings of other programs."""
 
 from __future__ import annotations
 
@@ -44,14 +44,15 @@ class ParquetRecording:
         return {name: self._column(name, table.column(name)) for name in wanted}
 
     def _need_numbers(self, name: str) -> None:
-        """Asked before a byte of a column is read: texts and lists may be of any size."""
+        """Check the type before any data of a column is read: texts and lists may have any size."""
         count = self.names.count(name)
         if count > 1:
             raise ExchangeError(f"{self.path}: expected one column {name!r}, got {count}; rename them")
         kind = self._schema.field(name).type
         if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
             raise ExchangeError(
-                f"{self.path}: expected numbers in column {name!r}, got {kind}; times too must be numbers, say seconds"
+                f"{self.path}: expected numbers in column {name!r}, got {kind}; times must be numbers too, for example "
+                "seconds"
             )
 
     def _column(self, name: str, values: pa.ChunkedArray) -> Column:

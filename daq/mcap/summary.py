@@ -1,4 +1,4 @@
-"""What stands behind a log's data: its definitions again, statistics, and where everything is."""
+"""Summary at the end of a log: its definitions repeated, statistics, and the positions of all records."""
 
 import struct
 from collections.abc import Mapping
@@ -15,12 +15,12 @@ _OFFSET_ENTRY = struct.Struct("<HQ")
 
 
 class Summary:
-    """Counts of a file, gathered while it is written.
+    """Counts of a file, collected while it is written.
 
     Attributes:
-        schemas, channels: by id.
-        chunk_count: chunks so far.
-        most_late, most_early: over all messages the largest log time − publish time, and the other way round, ns.
+        schemas, channels: definitions by id.
+        chunk_count: number of chunks so far.
+        most_late, most_early: largest log time − publish time, and publish time − log time, of all messages, ns.
     """
 
     def __init__(self) -> None:
@@ -30,8 +30,8 @@ class Summary:
         self.most_late = self.most_early = 0
         self._counts: dict[int, int] = {}
         self._start_time, self._end_time = 2**64 - 1, 0
-        # as they will be written, in pieces: an hour has 72 000 chunks, and one growing array would leave a hole in
-        # the heap each time it moves
+        # encoded, in pieces: an hour has 72 000 chunks, and one growing array would leave a hole in the heap each time
+        # it moves
         self._chunk_indexes: list[bytes] = []
         self._piece = bytearray()
         self._attachment_indexes: list[records.AttachmentIndex] = []
@@ -49,14 +49,15 @@ class Summary:
         indexes_bytes: int,
         counts: Mapping[int, int],
     ) -> None:
-        """Note a chunk.
+        """Add a chunk.
 
         Args:
-            start, length: of its record in the file, bytes.
+            start, length: position and length of its record in the file, bytes.
+            compression: name of the compression, "" for none.
             packed, unpacked: sizes of its content, bytes.
-            times: least and largest log time, ns.
-            indexes: where in the file each channel's message index record stands; all together `indexes_bytes` long.
-            counts: messages by channel.
+            times: smallest and largest log time, ns.
+            indexes: position in the file of each channel's message index record; `indexes_bytes` is their total length.
+            counts: number of messages by channel.
         """
         name = compression.encode()
         entries = b"".join(_OFFSET_ENTRY.pack(*entry) for entry in indexes.items())
@@ -75,18 +76,18 @@ class Summary:
             self._counts[channel_id] = self._counts.get(channel_id, 0) + count
 
     def add_attachment(self, index: records.AttachmentIndex) -> None:
-        """Note an attachment."""
+        """Add an attachment."""
         self._attachment_indexes.append(index)
 
     def add_metadata(self, index: records.MetadataIndex) -> None:
-        """Note a metadata record."""
+        """Add a metadata record."""
         self._metadata_indexes.append(index)
 
     def encode(self, start: int) -> bytes:
-        """Summary, summary offsets and footer.
+        """Return summary, summary offsets and footer.
 
         Args:
-            start: where in the file it will stand, bytes.
+            start: position of the summary in the file, bytes.
         """
         summary, offsets = bytearray(), b""
         for group in self._groups():
@@ -99,7 +100,7 @@ class Summary:
         return bytes(summary) + crc32(summary).to_bytes(4, "little")
 
     def _groups(self) -> list[bytes | bytearray]:
-        """Records of the summary as bytes, one group per kind."""
+        """Return the encoded records of the summary, one group per kind."""
         statistics = records.Statistics(
             attachment_count=len(self._attachment_indexes),
             channel_count=len(self.channels),
@@ -118,7 +119,7 @@ class Summary:
 
 
 def encode_record(record: records.McapRecord) -> bytes:
-    """A record as it stands in the file."""
+    """Return a record as it is written to the file."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()

@@ -366,7 +366,7 @@ def test_a_verdict_refuses_keys_it_does_not_know(tmp_path: Path) -> None:
 def test_a_verdict_that_cannot_be_kept_leaves_nothing_behind(tmp_path: Path) -> None:
     path = make_log(tmp_path / "run.mcap")
     (tmp_path / f"run.mcap{SUFFIX}").mkdir()
-    with pytest.raises(RecordingError, match="cannot be kept"):
+    with pytest.raises(RecordingError, match="cannot be written next to"):
         keep_verdict(path, judged(path))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.mcap", f"run.mcap{SUFFIX}"]
     with pytest.raises(LogError, match="cannot be read"):
@@ -481,7 +481,7 @@ def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
     found = settled_catalogue(tmp_path)
     first = found.search()
     assert [entry.messages for entry in first] == [3]
-    assert "cannot be remembered" in found.cache_trouble
+    assert "cannot be cached" in found.cache_trouble
     assert sorted(p.name for p in tmp_path.iterdir()) == [NAME, "run.mcap"]
     with read_nothing():
         assert found.search() == first

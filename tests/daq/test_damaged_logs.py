@@ -126,7 +126,7 @@ def test_a_chunk_copied_over_another_counts_once(path):
     path.write_bytes(data)
     with open_log(path) as log:
         assert len(np.unique(log["laser/x"].code)) == len(log["laser/x"]) == SMALL.laser - 25
-        assert any("taken once" in str(place) and place.messages == 27 for place in log.missing)
+        assert any("used once" in str(place) and place.messages == 27 for place in log.missing)
 
 
 def alike_chunks(finished):
@@ -149,7 +149,7 @@ def check_every_way(path, samples, lost):
             part = log.between(*window)["laser/x"].code
             assert part.tolist() == [k for k in found.tolist() if 40 <= k < 120]
             assert lost is None or sum(place.messages for place in log.missing) == lost
-            assert any("taken once" in str(place) and place.messages != 0 for place in log.missing)
+            assert any("used once" in str(place) and place.messages != 0 for place in log.missing)
             log.verify()
     recover(path, path.with_name("out.mcap"))
     with open_log(path.with_name("out.mcap")) as log:
@@ -403,6 +403,6 @@ def test_a_summary_as_long_as_memory_is_damage(path, has_data_end):
 
     file = Huge(path)
     file.size = 2**60
-    with pytest.raises(DamageError, match="longer than there is memory" if has_data_end else "no end of the data"):
+    with pytest.raises(DamageError, match="larger than the available memory" if has_data_end else "no end of the data"):
         read_summary(file, Header(LIBRARY, True))
     file.close()

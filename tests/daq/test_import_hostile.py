@@ -52,7 +52,7 @@ def test_neither_are_those_put_together_of_other_datasets(tmp_path: Path) -> Non
         layout = h5py.VirtualLayout((50,), "f8")
         layout[:] = h5py.VirtualSource(str(tmp_path / "other.h5"), "data", (50,))
         file.create_virtual_dataset("x", layout)
-    refused(path, "x", "put together of other datasets")
+    refused(path, "x", "composed of other datasets")
 
 
 def test_links_out_of_the_file_are_no_columns(tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_what_would_end_the_process_is_not_given_to_the_reader(tmp_path: Path, p
         path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + content)
 
     write(cells_in_cells(200_000))  # scipy calls itself for each: a segmentation fault
-    with pytest.raises(ExchangeError, match="cells or structs in each other"):
+    with pytest.raises(ExchangeError, match="nested cells or structs"):
         MatRecording(path)
     text = mat_element(6, struct.pack("<II", 4, 0)) + mat_element(5, struct.pack("<ii", 1, 3)) + mat_element(1, b"x")
     write(mat_element(14, text + mat_element(255, b"abc")))  # scipy looks the type up beyond its table: another

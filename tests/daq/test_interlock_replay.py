@@ -18,7 +18,7 @@ from daq.log.file import LogFile
 from daq.log.snapshot import rig_of
 from daq.replay.arrivals import Arrivals, Hole, holes_of
 from daq.replay.interlocked import InterlockReplay, replay_interlocks
-from daq.replay.orders import Orders, standing_order, tell_hand
+from daq.replay.orders import Orders, standing_order, report_hand_orders
 from daq.replay.session_facts import clock_rate
 from daq.replay.stream import pipelines_of
 from rig_configs import RigFileError, load_rig
@@ -197,7 +197,7 @@ def test_a_test_that_begins_at_a_speed_names_the_order_that_stands() -> None:
 )
 def test_a_hand_is_told_what_its_test_is(facts: dict[str, str], told: list[float]) -> None:
     heard: list[float] = []
-    tell_hand(heard.append, facts, 1200.0)
+    report_hand_orders(heard.append, facts, 1200.0)
     assert heard == told
 
 

@@ -18,7 +18,7 @@ from daq.log import lost_before as module
 from daq.log import open_log, opened, recover
 from daq.log.file import LogFile
 from daq.log.losses import losses_of
-from daq.log.lost_before import read_lost, tell_lost
+from daq.log.lost_before import read_lost, lost_metadata
 from daq.log.samples import Missing
 from daq.replay.checking import check_log
 from daq.signals.completeness import missing_warnings
@@ -172,7 +172,7 @@ def test_the_check_ends_where_the_recovered_log_lacks_something(
 ) -> None:
     with open_log(in_three_chunks(tmp_path / "run.mcap")) as log:
         hole = Missing("a chunk", 1, 2, log.start_ns + 3 * 10**8, log.start_ns + 4 * 10**8, ("raw/laser_x",), 5)
-        lost = {"recovered": tell_lost([hole], "run.mcap.part", [])}
+        lost = {"recovered": lost_metadata([hole], "run.mcap.part", [])}
         monkeypatch.setattr(opened, "read_lost", lambda _: read_lost(lost))
         found = check_log(log)
     assert found.until_ns == hole.start_ns
@@ -194,11 +194,11 @@ def test_places_that_cannot_be_read_are_told_by_their_sentences(places: str) -> 
 def test_too_many_places_become_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_MOST_PLACES", 3)
     lost = [Missing("a chunk", k, k + 1, k, k + 5, ("b", "a")[k % 2 : k % 2 + 1], 2) for k in range(6)]
-    told = read_lost({"recovered": tell_lost(lost, "run.mcap", [])})
+    told = read_lost({"recovered": lost_metadata(lost, "run.mcap", [])})
     assert [place.messages for place in told] == [2, 2, 8]
     assert (told[-1].start_ns, told[-1].end_ns, told[-1].topics) == (2, 10, ("a", "b"))
     assert told[-1].text == "4 more places"
-    unknown = tell_lost([*lost, Missing("the end", 9)], "run.mcap", [])
+    unknown = lost_metadata([*lost, Missing("the end", 9)], "run.mcap", [])
     assert read_lost({"recovered": unknown})[-1] == Missing("5 more places", topics=("a", "b"))
 
 

@@ -151,7 +151,7 @@ def test_a_folder_that_keeps_nothing_is_said_once(said: Any, shelf: Path) -> Non
     (shelf / ".rig-logs.sqlite").mkdir()
     code, _, err = said("logs", shelf)
     assert code == 0
-    assert err.count("cannot be remembered") == 1
+    assert err.count("cannot be cached") == 1
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 120, 200])
