@@ -64,7 +64,7 @@ class Dialect:
         if self.delimiter is None:
             return line.split()
         if '"' in line:
-            cells = next(csv.reader([line], delimiter=self.delimiter, skipinitialspace=True), [])
+            cells = next(csv.reader([line], delimiter=self.delimiter, skipinitialspace=True), list[str]())
         else:
             cells = line.split(self.delimiter)
         return [cell.strip() for cell in cells]

@@ -9,11 +9,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-from pyarrow import csv
+import pyarrow
+import pyarrow.csv
 
 from daq.exchange.tables import Columns, Layout
 
+pa: Any = pyarrow  # has no types
+csv: Any = pyarrow.csv
 _OPTIONS = csv.WriteOptions(include_header=False, batch_size=65536)
 
 

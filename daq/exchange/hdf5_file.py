@@ -6,7 +6,7 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import h5py
 
@@ -14,7 +14,7 @@ from daq.exchange.tables import Columns, Layout
 
 _CHUNK_ROWS = 16_384
 _LONGEST_ATTRIBUTE = 4000  # characters; HDF5 limits attributes to 64 kB, and viewers do not show long ones
-_TEXT = h5py.string_dtype()
+_TEXT: Any = cast("Any", h5py).string_dtype()  # h5py has no types
 
 
 class Hdf5File:
@@ -27,7 +27,7 @@ class Hdf5File:
 
     def __init__(self, layouts: Sequence[Layout], place: Path) -> None:
         self._disk = _Disk(open(place, "w+b", buffering=0))  # noqa: SIM115 (closed by `close`)
-        self._file = h5py.File(self._disk, "w")
+        self._file: Any = h5py.File(self._disk, "w")
         self._rows = dict.fromkeys((layout.name for layout in layouts), 0)
         for layout in layouts:
             group = self._file.create_group(layout.name)

@@ -10,17 +10,18 @@ import math
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat, whosmat
+from scipy import io
 
 from daq.exchange.bombs import refuse_bomb, refuse_mat_bomb
 from daq.exchange.columns import Column, as_column
 from daq.exchange.errors import ExchangeError
 
+matlab: Any = io  # scipy has no types
 _MAX_COLUMNS = 256  # of a matrix; with more it is an image or similar
 _FILTERS = frozenset((1, 2, 3, 4, 5, 6, 32000))  # deflate, shuffle, Fletcher32, szip, nbit, scale-offset; h5py's lzf
 
@@ -35,9 +36,9 @@ class MatRecording:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # scipy warns of skipped variables; they are not among the names
                 refuse_mat_bomb(path)
-                listed = whosmat(path, appendmat=False)
+                listed: list[tuple[str, tuple[int, ...], str]] = matlab.whosmat(path, appendmat=False)
                 refuse_bomb(path, "", sum(_bytes(shape) for _, shape, _ in listed))
-                found = loadmat(path, appendmat=False, simplify_cells=True)
+                found: dict[str, Any] = matlab.loadmat(path, appendmat=False, simplify_cells=True)
         except (ExchangeError, MemoryError):
             raise
         except Exception as fault:  # scipy raises many kinds of errors for damaged files
@@ -55,9 +56,9 @@ class MatRecording:
 
     def _collect(self, name: str, value: Any) -> None:
         if isinstance(value, dict):
-            for key, inner in value.items():
+            for key, inner in cast("dict[str, Any]", value).items():
                 self._collect(f"{name}.{key}", inner)
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "iufb" and (columns := _vectors(name, value)):
+        elif _is_array(value) and value.dtype.kind in "iufb" and (columns := _vectors(name, value)):
             self._columns |= columns
         else:
             self.others[name] = _described(value)
@@ -73,8 +74,9 @@ class Hdf5Recording:
         self._places: dict[str, tuple[str, int | None]] = {}
         try:
             with h5py.File(path, "r") as file:
-                file.visititems_links(self._visit_link)
-                file.visititems(self._visit)  # follows hard links only, so it stays in this file
+                tree: Any = file
+                tree.visititems_links(self._visit_link)
+                tree.visititems(self._visit)  # follows hard links only, so it stays in this file
         except Exception as fault:  # h5py raises many kinds of errors
             raise _unreadable(path, fault) from fault
         self.names = tuple(self._places)
@@ -105,7 +107,7 @@ class Hdf5Recording:
             self.others[place.replace("/", ".")] = f"a {kind}"
 
     def _visit(self, place: str, item: Any) -> None:
-        if not isinstance(item, h5py.Dataset) or place.startswith("#refs#"):
+        if not _is_array(item) or place.startswith("#refs#"):
             return
         name, shape = place.replace("/", "."), item.shape
         if shape is None or item.dtype.kind not in "iuf":
@@ -118,9 +120,14 @@ class Hdf5Recording:
             self.others[name] = _described(item)
 
 
+def _is_array(value: Any) -> bool:
+    """Return True for an array or a dataset."""
+    return isinstance(value, np.ndarray | h5py.Dataset)
+
+
 def _described(value: Any) -> str:
     """Describe a variable that is not a column of numbers."""
-    if isinstance(value, np.ndarray | h5py.Dataset):
+    if _is_array(value):
         return f"an array of shape {value.shape} of {value.dtype}"
     return f"of type {type(value).__name__}"
 

@@ -7,11 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
+import pyarrow
+import pyarrow.parquet
 
 from daq.exchange.tables import Columns, Layout
 
+pa: Any = pyarrow  # has no types
+pq: Any = pyarrow.parquet
 _ROW_GROUP = 500_000
 
 
@@ -26,7 +28,7 @@ class ParquetFiles:
     def __init__(self, layouts: Sequence[Layout], places: Mapping[str, Path]) -> None:
         self._layouts = {layout.name: layout for layout in layouts}
         self._schemas = {layout.name: _schema(layout) for layout in layouts}
-        self._writers: dict[str, pq.ParquetWriter] = {}
+        self._writers: dict[str, Any] = {}
         try:
             for name, schema in self._schemas.items():
                 # a stored arrow schema would hide the metadata added at the end, when the missing parts are known
@@ -55,6 +57,6 @@ class ParquetFiles:
             self._writers.popitem()[1].close()
 
 
-def _schema(layout: Layout) -> pa.Schema:
+def _schema(layout: Layout) -> Any:
     fields = [pa.field(name, pa.from_numpy_dtype(dtype), nullable=False) for name, dtype in layout.dtypes.items()]
     return pa.schema(fields)

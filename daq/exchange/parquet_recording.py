@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
+import pyarrow
+import pyarrow.compute
+import pyarrow.parquet
 
 from daq.exchange.bombs import refuse_bomb
 from daq.exchange.columns import Column, as_column
 from daq.exchange.errors import ExchangeError
+
+pa: Any = pyarrow  # has no types
+pc: Any = pyarrow.compute
+pq: Any = pyarrow.parquet
 
 
 class ParquetRecording:
@@ -55,7 +60,7 @@ class ParquetRecording:
                 "seconds"
             )
 
-    def _column(self, name: str, values: pa.ChunkedArray) -> Column:
+    def _column(self, name: str, values: Any) -> Column:
         if pa.types.is_decimal(values.type):
             values = values.cast(pa.float64())
         absent = np.asarray(values.is_null())

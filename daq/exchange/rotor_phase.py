@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
+from scipy import integrate
 
 from daq.exchange.errors import ExchangeError
 from daq.exchange.readings import Readings, unwrapped
@@ -42,7 +43,8 @@ def phase_of_speed(speed: Readings) -> tuple[NDArray[np.int64], NDArray[np.float
     """Return times and phase from a speed in rad/s; the phase starts at 0 for any initial position of the rotor."""
     good = np.isfinite(speed.value)
     time, value = speed.time_ns[good], speed.value[good]
-    phase = np.asarray(cumulative_trapezoid(value, (time - time[0]) * 1e-9, initial=0.0), np.float64)
+    integral = cast("Any", integrate).cumulative_trapezoid  # scipy has no types
+    phase = np.asarray(integral(value, (time - time[0]) * 1e-9, initial=0.0), np.float64)
     warning = (
         "--speed: the phase is the integral of the speed and starts at 0 for any initial position: it has no absolute "
         "reference, so the imbalance's direction and the sense of the pendulums' angles against it are not known"

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
-from zlib_ng.zlib_ng import crc32
 
+from daq.mcap.checksum import crc32
 from daq.mcap.records import RECORD_HEAD, DamageError
 
 CHUNK_LIMIT_BYTES = 64 * 2**20

@@ -9,9 +9,8 @@ import os
 import threading
 from pathlib import Path
 
-from zlib_ng.zlib_ng import crc32
-
 from daq.errors import LogError
+from daq.mcap.checksum import crc32
 from rig_configs.regular_file import need_regular
 
 PIECE_BYTES = 2**20

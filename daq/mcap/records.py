@@ -17,9 +17,9 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
+from daq.mcap.checksum import crc32
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.writer import LIBRARY, MAGIC, METADATA_CRC, metadata_crc
 

@@ -1,12 +1,14 @@
-# pyright: reportMissingParameterType=false
 """Compiled passes over the bytes of an MCAP file: message records, message indexes, chunk indexes.
 
 Every length is compared with the available bytes before it is used. The functions release the interpreter lock, so
 threads scan several chunks at once. Some take more than 8 arguments: numba cannot pass an object of the interpreter.
 """
 
-import numba
+from typing import Any
+
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 BROKEN, OTHER_LAYOUT, OTHER_COUNT = -1, -2, -3
 """Results instead of a number: incomplete records; a message of another layout; another number than announced."""
@@ -17,8 +19,8 @@ _MAX_BYTES = np.int64(2**60)  # sums of a few such sizes do not overflow
 _FAR = np.uint64(2**64 - 1)
 
 
-@numba.njit(cache=True, nogil=True)
-def _eight(data, at):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def _eight(data: Any, at: Any) -> Any:  # pragma: no cover - compiled
     """Little-endian number of 8 bytes; written out with unsigned positions, so that it is compiled to one load."""
     i = np.uint64(at)
     return (
@@ -33,8 +35,8 @@ def _eight(data, at):  # pragma: no cover - compiled
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _four(data, at):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def _four(data: Any, at: Any) -> Any:  # pragma: no cover - compiled
     i = np.uint64(at)
     return (
         np.uint32(data[i])
@@ -44,14 +46,14 @@ def _four(data, at):  # pragma: no cover - compiled
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _two(data, at):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def _two(data: Any, at: Any) -> Any:  # pragma: no cover - compiled
     i = np.uint64(at)
     return np.int64(data[i]) | np.int64(data[i + np.uint64(1)]) << 8
 
 
-@numba.njit(cache=True, nogil=True)
-def _record_end(data, position):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def _record_end(data: Any, position: Any) -> Any:  # pragma: no cover - compiled
     """End of the record at `position` of a chunk, -1 if it is not a record that a chunk may contain."""
     size = len(data)
     if size - position < _RECORD_HEAD:
@@ -64,8 +66,10 @@ def _record_end(data, position):  # pragma: no cover - compiled
     return position + _RECORD_HEAD + np.int64(length)
 
 
-@numba.njit(cache=True, nogil=True)
-def tally(data, counts, touched, times):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def tally(
+    data: NDArray[np.uint8], counts: NDArray[np.int64], touched: NDArray[np.int64], times: NDArray[np.uint64]
+) -> tuple[int, int]:  # pragma: no cover - compiled
     """Count an unpacked chunk's messages.
 
     Args:
@@ -103,8 +107,8 @@ def tally(data, counts, touched, times):  # pragma: no cover - compiled
     return found, others
 
 
-@numba.njit(cache=True, nogil=True)
-def spans(data, first, last):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def spans(data: NDArray[np.uint8], first: np.int64, last: np.int64) -> bool:  # pragma: no cover - compiled
     """Return True if the log times of an unpacked chunk span `first` to `last`, ns; true without messages."""
     earliest, latest = _FAR, np.uint64(0)
     position = 0
@@ -116,11 +120,11 @@ def spans(data, first, last):  # pragma: no cover - compiled
             log_time = _eight(data, position + 15)
             earliest, latest = min(earliest, log_time), max(latest, log_time)
         position = end
-    return earliest > latest or (earliest == np.uint64(first) and latest == np.uint64(last))
+    return bool(earliest > latest or (earliest == np.uint64(first) and latest == np.uint64(last)))
 
 
-@numba.njit(cache=True, nogil=True)
-def loose_messages(block):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def loose_messages(block: NDArray[np.uint8]) -> int:  # pragma: no cover - compiled
     """End of the whole message records at the start of `block`, which are outside of any chunk."""
     position = 0
     while position < len(block) and block[position] == 5:
@@ -131,8 +135,8 @@ def loose_messages(block):  # pragma: no cover - compiled
     return position
 
 
-@numba.njit(cache=True, nogil=True)
-def definitions(data, places):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def definitions(data: NDArray[np.uint8], places: NDArray[np.int64]) -> int:  # pragma: no cover - compiled
     """Store offset and end of a chunk's schemas and channels in `places`, int64 (n, 2); return their number."""
     found = 0
     position = 0
@@ -149,8 +153,14 @@ def definitions(data, places):  # pragma: no cover - compiled
     return found
 
 
-@numba.njit(cache=True, nogil=True)
-def locate(data, wanted, places, log_times, publish_times):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def locate(
+    data: NDArray[np.uint8],
+    wanted: NDArray[np.int64],
+    places: NDArray[np.int64],
+    log_times: NDArray[np.int64],
+    publish_times: NDArray[np.int64],
+) -> int:  # pragma: no cover - compiled
     """Find messages.
 
     Args:
@@ -186,8 +196,19 @@ def locate(data, wanted, places, log_times, publish_times):  # pragma: no cover 
     return found if found == len(places) else OTHER_COUNT
 
 
-@numba.njit(cache=True, nogil=True)
-def collect(data, wanted, message_bytes, fields, heads, sequence, wide, narrow, row, room):  # pragma: no cover
+@njit(cache=True, nogil=True)
+def collect(
+    data: NDArray[np.uint8],
+    wanted: NDArray[np.int64],
+    message_bytes: int,
+    fields: NDArray[np.int64],
+    heads: NDArray[np.int64],
+    sequence: NDArray[np.uint32],
+    wide: NDArray[np.uint64],
+    narrow: NDArray[np.uint32],
+    row: int,
+    room: int,
+) -> int:  # pragma: no cover
     """Copy messages of constant layout into columns.
 
     Args:
@@ -237,8 +258,10 @@ def collect(data, wanted, message_bytes, fields, heads, sequence, wide, narrow, 
     return room if row == last else OTHER_COUNT
 
 
-@numba.njit(cache=True, nogil=True)
-def message_indexes(block, data, entries, times):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def message_indexes(
+    block: NDArray[np.uint8], data: NDArray[np.uint8], entries: NDArray[np.int64], times: NDArray[np.uint64]
+) -> tuple[int, int, int]:  # pragma: no cover - compiled
     """Parse the message index records that follow a chunk, and compare them with the chunk.
 
     Args:
@@ -278,11 +301,22 @@ def message_indexes(block, data, entries, times):  # pragma: no cover - compiled
                         wrong = position
         found += 1
         position += _RECORD_HEAD + np.int64(length)
-    return position, found, wrong
+    return int(position), found, int(wrong)
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True)  # a call counts references to its arrays, a fifth of the time
-def _index_entries(block, at, n, chunk_end, following, room, channels, counts, entry, totals):  # pragma: no cover
+@njit(cache=True, nogil=True, forceinline=True)  # a call counts references to its arrays, a fifth of the time
+def _index_entries(
+    block: Any,
+    at: Any,
+    n: Any,
+    chunk_end: Any,
+    following: Any,
+    room: Any,
+    channels: Any,
+    counts: Any,
+    entry: Any,
+    totals: Any,
+) -> Any:  # pragma: no cover
     """Store the n entries of a chunk index, from the last to the first: each message index ends where the next begins.
 
     Returns:
@@ -305,8 +339,17 @@ def _index_entries(block, at, n, chunk_end, following, room, channels, counts, e
     return sound
 
 
-@numba.njit(cache=True, nogil=True)
-def chunk_indexes(block, numbers, kinds, first_entry, channels, counts, totals, state):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def chunk_indexes(
+    block: NDArray[np.uint8],
+    numbers: NDArray[np.int64],
+    kinds: NDArray[np.uint8],
+    first_entry: NDArray[np.int64],
+    channels: NDArray[np.uint16],
+    counts: NDArray[np.uint32],
+    totals: NDArray[np.int64],
+    state: NDArray[np.int64],
+) -> int:  # pragma: no cover - compiled
     """Store the chunk index records at the start of `block` in arrays.
 
     Args:
@@ -355,4 +398,4 @@ def chunk_indexes(block, numbers, kinds, first_entry, channels, counts, totals, 
         state[0], state[1], state[2] = chunk + 1, entry + n, following
         first_entry[chunk + 1] = entry + n
         position = end
-    return position
+    return int(position)

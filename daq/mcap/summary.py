@@ -7,7 +7,8 @@ from typing import Any
 from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from zlib_ng.zlib_ng import crc32
+
+from daq.mcap.checksum import crc32
 
 _PIECE_BYTES = 32 * 1024
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")

@@ -14,9 +14,9 @@ from mcap import records
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, MetadataIndex, Statistics
 from numpy.typing import NDArray
-from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
+from daq.mcap.checksum import crc32
 from daq.mcap.chunks import EVER_NS, NEVER_NS, ChunkTable
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.records import RECORD_HEAD, DamageError, Definitions, Header, parse

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from zlib_ng.zlib_ng import crc32
 
+from daq.mcap.checksum import crc32
 from daq.mcap.chunks import ChunkHead, ChunkTable
 from daq.mcap.records import RECORD_HEAD, DamageError, Definitions
 from daq.mcap.scan import definitions, tally

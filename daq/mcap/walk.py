@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
-from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
+from daq.mcap.checksum import crc32
 from daq.mcap.chunks import BARE, CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
 from daq.mcap.damage import Damage, Held, Place
 from daq.mcap.file_bytes import PIECE_BYTES, FileBytes

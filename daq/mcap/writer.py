@@ -10,15 +10,15 @@ Not thread-safe: one thread writes.
 
 import struct
 from collections.abc import Iterable, Mapping
-from typing import Any, BinaryIO, Literal
+from typing import Any, BinaryIO, Literal, cast
 
 import numpy as np
 import zstandard
 from mcap import records
 from mcap.opcode import Opcode
 from numpy.typing import ArrayLike, NDArray
-from zlib_ng.zlib_ng import crc32
 
+from daq.mcap.checksum import crc32
 from daq.mcap.open_chunk import RECORD_HEAD_BYTES, MessageBlock, OpenChunk, compile_loops, message_indexes
 from daq.mcap.summary import Summary, encode_record
 
@@ -325,7 +325,7 @@ class BlockWriter:
     def _write(self, data: bytes | memoryview) -> None:
         self._check_open()
         self._closed = "writing it failed before"  # reset below: data after an incomplete record are unreadable
-        written = self._stream.write(data)
+        written = cast("int | None", self._stream.write(data))  # None: an unbuffered stream that would block
         if written is not None and written != len(data):
             raise OSError(f"expected {len(data)} bytes to be written, only {written} were: is the disk full?")
         self._closed = ""

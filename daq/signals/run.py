@@ -373,7 +373,8 @@ def _whole_turns(time_s: Array, phase_rad: Array) -> tuple[Array, Array]:
     time_s, turns = time_s[good][rising], turns[rising]
     if len(turns) < 2:
         return np.empty(0), np.empty(0)
-    whole: Array = np.arange(math.ceil(turns[0]), math.floor(turns[-1]) + 1).astype(np.float64)
+    first, last = math.ceil(float(turns[0])), math.floor(float(turns[-1]))
+    whole: Array = np.array(range(first, last + 1), np.float64)
     return np.asarray(np.interp(whole, turns, time_s), np.float64), 2 * np.pi * whole
 
 

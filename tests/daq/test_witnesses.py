@@ -101,7 +101,7 @@ def test_a_log_s_witness_is_read_held_against_its_sensor_and_told(
     path = witnessed_log(tmp_path / "a.mcap", gain=1.03)
     run = load_run(path)
     (witness,) = run.witnesses
-    assert (witness.device, witness.axis, witness.beside) == ("top", "x", "laser_x")
+    assert (witness.device, witness.axis, witness.reference) == ("top", "x", "laser_x")
     assert witness.gain_std == pytest.approx(np.hypot(0.001, 0.002))
     (found,) = run.agreements()
     assert found.verdict == "disagree"
@@ -143,7 +143,7 @@ def test_a_built_in_sensor_is_a_witness_of_another_s_axis(driver: str, tmp_path:
     assert [row.topic for row in check(log) if row.difference] == []
     run = load_run(log)
     (found,) = run.agreements()
-    assert (found.device, found.beside, found.verdict) == ("top", "laser_x", "agree")
+    assert (found.device, found.reference, found.verdict) == ("top", "laser_x", "agree")
     assert found.ratio == pytest.approx(1.0, abs=4 * found.allowed_std)
 
 
