@@ -1,4 +1,4 @@
-"""Recordings made elsewhere: what is in the file comes out of the log, and what cannot be meant is refused."""
+"""Recordings of other programs: the log has the contents of the file, and implausible options are rejected."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def test_the_log_says_what_it_was_made_of(tmp_path: Path) -> None:
     assert made["options"]["x"] == "d:mm"
     assert [(r.pendulum, round(r.time_s, 9)) for r in run.releases] == [(0, 0.1), (1, 0.1)]
     assert run.angle_step_rad == 2 * np.pi / 1000
-    assert list(run.clock_rate_std.values()) == pytest.approx([30e-6] * 4)  # the rig file's word
+    assert list(run.clock_rate_std.values()) == pytest.approx([30e-6] * 4)  # from the rig file
     assert set(run.clocks.values()) == {"recorder"}
     assert facts["clock_tolerance_from"] == "rig file"
     assert any("missing: laser/y, pendulums, tacho" in warning for warning in made["warnings"])

@@ -1,4 +1,4 @@
-"""What a test says of its end, in logs of today and of yesterday; and the numbers of logs in a folder."""
+"""Result of a test in logs of present and earlier versions; and the numbers of logs in a folder."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_two_tests_at_once_never_get_the_same_number(tmp_path: Path) -> None:
 
 
 def test_a_log_that_interlocks_ended_names_them_all() -> None:
-    stopped = "laser/x: 12.1 mm; the rotor was told to stop"
+    stopped = "laser/x: 12.1 mm; the rotor was stopped"
     reasons = [
         ("amplitude", "laser/x: 12.1 mm"),
         ("amplitude", "laser/y: 11.9 mm"),

@@ -1,4 +1,4 @@
-"""What a log hands out to Python: arrays nobody can spoil for the next, names where names are looked for."""
+"""Contents returned to Python: arrays that cannot be modified, and helpful errors for wrong names."""
 
 from __future__ import annotations
 
