@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from daq.signals.run import ASSUMED_TOLERANCE_PPM
+from daq.signals.run_clocks import ASSUMED_TOLERANCE_PPM
 from rig_configs.schema import Rig
 
 _TOLERANCE = "clock_tolerance_ppm"

@@ -27,7 +27,7 @@ from daq.log.samples import Missing
 from daq.log.source import LogSource
 from daq.mcap.chunks import BARE, HEAD_BYTES, parse_head
 from daq.mcap.records import DamageError, read_attachment
-from daq.mcap.writer import METADATA_CRC, BlockWriter
+from daq.mcap.writer import METADATA_CRC, BlockWriter, CopiedChunk
 from daq.version import software_version
 
 _EARLIER = "recovered earlier"
@@ -191,7 +191,10 @@ def _copy_chunks(source: LogSource, writer: BlockWriter, progress: Callable[[flo
             packed, compression = record[head.data_at :], head.compression
         crc = int(table.crc[chunk])
         ids = found.places[:, 2]
-        writer.copy_chunk(packed, compression, len(data), crc, ids, found.log_ns, found.publish_ns, found.places[:, 0])
+        offsets = found.places[:, 0]
+        writer.copy_chunk(
+            CopiedChunk(packed, compression, len(data), crc, ids, found.log_ns, found.publish_ns, offsets)
+        )
         chunks, messages = chunks + 1, messages + len(ids)
         progress((start + length) / source.file.size)
     return chunks, messages

@@ -220,7 +220,8 @@ def compile_loops() -> None:
     message_indexes(*chunk.index)
 
 
-_U = np.uint64  # the loops take more than 8 arguments: numba cannot pass an object of the interpreter
+# compiled loops take more than 8 arguments: numba cannot pass an object of the interpreter
+_U = np.uint64
 
 
 @njit(nogil=True, inline="always")

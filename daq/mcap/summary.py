@@ -1,7 +1,10 @@
 """Summary at the end of a log: its definitions repeated, statistics, and the positions of all records."""
 
+from __future__ import annotations
+
 import struct
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from mcap import records
@@ -13,6 +16,30 @@ from daq.mcap.checksum import crc32
 _PIECE_BYTES = 32 * 1024
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 _OFFSET_ENTRY = struct.Struct("<HQ")
+
+
+@dataclass(frozen=True)
+class WrittenChunk:
+    """A chunk that was written.
+
+    Attributes:
+        start, length: position and length of its record in the file, bytes.
+        compression: name of the compression, "" for none.
+        packed, unpacked: sizes of its content, bytes.
+        times: smallest and largest log time, ns.
+        indexes: position in the file of each channel's message index record; `indexes_bytes` is their total length.
+        counts: number of messages by channel.
+    """
+
+    start: int
+    length: int
+    compression: str
+    packed: int
+    unpacked: int
+    times: tuple[int, int]
+    indexes: Mapping[int, int]
+    indexes_bytes: int
+    counts: Mapping[int, int]
 
 
 class Summary:
@@ -38,42 +65,22 @@ class Summary:
         self._attachment_indexes: list[records.AttachmentIndex] = []
         self._metadata_indexes: list[records.MetadataIndex] = []
 
-    def add_chunk(
-        self,
-        start: int,
-        length: int,
-        compression: str,
-        packed: int,
-        unpacked: int,
-        times: tuple[int, int],
-        indexes: Mapping[int, int],
-        indexes_bytes: int,
-        counts: Mapping[int, int],
-    ) -> None:
-        """Add a chunk.
-
-        Args:
-            start, length: position and length of its record in the file, bytes.
-            compression: name of the compression, "" for none.
-            packed, unpacked: sizes of its content, bytes.
-            times: smallest and largest log time, ns.
-            indexes: position in the file of each channel's message index record; `indexes_bytes` is their total length.
-            counts: number of messages by channel.
-        """
-        name = compression.encode()
-        entries = b"".join(_OFFSET_ENTRY.pack(*entry) for entry in indexes.items())
-        tail = struct.pack(f"<QI{len(name)}sQQ", indexes_bytes, len(name), name, packed, unpacked)
+    def add_chunk(self, chunk: WrittenChunk) -> None:
+        """Add a chunk."""
+        name = chunk.compression.encode()
+        entries = b"".join(_OFFSET_ENTRY.pack(*entry) for entry in chunk.indexes.items())
+        tail = struct.pack(f"<QI{len(name)}sQQ", chunk.indexes_bytes, len(name), name, chunk.packed, chunk.unpacked)
         size = _CHUNK_INDEX.size - 9 + len(entries) + len(tail)
-        self._piece += _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, size, *times, start, length, len(entries))
-        self._piece += entries + tail
+        head = _CHUNK_INDEX.pack(Opcode.CHUNK_INDEX, size, *chunk.times, chunk.start, chunk.length, len(entries))
+        self._piece += head + entries + tail
         if len(self._piece) > _PIECE_BYTES:
             self._chunk_indexes.append(bytes(self._piece))
             self._piece.clear()
         self.chunk_count += 1
-        if counts:
-            self._start_time = min(self._start_time, times[0])
-            self._end_time = max(self._end_time, times[1])
-        for channel_id, count in counts.items():
+        if chunk.counts:
+            self._start_time = min(self._start_time, chunk.times[0])
+            self._end_time = max(self._end_time, chunk.times[1])
+        for channel_id, count in chunk.counts.items():
             self._counts[channel_id] = self._counts.get(channel_id, 0) + count
 
     def add_attachment(self, index: records.AttachmentIndex) -> None:

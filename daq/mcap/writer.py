@@ -8,8 +8,11 @@ file cut anywhere contains whole chunks.
 Not thread-safe: one thread writes.
 """
 
+from __future__ import annotations
+
 import struct
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, BinaryIO, Literal, cast
 
 import numpy as np
@@ -20,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from daq.mcap.checksum import crc32
 from daq.mcap.open_chunk import RECORD_HEAD_BYTES, MessageBlock, OpenChunk, compile_loops, message_indexes
-from daq.mcap.summary import Summary, encode_record
+from daq.mcap.summary import Summary, WrittenChunk, encode_record
 
 MAGIC = b"\x89MCAP0\r\n"
 RESTATE_EVERY = 64
@@ -48,6 +51,29 @@ def metadata_crc(name: str, metadata: Mapping[str, str]) -> str:
 def compile_writer() -> None:
     """Load or compile the compiled loops: takes seconds once per computer, and must not happen while samples arrive."""
     compile_loops()
+
+
+@dataclass(frozen=True)
+class CopiedChunk:
+    """A chunk of another file with n messages.
+
+    Attributes:
+        packed: its content as stored in the other file.
+        compression: "" or the name of the compression.
+        unpacked: size of the unpacked content, bytes.
+        crc: CRC of the unpacked content, as stored in the other file.
+        channel_ids, log_times, publish_times, offsets: (n,) each: channel ids, times in ns, and the offset of each
+            message record (its opcode) in the unpacked content.
+    """
+
+    packed: bytes
+    compression: str
+    unpacked: int
+    crc: int
+    channel_ids: ArrayLike
+    log_times: ArrayLike
+    publish_times: ArrayLike
+    offsets: ArrayLike
 
 
 class BlockWriter:
@@ -168,43 +194,27 @@ class BlockWriter:
         self._make_room(RECORD_HEAD_BYTES + len(data))
         self._chunk.add_message(channel_id, log_time_ns, publish_time_ns, sequence & 0xFFFFFFFF, data)
 
-    def copy_chunk(
-        self,
-        packed: bytes,
-        compression: str,
-        unpacked: int,
-        crc: int,
-        channel_ids: ArrayLike,
-        log_times: ArrayLike,
-        publish_times: ArrayLike,
-        offsets: ArrayLike,
-    ) -> None:
+    def copy_chunk(self, chunk: CopiedChunk) -> None:
         """Add a whole chunk of another file unchanged, with a new message index; an open chunk is closed first.
-
-        Args:
-            packed: its content as stored in the other file.
-            compression: "" or the name of the compression.
-            unpacked: size of the unpacked content, bytes.
-            crc: CRC of the unpacked content, as stored in the other file.
-            channel_ids, log_times, publish_times, offsets: (n,) each, of its n messages: times in ns, and the offset of
-                the message record (its opcode) in the unpacked content.
 
         Raises:
             ValueError: a channel that was not adopted, different lengths, or a message outside of the chunk.
         """
-        ids = np.ascontiguousarray(channel_ids, np.uint16)
-        log, publish, places = (np.ascontiguousarray(a, np.uint64) for a in (log_times, publish_times, offsets))
+        ids = np.ascontiguousarray(chunk.channel_ids, np.uint16)
+        log, publish, places = (
+            np.ascontiguousarray(a, np.uint64) for a in (chunk.log_times, chunk.publish_times, chunk.offsets)
+        )
         if not ids.shape == log.shape == publish.shape == places.shape or ids.ndim != 1:
             raise ValueError(
                 f"expected four arrays (n,), got {ids.shape}, {log.shape}, {publish.shape} and {places.shape}"
             )
         for channel_id in np.unique(ids):
             self._check_channel(int(channel_id))
-        if len(places) and places.max() + RECORD_HEAD_BYTES > unpacked:
-            raise ValueError(f"expected messages within {unpacked} bytes, got one at {places.max()}")
+        if len(places) and places.max() + RECORD_HEAD_BYTES > chunk.unpacked:
+            raise ValueError(f"expected messages within {chunk.unpacked} bytes, got one at {places.max()}")
         self._close_chunk()
         late, early = (int(np.where(a > b, a - b, 0).max(initial=0)) for a, b in ((log, publish), (publish, log)))
-        self._put_chunk(packed, compression, unpacked, crc, (ids, log, places), (late, early))
+        self._put_chunk(chunk.packed, chunk.compression, chunk.unpacked, chunk.crc, (ids, log, places), (late, early))
 
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
         """Add a named table of texts; its checksum is added under the key `METADATA_CRC`.
@@ -318,7 +328,9 @@ class BlockWriter:
             self._write(self._chunk.framed(head, indexes))
         else:
             self._write(b"".join((head, packed, indexes)))
-        self._summary.add_chunk(start, length, compression, size, unpacked, times, places, len(indexes), counts)
+        self._summary.add_chunk(
+            WrittenChunk(start, length, compression, size, unpacked, times, places, len(indexes), counts)
+        )
         self._summary.most_late = max(self._summary.most_late, extremes[0])
         self._summary.most_early = max(self._summary.most_early, extremes[1])
 

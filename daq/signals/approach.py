@@ -20,10 +20,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from daq.signals.decay import MIN_WINDOWS, decay_means, newest_counts
 
 Array = NDArray[np.float64]
 
@@ -35,10 +36,8 @@ _FAST_PER_S = 0.5  # an approach this fast hides a simultaneous slow one until i
 _STEP = 1.06  # ratio of neighbouring trial rates
 _GRID_FACTOR = 1.15  # on the bound of a drift, for rates between the trial rates
 _FASTEST_PER_S = 4.0
-_MIN_WINDOWS = 9
 _MARGIN = 1.5  # on the width for a drift that ends, for rates between the trial rates
 _RIDGE = 1e-9  # regularises two nearly equal shapes
-_SHORTER = 0.7  # share of the windows that is kept if nothing fits all
 _MIN_WIDTH_SHARE = 0.01  # of the newest windows' range: approaches are only nearly exponential, and rates are a grid
 _MAX_RESIDUAL_SHARE = 0.1  # of the newest windows' range: residual up to which two rates or an oscillation are accepted
 
@@ -70,9 +69,9 @@ def bound(edges_s: Array, means: Array, width: float, average_s: float, far: flo
         average_s: length of the period before the last window's end over which `mean_off` is computed, s.
         far: change over the last two windows above which a crude bound is sufficient.
     """
-    late = slice(-_MIN_WINDOWS, None)
+    late = slice(-MIN_WINDOWS, None)
     width = max(width, _MIN_WIDTH_SHARE * float(np.ptp(means[late])))
-    tails = _tails(len(means))
+    tails = newest_counts(len(means))
     for count in tails:
         found = _one_rate(edges_s[-count:], means[-count:], width, average_s)
         if found is not None:
@@ -100,27 +99,11 @@ def _unexplained(edges_s: Array, means: Array, width: float, average_s: float) -
     return Approach(left, left * float(_of_mean(SLOWEST_PER_S, average_s)), SLOWEST_PER_S, seen)
 
 
-def _tails(count: int) -> list[int]:
-    """Return the numbers of newest windows to examine, largest first."""
-    tails = [count]
-    while tails[-1] > _MIN_WINDOWS:
-        tails.append(max(_MIN_WINDOWS, int(tails[-1] * _SHORTER)))
-    return tails
-
-
 @lru_cache(maxsize=1)
 def _rates() -> Array:
     """Trial rates, 1/s: growth, a straight line (nearly) and decay; shape (r,)."""
     decay = _ENDLESS_PER_S * _STEP ** np.arange(math.ceil(math.log(_FASTEST_PER_S / _ENDLESS_PER_S) / math.log(_STEP)))
     return np.concatenate([-decay[::2], [1e-4], decay])
-
-
-def _shape(rates: NDArray[Any], edges_s: Array) -> NDArray[Any]:
-    """Mean of e^{−λ(t−T)} in each window, shape (rates, windows); a complex λ gives an oscillation."""
-    middle = edges_s.mean(axis=1) - edges_s[-1, 1]
-    half = 0.5 * np.diff(edges_s, axis=1)[:, 0]
-    x = rates[:, None] * half
-    return np.exp(-rates[:, None] * middle) * np.sinh(x) / x
 
 
 @lru_cache(maxsize=8)  # both quantities of one evaluation share their windows
@@ -130,7 +113,7 @@ def _spans(edges: bytes) -> tuple[Array, Array]:
     Args:
         edges: the bytes of the windows' edges, shape (n, 2), s.
     """
-    shape = _shape(_rates(), np.frombuffer(edges).reshape(-1, 2))
+    shape = decay_means(_rates(), np.frombuffer(edges).reshape(-1, 2))
     early, late = np.triu_indices(shape.shape[1], 1)
     with np.errstate(over="ignore", divide="ignore"):
         inverse = 1 / (shape[:, early] - shape[:, late])
@@ -192,7 +175,7 @@ def _hidden_slow(edges_s: Array, means: Array, width: float) -> float:
     after = np.maximum.accumulate(means[::-1]) - np.minimum.accumulate(means[::-1]) <= 2 * width
     standing = int(np.argmin(after)) if not after.all() else len(means)
     stood = float(edges_s[-1].mean() - edges_s[-standing].mean())
-    most = _unexplained(edges_s[-_MIN_WINDOWS:], means[-_MIN_WINDOWS:], width, 1.0).remaining
+    most = _unexplained(edges_s[-MIN_WINDOWS:], means[-MIN_WINDOWS:], width, 1.0).remaining
     return min(most, 2 * width / math.expm1(SLOWEST_PER_S * stood)) if standing > 1 else most
 
 
@@ -215,10 +198,10 @@ def _designs(edges: bytes) -> tuple[Array, Array]:
     """
     edges_s = np.frombuffer(edges).reshape(-1, 2)
     pairs, waves = _terms()
-    turning = _shape(waves[:, 0] - 1j * waves[:, 1], edges_s)
+    turning = decay_means(waves[:, 0] - 1j * waves[:, 1], edges_s)
     shapes = np.concatenate(
         [
-            np.stack([_shape(pairs[:, 0], edges_s), _shape(pairs[:, 1], edges_s)], axis=2),
+            np.stack([decay_means(pairs[:, 0], edges_s), decay_means(pairs[:, 1], edges_s)], axis=2),
             np.stack([np.real(turning), np.imag(turning)], axis=2),
         ]
     )

@@ -15,6 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.signals.decay import decay_means
+
 Array = NDArray[np.float64]
 
 SLOWEST_PER_S = 0.05  # an approach at a slower rate is a straight line within the windows
@@ -217,14 +219,6 @@ def _joined(parts: Sequence[Points]) -> Points:
     return Points(*columns, unknowns=parts[0].unknowns)
 
 
-def _shape(rates: NDArray[np.inexact], edges_s: Array) -> NDArray[np.inexact]:
-    """Mean of e^{−λ(t−T)} in each window, shape (rates, windows); a complex λ gives an oscillation."""
-    middle = edges_s.mean(axis=1) - edges_s[-1, 1]
-    half = 0.5 * np.diff(edges_s, axis=1)[:, 0]
-    x = rates[:, None] * half
-    return np.exp(-rates[:, None] * middle) * np.sinh(x) / x
-
-
 def _max_rate(edges_s: Array) -> float:
     """Rate at which an approach is over long before the last window, 1/s; keeps numbers finite for a slow rotor."""
     return _MAX_EXPONENT / float(edges_s[-1, 1] - edges_s[0, 0])
@@ -233,7 +227,7 @@ def _max_rate(edges_s: Array) -> float:
 def _decays(edges_s: Array, rates: Array) -> Shapes:
     """Return the shapes of real rates (g, p), each changing by 1 over the windows."""
     rates = np.minimum(rates, _max_rate(edges_s))
-    forms = np.stack([np.real(_shape(column, edges_s)) for column in rates.T], axis=2)
+    forms = np.stack([np.real(decay_means(column, edges_s)) for column in rates.T], axis=2)
     change = np.abs(forms[:, 0] - forms[:, -1])
     return Shapes(forms / change[:, None], 1 / change, None, rates)
 
@@ -261,7 +255,7 @@ def _bent(shapes: Callable[[Array, Array], Shapes]) -> Callable[[Array, Array], 
 def _wave(edges_s: Array, at: Array) -> Shapes:
     rate, turn = np.exp(at).T
     rate = np.minimum(rate, _max_rate(edges_s))
-    turning = _shape(rate - 1j * turn, edges_s)
+    turning = decay_means(rate - 1j * turn, edges_s)
     size = 1 / np.abs(turning).max(axis=1)
     forms = np.stack([np.real(turning), np.imag(turning)], axis=2) * size[:, None, None]
     return Shapes(forms, np.stack([size, np.zeros(len(size))], axis=1), size, np.stack([rate, rate], axis=1))

@@ -23,13 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.signals.approach_models import ENDING, ENDING_BENT, ENDLESS, Points, Stretch
+from daq.signals.decay import MIN_WINDOWS, newest_counts
 
 Array = NDArray[np.float64]
 Bends = Callable[[Array], Array]
 
-LEAST_WINDOWS = 9
+LEAST_WINDOWS = MIN_WINDOWS
 MODEL_SHARE = 0.15  # of the extrapolated change: an approach is exponential only near its end
-_SHORTER = 0.7  # share of the windows that is kept if no model fits all
 _FITS = 2.6  # largest deviation of the χ² of a series that fits, in standard deviations: about 1 %
 _APART = 2.6  # largest difference between the limits of a series and of its later part, in standard deviations
 _MIN_GAIN = 0.1  # of the later part's variance: lower limit of the variance of that difference
@@ -88,7 +88,7 @@ def limit(edges_s: Array, means: Array, noise: Array, bends: Bends | None = None
     """
     known = np.ones(means.shape[1])
     least, count, scatter = math.inf, 0, known
-    tails = _tails(len(means))
+    tails = newest_counts(len(means))
     found = _look(edges_s, means, noise, tails[0], bends)
     for tail, shorter in zip(tails, [*tails[1:], None], strict=True):
         later = _look(edges_s, means, noise, shorter, bends) if shorter else None
@@ -122,14 +122,6 @@ def _stated(found: _Averaged, later: _Averaged | None, scatter: Array) -> Limit 
     gain = np.maximum(variance - np.diag(own.covariance), _MIN_GAIN * variance)
     half = np.where(off**2 > _APART**2 * gain, 0.5 * off, 0.0)
     return replace(own, values=own.values + half, covariance=own.covariance + np.diag(half**2))
-
-
-def _tails(count: int) -> list[int]:
-    """Return the numbers of newest windows to examine, largest first."""
-    tails = [count]
-    while tails[-1] > LEAST_WINDOWS:
-        tails.append(max(LEAST_WINDOWS, int(tails[-1] * _SHORTER)))
-    return tails
 
 
 @dataclass(frozen=True)

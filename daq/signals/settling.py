@@ -112,16 +112,41 @@ def settled(
     if angles is None or orbit is None:
         missing = "pendulum angles" if angles is None else "displacements"
         return _unknown(f"too many samples of the {missing} are missing")
-    slip = _slipping(angles.means[-windows:])
-    turning = _worst(angles, angle_tolerance_rad, _MIN_WIDTH_ANGLE, average_s)
-    whirling = _worst(orbit, amplitude_tolerance_m, _MIN_WIDTH_AMPLITUDE, average_s)
-    found = _settling(angles, orbit, turning, whirling)
     held = release_time_s is not None and _still_as_released(
         time_s, angles_rad, angles.means[-1], edges[-1], release_time_s, linger_s
     )
-    angle_limit, amplitude_limit = slack * angle_tolerance_rad, slack * _visible(orbit, amplitude_tolerance_m)
+    speed = _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :])
+    tolerances = _Tolerances(angle_tolerance_rad, amplitude_tolerance_m, average_s, slack)
+    return _judged(angles, orbit, windows, tolerances, speed, held)
+
+
+@dataclass(frozen=True)
+class _Tolerances:
+    """Tolerances of a decision, as in `settled`."""
+
+    angle_rad: float
+    amplitude_m: float
+    average_s: float
+    slack: float
+
+
+def _judged(
+    angles: WindowMeans, orbit: WindowMeans, windows: int, tolerances: _Tolerances, speed: str, held: bool
+) -> Settling:
+    """Return the decision for means of angles and amplitudes.
+
+    Args:
+        speed: reason against, from the rotor's speed; empty if there is none.
+        held: True if the pendulums still have their gap at release.
+    """
+    slip = _slipping(angles.means[-windows:])
+    turning = _worst(angles, tolerances.angle_rad, _MIN_WIDTH_ANGLE, tolerances.average_s)
+    whirling = _worst(orbit, tolerances.amplitude_m, _MIN_WIDTH_AMPLITUDE, tolerances.average_s)
+    found = _settling(angles, orbit, turning, whirling)
+    angle_limit = tolerances.slack * tolerances.angle_rad
+    amplitude_limit = tolerances.slack * _visible(orbit, tolerances.amplitude_m)
     reasons = [
-        _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
+        speed,
         slip,
         "pendulums still stand as released; they may be on an unstable balance" if held else "",
         _reason("pendulum angles", found.drift_rad, turning, angle_limit, 180 / math.pi, "°"),

@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from daq import channels as ch
 from daq.log import open_log
-from daq.mcap.writer import BlockWriter, metadata_crc
+from daq.mcap.writer import BlockWriter, CopiedChunk, metadata_crc
 from tests.daq.small_log import write_small_log
 
 T0 = 1_700_000_000_000_000_000
@@ -124,9 +124,8 @@ def copy_of(data, **options):
     for chunk in (record for record in records_of(data) if isinstance(record, Chunk)):
         places = message_places(chunk)
         ids, log, publish, offsets = zip(*places, strict=True) if places else ([], [], [], [])
-        writer.copy_chunk(
-            chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc, ids, log, publish, offsets
-        )
+        size, crc = chunk.uncompressed_size, chunk.uncompressed_crc
+        writer.copy_chunk(CopiedChunk(chunk.data, chunk.compression, size, crc, ids, log, publish, offsets))
     return stream, writer
 
 
@@ -241,7 +240,7 @@ def test_a_chunk_that_contradicts_itself_is_not_copied(ids, log, offsets, match)
     writer = fresh()
     writer.adopt([], [Channel(1, "a", "json", {}, 0)])
     with pytest.raises(ValueError, match=match):
-        writer.copy_chunk(b"x" * 100, "", 100, 0, ids, log, log, offsets)
+        writer.copy_chunk(CopiedChunk(b"x" * 100, "", 100, 0, ids, log, log, offsets))
 
 
 @given(st.dictionaries(st.text(st.characters(codec="utf-8")), st.text(st.characters(codec="utf-8"))))
