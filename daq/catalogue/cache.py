@@ -20,7 +20,7 @@ import zlib
 from collections.abc import Collection, Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 NAME = ".rig-logs.sqlite"
 VERSION = 2
@@ -150,9 +150,10 @@ def _is_ours(database: sqlite3.Connection) -> bool:
 
 
 def _unpacked(columns: tuple[object, ...]) -> tuple[str, Row, object]:
-    path, size, modified, changed, verdict_stamp, looked, digest, entry, checksum = columns
-    row = Row(Stamp(size, modified, changed), verdict_stamp, looked, digest, entry)  # type: ignore[arg-type]
-    return str(path), row, checksum
+    # a row with values of other types fails the comparison of its checksum
+    typed = cast("tuple[str, int, int, int, str, int, str, str, int]", columns)
+    path, size, modified, changed, verdict_stamp, looked, digest, entry, checksum = typed
+    return str(path), Row(Stamp(size, modified, changed), verdict_stamp, looked, digest, entry), checksum
 
 
 def _checksum(path: str, row: Row) -> int:

@@ -178,7 +178,7 @@ class _Run:
         """Return the limitations of the result, as sentences."""
         out = [
             f"messages are missing from {self._after_s(hole.start_ns)} to {self._after_s(hole.end_ns)} s: nothing was "
-            "judged there, and what follows was judged as a log of its own"
+            "judged there, and the part after it was judged as a separate log"
             for hole in self._whole_holes
         ]
         out += [f"missing, at an unknown time: {place}" for place in self._unplaced]

@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]
+from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]  # scipy has no types
 
 Floats = NDArray[np.float64]
 Verdict = Literal["agree", "disagree", "too little motion"]

@@ -237,7 +237,7 @@ def test_missing_names_help(tmp_path, whole):
         with pytest.raises(ChannelMissing, match="displacement_m"):
             log["laser/x"]["displacement_mm"]
         with pytest.raises(AttributeError, match="displacement_m"):
-            log["laser/x"].displacement_mm  # noqa: B018
+            log["laser/x"].displacement_mm  # noqa: B018 (the access itself is tested)
         assert log.get("laser/z") is None
         assert "raw/laser_x" not in log
 
