@@ -136,7 +136,7 @@ def _judged(
     """Return the decision for means of angles and amplitudes.
 
     Args:
-        speed: reason against, from the rotor's speed; empty if there is none.
+        speed: reason against, from the rotor's speed; may be empty.
         held: True if the pendulums still have their gap at release.
     """
     slip = _slipping(angles.means[-windows:])
