@@ -1,12 +1,12 @@
-"""What the catalogue remembers from one look to the next, in one SQLite file in the folder of the logs.
+"""Cache of the catalogue: one SQLite file in the folder of the logs.
 
-The file is never changed: whoever has something new writes a whole new one beside it and puts it in its place. So a
-reader sees the old or the new one and never waits, any number of processes may write, the file may be deleted under
-them, and a folder on a network drive whose locks do not work is as good as any. Who comes second wins; what the
-other had found is taken over first, and at worst found again.
+The file is never modified. A process that has new rows writes a complete new file and renames it to the final name.
+A reader therefore opens either the old or the new file and never waits, any number of processes may write, the file
+may be deleted at any time, and network drives without working locks are supported. Of two concurrent writers the last
+one wins. It merges the rows of the other before it writes; rows that are lost in between are computed again.
 
-Nothing in it is believed because it stands there: a file of another make or version counts as none, a row whose
-checksum is wrong does not count, and a row counts for the very file it was made of (`Stamp`) and no other.
+The contents are checked before use. A file of another application or version is ignored, a row with a wrong checksum
+is ignored, and a row is valid only for the file state it was made from (`Stamp`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import zlib
 from collections.abc import Collection, Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 NAME = ".rig-logs.sqlite"
 VERSION = 2
@@ -35,7 +35,7 @@ _TRIES = 5
 
 
 class Stamp(NamedTuple):
-    """What tells one state of a file from another: size, and when its content and its status changed, ns since 1970."""
+    """State of a file: size, and the times of the last change of its content and of its status, ns since 1970."""
 
     size_bytes: int
     modified_ns: int
@@ -43,11 +43,11 @@ class Stamp(NamedTuple):
 
     @classmethod
     def of(cls, status: os.stat_result) -> Stamp:
-        """Of a file's status."""
+        """Return the stamp that belongs to a file status."""
         return cls(status.st_size, status.st_mtime_ns, status.st_ctime_ns)
 
     def settled_by(self, looked_ns: int) -> bool:
-        """Whether a change after that look would show: a file may change twice within one tick of its clock."""
+        """Return True if any change after `looked_ns` alters the stamp: a file may change twice within a clock tick."""
         return max(self.modified_ns, self.changed_ns) < looked_ns - _COARSE_NS
 
     def __str__(self) -> str:
@@ -55,14 +55,14 @@ class Stamp(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One file as it was seen.
+    """Cached facts of one file.
 
     Attributes:
-        stamp: of the log.
-        verdict_stamp: of the verdict beside it, as text; empty without one.
-        looked_ns: when it was looked at, ns since 1970.
-        digest: of the log; empty when nobody needed it.
-        entry: the entry as JSON.
+        stamp: state of the log file.
+        verdict_stamp: state of the log's verdict file, as text; empty for a log without verdict file.
+        looked_ns: time at which the file was examined, ns since 1970.
+        digest: digest of the log; empty if it was not computed.
+        entry: catalogue entry as JSON.
     """
 
     stamp: Stamp
@@ -73,7 +73,7 @@ class Row(NamedTuple):
 
 
 def load(folder: Path) -> dict[str, Row]:
-    """Rows by path; empty when there is no cache, or none that can be used."""
+    """Return the rows by path; empty if the cache does not exist or cannot be used."""
     file = folder / NAME
     try:
         if not file.is_file():
@@ -88,10 +88,10 @@ def load(folder: Path) -> dict[str, Row]:
 
 
 def save(folder: Path, rows: Mapping[str, Row], gone: Collection[str]) -> None:
-    """Keep rows, beside those that other processes have found meanwhile.
+    """Write rows, merged with those that other processes have written meanwhile.
 
     Args:
-        gone: paths of files that are no longer there.
+        gone: paths of files that no longer exist.
 
     Raises:
         OSError: the folder cannot be written to, or the disk is full.
@@ -102,7 +102,7 @@ def save(folder: Path, rows: Mapping[str, Row], gone: Collection[str]) -> None:
     written = folder / f"{NAME}.{secrets.token_hex(6)}.new"
     try:
         with open(written, "xb"):
-            pass  # said by the system itself why it cannot be, which SQLite does not
+            pass  # raises OSError with the system's reason; SQLite does not report one
         _write(written, merged)
         _put(written, folder / NAME)
     except sqlite3.Error as fault:
@@ -119,7 +119,7 @@ def _is_newer(row: Row, other: Row) -> bool:
 def _write(file: Path, rows: Mapping[str, Row]) -> None:
     with closing(sqlite3.connect(file, timeout=_BUSY_S, isolation_level=None)) as database:
         database.execute("PRAGMA journal_mode = OFF")
-        database.execute("PRAGMA synchronous = OFF")  # a file that a power cut has torn counts as none
+        database.execute("PRAGMA synchronous = OFF")  # a file torn by a power cut is ignored by `load`
         database.execute(f"PRAGMA user_version = {VERSION}")
         database.execute("BEGIN")
         database.execute(_TABLE)
@@ -131,7 +131,7 @@ def _write(file: Path, rows: Mapping[str, Row]) -> None:
 
 
 def _put(written: Path, file: Path) -> None:
-    """Put a new file in the place of the old; on Windows another process that is just reading it is in the way."""
+    """Replace the old file by the new one; on Windows retry while another process is reading the old one."""
     for attempt in range(_TRIES):
         try:
             os.replace(written, file)
@@ -143,16 +143,17 @@ def _put(written: Path, file: Path) -> None:
 
 
 def _is_ours(database: sqlite3.Connection) -> bool:
-    """Whether the file has our version and our table and nothing else: a view could be a query without an end."""
+    """Return True if the file has this version and this table only: a view could contain a query that never ends."""
     (version,) = database.execute("PRAGMA user_version").fetchone()
     made = database.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall()
     return version == VERSION and made == [(_TABLE,)]
 
 
 def _unpacked(columns: tuple[object, ...]) -> tuple[str, Row, object]:
-    path, size, modified, changed, verdict_stamp, looked, digest, entry, checksum = columns
-    row = Row(Stamp(size, modified, changed), verdict_stamp, looked, digest, entry)  # type: ignore[arg-type]
-    return str(path), row, checksum
+    # a row with values of other types fails the comparison of its checksum
+    typed = cast("tuple[str, int, int, int, str, int, str, str, int]", columns)
+    path, size, modified, changed, verdict_stamp, looked, digest, entry, checksum = typed
+    return str(path), Row(Stamp(size, modified, changed), verdict_stamp, looked, digest, entry), checksum
 
 
 def _checksum(path: str, row: Row) -> int:
@@ -160,7 +161,7 @@ def _checksum(path: str, row: Row) -> int:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove what a process that was killed while writing has left behind."""
+    """Remove temporary files of processes that were killed while they wrote."""
     for left in folder.glob(f"{NAME}.*.new*"):
         with contextlib.suppress(OSError):
             if time.time() - left.stat().st_mtime > _ABANDONED_S:

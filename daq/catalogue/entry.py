@@ -1,4 +1,4 @@
-"""What the catalogue knows of one file; `daq.catalogue.facts` reads it from the file."""
+"""Catalogue entry of one file; `daq.catalogue.facts` reads it from the file."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ State = Literal["finished", "recovered", "unfinished", "damaged", "foreign", "un
 
 
 class Entry(BaseModel):
-    """Facts of one file in the catalogue's folder; what a file does not say is empty or None.
+    """Facts of one file in the catalogue's folder. Facts that the file does not contain are empty or None.
 
     Attributes:
-        path: relative to the folder, with "/".
-        size_bytes: of the file.
+        path: path relative to the folder, with "/".
+        size_bytes: size of the file.
         state: "finished"; "recovered"; "unfinished": cut, or still being recorded; "damaged"; "foreign": an MCAP file
-            that is no recording of a rig; "unreadable".
-        complete: nothing is known to be missing, in a recovered log also not since before; known from opening it,
-            which does not read the samples.
-        why: what is wrong with a file that is not whole, in one line.
-        rig, test, point, note, software: as the run's metadata have them.
-        started: when the recording began, ISO 8601; `started_ns` the same in ns since 1970.
-        duration_s: from the first message to the last.
-        parameters: the identified parameters laid over the rig file; empty for the rig file's own numbers.
-        origin: what it was made of, for a log that was decoded anew, imported or recovered.
-        messages: how many.
-        lost: samples and frames that did not arrive; None where nobody counted.
-        losses: counts by device and kind; `losses_from` is where they were found.
-        outcome: what the test itself said at its end (settled, rung_down, ended …).
-        verdict: of the last validation; "stale" when the log is not the one that was judged, "unreadable" when the
-            verdict's file is, empty without one.
+            that is not a recording of a rig; "unreadable".
+        complete: True if nothing is found missing when the file is opened, which does not read the samples. False for
+            a recovered log that had losses before its recovery.
+        why: what is wrong with an incomplete file, in one line.
+        rig, test, point, note, software: values of the run's metadata.
+        started: start of the recording, ISO 8601; `started_ns` is the same in ns since 1970.
+        duration_s: time from the first message to the last, s.
+        parameters: identified parameters laid over the rig file; empty if the rig file's own values were used.
+        origin: source of a log that was decoded again, imported or recovered.
+        messages: number of messages.
+        lost: number of samples and frames that did not arrive; None if losses were not counted.
+        losses: counts by device and kind; `losses_from` is the place they were read from.
+        outcome: result written by the test at its end (settled, rung_down, ended …).
+        verdict: result of the last validation; "stale" if the log has changed since, "unreadable" if the verdict file
+            cannot be read, empty without a verdict file.
         judged: that verdict in full.
     """
 

@@ -1,4 +1,4 @@
-"""Reads a file's catalogue entry: the facts of a log, or why it is none."""
+"""Read a file's catalogue entry: the facts of a log, or the reason why the file is not a log."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from daq.log import Log, open_log
 from daq.log.losses import Losses, losses_of
 from daq.mcap.writer import LIBRARY, MAGIC
 
-_NO_OUTCOME = ("losses", "stalled", "disk")  # bookkeeping of the recording, not what the test came to
+_NO_OUTCOME = ("losses", "stalled", "disk")  # bookkeeping of the recording, not results of the test
 _MOST_SENTENCES = 5
 _MOST_CHARACTERS = 2000
 _MOST_LOST = 2**63 - 1
 
 
 def read_entry(file: Path, path: str, size_bytes: int) -> Entry:
-    """Facts of one file, without its verdict; a file that is no log gives an entry that says so.
+    """Return the facts of one file without its verdict. Files that are not MCAP logs yield an entry with `why` set.
 
     Args:
-        file: the file.
-        path: how the catalogue calls it.
-        size_bytes: its size.
+        file: path of the file.
+        path: path of the file in the catalogue.
+        size_bytes: size of the file.
     """
     try:
-        if not file.is_file():  # a named pipe would make a reader wait for ever
+        if not file.is_file():  # reading a named pipe would block
             why = "expected a file, got something else"
             return Entry(path=path, size_bytes=size_bytes, state="unreadable", why=why)
         with open_log(file) as log:
@@ -41,17 +41,17 @@ def read_entry(file: Path, path: str, size_bytes: int) -> Entry:
 
 
 def one_line(fault: object, file: Path) -> str:
-    """A message about a file in a line, without its path, which stands beside it."""
+    """Return a message about a file as one line, without the file's path, which the catalogue shows already."""
     return " ".join(str(fault).replace(f"{file}: ", "").split())
 
 
 def outcome_of(summary: Mapping[str, str]) -> dict[str, Any]:
-    """What a test said at its end, from its log's summary metadata, where values are JSON texts."""
+    """Return the result of a test from its log's summary metadata, where values are JSON texts."""
     return {key: _value(text) for key, text in summary.items() if key not in _NO_OUTCOME}
 
 
 def origin_of(log: Log) -> str:
-    """What a log was made of (decoded anew, imported or recovered); empty for a recording."""
+    """Return the source of a log that was decoded again, imported or recovered; empty for a recording."""
     origin = log.metadata.get("run", {}).get("origin", "")
     if origin or "recovered" not in log.metadata:
         return origin
@@ -60,7 +60,7 @@ def origin_of(log: Log) -> str:
 
 
 def counted_losses(log: Log) -> Losses | None:
-    """Losses of a log; None when nobody counted them, or what should say them says something else."""
+    """Return the losses of a log; None if losses were not counted or the stored counts are invalid."""
     try:
         found = losses_of(log)
         by_device = {
@@ -68,12 +68,12 @@ def counted_losses(log: Log) -> Losses | None:
             for device, kinds in found.by_device.items()
         }
     except (LogError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
-        return None  # a foreign or hostile file has what it likes under these names
+        return None  # a foreign or hostile file may contain any value here
     return None if found.source == "none" and not found.total else Losses(by_device, found.source)
 
 
 def state_of(log: Log, ends: bool) -> State:
-    """In which state a log's file is; `ends` as of `has_end`."""
+    """Return the state of a log's file; `ends` is the result of `has_end`."""
     library = log.metadata.get("recovered", {}).get("origin_library", log.library)
     if "run" not in log.metadata and library != LIBRARY:
         return "foreign"
@@ -121,17 +121,17 @@ def _why(log: Log, state: State) -> str:
 
 
 def has_end(file: Path) -> bool:
-    """Whether a file ends as a finished one does; one that does not was cut, or is still being written."""
+    """Return True if a file ends as a finished one does; otherwise it was cut or is still being written."""
     with open(file, "rb") as opened:
         opened.seek(-len(MAGIC), 2)
         return opened.read() == MAGIC
 
 
 def _started(text: str, start_ns: int) -> int | None:
-    """Start of the recording by the run's own word (the clock of a simulated rig runs ahead), else by its messages."""
+    """Start of the recording from the run's metadata (a simulated rig's clock runs ahead), else from its messages."""
     try:
-        said = datetime.fromisoformat(text)
-        return int((said if said.tzinfo else said.replace(tzinfo=UTC)).timestamp()) * 10**9
+        started = datetime.fromisoformat(text)
+        return int((started if started.tzinfo else started.replace(tzinfo=UTC)).timestamp()) * 10**9
     except (ValueError, OverflowError, OSError):
         return start_ns or None
 
@@ -144,7 +144,7 @@ def _iso(time_ns: int) -> str:
 
 
 def _value(text: str) -> Any:
-    """A number, a truth value or a text; anything else stays the text it is."""
+    """Decode a number, a truth value or a text; any other value stays JSON text."""
     try:
         value = json.loads(text, parse_constant=lambda _: None)
     except (ValueError, RecursionError):
@@ -155,5 +155,5 @@ def _value(text: str) -> Any:
 
 
 def _short(text: str) -> str:
-    """Text of any origin as one that can be kept and printed."""
+    """Return text of any origin, shortened and encodable as UTF-8."""
     return text[:_MOST_CHARACTERS].encode("utf-8", "replace").decode()

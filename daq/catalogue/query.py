@@ -1,4 +1,4 @@
-"""Which logs one looks for, and in which order."""
+"""Search conditions for logs and the order of the results."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ _ORDERS: dict[str, tuple[Callable[[Entry], Any], bool]] = {  # key, largest firs
 
 @dataclass(frozen=True)
 class Query:
-    """What is looked for; whatever is left out admits every log. Texts match anywhere in theirs, in either case.
+    """Search conditions. An omitted condition admits every log. Texts match any part of the fact, ignoring case.
 
     Attributes:
-        words: each must be in the rig's name, test, point, note or path.
-        rig, test, note, parameters: must be in the fact of that name.
-        point: must be the point's name.
-        verdict: must be in the verdict; "none" for logs that have none.
-        since_ns, until_ns: the recording began in since ≤ t < until, ns since 1970.
-        lost: True for logs in which something was lost, False for those in which nothing was.
-        complete: True for whole files, False for cut, damaged and unreadable ones.
-        sort: by what; times, sizes and counts largest first, names from A to Z.
-        reverse: the other way round.
+        words: each must be part of the rig's name, test, point, note or path.
+        rig, test, note, parameters: must be part of the fact of that name.
+        point: must equal the point's name.
+        verdict: must be part of the verdict; "none" for logs without a verdict.
+        since_ns, until_ns: bounds of the recording's start, since ≤ t < until, ns since 1970.
+        lost: True for logs with losses, False for logs without.
+        complete: True for complete files, False for cut, damaged and unreadable ones.
+        sort: sort key; times, sizes and counts largest first, names from A to Z.
+        reverse: reverse the order.
     """
 
     words: tuple[str, ...] = ()
@@ -58,7 +58,7 @@ class Query:
     reverse: bool = False
 
     def admits(self, entry: Entry) -> bool:
-        """Whether an entry is one that is looked for."""
+        """Return True if an entry meets all conditions."""
         everywhere = " ".join((entry.rig, entry.test, entry.point, entry.note, entry.path)).casefold()
         return (
             all(word.casefold() in everywhere for word in self.words)
@@ -84,14 +84,14 @@ class Query:
         return started_ns is not None and (self.since_ns or 0) <= started_ns < (self.until_ns or 2**63)
 
     def sorted(self, entries: Iterable[Entry]) -> list[Entry]:
-        """Entries in the order asked for; equal ones by path."""
+        """Return the entries in the requested order; equal entries are sorted by path."""
         key, largest_first = _ORDERS[self.sort]
         by_path = sorted(entries, key=lambda entry: entry.path)
         return sorted(by_path, key=key, reverse=largest_first is not self.reverse)
 
 
 def _since_1970_ns(instant: datetime) -> int:
-    """ns since 1970; an instant without a zone is local time, summer or winter, or UTC in years without local time."""
+    """Convert to ns since 1970. An instant without a zone is local time, or UTC in years without local time."""
     try:
         seconds = instant.timestamp()
     except (ValueError, OverflowError, OSError):
@@ -100,16 +100,16 @@ def _since_1970_ns(instant: datetime) -> int:
 
 
 def parse_instant(text: str, now: datetime, end: bool = False) -> int:
-    """An instant as people write it, in ns since 1970.
+    """Convert an instant as people write it to ns since 1970.
 
     Args:
-        text: "2026-03-01", "2026-03-01T10:00", with a zone if it is not the local one; "today", "yesterday"; or how
-            long ago: "30min", "12h", "3d", "2w".
-        now: the present, local time.
-        end: a day means its end, not its beginning.
+        text: "2026-03-01", "2026-03-01T10:00", with a zone if it is not the local one; "today", "yesterday"; or a
+            time before now: "30min", "12h", "3d", "2w".
+        now: present time, local.
+        end: True if a day means its end, False if it means its beginning.
 
     Raises:
-        ValueError: none of these.
+        ValueError: the text has none of these forms.
     """
     word = text.strip().casefold()
     try:

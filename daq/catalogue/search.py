@@ -3,8 +3,8 @@
     for entry in Catalogue("logs").search(Query(point="B", since_ns=parse_instant("3d", datetime.now()))):
         print(entry.started, entry.path, entry.verdict)
 
-The files are the truth. What was read of them is remembered in the folder (`daq.catalogue.cache`); deleting that
-changes nothing but the time the next search takes.
+The files are the only source of facts. The facts are cached in the folder (`daq.catalogue.cache`). If the cache is
+deleted, the next search takes longer and gives the same result.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from daq.errors import LogError
 from daq.log.verdicts import SUFFIX, digest_of, verdict_of, verdict_path
 
 _LOG_SUFFIXES = (".mcap", ".mcap.part")
-_SAVE_S = 5.0  # a first look at thousands of logs that is interrupted need not begin anew
-_LOOKS = 3  # a recording that ends while the folder is read changes its name
+_SAVE_PERIOD_S = 5.0  # an interrupted first search of thousands of logs continues where it stopped
+_MAX_LOOKS = 3  # a recording that ends while the folder is read changes its name
 
 Progress = Callable[[float], None]
 
 
 class _File(NamedTuple):
-    """A log as its folder shows it; stamps are None for what has none."""
+    """A log as listed in its folder; a stamp is None if the file does not exist."""
 
     place: Path
     stamp: Stamp | None
     verdict_stamp: Stamp | None
 
     def is_as_in(self, row: Row | None) -> bool:
-        """Whether the log is the one that a row was made of."""
+        """Return True if the row was made from this state of the log."""
         return row is not None and row.stamp == self.stamp and row.stamp.settled_by(row.looked_ns)
 
     def is_all_as_in(self, row: Row | None) -> bool:
-        """Whether the log and the verdict beside it are those that a row was made of."""
+        """Return True if the row was made from this state of the log and of its verdict file."""
         if row is None or not self.is_as_in(row) or row.verdict_stamp != str(self.verdict_stamp or ""):
             return False
         return self.verdict_stamp is None or self.verdict_stamp.settled_by(row.looked_ns)
@@ -53,15 +53,15 @@ class Catalogue:
     """The logs in a folder and in the folders below it.
 
     Args:
-        folder: where the logs are.
-        now_ns: the clock that tells how old a file is, ns since 1970.
+        folder: folder that contains the logs.
+        now_ns: clock to compare file times with, ns since 1970.
 
     Attributes:
-        cache_trouble: why what the last search read could not be remembered; empty when it could.
-        unread_folders: folders below it that the last search could not look into, each with why.
+        cache_trouble: reason why the results of the last search could not be cached; empty if they were.
+        unread_folders: subfolders that the last search could not read, each with the reason.
 
     Raises:
-        LogError: no such folder.
+        LogError: the folder does not exist.
     """
 
     def __init__(self, folder: str | Path, now_ns: Callable[[], int] = time.time_ns) -> None:
@@ -71,14 +71,14 @@ class Catalogue:
         self._now_ns = now_ns
         self._unsaved: dict[str, Row] = {}
         if not self.folder.is_dir():
-            raise LogError(f"{folder}: expected a folder with logs, there is none of that name. Check the path")
+            raise LogError(f"{folder}: expected a folder with logs, the folder does not exist. Check the path")
 
     def search(self, query: Query | None = None, progress: Progress | None = None) -> list[Entry]:
-        """Entries of the logs that are looked for, in the order asked for.
+        """Return the entries of the logs that match a query, in the requested order.
 
         Args:
-            query: None for all.
-            progress: told the share of new and changed files that have been read, 0 … 1; never when there are none.
+            query: search conditions; None for all logs.
+            progress: called with the completed share of the new and changed files, 0 … 1; not called without any.
 
         Raises:
             LogError: the folder itself cannot be read.
@@ -87,15 +87,15 @@ class Catalogue:
         return query.sorted(entry for entry in self.entries(progress) if query.admits(entry))
 
     def entries(self, progress: Progress | None = None) -> list[Entry]:
-        """Every file's entry, by path; files that are no logs say so in theirs."""
-        for _ in range(_LOOKS - 1):
+        """Return the entry of every file, by path. Files that are not logs yield an entry with `why` set."""
+        for _ in range(_MAX_LOOKS - 1):
             entries, vanished = self._look(progress)
             if not vanished:
                 return entries
         return self._look(progress)[0]
 
     def _look(self, progress: Progress | None) -> tuple[list[Entry], bool]:
-        """Entries by path, and whether a file vanished while it was read."""
+        """Return the entries by path, and True if a file vanished while it was read."""
         looked_ns = self._now_ns()
         files = dict(sorted(self._files()))
         rows = cache.load(self.folder) | self._unsaved
@@ -111,10 +111,10 @@ class Catalogue:
             for number, path in enumerate(new):
                 file, row = files[path], rows.get(path)
                 entries[path], digest = _read(path, file, row, _stretch(progress, number, len(new)))
-                if file.stamp is not None and not _is_gone(file.place):  # others may still list it, whole
+                if file.stamp is not None and not _is_gone(file.place):  # other processes may have cached a gone file
                     facts = entries[path].model_dump_json()
                     self._unsaved[path] = Row(file.stamp, str(file.verdict_stamp or ""), looked_ns, digest, facts)
-                if time.monotonic() - saved_s > _SAVE_S:
+                if time.monotonic() - saved_s > _SAVE_PERIOD_S:
                     self._save(gone)
                     saved_s = time.monotonic()
         finally:
@@ -129,29 +129,29 @@ class Catalogue:
             cache.save(self.folder, self._unsaved, gone)
         except OSError as fault:
             self.cache_trouble = (
-                f"{self.folder}: what was read cannot be remembered there ({fault.strerror or fault}), so the next "
-                "search reads all logs again. Make the folder writable to have it faster"
+                f"{self.folder}: the facts that were read cannot be cached there ({fault.strerror or fault}), so the "
+                "next search reads all logs again. Make the folder writable for faster searches"
             )
         else:
             self.cache_trouble = ""
             self._unsaved = {}
 
     def _files(self) -> Iterator[tuple[str, _File]]:
-        """Logs, each by the name the catalogue gives it."""
+        """Yield each log with its path in the catalogue."""
         self.unread_folders = []
         for folder, _, names in os.walk(self.folder, onerror=self._note_unread):
-            beside = set(names)
+            present = set(names)
             for name in names:
                 if name.endswith(_LOG_SUFFIXES):
                     place = Path(folder, name)
-                    verdict_stamp = _stamp(verdict_path(place)) if name + SUFFIX in beside else None
+                    verdict_stamp = _stamp(verdict_path(place)) if name + SUFFIX in present else None
                     path = place.relative_to(self.folder).as_posix()
                     yield path.encode("utf-8", "backslashreplace").decode(), _File(place, _stamp(place), verdict_stamp)
 
     def _note_unread(self, fault: OSError) -> None:
         if fault.filename == str(self.folder):
             raise LogError(f"{self.folder}: cannot be read ({fault.strerror}). Check its permissions") from fault
-        if not isinstance(fault, FileNotFoundError):  # a folder that was removed meanwhile holds no logs
+        if not isinstance(fault, FileNotFoundError):  # a folder that was removed meanwhile contains no logs
             self.unread_folders.append(f"{fault.filename}: cannot be read ({fault.strerror}), its logs are not listed")
 
 
@@ -163,7 +163,7 @@ def _stamp(file: Path) -> Stamp | None:
 
 
 def _is_gone(file: Path) -> bool:
-    """Whether there is no such file; one that may not be looked at is there."""
+    """Return True if the file does not exist; a file without read permission exists."""
     try:
         file.lstat()
     except (FileNotFoundError, NotADirectoryError):
@@ -181,8 +181,8 @@ def _entry_in(row: Row) -> Entry | None:
 
 
 def _read(path: str, file: _File, row: Row | None, progress: Progress | None) -> tuple[Entry, str]:
-    """A file's entry with its verdict, and the log's digest if it was needed or is known."""
-    from daq.catalogue.facts import one_line, read_entry  # noqa: PLC0415 (the log's reader: not when all is remembered)
+    """Return a file's entry with its verdict, and the log's digest if it was needed or is cached."""
+    from daq.catalogue.facts import one_line, read_entry  # noqa: PLC0415 (loads the log reader: not if all is cached)
 
     known_digest = row.digest if row is not None and file.is_as_in(row) else ""
     entry = read_entry(file.place, path, file.stamp.size_bytes if file.stamp else 0)
@@ -195,12 +195,12 @@ def _read(path: str, file: _File, row: Row | None, progress: Progress | None) ->
         digest = known_digest or digest_of(file.place, progress)
     except LogError as fault:
         return entry.model_copy(update={"verdict": "unreadable", "why": one_line(fault, file.place)}), known_digest
-    said = verdict.verdict if verdict.is_of(digest) else "stale"
-    return entry.model_copy(update={"verdict": said, "judged": verdict}), digest
+    result = verdict.verdict if verdict.is_of(digest) else "stale"
+    return entry.model_copy(update={"verdict": result, "judged": verdict}), digest
 
 
 def _stretch(progress: Progress | None, number: int, count: int) -> Progress | None:
-    """Progress of one piece of work among several; told that it begins."""
+    """Return the progress function of step `number` of `count`, after reporting that the step begins."""
     if progress is None:
         return None
     progress(number / count)

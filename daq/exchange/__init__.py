@@ -1,4 +1,4 @@
-"""Out to other programs' files and in from them: `export_log`, `import_recording`."""
+"""Exchange with other programs' files: `export_log`, `import_recording`."""
 
 from daq.exchange.errors import ExchangeError
 from daq.exchange.export import Exported, export_log

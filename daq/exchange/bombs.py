@@ -1,5 +1,5 @@
 # pyright: strict
-"""Files that are small on the disk and fill the memory when they are read."""
+"""Rejection of small files that would fill the memory when they are read."""
 
 from __future__ import annotations
 
@@ -12,45 +12,46 @@ from typing import BinaryIO, Literal, Protocol
 
 from daq.exchange.errors import ExchangeError
 
-_LARGEST = 2**32  # bytes that one reading may take
-_PLAIN = 2**28  # bytes that any file may hold
-_RATIO = 100  # noise shrinks to a third, a constant column a thousandfold: but not all columns are constant
-_PIECE = 2**20
+_MAX_BYTES = 2**32  # memory that one file may need
+_PLAIN_BYTES = 2**28  # memory that any file may need, for any compression ratio
+_MAX_RATIO = 100  # of memory to file size: noise shrinks to a third, a constant column a thousandfold, not all columns
+_PIECE_BYTES = 2**20
 _INT32, _MATRIX, _COMPRESSED = 5, 14, 15  # element types of MAT version 5
-_TYPES = frozenset((*range(1, 8), 9, *range(12, 19)))  # all there are; scipy looks others up beyond its table
-_TAG = 8  # bytes before each element
-_DEEPEST = 64  # of cells and structs in each other
-_MOST_DIMENSIONS = 32
+_TYPES = frozenset((*range(1, 8), 9, *range(12, 19)))  # all defined types; scipy looks up others beyond its table
+_TAG_BYTES = 8  # before each element
+_MAX_DEPTH = 64  # of nested cells and structs
+_MAX_DIMENSIONS = 32
 
 
 def refuse_bomb(path: Path, what: str, size: int) -> None:
-    """Refuse what would take more memory than any recording in a file of this size.
+    """Raise if a file would take more memory than a recording of this file size can need.
 
     Args:
-        what: of the file, for the message; empty for all of it.
-        size: bytes in memory, by the file's own word.
+        path: the file.
+        what: part of the file, for the message; empty for the whole file.
+        size: size in memory according to the file, bytes.
 
     Raises:
-        ExchangeError: it is too large.
+        ExchangeError: the file is too large.
     """
     where = f"{path}: {what}" if what else f"{path}"
-    if size > _LARGEST:
-        raise ExchangeError(f"{where}: expected at most 4 GB of numbers, got {size / 1e9:.3g} GB; cut it up")
+    if size > _MAX_BYTES:
+        raise ExchangeError(f"{where}: expected at most 4 GB of numbers, got {size / 1e9:.3g} GB; split it")
     on_disk = os.stat(path).st_size
-    if size > _PLAIN and size > _RATIO * on_disk:
+    if size > _PLAIN_BYTES and size > _MAX_RATIO * on_disk:
         raise ExchangeError(
-            f"{where}: expected numbers, got {size / 1e6:.0f} MB in a file of {on_disk / 1e6:.3g} MB, which no "
-            "recording shrinks to; if it is one, save it without compression"
+            f"{where}: expected numbers, got {size / 1e6:.0f} MB in a file of {on_disk / 1e6:.3g} MB, a ratio that no "
+            "recording reaches; if it is a recording, save it without compression"
         )
 
 
 def refuse_mat_bomb(path: Path) -> None:
-    """Refuse a MAT file of version 5 or 7 that unpacks to too much, claims too much or is nested too deep.
+    """Raise for a MAT file of version 5 or 7 that unpacks to too much, claims too much or is nested too deeply.
 
-    Whatever reads such a file calls itself for every cell in a cell: deep enough, and the process dies of it.
+    Readers of such files call themselves for every nested cell; with enough levels the process crashes.
 
     Raises:
-        ExchangeError: it is one.
+        ExchangeError: the file has one of these properties.
         OSError: the file cannot be read.
         zlib.error: its compressed parts are damaged.
     """
@@ -65,7 +66,7 @@ def refuse_mat_bomb(path: Path) -> None:
             end = file.tell() + size
             if kind == _COMPRESSED:
                 source = _Unpacked(path, file, size, unpacked)
-                claimed += _claims(path, source, order, _LARGEST)
+                claimed += _claims(path, source, order, _MAX_BYTES)
                 unpacked = source.finish()
             elif kind == _MATRIX:
                 file.seek(-8, os.SEEK_CUR)
@@ -80,11 +81,12 @@ class _Source(Protocol):
 
 
 class _Unpacked:
-    """What a compressed element unpacks to, in order and in pieces.
+    """Unpacked content of a compressed element, read forward in pieces.
 
     Args:
-        size: bytes of the element, packed.
-        before: bytes that the elements before it unpacked to.
+        path, file: the file.
+        size: packed size of the element, bytes.
+        before: unpacked size of the elements before it, bytes.
     """
 
     def __init__(self, path: Path, file: BinaryIO, size: int, before: int) -> None:
@@ -102,7 +104,7 @@ class _Unpacked:
         return taken
 
     def seek(self, offset: int, whence: int) -> None:
-        """Forward from here, which is all that is asked for."""
+        """Skip forward from the present position; other modes are not needed."""
         assert whence == os.SEEK_CUR
         while offset > 0 and self._filled():
             passed = min(offset, len(self._piece) - self._at)
@@ -110,18 +112,18 @@ class _Unpacked:
             offset -= passed
 
     def finish(self) -> int:
-        """Pass over the rest; how much has been unpacked in all."""
-        self.seek(2 * _LARGEST, os.SEEK_CUR)
+        """Skip the rest; return the total unpacked size, bytes."""
+        self.seek(2 * _MAX_BYTES, os.SEEK_CUR)
         return self._total
 
     def _filled(self) -> bool:
         while self._at >= len(self._piece):
             if not self._packed:
-                self._packed = self._file.read(min(self._left, _PIECE))
+                self._packed = self._file.read(min(self._left, _PIECE_BYTES))
                 self._left -= len(self._packed)
                 if not self._packed:
                     return False
-            self._piece, self._at = self._stream.decompress(self._packed, _PIECE), 0
+            self._piece, self._at = self._stream.decompress(self._packed, _PIECE_BYTES), 0
             self._packed = self._stream.unconsumed_tail
             self._total += len(self._piece)
             refuse_bomb(self._path, "", self._total)
@@ -129,18 +131,19 @@ class _Unpacked:
 
 
 def _claims(path: Path, source: _Source, order: Literal["little", "big"], size: int) -> int:
-    """What a matrix and all in it take in memory, by their own words, bytes.
+    """Return the memory that a matrix and its contents need according to their heads, bytes.
 
     Args:
-        size: bytes to come, at most.
+        path, source, order: the file, its content and its byte order.
+        size: largest remaining size, bytes.
 
     Raises:
-        ExchangeError: a cell in a cell in a cell …, a part that passes the end of what it is in, or is of no type.
+        ExchangeError: cells are nested too deeply, or a part exceeds its container or has an unknown type.
     """
     claimed, sign = 0, "<" if order == "little" else ">"
-    inside = [[size, 0]]  # of each open matrix: bytes to come, elements seen
+    inside = [[size, 0]]  # of each open matrix: remaining bytes, number of elements
     while inside:
-        if inside[-1][0] < _TAG or len(tag := source.read(_TAG)) < _TAG:
+        if inside[-1][0] < _TAG_BYTES or len(tag := source.read(_TAG_BYTES)) < _TAG_BYTES:
             inside.pop()
             continue
         kind, long = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
@@ -149,20 +152,20 @@ def _claims(path: Path, source: _Source, order: Literal["little", "big"], size: 
         else:
             padded = long + -long % 8
         here = inside[-1]
-        here[0] -= _TAG + padded
+        here[0] -= _TAG_BYTES + padded
         here[1] += 1
         if kind not in _TYPES or here[0] < -8:
-            raise ExchangeError(f"{path}: expected a whole MAT file, a part of it is none or passes its end: damaged?")
+            raise ExchangeError(f"{path}: expected a whole MAT file, a part is invalid or exceeds its end: damaged?")
         if kind == _MATRIX:
-            if len(inside) > _DEEPEST:
+            if len(inside) > _MAX_DEPTH:
                 raise ExchangeError(
-                    f"{path}: expected columns of numbers, got more than {_DEEPEST} cells or structs in each other; "
-                    "save the columns by themselves"
+                    f"{path}: expected columns of numbers, got more than {_MAX_DEPTH} nested cells or structs; "
+                    "save the columns separately"
                 )
             inside.append([long, 0])
-        elif kind == _INT32 and here[1] == 2 and len(inside) > 1 and long <= 4 * _MOST_DIMENSIONS:
-            told = source.read(padded)[: long - long % 4]
-            claimed += 8 * math.prod(max(0, each) for (each,) in struct.iter_unpack(f"{sign}i", told))
+        elif kind == _INT32 and here[1] == 2 and len(inside) > 1 and long <= 4 * _MAX_DIMENSIONS:
+            dimensions = source.read(padded)[: long - long % 4]
+            claimed += 8 * math.prod(max(0, each) for (each,) in struct.iter_unpack(f"{sign}i", dimensions))
         else:
             source.seek(padded, os.SEEK_CUR)
     return claimed

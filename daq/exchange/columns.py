@@ -1,4 +1,4 @@
-"""What a file recorded elsewhere is once it is open: columns of numbers by their names."""
+"""An open recording of another program: columns of numbers by name."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _NAMES_SHOWN = 40
 
 @dataclass(frozen=True)
 class Column:
-    """One column as it stands in the file.
+    """One column of a file.
 
     Attributes:
-        name: in the file.
-        values: int64 where every value is a whole number, otherwise float64, shape (n,); NaN where the file says that
-            there is no number; anything where it is absent.
-        absent: true where the file holds nothing at all, shape (n,).
-        lines: line of each row in a text file, its number in another, shape (n,); None: rows are counted from 1.
-        counted: what `lines` counts, "line" or "row".
+        name: name in the file.
+        values: int64 if every value is a whole number, otherwise float64, shape (n,); NaN for a text such as "n/a";
+            undefined for absent values.
+        absent: True for values that are missing in the file, shape (n,).
+        lines: line of each row in a text file, its number in another file, shape (n,); None: rows count from 1.
+        counted: unit of `lines`, "line" or "row".
     """
 
     name: str
@@ -37,11 +37,11 @@ class Column:
     counted: str = "line"
 
     def place(self, row: int) -> str:
-        """Where a row is, for messages."""
+        """Return the position of a row, for messages."""
         return f"row {row + 1}" if self.lines is None else f"{self.counted} {self.lines[row]}"
 
     def keep(self, rows: NDArray[Any]) -> Column:
-        """The rows of a mask or of indices."""
+        """Return the rows of a mask or of indices."""
         lines = np.arange(1, len(self.values) + 1) if self.lines is None else self.lines
         counted = "row" if self.lines is None else self.counted
         return Column(self.name, self.values[rows], self.absent[rows], lines[rows], counted)
@@ -54,33 +54,33 @@ class Recording(Protocol):
 
     @property
     def others(self) -> Mapping[str, str]:
-        """What else the file holds and is no column of numbers: what each is, by name."""
+        """Contents that are not columns of numbers: description by name."""
         ...
 
     @property
     def names(self) -> Sequence[str]:
-        """Every column's name, in the file's order."""
+        """Names of all columns, in the file's order."""
         ...
 
     @property
     def units(self) -> Mapping[str, str]:
-        """Units by name, words of daq.exchange.units, as far as the file gives them where its columns are named."""
+        """Units by name, words of daq.exchange.units, for columns whose unit is in the file."""
         ...
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
-        """Columns by their names in the file.
+        """Read columns by their names in the file.
 
         Raises:
-            ExchangeError: a column holds something other than numbers; the message says where.
+            ExchangeError: a column contains something other than numbers; the message contains the place.
         """
         ...
 
 
 def pick(recording: Recording, wanted: str, option: str) -> str:
-    """The name in the file that was meant: the name itself, or the column's number counted from 1.
+    """Return the name of a column in the file, given the name or its number counted from 1.
 
     Raises:
-        ExchangeError: no such column; the message lists what there is.
+        ExchangeError: the column does not exist; the message lists the existing ones.
     """
     names = list(recording.names)
     if wanted in names:
@@ -102,10 +102,10 @@ def pick(recording: Recording, wanted: str, option: str) -> str:
 
 
 def as_column(name: str, values: NDArray[Any], absent: NDArray[np.bool_] | None = None) -> Column:
-    """A column of numbers from an array (n,) of any integers or floats.
+    """Convert an array (n,) of any integers or floats to a column.
 
     Raises:
-        ExchangeError: the array holds no numbers.
+        ExchangeError: the array does not contain numbers.
     """
     if values.dtype.kind in "iub":
         whole = values.dtype.kind == "b" or not len(values) or int(values.max()) < 2**63
@@ -113,5 +113,7 @@ def as_column(name: str, values: NDArray[Any], absent: NDArray[np.bool_] | None 
     elif values.dtype.kind == "f":
         values = values.astype(np.float64)
     else:
-        raise ExchangeError(f"{name}: expected numbers, got {values.dtype}; times too must be numbers, say seconds")
+        raise ExchangeError(
+            f"{name}: expected numbers, got {values.dtype}; times must be numbers too, for example seconds"
+        )
     return Column(name, values, np.zeros(len(values), bool) if absent is None else absent)

@@ -1,4 +1,4 @@
-"""What a text file of numbers looks like: encoding, delimiter, decimal sign, where its names and its numbers are."""
+"""Dialect of a text file of numbers: encoding, delimiter, decimal sign, position of the names and of the numbers."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ _NO_NUMBER = frozenset(("nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "
 
 @dataclass(frozen=True)
 class Dialect:
-    """How to read one file.
+    """Dialect of one file.
 
     Attributes:
-        encoding: Python's name of it.
+        encoding: Python's name of the encoding.
         delimiter: one character; None: any run of blanks.
-        decimal: "." or ",".
-        names: of the columns; "1", "2" … where the file has none.
-        first_line: of the numbers, counted from 1.
-        units: of the columns by name, words of daq.exchange.units, where the file gives them.
+        decimal: decimal sign, "." or ",".
+        names: names of the columns; "1", "2" … if the file has none.
+        first_line: first line of numbers, counted from 1.
+        units: units by column name, words of daq.exchange.units, if the file contains them.
     """
 
     encoding: str
@@ -60,23 +60,23 @@ class Dialect:
     units: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def split(self, line: str) -> list[str]:
-        """Cells of a line, without blanks and quotes around them."""
+        """Return the cells of a line, without surrounding blanks and quotes."""
         if self.delimiter is None:
             return line.split()
         if '"' in line:
-            cells = next(csv.reader([line], delimiter=self.delimiter, skipinitialspace=True), [])
+            cells = next(csv.reader([line], delimiter=self.delimiter, skipinitialspace=True), list[str]())
         else:
             cells = line.split(self.delimiter)
         return [cell.strip() for cell in cells]
 
     def number(self, cell: str) -> float | int:
-        """The number in a cell; NaN where the text says that there is none.
+        """Return the number in a cell; NaN for a text that means "no number".
 
         Raises:
-            ValueError: something else.
+            ValueError: the cell contains something else.
         """
         if "_" in cell:
-            raise ValueError(cell)  # Python would read 1_000, no one else does
+            raise ValueError(cell)  # Python accepts 1_000, other programs do not
         if self.decimal == ",":
             if "." in cell:
                 raise ValueError(cell)
@@ -94,15 +94,15 @@ class Dialect:
 
 
 def is_comment(line: str) -> bool:
-    """Whether a line holds nothing or a remark."""
+    """Return True for an empty line or a comment."""
     return not line.strip() or line.lstrip().startswith(_COMMENTS)
 
 
 def need_end(line: str, path: Path, number: int) -> None:
-    """Refuse a line that fills the memory before it ends.
+    """Raise for a line that fills the memory before it ends.
 
     Raises:
-        ExchangeError: it is as long as `LONGEST_LINE`, at which reading stopped.
+        ExchangeError: the line is as long as `LONGEST_LINE`, at which reading stopped.
     """
     if len(line) >= LONGEST_LINE:
         raise ExchangeError(
@@ -111,14 +111,14 @@ def need_end(line: str, path: Path, number: int) -> None:
 
 
 def sniff(path: Path) -> Dialect:
-    """The dialect of a file by its first lines.
+    """Determine the dialect of a file from its first lines.
 
     Raises:
-        ExchangeError: it is no text, or holds no columns of numbers.
+        ExchangeError: the file is not text, or contains no columns of numbers.
     """
     encoding = _encoding(path)
     with open(path, encoding=encoding, newline=None) as file:
-        lines = []
+        lines: list[str] = []
         for _ in range(_SAMPLE_LINES):
             line = file.readline(LONGEST_LINE)
             need_end(line, path, len(lines) + 1)
@@ -144,7 +144,7 @@ def sniff(path: Path) -> Dialect:
 
 
 def _could_be_decimal(dialect: Dialect, lines: Sequence[str]) -> bool:
-    """Whether all of two columns are whole numbers, the second without a sign."""
+    """Return True if both of two columns contain whole numbers only, the second without a sign."""
     rows = [_cells(dialect, line) for line in lines[dialect.first_line - 1 :] if not is_comment(line)]
     return all(row[0].lstrip("+-").isdecimal() and row[-1].isdecimal() for row in rows if len(row) == 2)
 
@@ -169,7 +169,7 @@ def _encoding(path: Path) -> str:
 
 
 def _numbers(dialect: Dialect, cells: Sequence[str]) -> int:
-    """How many cells are numbers or say that there is none."""
+    """Return the number of cells that are numbers or mean "no number"."""
     count = 0
     for cell in cells:
         try:
@@ -203,31 +203,31 @@ def _fit(dialect: Dialect, lines: Sequence[str]) -> tuple[float, int]:
 
 
 def _with_names(dialect: Dialect, lines: Sequence[str]) -> Dialect:
-    """The dialect with the columns' names, their units and the first line of numbers."""
+    """Return the dialect with the columns' names, their units and the first line of numbers."""
     rows = [(number, line, _cells(dialect, line)) for number, line in enumerate(lines, 1) if line.strip()]
-    told = [row for row in rows if not is_comment(row[1])]
-    width = Counter(len(cells) for _, _, cells in told[len(told) // 2 :]).most_common(1)[0][0]
+    data = [row for row in rows if not is_comment(row[1])]
+    width = Counter(len(cells) for _, _, cells in data[len(data) // 2 :]).most_common(1)[0][0]
     first = next(
         number
-        for number, _, cells in told
+        for number, _, cells in data
         if len(cells) == width and _numbers(dialect, cells) and not is_unit_row(cells)
     )
     names, units = _heads(dialect, rows, first, width)
     distinct = _distinct(names or [str(i) for i in range(1, width + 1)])
-    told_units = {
+    known_units = {
         name: unit
         for name, given, below in zip(distinct, names or distinct, units, strict=True)
         if (unit := unit_word(below) if below else name_and_unit(given)[1]) is not None
     }
-    return replace(dialect, names=distinct, first_line=first, units=told_units)
+    return replace(dialect, names=distinct, first_line=first, units=known_units)
 
 
 def _heads(
     dialect: Dialect, rows: Sequence[tuple[int, str, list[str]]], first: int, width: int
 ) -> tuple[list[str], list[str]]:
-    """Names and units of the columns, as they stand in the lines above the numbers; no names, empty units: none.
+    """Return names and units of the columns from the lines above the numbers; empty if the file has none.
 
-    Units may stand below or above the names, also as a remark; a line of units alone gives the names too.
+    Units may be below or above the names, also in a comment. A single line of units is used as names too.
     """
     names: list[str] = []
     remarked: list[str] | None = None
@@ -241,17 +241,17 @@ def _heads(
         if fits and not units and is_unit_row(cells):
             units = cells
         elif remark:
-            if remarked is None:  # the nearest to the numbers, or none
+            if remarked is None:  # the comment nearest to the numbers, or none
                 remarked = cells if fits and not _numbers(dialect, cells) else []
         elif not fits or names:
-            break  # a title, or the line above the names that could have held the units
+            break  # a title, or a line above the names that does not contain units
         else:
             names = cells
     return names or remarked or units, units or [""] * width
 
 
 def _distinct(names: Sequence[str]) -> tuple[str, ...]:
-    """Names that stand for one column each: those that occur twice get the column's number."""
+    """Return unique names: names that occur twice get the column's number."""
     return tuple(
         name if name and names.count(name) == 1 else f"{name} (column {i})".lstrip() for i, name in enumerate(names, 1)
     )

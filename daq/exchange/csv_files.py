@@ -1,6 +1,6 @@
-"""CSV: a file per table, one header line, units in the columns' names; provenance goes into a .json beside them.
+"""CSV: one file per table, one header line, units in the column names; the provenance is in a separate .json file.
 
-Numbers are the shortest text that reads back to the same float64; what is no number is ``nan``.
+Numbers are the shortest text that reads back to the same float64; a missing number is ``nan``.
 """
 
 from __future__ import annotations
@@ -9,11 +9,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-from pyarrow import csv
+import pyarrow
+import pyarrow.csv
 
 from daq.exchange.tables import Columns, Layout
 
+pa: Any = pyarrow  # has no types
+csv: Any = pyarrow.csv
 _OPTIONS = csv.WriteOptions(include_header=False, batch_size=65536)
 
 
@@ -22,7 +24,7 @@ class CsvFiles:
 
     Args:
         layouts: the tables.
-        places: the file of each table.
+        places: file of each table, by name.
     """
 
     def __init__(self, layouts: Sequence[Layout], places: Mapping[str, Path]) -> None:
@@ -30,7 +32,7 @@ class CsvFiles:
         self._files: dict[str, Any] = {}
         try:
             for name, columns in self._names.items():
-                self._files[name] = open(places[name], "wb")  # noqa: SIM115 (lives as long as this object)
+                self._files[name] = open(places[name], "wb")  # noqa: SIM115 (closed by `close`)
                 self._files[name].write((",".join(columns) + "\n").encode())
         except BaseException:
             self.close()
@@ -43,7 +45,7 @@ class CsvFiles:
         csv.write_csv(rows, self._files[table], _OPTIONS)
 
     def finish(self, provenance: Mapping[str, Any]) -> None:
-        """See TableWriter; the provenance is not this file's business."""
+        """See TableWriter; the provenance is written elsewhere."""
         self.close()
 
     def close(self) -> None:

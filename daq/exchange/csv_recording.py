@@ -20,7 +20,7 @@ _LONGEST_SHOWN = 40
 
 
 class CsvRecording:
-    """See daq.exchange.recordings.Recording. Reads the file in blocks of rows; only the columns wanted are kept."""
+    """See daq.exchange.recordings.Recording. Reads the file in blocks of rows and keeps only the requested columns."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -42,7 +42,7 @@ class CsvRecording:
         return {name: Column(name, *part.joined(), where) for name, part in parts.items()}
 
     def _blocks(self) -> Iterator[tuple[list[int], list[list[str]]]]:
-        """Line numbers and cells, a block of rows at a time."""
+        """Yield line numbers and cells, a block of rows at a time."""
         dialect, width = self._dialect, len(self.names)
         numbers: list[int] = []
         rows: list[list[str]] = []
@@ -94,8 +94,8 @@ class CsvRecording:
 class _Parts:
     """A column while it is read."""
 
-    values: list[NDArray[Any]] = field(default_factory=list)
-    absent: list[NDArray[np.bool_]] = field(default_factory=list)
+    values: list[NDArray[Any]] = field(default_factory=list[NDArray[Any]])
+    absent: list[NDArray[np.bool_]] = field(default_factory=list[NDArray[np.bool_]])
 
     def joined(self) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         if not self.values:
@@ -104,7 +104,7 @@ class _Parts:
 
 
 def _array(values: list[float | int]) -> NDArray[Any]:
-    """int64 where all are whole numbers that fit, otherwise float64."""
+    """Return int64 if all values are whole numbers in range, otherwise float64."""
     if all(type(value) is int for value in values):
         try:
             return np.array(values, np.int64)
@@ -117,7 +117,7 @@ def _array(values: list[float | int]) -> NDArray[Any]:
 
 
 def _plain_numbers(cells: list[str]) -> NDArray[Any] | None:
-    """Cells that are all numbers as they stand, which is the usual case and a third of the time; None for others."""
+    """Convert cells that are all plain numbers, the usual case, in a third of the time; None for others."""
     if any("_" in cell for cell in cells):
         return None
     try:

@@ -1,7 +1,7 @@
-"""What is refused at the border to other programs' files."""
+"""Error at the border to other programs' files."""
 
 from daq.errors import LogError
 
 
 class ExchangeError(LogError):
-    """A file cannot be exported or imported as asked: bad names, units, times or text; the message says which."""
+    """A file cannot be exported or imported as requested: bad names, units, times or text; the message has details."""

@@ -1,11 +1,11 @@
-"""A log's channels, or the signals of its run, as files of other programs.
+"""Export of a log's channels, or of the signals of its run, to files of other programs.
 
     export_log("run.mcap", "run.h5")                                      # every channel, one file
     export_log("run.mcap", "x.csv", channels=["laser/x"], from_s=2.0, to_s=5.0)
     export_log("run.mcap", "run.mat", signals=True)                       # x, y, angles, marks on the common clock
 
-Parquet and CSV hold one table per file: several channels become OUT-CHANNEL.csv … with OUT.csv.json
-beside them. Nothing is under its final name before everything is written.
+Parquet and CSV contain one table per file: several channels become OUT-CHANNEL.csv … and a file OUT.csv.json. No file
+gets its final name before all are written.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written.
+    """Result of an export.
 
     Attributes:
-        files: in the order they were made; the provenance's .json last.
-        format: theirs.
-        rows: by channel or signal.
-        missing: what the log lacks, in words; empty for a whole one.
+        files: files in the order of creation; the provenance's .json is the last.
+        format: format of the files.
+        rows: number of rows by channel or signal.
+        missing: missing parts of the log, as sentences; empty for a complete log.
         losses: counts by device and kind.
     """
 
@@ -65,7 +65,7 @@ class Exported:
 
 @dataclass(frozen=True)
 class _Window:
-    """Span of time asked for, s since the log's start; None is open."""
+    """Requested time window, s since the log's start; None is open."""
 
     from_s: float | None
     to_s: float | None
@@ -78,12 +78,12 @@ class _Window:
             raise ExchangeError(f"expected --from before --to, got {self.from_s:g} s and {self.to_s:g} s")
 
     def ns(self, start_ns: int) -> tuple[int | None, int | None]:
-        """Both ends in ns since 1970."""
+        """Return both ends in ns since 1970."""
         ends = (None if s is None else start_ns + round(s * 1e9) for s in (self.from_s, self.to_s))
         return next(ends), next(ends)
 
     def facts(self, start_ns: int) -> dict[str, Any]:
-        """For the provenance; an open end is None."""
+        """Return the facts for the provenance; an open end is None."""
         return {
             "time_s_counts_from": iso_time(start_ns),
             "time_s_counts_from_ns": start_ns,
@@ -109,16 +109,16 @@ def export_log(
     Args:
         path: a log, finished or not.
         out: file name; parquet and csv put a channel's name after its stem when there are several.
-        format: None: what the name's ending says.
-        channels: topics; none: every channel that holds samples. With `signals` x, y, angles, marks.
+        format: None: from the ending of the name.
+        channels: topics; empty: every channel with samples. With `signals` x, y, angles, marks.
         from_s, to_s: samples with from_s ≤ t < to_s, s since the log's start.
-        signals: what `daq.signals.run.load_run` makes of the log, on one clock, in place of the channels.
-        force: replace files of those names.
-        progress: told the share done, 0 … 1.
+        signals: export the signals of `daq.signals.run.load_run`, on one clock, instead of the channels.
+        force: replace existing files of these names.
+        progress: called with the completed share, 0 … 1.
 
     Raises:
         ExchangeError: nothing to export, an unknown format, a name that is taken, a table too large for the format.
-        LogError: not a readable log; ChannelMissing for a channel that is not there.
+        LogError: the file is not a readable log; ChannelMissing for a missing channel.
         OSError: the disk is full or gone; no file is left.
     """
     path, out = Path(path), Path(out)
@@ -126,14 +126,13 @@ def export_log(
     window = _Window(from_s, to_s)
     with open_log(path) as log, Staging(force) as staging:
         job = _Job(log, chosen, out if out.suffix else out.with_suffix(_SUFFIX_OF[chosen]), staging, window)
-        tell = progress or (lambda _: None)
-        rows, facts = job.signals(load_run(path), channels) if signals else job.channels(channels, tell)
+        rows, facts = job.signals(load_run(path), channels) if signals else job.channels(channels, progress)
         return Exported(staging.commit(), chosen, rows, facts["missing"], facts["losses"])
 
 
 @dataclass(frozen=True)
 class _Job:
-    """One export on its way."""
+    """One export."""
 
     log: Log
     format: Format
@@ -141,12 +140,12 @@ class _Job:
     staging: Staging
     window: _Window
 
-    def channels(self, wanted: Sequence[str], tell: Progress) -> tuple[dict[str, int], dict[str, Any]]:
-        """Sample channels in slices; rows by topic, and the provenance."""
+    def channels(self, wanted: Sequence[str], progress: Progress | None) -> tuple[dict[str, int], dict[str, Any]]:
+        """Export sample channels in slices; return the number of rows by topic, and the provenance."""
         log = self.log
         topics = list(dict.fromkeys(wanted)) or [topic for topic in log if log.count(topic)]
         if not topics:
-            raise ExchangeError(f"{log.path}: expected samples to export, the log holds none")
+            raise ExchangeError(f"{log.path}: expected samples to export, the log contains none")
         layouts = [sample_layout(log, topic) for topic in topics]
         rows = dict.fromkeys(topics, 0)
         source = source_facts(log.path)
@@ -158,20 +157,21 @@ class _Job:
                     columns = sample_columns(part[topic], log.start_ns)
                     rows[topic] += len(columns["time_ns"])
                     writer.append(topic, columns)
-                    tell(min(1.0, sum(rows.values()) / total))
+                    if progress is not None:
+                        progress(min(1.0, sum(rows.values()) / total))
             facts = {**log_facts(log), **source, **self.window.facts(log.start_ns), "rows": rows}
             self._finish(writer, layouts, facts)
         return rows, facts
 
     def signals(self, run: Run, wanted: Sequence[str]) -> tuple[dict[str, int], dict[str, Any]]:
-        """The run's signals; rows by name, and the provenance."""
+        """Export the run's signals; return the number of rows by name, and the provenance."""
         tables = signal_tables(run, self.window.from_s, self.window.to_s)
         unknown = sorted(set(wanted) - set(tables))
         if unknown:
             raise ExchangeError(f"expected signals of {', '.join(tables)}, got {', '.join(unknown)}")
         names = list(dict.fromkeys(wanted)) or [name for name, table in tables.items() if len(table["time_s"])]
         if not names:
-            raise ExchangeError(f"{run.source}: expected signals to export, the run has none in this span of time")
+            raise ExchangeError(f"{run.source}: expected signals to export, the run has none in this time window")
         layouts = [Layout(n, {c: values.dtype for c, values in tables[n].items()}) for n in names]
         rows = {name: len(tables[name]["time_s"]) for name in names}
         facts = {
@@ -196,7 +196,7 @@ class _Job:
         if self.format == "mat":
             return MatFile(layouts, self.staging.place(self.out))
         places = {layout.name: self.staging.place(self._file(layout, len(layouts))) for layout in layouts}
-        self.staging.place(self._sidecar)  # a taken name is told now, not after the work
+        self.staging.place(self._sidecar)  # raises before the work if the name is taken
         return ParquetFiles(layouts, places) if self.format == "parquet" else CsvFiles(layouts, places)
 
     @property
@@ -232,7 +232,7 @@ def _format(out: Path, format: str | None) -> Format:
         if out.suffix.lower() not in _SUFFIXES:
             raise ExchangeError(f"{out}: expected a name ending in {', '.join(_SUFFIXES)}, or --format")
         return _SUFFIXES[out.suffix.lower()]
-    for known in get_args(Format):
-        if format == known:
-            return known
+    for valid in get_args(Format):
+        if format == valid:
+            return valid
     raise ExchangeError(f"expected a format of {', '.join(get_args(Format))}, got {format!r}")

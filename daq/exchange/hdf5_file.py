@@ -6,15 +6,15 @@ import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import h5py
 
 from daq.exchange.tables import Columns, Layout
 
 _CHUNK_ROWS = 16_384
-_LONGEST_ATTRIBUTE = 4000  # characters; HDF5 refuses attributes of 64 kB, and a viewer shows none that long
-_TEXT = h5py.string_dtype()
+_LONGEST_ATTRIBUTE = 4000  # characters; HDF5 limits attributes to 64 kB, and viewers do not show long ones
+_TEXT: Any = cast("Any", h5py).string_dtype()  # h5py has no types
 
 
 class Hdf5File:
@@ -22,12 +22,12 @@ class Hdf5File:
 
     Args:
         layouts: the tables.
-        place: the file.
+        place: path of the file.
     """
 
     def __init__(self, layouts: Sequence[Layout], place: Path) -> None:
-        self._disk = _Disk(open(place, "w+b", buffering=0))  # noqa: SIM115 (lives as long as this object)
-        self._file = h5py.File(self._disk, "w")
+        self._disk = _Disk(open(place, "w+b", buffering=0))  # noqa: SIM115 (closed by `close`)
+        self._file: Any = h5py.File(self._disk, "w")
         self._rows = dict.fromkeys((layout.name for layout in layouts), 0)
         for layout in layouts:
             group = self._file.create_group(layout.name)
@@ -73,8 +73,8 @@ class Hdf5File:
 
 
 class _Disk(io.RawIOBase):
-    """The file as HDF5 sees it: always writable. A write that fails is remembered for `check`, since HDF5 (2.0 as
-    bundled with h5py 3.16) crashes the process when it has to close a file on a full disk.
+    """The file as seen by HDF5: writing never fails. A failed write is stored for `check`, because HDF5 (2.0 as bundled
+    with h5py 3.16) crashes the process when it has to close a file on a full disk.
     """
 
     def __init__(self, file: io.FileIO) -> None:
@@ -82,7 +82,7 @@ class _Disk(io.RawIOBase):
         self._fault: OSError | None = None
 
     def check(self) -> None:
-        """Raise what a write met.
+        """Raise the error of a failed write.
 
         Raises:
             OSError: the disk is full or gone.
@@ -91,7 +91,7 @@ class _Disk(io.RawIOBase):
             raise self._fault
 
     def write(self, data: Any) -> int:
-        """Write all of it, or remember why not."""
+        """Write all data, or store the error."""
         rest = memoryview(data).cast("B")
         size = len(rest)
         try:

@@ -1,10 +1,10 @@
-"""A csv, parquet, mat or hdf5 file recorded elsewhere made into a log.
+"""Import of a csv, parquet, mat or hdf5 recording into a log.
 
     import_recording("pluck.csv", "pluck.mcap", load_rig("my.toml"),
                      make_recipe(test="ring-down-x", time="t:ms", x="disp1:mm", y="disp2:mm"))
 
-The log has no raw bytes; its samples carry the recording's own times, and `import.json` in it says which file it was
-made of and how. Nothing is filled in: a gap stays a gap and is counted, a reading that means "none" stays NaN.
+The log has no raw bytes. Its samples have the recording's own times, and the attachment `import.json` contains the
+source file and the options. Nothing is interpolated: a gap stays a gap and is counted, an invalid reading stays NaN.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from daq.version import software_version
 from rig_configs.schema import Rig
 
 UNKNOWN_START_NS = 946_684_800_000_000_000
-"""2000-01-01: where recordings begin that do not say when they were made."""
+"""2000-01-01: start of recordings whose date is unknown."""
 
 
 @dataclass(frozen=True)
 class Imported:
-    """What became of a recording.
+    """Result of an import.
 
     Attributes:
         path: the log.
-        samples: by topic.
-        invalid: readings that the recording calls none, by device.
-        gaps: samples that a uniformly sampled recording lacks, by device; absent where it is not uniform.
+        samples: number of samples by topic.
+        invalid: number of readings that the recording marks as invalid, by device.
+        gaps: number of samples missing in a uniformly sampled recording, by device; absent if it is not uniform.
         start_ns, end_ns: first and last sample, ns since 1970.
-        warnings: what a reader must know; empty when all is well.
+        warnings: warnings, as sentences.
     """
 
     path: Path
@@ -62,26 +62,26 @@ def import_recording(
     recipe: Recipe,
     progress: Callable[[float], None] | None = None,
 ) -> Imported:
-    """Make a log of a file recorded elsewhere.
+    """Make a log from a file recorded by another program.
 
     Args:
         path: a csv (any delimiter, decimal comma, comments above), parquet, mat or hdf5 file.
-        out: the log's name, ending in .mcap; never written over.
-        rig: the rig it was recorded on; its snapshot goes into the log.
-        recipe: which column is what, see `make_recipe`.
-        progress: told the share written, 0 … 1.
+        out: name of the log, ending in .mcap; an existing log is not overwritten.
+        rig: the rig it was recorded on; its snapshot is attached to the log.
+        recipe: assignment of the columns, see `make_recipe`.
+        progress: called with the completed share, 0 … 1.
 
     Raises:
-        ExchangeError: columns that are not there, no numbers, times that do not run forward, units that cannot be
-            meant; the message names the line. No log is left.
+        ExchangeError: missing columns, values that are not numbers, times that do not increase, implausible units; the
+            message contains the line. No log is left.
         LogError: the log's name is taken or does not end in .mcap.
-        RecordingError, OSError: it cannot be written.
+        RecordingError, OSError: the log cannot be written.
     """
     recording, noticed = open_recording(Path(path)), Noticed(devices=rig.roles.device_of)
     readings = read_sensors(recording, recipe, rig, noticed.warnings)
     start_ns, is_known = _start(readings, recipe)
     if not is_known:
-        noticed.warnings.append(f"no --start: times count from {iso_time(start_ns)}, which is not when it was")
+        noticed.warnings.append(f"no --start: times count from {iso_time(start_ns)}, which is not the real date")
     parts = make_parts({name: found.shifted(start_ns) for name, found in readings.items()}, recipe, noticed)
     first, last = min(int(part.time_ns[0]) for part in parts), max(int(part.time_ns[-1]) for part in parts)
     releases = release_events(parts, recipe.release_s, start_ns or first, noticed.device("pendulums"))
@@ -98,7 +98,7 @@ def import_recording(
 
 
 def _start(readings: Mapping[str, Readings], recipe: Recipe) -> tuple[int, bool]:
-    """Time 0 of the recording in ns since 1970, 0 where its times count from there; and whether it is known."""
+    """Return time 0 of the recording in ns since 1970 (0 if its times count from 1970), and whether it is known."""
     since = {name: since_1970(found.time_ns) for name, found in readings.items()}
     if not any(since.values()):
         start = recipe.start_ns
@@ -112,18 +112,17 @@ def _start(readings: Mapping[str, Readings], recipe: Recipe) -> tuple[int, bool]
 
 
 def _remarks(topics: set[str], recipe: Recipe) -> list[str]:
-    """What the test will lack when it is identified or validated."""
-    test, found = recipe.test_name, []
+    """Return warnings about missing data for the identification or validation of the test."""
+    test = recipe.test_name
+    found: list[str] = []
     kind = kind_of(test)
     if kind is None:
         known = ", ".join(name for name, row in KINDS.items() if row.gives)
-        found.append(
-            f"{test}: no such row in the table of test kinds, so `rig identify` will pass it over; it has {known}"
-        )
+        found.append(f"{test}: not in the table of test kinds, so `rig identify` skips it; the table contains {known}")
     elif lacking := sorted(kind.channels - topics):
-        found.append(f"{test}: needs {', '.join(sorted(kind.channels))}; lacking {', '.join(lacking)}")
+        found.append(f"{test}: needs {', '.join(sorted(kind.channels))}; missing: {', '.join(lacking)}")
     if point_of(test) and not recipe.release_s:
-        found.append(f"{test}: no --release, so what follows the release cannot be told from the rest")
+        found.append(f"{test}: no --release, so the time after the release cannot be separated from the rest")
     return found
 
 
@@ -170,9 +169,11 @@ def _attachments(recording: Recording, rig: Rig, recipe: Recipe, noticed: Notice
 
 
 def _with_counts(rig: Rig, counts_per_revolution: int) -> Rig:
-    """The rig with other encoders."""
+    """Return the rig with other encoders."""
     if rig.roles.angles is None:
-        raise ExchangeError(f"--counts-per-revolution: rig {rig.name} has no device that tells the pendulums' angles")
+        raise ExchangeError(
+            f"--counts-per-revolution: rig {rig.name} has no device that measures the pendulums' angles"
+        )
     name = rig.roles.angles.device
     encoder = rig.devices[name].model_copy(update={"counts_per_revolution": counts_per_revolution})
     return rig.model_copy(update={"devices": {**rig.devices, name: encoder}})

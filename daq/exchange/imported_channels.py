@@ -1,4 +1,4 @@
-"""Channels of a log that was recorded elsewhere: no device counters, the time is the message's own."""
+"""Channels of an imported log: without device counters; the time is that of the message."""
 
 from daq.channels import Channel
 

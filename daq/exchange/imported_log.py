@@ -1,4 +1,4 @@
-"""Writes imported samples as a log: one time axis, everything in the order of its time."""
+"""Writer of imported samples as a log: one time axis, everything in order of time."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from daq.channels import Channel
 from daq.drivers.items import Batch, Event
 from daq.log.file import LogFile
 
-_ROWS_PER_STRETCH = 8192
+_ROWS_PER_STEP = 8192
 
 
 @dataclass(frozen=True)
 class Part:
-    """One channel's samples.
+    """Samples of one channel.
 
     Attributes:
-        channel: what it becomes in the log.
-        time_ns: sample times since 1970, rising, shape (n,).
-        columns: the channel's fields, each (n,).
+        channel: channel in the log.
+        time_ns: sample times, ns since 1970, ascending, shape (n,).
+        columns: fields of the channel, each (n,).
     """
 
     channel: Channel
@@ -44,11 +44,11 @@ def write_log(
     summary: Mapping[str, Any],
     progress: Callable[[float], None],
 ) -> Path:
-    """Write a log of parts and events, sorted by their own times; no log is left when it cannot be finished.
+    """Write a log of parts and events, sorted by their own times; an unfinished log is removed.
 
     Raises:
         LogError: the name is taken or does not end in .mcap.
-        RecordingError, OSError: the disk.
+        RecordingError, OSError: the disk failed.
     """
     log = LogFile(path, metadata, attachments, (), time.time_ns(), [part.channel for part in parts])
     try:
@@ -57,18 +57,18 @@ def write_log(
             return log.finish(summary)
     except BaseException:
         with contextlib.suppress(OSError):
-            log.part.unlink()  # all that is in it is in the recording too
+            log.part.unlink()  # the recording still contains all data
         raise
 
 
 def _write(log: LogFile, parts: Sequence[Part], events: Sequence[Event], progress: Callable[[float], None]) -> None:
     start = min(int(part.time_ns[0]) for part in parts)
     end = max(int(part.time_ns[-1]) for part in parts) + 1
-    stretches = max(1, sum(len(part.time_ns) for part in parts) // _ROWS_PER_STRETCH)
+    steps = max(1, sum(len(part.time_ns) for part in parts) // _ROWS_PER_STEP)
     done = [0] * len(parts)
     waiting = deque(events)
-    for i in range(1, stretches + 1):
-        until = start + (end - start) * i // stretches
+    for i in range(1, steps + 1):
+        until = start + (end - start) * i // steps
         for number, part in enumerate(parts):
             stop = int(np.searchsorted(part.time_ns, until))
             rows = slice(done[number], stop)
@@ -77,7 +77,7 @@ def _write(log: LogFile, parts: Sequence[Part], events: Sequence[Event], progres
                 sequence = np.arange(done[number], stop).astype(np.uint32)
                 log.batch(Batch(part.channel, part.time_ns[rows], sequence, columns), part.time_ns[rows])
             done[number] = stop
-        while waiting and (waiting[0].facts["time_ns"] < until or i == stretches):
+        while waiting and (waiting[0].facts["time_ns"] < until or i == steps):
             event = waiting.popleft()
             log.event(event, event.facts["time_ns"])
-        progress(i / stretches)
+        progress(i / steps)

@@ -1,4 +1,4 @@
-"""Readings as the channels and events of a log."""
+"""Conversion of readings to the channels and events of a log."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from daq.exchange.rotor_phase import phase_of_angle, phase_of_speed, revolutions
 from daq.guided_tests.kinds import CHANNELS
 
 _SIGNALS = {topic: signal for signal, topic in CHANNELS.items()}
-_LEAST_RELEASE_STD_S = 1e-4
+_MIN_RELEASE_STD_S = 1e-4
 
 
 @dataclass
 class Noticed:
-    """What an import found on its way.
+    """Findings of an import.
 
     Attributes:
-        warnings: what a reader must know.
-        invalid: readings that the recording calls none, by device.
-        gaps: samples that a uniformly sampled recording lacks, by device; a device that is not uniform is absent.
-        devices: of the rig, by the channel each fills.
+        warnings: warnings, as sentences.
+        invalid: number of readings that the recording marks as invalid, by device.
+        gaps: number of samples missing in a uniformly sampled recording, by device; absent if it is not uniform.
+        devices: devices of the rig, by the channel each fills.
     """
 
-    warnings: list[str] = field(default_factory=list)
-    invalid: dict[str, int] = field(default_factory=dict)
-    gaps: dict[str, int] = field(default_factory=dict)
-    devices: dict[str, str] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list[str])
+    invalid: dict[str, int] = field(default_factory=dict[str, int])
+    gaps: dict[str, int] = field(default_factory=dict[str, int])
+    devices: dict[str, str] = field(default_factory=dict[str, str])
 
     def device(self, topic: str) -> str:
-        """What the log calls the source of a channel: the rig's own device, or the signal where the rig has none."""
+        """Return the source of a channel: the rig's own device, or the name of the signal if the rig has none."""
         return self.devices.get(topic, _SIGNALS[topic])
 
 
 def make_parts(readings: Mapping[str, Readings], recipe: Recipe, noticed: Noticed) -> list[Part]:
-    """Channels of a log; times since 1970.
+    """Return the channels of a log; times since 1970.
 
     Raises:
-        ExchangeError: angles at different times, a phase that falls, too few marks.
+        ExchangeError: angles at different times, a decreasing phase, too few marks.
     """
     parts: list[Part] = []
     for axis, channel in (("x", made.DISPLACEMENT_X), ("y", made.DISPLACEMENT_Y)):
@@ -89,7 +89,7 @@ def _pendulums(readings: Mapping[str, Readings], recipe: Recipe, noticed: Notice
 
 
 def gap_events(parts: list[Part], noticed: Noticed) -> list[Event]:
-    """An event per gap of the sensors; index marks and phases have none: the rotor's speed is not uniform."""
+    """Return one event per gap of the sensors; index marks and phases are omitted: the speed is not uniform."""
     found: list[Event] = []
     for part in parts:
         topic, device = part.channel.topic, noticed.device(part.channel.topic)
@@ -101,25 +101,27 @@ def gap_events(parts: list[Part], noticed: Noticed) -> list[Event]:
             continue
         for gap in gaps:
             facts = {"samples": gap.samples, "span_s": gap.span_s, "time_ns": gap.after_ns}
-            found.append(Event("gap", device, f"{gap.samples} samples lacking ({gap.span_s * 1e3:.2f} ms)", facts))
+            found.append(Event("gap", device, f"{gap.samples} samples missing ({gap.span_s * 1e3:.2f} ms)", facts))
         noticed.gaps[device] = sum(gap.samples for gap in gaps)
     return found
 
 
 def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int, device: str) -> list[Event]:
-    """An event per pendulum that was let go; one time stands for both.
+    """Return one event per released pendulum; a single time applies to both.
 
     Args:
-        zero_ns: what the times of the releases count from, ns since 1970.
-        device: that tells the pendulums' angles.
+        parts: channels of the log.
+        release_s: times of the releases, s.
+        zero_ns: origin of these times, ns since 1970.
+        device: device that measures the pendulums' angles.
 
     Raises:
         ExchangeError: a release outside the recording.
     """
     start, end = min(int(part.time_ns[0]) for part in parts), max(int(part.time_ns[-1]) for part in parts)
     steps = [float(np.median(np.diff(p.time_ns))) * 1e-9 for p in parts if p.channel.topic == "pendulums"]
-    std_s = max([_LEAST_RELEASE_STD_S, *(step / math.sqrt(12) for step in steps)])
-    found = []
+    std_s = max([_MIN_RELEASE_STD_S, *(step / math.sqrt(12) for step in steps)])
+    found: list[Event] = []
     for pendulum, at_s in enumerate(release_s * 2 if len(release_s) == 1 else release_s):
         time_ns = zero_ns + round(at_s * 1e9)
         if not start <= time_ns <= end:
@@ -128,5 +130,5 @@ def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int
                 f"{(end - zero_ns) / 1e9:g} s"
             )
         facts = {"pendulum": pendulum, "state": "released", "time_ns": time_ns, "time_std_s": std_s}
-        found.append(Event("lock", device, f"pendulum {'AB'[pendulum]} released, as told at import", facts))
+        found.append(Event("lock", device, f"pendulum {'AB'[pendulum]} released, as stated at import", facts))
     return found

@@ -1,6 +1,6 @@
 """MAT version 5, for MATLAB and Octave: a struct of columns per table, a struct of units, and the provenance.
 
-The format holds at most 2 GB per variable and wants each whole, so the tables are kept in memory until the end.
+The format is limited to 2 GB per variable and needs each as a whole, so the tables are in memory until the end.
 """
 
 from __future__ import annotations
@@ -8,15 +8,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from scipy.io import savemat
+from scipy import io
 
 from daq.exchange.errors import ExchangeError
 from daq.exchange.tables import Columns, Layout
 
-_LARGEST_VARIABLE = 2**31 - 2**20  # bytes; what is over is for the names of the fields
+_LARGEST_VARIABLE = 2**31 - 2**20  # bytes; the rest is reserved for the names of the fields
 
 
 class MatFile:
@@ -24,7 +24,7 @@ class MatFile:
 
     Args:
         layouts: the tables.
-        place: the file.
+        place: path of the file.
     """
 
     def __init__(self, layouts: Sequence[Layout], place: Path) -> None:
@@ -37,12 +37,12 @@ class MatFile:
         """See TableWriter.
 
         Raises:
-            ExchangeError: the table is larger than a variable may be.
+            ExchangeError: the table exceeds the largest size of a variable.
         """
         self._bytes[table] += sum(values.nbytes for values in columns.values())
         if self._bytes[table] > _LARGEST_VARIABLE:
             raise ExchangeError(
-                f"{table}: expected less than 2 GB, which is what a MAT file holds per variable; this is more: "
+                f"{table}: expected less than 2 GB, the limit of a MAT file per variable, got more: "
                 "export as hdf5 (MATLAB: h5read), or a part with --from and --to"
             )
         self._parts[table].append(columns)
@@ -59,7 +59,7 @@ class MatFile:
         variables["units"] = {layout.plain_name: layout.units for layout in self._layouts.values()}
         variables["provenance"] = {key: _plain(value) for key, value in provenance.items()}
         with open(self._place, "wb") as file:
-            savemat(file, variables, long_field_names=True, oned_as="column")
+            cast("Any", io).savemat(file, variables, long_field_names=True, oned_as="column")  # scipy.io has no types
 
     def close(self) -> None:
         """See TableWriter."""
@@ -67,5 +67,5 @@ class MatFile:
 
 
 def _plain(value: Any) -> Any:
-    """Texts and numbers as they are, everything else as JSON (MATLAB: jsondecode)."""
+    """Return texts and numbers unchanged, everything else as JSON (MATLAB: jsondecode)."""
     return value if isinstance(value, str | int | float) else json.dumps(value, ensure_ascii=False)

@@ -1,6 +1,7 @@
-"""MAT files: version 5 and 7 through scipy, version 7.3, which is HDF5, and any other HDF5, through h5py.
+"""MAT and HDF5 recordings: MAT versions 5 and 7 through scipy, version 7.3 (which is HDF5) and other HDF5 through h5py.
 
-A variable is named by its path: ``data.time`` for a field of a struct, ``data.2`` for the second column of a matrix.
+A variable is identified by its path: ``data.time`` for a field of a struct, ``data.2`` for the second column of a
+matrix.
 """
 
 from __future__ import annotations
@@ -9,18 +10,19 @@ import math
 import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat, whosmat
+from scipy import io
 
 from daq.exchange.bombs import refuse_bomb, refuse_mat_bomb
 from daq.exchange.columns import Column, as_column
 from daq.exchange.errors import ExchangeError
 
-_MOST_COLUMNS = 256  # of a matrix; more is an image or the like
+matlab: Any = io  # scipy has no types
+_MAX_COLUMNS = 256  # of a matrix; with more it is an image or similar
 _FILTERS = frozenset((1, 2, 3, 4, 5, 6, 32000))  # deflate, shuffle, Fletcher32, szip, nbit, scale-offset; h5py's lzf
 
 
@@ -32,14 +34,14 @@ class MatRecording:
         self.units: Mapping[str, str] = {}
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # scipy warns of what it skips; it is not among the names then
+                warnings.simplefilter("ignore")  # scipy warns of skipped variables; they are not among the names
                 refuse_mat_bomb(path)
-                listed = whosmat(path, appendmat=False)
+                listed: list[tuple[str, tuple[int, ...], str]] = matlab.whosmat(path, appendmat=False)
                 refuse_bomb(path, "", sum(_bytes(shape) for _, shape, _ in listed))
-                found = loadmat(path, appendmat=False, simplify_cells=True)
+                found: dict[str, Any] = matlab.loadmat(path, appendmat=False, simplify_cells=True)
         except (ExchangeError, MemoryError):
             raise
-        except Exception as fault:  # scipy raises a dozen kinds for damaged files
+        except Exception as fault:  # scipy raises many kinds of errors for damaged files
             raise _unreadable(path, fault) from fault
         self._columns: dict[str, NDArray[Any]] = {}
         self.others: dict[str, str] = {}
@@ -54,9 +56,9 @@ class MatRecording:
 
     def _collect(self, name: str, value: Any) -> None:
         if isinstance(value, dict):
-            for key, inner in value.items():
+            for key, inner in cast("dict[str, Any]", value).items():
                 self._collect(f"{name}.{key}", inner)
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "iufb" and (columns := _vectors(name, value)):
+        elif _is_array(value) and value.dtype.kind in "iufb" and (columns := _vectors(name, value)):
             self._columns |= columns
         else:
             self.others[name] = _described(value)
@@ -72,9 +74,10 @@ class Hdf5Recording:
         self._places: dict[str, tuple[str, int | None]] = {}
         try:
             with h5py.File(path, "r") as file:
-                file.visititems_links(self._visit_link)
-                file.visititems(self._visit)  # goes along hard links alone, so it stays in this file
-        except Exception as fault:  # h5py raises a dozen kinds, too
+                tree: Any = file
+                tree.visititems_links(self._visit_link)
+                tree.visititems(self._visit)  # follows hard links only, so it stays in this file
+        except Exception as fault:  # h5py raises many kinds of errors
             raise _unreadable(path, fault) from fault
         self.names = tuple(self._places)
 
@@ -104,50 +107,55 @@ class Hdf5Recording:
             self.others[place.replace("/", ".")] = f"a {kind}"
 
     def _visit(self, place: str, item: Any) -> None:
-        if not isinstance(item, h5py.Dataset) or place.startswith("#refs#"):
+        if not _is_array(item) or place.startswith("#refs#"):
             return
         name, shape = place.replace("/", "."), item.shape
         if shape is None or item.dtype.kind not in "iuf":
             self.others[name] = "without values" if shape is None else _described(item)
         elif len(shape) == 1 or (len(shape) == 2 and 1 in shape):
             self._places[name] = (place, None)
-        elif len(shape) == 2 and shape[0] <= _MOST_COLUMNS:  # MATLAB's columns are HDF5's rows
+        elif len(shape) == 2 and shape[0] <= _MAX_COLUMNS:  # MATLAB's columns are HDF5's rows
             self._places |= {f"{name}.{i + 1}": (place, i) for i in range(shape[0])}
         else:
             self.others[name] = _described(item)
 
 
+def _is_array(value: Any) -> bool:
+    """Return True for an array or a dataset."""
+    return isinstance(value, np.ndarray | h5py.Dataset)
+
+
 def _described(value: Any) -> str:
-    """What a variable is that is no column of numbers."""
-    if isinstance(value, np.ndarray | h5py.Dataset):
+    """Describe a variable that is not a column of numbers."""
+    if _is_array(value):
         return f"an array of shape {value.shape} of {value.dtype}"
     return f"of type {type(value).__name__}"
 
 
 def _vectors(name: str, value: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """A vector, or the columns of a matrix."""
+    """Return a vector, or the columns of a matrix, by name."""
     if value.ndim == 1 or (value.ndim == 2 and 1 in value.shape):
         return {name: value.reshape(-1)}
-    if value.ndim == 2 and value.shape[1] <= _MOST_COLUMNS:
+    if value.ndim == 2 and value.shape[1] <= _MAX_COLUMNS:
         return {f"{name}.{i + 1}": value[:, i] for i in range(value.shape[1])}
     return {}
 
 
 def _bytes(shape: tuple[int, ...]) -> int:
-    """What an array takes in memory, at most."""
+    """Return the largest size of an array in memory, bytes."""
     return 8 * math.prod(shape)
 
 
 def _refuse_foreign(path: Path, name: str, dataset: Any) -> None:
-    """Refuse a dataset whose numbers are not in the file, or need somebody's code to be unpacked.
+    """Raise for a dataset whose numbers are not in the file, or need additional software to be unpacked.
 
     Raises:
-        ExchangeError: they are in another file, put together of other datasets, or behind a filter that is a plug-in.
+        ExchangeError: the numbers are in another file, composed of other datasets, or packed with a plug-in filter.
     """
     if dataset.external:
         where = f"in other files ({', '.join(repr(str(part[0])) for part in dataset.external[:3])})"
     elif dataset.is_virtual:
-        where = "put together of other datasets"
+        where = "composed of other datasets"
     else:
         created = dataset.id.get_create_plist()
         filters = [created.get_filter(i)[0] for i in range(created.get_nfilters())]

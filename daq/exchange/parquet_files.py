@@ -1,4 +1,4 @@
-"""Parquet: a file per table; units and provenance in the schema's metadata, where any reader finds them."""
+"""Parquet: one file per table; units and provenance are in the schema's metadata, which every reader provides."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
-import pyarrow.parquet as pq
+import pyarrow
+import pyarrow.parquet
 
 from daq.exchange.tables import Columns, Layout
 
+pa: Any = pyarrow  # has no types
+pq: Any = pyarrow.parquet
 _ROW_GROUP = 500_000
 
 
@@ -20,16 +22,16 @@ class ParquetFiles:
 
     Args:
         layouts: the tables.
-        places: the file of each table.
+        places: file of each table, by name.
     """
 
     def __init__(self, layouts: Sequence[Layout], places: Mapping[str, Path]) -> None:
         self._layouts = {layout.name: layout for layout in layouts}
         self._schemas = {layout.name: _schema(layout) for layout in layouts}
-        self._writers: dict[str, pq.ParquetWriter] = {}
+        self._writers: dict[str, Any] = {}
         try:
             for name, schema in self._schemas.items():
-                # the arrow schema would hide what is added at the end, and only then it is known what is missing
+                # a stored arrow schema would hide the metadata added at the end, when the missing parts are known
                 self._writers[name] = pq.ParquetWriter(places[name], schema, compression="zstd", store_schema=False)
         except BaseException:
             self.close()
@@ -55,6 +57,6 @@ class ParquetFiles:
             self._writers.popitem()[1].close()
 
 
-def _schema(layout: Layout) -> pa.Schema:
+def _schema(layout: Layout) -> Any:
     fields = [pa.field(name, pa.from_numpy_dtype(dtype), nullable=False) for name, dtype in layout.dtypes.items()]
     return pa.schema(fields)

@@ -1,18 +1,23 @@
-"""Parquet files recorded elsewhere."""
+"""Parquet recordings of other programs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
+import pyarrow
+import pyarrow.compute
+import pyarrow.parquet
 
 from daq.exchange.bombs import refuse_bomb
 from daq.exchange.columns import Column, as_column
 from daq.exchange.errors import ExchangeError
+
+pa: Any = pyarrow  # has no types
+pc: Any = pyarrow.compute
+pq: Any = pyarrow.parquet
 
 
 class ParquetRecording:
@@ -44,17 +49,18 @@ class ParquetRecording:
         return {name: self._column(name, table.column(name)) for name in wanted}
 
     def _need_numbers(self, name: str) -> None:
-        """Asked before a byte of a column is read: texts and lists may be of any size."""
+        """Check the type before any data of a column is read: texts and lists may have any size."""
         count = self.names.count(name)
         if count > 1:
             raise ExchangeError(f"{self.path}: expected one column {name!r}, got {count}; rename them")
         kind = self._schema.field(name).type
         if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
             raise ExchangeError(
-                f"{self.path}: expected numbers in column {name!r}, got {kind}; times too must be numbers, say seconds"
+                f"{self.path}: expected numbers in column {name!r}, got {kind}; times must be numbers too, for example "
+                "seconds"
             )
 
-    def _column(self, name: str, values: pa.ChunkedArray) -> Column:
+    def _column(self, name: str, values: Any) -> Column:
         if pa.types.is_decimal(values.type):
             values = values.cast(pa.float64())
         absent = np.asarray(values.is_null())

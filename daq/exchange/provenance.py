@@ -1,4 +1,4 @@
-"""Where exported numbers come from: all that a reader needs who has nothing but the exported file."""
+"""Provenance of exported numbers: everything that a reader of the exported file alone needs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _BLOCK = 1 << 20
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file as 64 hex digits, read in blocks."""
+    """Return the SHA-256 of a file as 64 hex digits, read in blocks."""
     digest = hashlib.sha256()
     with open(path, "rb") as file:
         while block := file.read(_BLOCK):
@@ -25,13 +25,13 @@ def file_sha256(path: Path) -> str:
 
 
 def iso_time(time_ns: int) -> str:
-    """A time since 1970 as ISO 8601 text in UTC, to the microsecond."""
+    """Format a time in ns since 1970 as ISO 8601 text in UTC, to the microsecond."""
     seconds, rest = divmod(time_ns, 1_000_000_000)
     return datetime.fromtimestamp(seconds, UTC).replace(microsecond=rest // 1000).isoformat()
 
 
 def log_facts(log: Log) -> dict[str, Any]:
-    """A log's own facts, plain JSON. What is missing is as known now: read the samples first."""
+    """Return the facts of a log as plain JSON. Missing parts are those found so far: read the samples first."""
     run = log.metadata.get("run", {})
     losses = losses_of(log)
     named = {key: run.get(key, "") for key in ("rig", "test", "point", "note", "started", "software")}
@@ -49,7 +49,7 @@ def log_facts(log: Log) -> dict[str, Any]:
 
 
 def source_facts(path: Path) -> dict[str, Any]:
-    """The file itself and who read it."""
+    """Return the facts of the source file and of the exporting software."""
     return {
         "source": path.name,
         "source_sha256": file_sha256(path),
@@ -59,7 +59,7 @@ def source_facts(path: Path) -> dict[str, Any]:
 
 
 def _json_attachment(log: Log, name: str) -> Any:
-    """An attachment's content; a text as it is when it is no JSON, None when there is none."""
+    """Return an attachment's content: decoded from JSON, or as text; None if the attachment is missing."""
     data = log.attachments.get(name)
     if data is None:
         return None

@@ -1,4 +1,4 @@
-"""What a sensor's column says, checked: times that run forward, units that can be meant, gaps and invalid readings."""
+"""Readings of a sensor's column, checked: increasing times, plausible units, gaps and invalid readings."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from daq.exchange.errors import ExchangeError
 from daq.exchange.units import UNITS, ColumnChoice, Quantity
 
 LEAST_ROWS = 20
-_SINCE_1970_S = 1e8  # beyond three years no recording counts from its own start
+_SINCE_1970_S = 1e8  # three years: larger times do not count from the recording's own start
 _LATEST_NS = 2**62
-_SLOWEST_HZ, _FASTEST_HZ = 10.0, 1e6  # of samples that can show this rig's motion
+_MIN_RATE_HZ, _MAX_RATE_HZ = 10.0, 1e6  # of samples that can resolve this rig's motion
 _UNIFORM_SHARE, _UNIFORM_STEP = 0.9, 0.1
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Samples that a uniformly sampled recording lacks: how many, after which instant, and how long nothing came."""
+    """Gap in a uniformly sampled recording: time before it, number of missing samples, and duration."""
 
     after_ns: int
     samples: int
@@ -32,13 +32,13 @@ class Gap:
 
 @dataclass(frozen=True)
 class Readings:
-    """One sensor's samples.
+    """Samples of one sensor.
 
     Attributes:
-        time_ns: sample times, ns, strictly rising, shape (n,); from the recording's own zero until `shifted`.
-        value: in SI units, NaN for invalid readings, shape (n,).
-        row: of the file, counted from 0, shape (n,).
-        invalid: how many readings are NaN.
+        time_ns: sample times, ns, strictly increasing, shape (n,); from the recording's own zero until `shifted`.
+        value: readings in SI units, NaN if invalid, shape (n,).
+        row: row in the file, counted from 0, shape (n,).
+        invalid: number of readings that are NaN.
     """
 
     time_ns: NDArray[np.int64]
@@ -47,7 +47,7 @@ class Readings:
     invalid: int
 
     def shifted(self, start_ns: int) -> Readings:
-        """The same with times since 1970.
+        """Return the readings with times since 1970.
 
         Raises:
             ExchangeError: a time is before 1970 or after 2116.
@@ -61,10 +61,10 @@ class Readings:
 
 
 def times_ns(column: Column, choice: ColumnChoice, option: str) -> NDArray[np.int64]:
-    """A time column in ns, shape (n,): exact for whole numbers, to the nearest ns otherwise.
+    """Convert a time column to ns, shape (n,): exact for whole numbers, to the nearest ns otherwise.
 
     Raises:
-        ExchangeError: a time that is missing, no number or too large, or one not later than the one before.
+        ExchangeError: a time is missing, not a number or too large, or not later than the one before it.
     """
     factor = choice.factor * 1e9
     bad = np.flatnonzero(column.absent | ~np.isfinite(column.values))
@@ -87,7 +87,7 @@ def times_ns(column: Column, choice: ColumnChoice, option: str) -> NDArray[np.in
 
 
 def since_1970(time_ns: NDArray[np.int64]) -> bool:
-    """Whether times count from 1970: they are too large for a recording's own."""
+    """Return True if times count from 1970: they are too large to count from the recording's start."""
     return bool(len(time_ns)) and float(time_ns[-1]) > _SINCE_1970_S * 1e9
 
 
@@ -100,7 +100,7 @@ def _check_rising(time: NDArray[np.int64], column: Column, choice: ColumnChoice,
     what = "the same time again" if time[row] == time[row - 1] else "an earlier time"
     raise ExchangeError(
         f"{option} {column.name}: {column.place(row)}: expected a time after {before} {choice.unit}, got {what} "
-        f"({now}); {len(wrong)} of {len(time)} rows are not later than the row before them. Sort the rows, take out "
+        f"({now}); {len(wrong)} of {len(time)} rows are not later than the row before them. Sort the rows, remove "
         "repeated ones, or give --rate instead of --time"
     )
 
@@ -113,16 +113,16 @@ def read_sensor(
     invalid: Sequence[float],
     option: str,
 ) -> Readings:
-    """A sensor's samples; rows in which the file holds nothing for it are no samples.
+    """Return a sensor's samples; rows without a value for it are omitted.
 
     Args:
         column, choice: its readings and their unit.
         time, time_choice: the column of times with its unit, or times of all rows in ns, shape (n,), and None.
-        invalid: readings that mean none, as they are in the file.
-        option: where it was named, for messages.
+        invalid: values that mean "no reading", as in the file.
+        option: command-line option that named the column, for messages.
 
     Raises:
-        ExchangeError: lengths differ, too few samples, or bad times.
+        ExchangeError: different lengths, too few samples, or bad times.
     """
     length = len(time.values) if isinstance(time, Column) else len(time)
     if length != len(column.values):
@@ -131,12 +131,11 @@ def read_sensor(
             f"{length}; name its own times: {option} {column.name}:{choice.unit}@TIME:s"
         )
     value = column.values.astype(np.float64)
-    there = ~column.absent
-    if isinstance(time, Column):
-        there &= ~(
-            np.isnan(value) & (time.absent | np.isnan(time.values.astype(np.float64)))
-        )  # the end of a shorter one
-    row = np.flatnonzero(there)
+    present = ~column.absent
+    if isinstance(time, Column):  # a shorter column ends with empty rows
+        no_time = time.absent | np.isnan(time.values.astype(np.float64))
+        present &= ~(np.isnan(value) & no_time)
+    row = np.flatnonzero(present)
     if len(row) < LEAST_ROWS:
         raise ExchangeError(f"{option} {column.name}: expected at least {LEAST_ROWS} samples, got {len(row)}")
     if isinstance(time, Column):
@@ -145,16 +144,16 @@ def read_sensor(
     else:
         time_ns = time[row]
     value = value[row]
-    none = ~np.isfinite(value) | np.isin(value, np.asarray(invalid, float))
-    if none.all():
+    is_invalid = ~np.isfinite(value) | np.isin(value, np.asarray(invalid, float))
+    if is_invalid.all():
         raise ExchangeError(f"{option} {column.name}: expected readings, every one of {len(row)} is invalid")
-    with np.errstate(over="ignore"):  # what is infinite is beyond every limit
-        value = np.where(none, np.nan, value * choice.factor)
-    return Readings(time_ns, value, row, int(np.count_nonzero(none)))
+    with np.errstate(over="ignore"):  # an infinite value exceeds every limit
+        value = np.where(is_invalid, np.nan, value * choice.factor)
+    return Readings(time_ns, value, row, int(np.count_nonzero(is_invalid)))
 
 
 def find_gaps(time_ns: NDArray[np.int64]) -> list[Gap] | None:
-    """Gaps of a uniformly sampled recording; None when it is not uniform, so that nothing can be said."""
+    """Return the gaps of a uniformly sampled recording; None if it is not uniform."""
     steps = np.diff(time_ns).astype(np.float64)
     usual = float(np.median(steps))
     if np.mean(np.abs(steps - usual) <= _UNIFORM_STEP * usual) < _UNIFORM_SHARE:
@@ -166,29 +165,31 @@ def find_gaps(time_ns: NDArray[np.int64]) -> list[Gap] | None:
 
 
 def check_rate(time_ns: NDArray[np.int64], choice: ColumnChoice | None, option: str) -> str | None:
-    """A warning where the rate of samples cannot be what was meant."""
+    """Return a warning if the sampling rate is implausible."""
     rate = 1e9 / float(np.median(np.diff(time_ns)))
-    if _SLOWEST_HZ <= rate <= _FASTEST_HZ:
+    if _MIN_RATE_HZ <= rate <= _MAX_RATE_HZ:
         return None
     span_s = (time_ns[-1] - time_ns[0]) * 1e-9
     text = f"{option}: sampled at {rate:.3g} Hz, {span_s:.3g} s long; is the unit of time right?"
     if choice is None:
         return text
     per_unit = rate * choice.factor
-    meant = [unit for unit, factor in UNITS["time"].items() if _SLOWEST_HZ <= per_unit / factor <= _FASTEST_HZ / 10]
+    times = UNITS["time"].items()
+    meant = [unit for unit, factor in times if _MIN_RATE_HZ <= per_unit / factor <= _MAX_RATE_HZ / 10]
     return text + (f" Did you mean {' or '.join(meant)}?" if meant else "")
 
 
 def check_size(
     readings: Readings, choice: ColumnChoice, quantity: Quantity, limit: float, column: Column, option: str
 ) -> None:
-    """Refuse readings ten times beyond what the sensor or the rig can do.
+    """Raise for readings ten times beyond the range of the sensor or the rig.
 
     Args:
-        limit: the largest value there can be, SI.
+        readings, choice, quantity, column, option: the readings, and how the column was named.
+        limit: largest possible value, SI.
 
     Raises:
-        ExchangeError: with the largest reading, and the units in which all of them would fit.
+        ExchangeError: with the largest reading, and a unit in which all readings would be in range.
     """
     size = np.abs(np.nan_to_num(readings.value))
     worst = int(np.argmax(size))
@@ -209,18 +210,18 @@ def check_size(
 
 
 def check_small(readings: Readings, least: float, option: str, what: str) -> str | None:
-    """A warning where everything is smaller than a sensor can see."""
+    """Return a warning if all readings are smaller than a sensor can resolve."""
     span = float(np.nanmax(readings.value) - np.nanmin(readings.value))
     if span >= least:
         return None
-    return f"{option}: the readings span {span:.3g} {what} only; is the unit right, and did the sensor see anything?"
+    return f"{option}: the readings span {span:.3g} {what} only; is the unit right, and was the sensor connected?"
 
 
 _SI: dict[Quantity, str] = {"time": "s", "length": "m", "angle": "rad", "speed": "rad/s"}
 
 
 def unwrapped(angle: NDArray[np.float64]) -> NDArray[Any]:
-    """Angles without jumps of whole turns, shape (n,), rad; NaN stays NaN; untouched where nothing jumps."""
+    """Remove jumps of whole turns from angles, shape (n,), rad; NaN stays NaN; unchanged without jumps."""
     good = np.isfinite(angle)
     out = angle.copy()
     if np.any(np.abs(np.diff(angle[good])) > math.pi):

@@ -1,4 +1,4 @@
-"""How a file recorded elsewhere is to be read: which column is what, in which unit, and what the test was."""
+"""Options of an import: assignment of the columns with their units, and the kind of test."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class Recipe(BaseModel):
-    """Every option of an import. Columns are written ``NAME:UNIT``, see daq.exchange.units.parse_column.
+    """Options of an import. Columns are written ``NAME:UNIT``, see daq.exchange.units.parse_column.
 
     Attributes:
-        test: "ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down", "point-NAME" or a name of one's own.
-        point: name of a validation point; the test is "point-NAME" where none is given.
-        note: the operator's words.
-        time: column of the sample times; or else rate_Hz, the rate of the rows.
+        test: "ring-down-x", "ring-down-y", "spin-down", "run-up", "run-down", "point-NAME" or any other name.
+        point: name of a validation point; the default test is "point-NAME".
+        note: note of the operator.
+        time: column of the sample times. Alternative: rate_Hz, the rate of the rows, Hz.
         x, y: displacements of the disk's centre.
         theta3, theta4: pendulum angles relative to the rotor.
-        phase: rotor angle ψ in every row; or marks: the times at which the index mark passed, as a column or a file
-            of its own; or speed, which is integrated.
-        start: what time 0 of the recording was, ISO 8601, UTC where it names no zone.
-        release_s: when pendulum A and B were let go, in seconds of the recording's time; one number stands for both.
-        counts_per_revolution: of the encoders, where it is not the rig file's.
-        invalid: numbers that stand for "no reading", as they are in the file.
-        clock_tolerance_ppm: standard uncertainty of the rate of the recording's clock; None: the rig file's where it
-            says one, otherwise 50 ppm.
-        recorder: name of the recorder; recordings of one recorder share its clock's error. Those without a name count
-            as one recorder's.
+        phase: rotor angle ψ in every row. Alternatives: marks, the times of the index marks, as a column or a separate
+            file; speed, which is integrated.
+        start: time 0 of the recording, ISO 8601, UTC if it contains no zone.
+        release_s: times of the releases of pendulums A and B in the recording's time, s; a single time applies to both.
+        counts_per_revolution: counts of the encoders, if different from the rig file.
+        invalid: values that mean "no reading", as in the file.
+        clock_tolerance_ppm: standard uncertainty of the rate of the recording's clock, ppm; None: from the rig file if
+            it is stated there, otherwise 50 ppm.
+        recorder: name of the recorder; recordings of one recorder share its clock's error. Recordings without a name
+            count as one recorder's.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -83,24 +83,24 @@ class Recipe(BaseModel):
         if self.time and self.rate_Hz:
             raise ValueError("expected --time or --rate, got both: the times are in the column already")
         if self.point and self.test not in ("", f"point-{self.point}"):
-            raise ValueError(f"--point {self.point}: expected no --test beside it, or point-{self.point}")
+            raise ValueError(f"--point {self.point}: expected no --test in addition, or point-{self.point}")
         _ = self.choices, self.start_ns
         return self
 
     @property
     def test_name(self) -> str:
-        """The test as the log names it."""
+        """Name of the test in the log."""
         return self.test or (f"point-{self.point}" if self.point else "")
 
     @property
     def choices(self) -> dict[str, ColumnChoice]:
-        """What was named, by "time", "x", … "speed"."""
+        """Named columns, by "time", "x", … "speed"."""
         given = {name: getattr(self, name) for name in QUANTITIES}
         return {name: parse_column(text, QUANTITIES[name], f"--{name}") for name, text in given.items() if text}
 
     @property
     def start_ns(self) -> int | None:
-        """Time 0 of the recording in ns since 1970; None when it is not known."""
+        """Time 0 of the recording in ns since 1970; None if it is unknown."""
         if self.start is None:
             return None
         try:
@@ -115,15 +115,15 @@ class Recipe(BaseModel):
 
 
 def make_recipe(**options: object) -> Recipe:
-    """A recipe of options as the command line names them.
+    """Make a recipe from options as the command line names them.
 
     Raises:
-        ExchangeError: options that are unknown, out of range or do not fit together; all of them in the message.
+        ExchangeError: unknown, invalid or contradictory options; the message contains all of them.
     """
     try:
         return Recipe.model_validate(options)
     except ValidationError as fault:
-        lines = []
+        lines: list[str] = []
         for error in fault.errors(include_url=False):
             place = ".".join(str(part) for part in error["loc"])
             message = re.sub(r"^Value error, ", "", error["msg"])
@@ -132,10 +132,10 @@ def make_recipe(**options: object) -> Recipe:
 
 
 def parse_numbers(text: str, option: str) -> tuple[float, ...]:
-    """Numbers separated by commas.
+    """Parse numbers separated by commas.
 
     Raises:
-        ExchangeError: something else.
+        ExchangeError: the text contains something else.
     """
     try:
         numbers = tuple(float(part) for part in text.split(","))

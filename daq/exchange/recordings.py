@@ -1,4 +1,4 @@
-"""Opens files recorded elsewhere, whatever their format."""
+"""Opening of recordings of other programs, in any supported format."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from rig_configs.regular_file import need_regular
 
 
 def open_recording(path: Path) -> Recording:
-    """Open a file by its content and its name's ending.
+    """Open a file according to its content and the ending of its name.
 
     Raises:
-        ExchangeError: no such file, an empty one, or none of csv, parquet, mat and hdf5.
+        ExchangeError: the file does not exist, is empty, or is not csv, parquet, mat or hdf5.
     """
-    # imported when needed: a csv need not wait for scipy
-    from daq.exchange.csv_recording import CsvRecording  # noqa: PLC0415
-    from daq.exchange.matlab_recording import Hdf5Recording, MatRecording  # noqa: PLC0415
-    from daq.exchange.parquet_recording import ParquetRecording  # noqa: PLC0415
+    # imported when needed: importing scipy, h5py and pyarrow would delay the import of a csv file
+    from daq.exchange.csv_recording import CsvRecording  # noqa: PLC0415 (see above)
+    from daq.exchange.matlab_recording import Hdf5Recording, MatRecording  # noqa: PLC0415 (see above)
+    from daq.exchange.parquet_recording import ParquetRecording  # noqa: PLC0415 (see above)
 
     try:
         need_regular(path)
@@ -27,7 +27,7 @@ def open_recording(path: Path) -> Recording:
     except OSError as fault:
         raise ExchangeError(f"{path}: cannot be read ({fault.strerror}): check the path") from fault
     if not start:
-        raise ExchangeError(f"{path}: expected a recording, the file holds nothing")
+        raise ExchangeError(f"{path}: expected a recording, the file is empty")
     if start.startswith(b"PAR1"):
         return ParquetRecording(path)
     if b"\x89HDF\r\n\x1a\n" in (start[:8], start[512:520]):
@@ -35,5 +35,5 @@ def open_recording(path: Path) -> Recording:
     if path.suffix.lower() == ".mat":
         return MatRecording(path)
     if path.suffix.lower() in (".parquet", ".h5", ".hdf5"):
-        raise ExchangeError(f"{path}: expected what its name says, but the content is not {path.suffix.lower()[1:]}")
+        raise ExchangeError(f"{path}: expected {path.suffix.lower()[1:]} as in its name, got another content")
     return CsvRecording(path)

@@ -1,36 +1,37 @@
-"""The rotor's phase of a recording made elsewhere: from an angle in every row, from index marks, or from the speed."""
+"""Phase of the rotor in an imported recording: from an angle in every row, from index marks, or from the speed."""
 
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import cumulative_trapezoid
+from scipy import integrate
 
 from daq.exchange.errors import ExchangeError
 from daq.exchange.readings import Readings, unwrapped
 
-_MUCH_OF_A_TURN = 0.4
-_TWO_MARKS = 1.5  # an interval this much longer than those around it holds more than one revolution
+_MAX_STEP_TURNS = 0.4  # turns between two rows: with larger steps whole turns may be missed
+_TWO_MARKS = 1.5  # ratio to the neighbouring intervals above which an interval contains several revolutions
 
 
 def phase_of_angle(angle: Readings) -> tuple[NDArray[np.int64], NDArray[np.float64], list[str]]:
-    """Times and unwrapped phase of an angle, and what to be warned of.
+    """Return times and unwrapped phase of an angle, and warnings.
 
     Raises:
-        ExchangeError: the angle falls as a whole.
+        ExchangeError: the angle decreases over the recording.
     """
     good = np.isfinite(angle.value)
     time, phase = angle.time_ns[good], unwrapped(angle.value[good])
     if phase[-1] < phase[0] - 2 * math.pi:
         raise ExchangeError(
             f"--phase: expected an angle that rises with time, it falls from {phase[0]:.4g} to {phase[-1]:.4g} rad; "
-            "where the rotor turns the other way give the unit a minus sign: --phase NAME:-rad"
+            "if the rotor turns the other way give the unit a minus sign: --phase NAME:-rad"
         )
     step = float(np.max(np.abs(np.diff(phase)))) / (2 * math.pi)
-    warnings = []
-    if step > _MUCH_OF_A_TURN:
+    warnings: list[str] = []
+    if step > _MAX_STEP_TURNS:
         warnings.append(
             f"--phase: the rotor turns up to {step:.2f} revolutions between two rows, so whole turns may be missed; "
             "is the unit right, and is it sampled fast enough?"
@@ -39,22 +40,23 @@ def phase_of_angle(angle: Readings) -> tuple[NDArray[np.int64], NDArray[np.float
 
 
 def phase_of_speed(speed: Readings) -> tuple[NDArray[np.int64], NDArray[np.float64], list[str]]:
-    """Times and phase from a speed in rad/s; it starts at 0, wherever the rotor stood."""
+    """Return times and phase from a speed in rad/s; the phase starts at 0 for any initial position of the rotor."""
     good = np.isfinite(speed.value)
     time, value = speed.time_ns[good], speed.value[good]
-    phase = cumulative_trapezoid(value, (time - time[0]) * 1e-9, initial=0.0)
+    integral = cast("Any", integrate).cumulative_trapezoid  # scipy has no types
+    phase = np.asarray(integral(value, (time - time[0]) * 1e-9, initial=0.0), np.float64)
     warning = (
-        "--speed: the phase is the integral of the speed and starts at 0 wherever the rotor stood: it has no absolute "
+        "--speed: the phase is the integral of the speed and starts at 0 for any initial position: it has no absolute "
         "reference, so the imbalance's direction and the sense of the pendulums' angles against it are not known"
     )
     return time, phase, [warning]
 
 
 def revolutions_of_marks(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.uint32], list[str]]:
-    """How many revolutions were complete at each mark, shape (n,); marks that were missed are counted.
+    """Return the number of complete revolutions at each mark, shape (n,); missed marks are counted.
 
-    An interval that is a multiple of the shortest of the two before it, and of the two after it, has missed marks;
-    among the first three from standstill that cannot be told.
+    An interval that is a multiple of the shortest of the two before it, and of the two after it, contains missed marks.
+    Missed marks among the first three from standstill cannot be detected.
     """
     if len(time_ns) < 2:
         raise ExchangeError(f"--marks: expected at least two marks, got {len(time_ns)}")

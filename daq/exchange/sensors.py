@@ -1,4 +1,4 @@
-"""Reads the columns that a recipe names, and checks that each can be what it is said to be."""
+"""Reading of the columns that a recipe names, with plausibility checks."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from daq.exchange.recordings import open_recording
 from daq.exchange.units import ColumnChoice, settle_unit
 from rig_configs.schema import Rig
 
-_SMALLEST_M, _SMALLEST_RAD = 1e-6, 1e-4
-_MOST_TURNS_RAD = 1e6  # more than a day of running
+_MIN_SPAN_M, _MIN_SPAN_RAD = 1e-6, 1e-4
+_MAX_PHASE_RAD = 1e6  # more than a day of operation
 
 
 def read_sensors(recording: Recording, recipe: Recipe, rig: Rig, warnings: list[str]) -> dict[str, Readings]:
-    """Readings by "x", "y", "theta3", "theta4", "phase", "speed", and "marks", whose times are all they have.
+    """Return the readings by "x", "y", "theta3", "theta4", "phase", "speed", and "marks", which consist of times only.
 
     Args:
         recording: the file.
-        recipe: which column is what.
-        rig: for what its sensors can see at most.
-        warnings: what looks odd is added.
+        recipe: assignment of the columns.
+        rig: rig file with the ranges of the sensors.
+        warnings: receives warnings about implausible readings.
 
     Raises:
-        ExchangeError: a column is not there, or cannot be what it is said to be.
+        ExchangeError: a column is missing, or its values are impossible.
     """
     choices = {name: _settled(recording, name, choice, recipe) for name, choice in recipe.choices.items()}
     marks, time = choices.pop("marks", None), choices.pop("time", None)
@@ -60,28 +60,28 @@ def read_sensors(recording: Recording, recipe: Recipe, rig: Rig, warnings: list[
 
 
 def _settled(recording: Recording, name: str, choice: ColumnChoice, recipe: Recipe) -> ColumnChoice:
-    """A choice with its units as they are given, or as the file says above the columns."""
+    """Return a choice with its units as given, or as contained in the file above the columns."""
     if name == "marks" and marks_file(recipe) is not None:
         return choice  # its units are in that file
     option = f"--{name}"
-    told = recording.units.get(pick(recording, choice.name, option))
+    file_unit = recording.units.get(pick(recording, choice.name, option))
     time = choice.time
     if time is not None:
         place = f"{option} …@TIME"
         time = settle_unit(time, recording.units.get(pick(recording, time.name, place)), "time", place)
-    return replace(settle_unit(choice, told, QUANTITIES[name], option), time=time)
+    return replace(settle_unit(choice, file_unit, QUANTITIES[name], option), time=time)
 
 
 def marks_file(recipe: Recipe) -> Path | None:
-    """The file of their own that the marks are in, if they are."""
+    """Return the separate file of the marks, or None."""
     marks = recipe.choices.get("marks")
     return Path(marks.name) if marks and Path(marks.name).is_file() else None
 
 
 def _row_times(recipe: Recipe, column: Column, option: str) -> NDArray[np.int64]:
-    """Times of all rows in ns by the rate alone."""
+    """Return the times of all rows in ns, from the rate alone."""
     if recipe.rate_Hz is None:
-        raise ExchangeError(f"{option}: expected --time COLUMN:UNIT or --rate HZ beside it, got neither")
+        raise ExchangeError(f"{option}: expected --time COLUMN:UNIT or --rate HZ in addition, got neither")
     return np.rint(np.arange(len(column.values)) * (1e9 / recipe.rate_Hz)).astype(np.int64)
 
 
@@ -102,18 +102,18 @@ def _marks(recipe: Recipe, choice: ColumnChoice, column: Column | None) -> Readi
 def _check(
     name: str, readings: Readings, choice: ColumnChoice, column: Column, time: ColumnChoice | None, rig: Rig
 ) -> list[str]:
-    """Warnings about one sensor.
+    """Return warnings about one sensor.
 
     Raises:
-        ExchangeError: readings far beyond what there can be.
+        ExchangeError: readings far beyond the possible range.
     """
     option, quantity = f"--{name}", QUANTITIES[name]
     lasers = {sensor.axis: 2 * sensor.reach_m for sensor in rig.roles.displacements}
     limits = {"x": math.inf, "y": math.inf, **lasers, "speed": rig.limits.speed_rpm * math.pi / 30}
-    check_size(readings, choice, quantity, limits.get(name, _MOST_TURNS_RAD), column, option)
+    check_size(readings, choice, quantity, limits.get(name, _MAX_PHASE_RAD), column, option)
     warnings = [check_rate(readings.time_ns, time, option)]
     if quantity == "length":
-        warnings.append(check_small(readings, _SMALLEST_M, option, "m"))
+        warnings.append(check_small(readings, _MIN_SPAN_M, option, "m"))
     elif name == "phase":
-        warnings.append(check_small(readings, _SMALLEST_RAD, option, "rad"))
+        warnings.append(check_small(readings, _MIN_SPAN_RAD, option, "rad"))
     return [warning for warning in warnings if warning]

@@ -1,4 +1,4 @@
-"""Files that get their names only when all of them are whole."""
+"""Files that get their names only when all of them are complete."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from daq.exchange.errors import ExchangeError
 
 
 class Staging:
-    """Files being written beside their final names; `commit` renames them, leaving the block without it removes them.
+    """Files written under temporary names; `commit` renames them, leaving the block without `commit` removes them.
 
     Args:
-        force: files of the final names may be there and are replaced.
+        force: replace existing files of the final names.
     """
 
     def __init__(self, force: bool = False) -> None:
@@ -22,10 +22,10 @@ class Staging:
         self._parts: dict[Path, Path] = {}
 
     def place(self, final: Path) -> Path:
-        """Where to write what will be named `final`; its folder is made.
+        """Return the temporary path of a file that will be named `final`; its folder is created.
 
         Raises:
-            ExchangeError: there is such a file and it may not be replaced, or the name is a folder's.
+            ExchangeError: the file exists and may not be replaced, or the name is that of a folder.
         """
         self._refuse_existing(final)
         final.parent.mkdir(parents=True, exist_ok=True)
@@ -34,11 +34,11 @@ class Staging:
         return part
 
     def commit(self) -> list[Path]:
-        """Give every file its name, on the disk for good.
+        """Rename every file to its final name, after its data are on the disk.
 
         Raises:
             ExchangeError: a file of such a name has appeared meanwhile.
-            OSError: the disk failed; files renamed until then stay.
+            OSError: the disk failed; files renamed before remain.
         """
         for final, part in self._parts.items():
             self._refuse_existing(final)
@@ -50,7 +50,9 @@ class Staging:
 
     def _refuse_existing(self, final: Path) -> None:
         if final.name.lower().endswith((".mcap", ".part")):
-            raise ExchangeError(f"{final}: expected another ending, this is a log's: no export is written over a log")
+            raise ExchangeError(
+                f"{final}: expected another ending, this is the ending of a log: an export never overwrites a log"
+            )
         if final.is_dir():
             raise ExchangeError(f"{final}: expected a file's name, this is a folder: name the file in it")
         if final.exists() and not self._force:

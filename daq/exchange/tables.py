@@ -1,4 +1,4 @@
-"""Tables on their way out: columns with units, in slices that fit into memory, and what a format must do with them."""
+"""Tables for export: columns with units, in slices that fit into memory, and the interface of a format's writer."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _SMALLEST, _LARGEST = -(2**62), 2**62
 
 @dataclass(frozen=True)
 class Layout:
-    """One table.
+    """Layout of one table.
 
     Attributes:
-        name: the channel's topic, or the signal's name.
+        name: topic of the channel, or name of the signal.
         dtypes: column name → dtype, in order.
     """
 
@@ -46,20 +46,20 @@ class Layout:
 
 
 class TableWriter(Protocol):
-    """Tables in the files of one format; slices of different tables may come in any order."""
+    """Writer of tables to the files of one format; slices of different tables may come in any order."""
 
     def append(self, table: str, columns: Columns) -> None:
         """Add rows: every column of the table's layout, all of one length."""
 
     def finish(self, provenance: Mapping[str, Any]) -> None:
-        """Write what the tables are, and the files' ends."""
+        """Write the provenance and the ends of the files."""
 
     def close(self) -> None:
-        """Let go of the files, finished or not."""
+        """Close the files, finished or not."""
 
 
 def sample_columns(samples: Samples, start_ns: int) -> dict[str, NDArray[Any]]:
-    """A channel's columns: times, sequence, then its fields; `time_s` counts from the log's start."""
+    """Return a channel's columns: times, sequence, then its fields; `time_s` counts from the log's start."""
     return {
         "time_ns": samples.time_ns,
         "time_s": (samples.time_ns - start_ns) / 1e9,
@@ -70,7 +70,7 @@ def sample_columns(samples: Samples, start_ns: int) -> dict[str, NDArray[Any]]:
 
 
 def sample_layout(log: Log, topic: str) -> Layout:
-    """The table a channel becomes; reads no samples."""
+    """Return the table of a channel without reading samples."""
     channel = log.channel(topic)
     times = {"time_ns": np.int64, "time_s": np.float64, "log_time_ns": np.int64, "sequence": np.uint32}
     fields = {name: channel.dtype[name] for name in channel.names}
@@ -78,9 +78,9 @@ def sample_layout(log: Log, topic: str) -> Layout:
 
 
 def sample_slices(log: Log, topics: Sequence[str], from_ns: int | None, to_ns: int | None) -> Iterator[Log]:
-    """The log cut into spans of time of about half a million samples each; samples of from_ns ≤ time_ns < to_ns.
+    """Yield the log in time windows of about half a million samples each, with from_ns ≤ time_ns < to_ns.
 
-    The rows of a channel follow each other as in the log, unless a clock was set back across the end of a span.
+    The rows of a channel are in the order of the log, unless a clock was set back across the end of a window.
     """
     count = sum(log.count(topic) for topic in topics)
     first = log.start_ns if from_ns is None else max(from_ns, log.start_ns)
@@ -94,7 +94,7 @@ def sample_slices(log: Log, topics: Sequence[str], from_ns: int | None, to_ns: i
 
 
 def signal_tables(run: Run, from_s: float | None, to_s: float | None) -> dict[str, dict[str, NDArray[Any]]]:
-    """A run's signals on the common clock: x, y, angles, marks, each with its own times."""
+    """Return a run's signals on the common clock: x, y, angles, marks, each with its own times."""
     tables = {
         "x": {"time_s": run.x_time_s, "displacement_m": run.x_m},
         "y": {"time_s": run.y_time_s, "displacement_m": run.y_m},
@@ -102,7 +102,7 @@ def signal_tables(run: Run, from_s: float | None, to_s: float | None) -> dict[st
         "marks": {"time_s": run.mark_time_s, "phase_rad": run.mark_phase_rad},
     }
     start, end = -np.inf if from_s is None else from_s, np.inf if to_s is None else to_s
-    kept = {}
+    kept: dict[str, dict[str, NDArray[Any]]] = {}
     for name, table in tables.items():
         inside = (table["time_s"] >= start) & (table["time_s"] < end)
         kept[name] = {column: np.ascontiguousarray(values[inside]) for column, values in table.items()}

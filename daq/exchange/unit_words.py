@@ -27,7 +27,7 @@ _SAME = {
     "rad/s": "rad/sec rad*s-1 rad·s-1 rad/s-1",
 }
 _BY_WORD = {same: unit for unit, words in _SAME.items() for same in words.split()}
-# units of quantities that no rotor's sensor is read in here, and what stands for "no unit"; they mark a row of units
+# units of quantities that are not imported, and marks for "no unit"; they identify a row of units
 _OTHER_WORDS = (
     "v mv µv a ma n kn nm n·m n*m g kg m/s mm/s m/s² m/s^2 m/s2 mm/s² mm/s^2 1/s s-1 s^-1 s⁻¹ °c degc k c f °f pa kpa "
     "mpa bar mbar db % ‰ khz cm km h d w kw bit bits count counts digit digits inc #"
@@ -41,7 +41,7 @@ _IN_A_NAME = re.compile(
 
 
 def _bare(cell: str) -> str:
-    """A cell without brackets; every way to write micro and degree made one."""
+    """Return a cell without brackets, with one spelling of micro and degree."""
     text = cell.strip().removesuffix(":").strip()
     while found := _BRACKETS.match(text):
         text = next(group for group in found.groups() if group is not None).strip()
@@ -50,7 +50,7 @@ def _bare(cell: str) -> str:
 
 
 def unit_word(cell: str) -> str | None:
-    """The unit of daq.exchange.units that a cell names; None where it names none of them."""
+    """Return the unit of daq.exchange.units in a cell; None if it contains none of them."""
     text = _bare(cell)
     for word in (text, text.lower()):
         if word in _KNOWN:
@@ -61,14 +61,14 @@ def unit_word(cell: str) -> str | None:
 
 
 def is_unit_row(cells: Sequence[str]) -> bool:
-    """Whether cells are units of the columns: each a unit or none, at least one a unit that we know."""
+    """Return True if cells are units of the columns: each a unit or empty, at least one a known unit."""
     known = [unit_word(cell) is not None for cell in cells]
     rest = (_bare(cell).lower() for cell, is_known in zip(cells, known, strict=True) if not is_known)
     return any(known) and all(word in _OTHERS or word in _NONE for word in rest)
 
 
 def name_and_unit(cell: str) -> tuple[str, str | None]:
-    """A column's name apart from the unit it carries: ``t [s]``, ``x (mm)``, ``n / rpm``; None where it has none."""
+    """Split a column's name from its unit: ``t [s]``, ``x (mm)``, ``n / rpm``; the unit is None if it is missing."""
     found = _IN_A_NAME.match(cell.strip())
     if found is None:
         return cell, None

@@ -1,4 +1,4 @@
-"""Units at the border: words for them on the command line, and the unit a field's name ends in."""
+"""Units at the border: unit words on the command line, and the units at the ends of field names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNITS: Mapping[Quantity, Mapping[str, float]] = {
     "angle": {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi},
     "speed": {"rad/s": 1.0, "rpm": math.pi / 30, "Hz": 2 * math.pi, "deg/s": math.pi / 180},
 }
-"""Unit words and what one of each is in s, m, rad, rad/s."""
+"""Unit words with their values in s, m, rad, rad/s."""
 
 _SUFFIXES = {
     "ns": "ns",
@@ -38,7 +38,7 @@ _COUNTS = {"sequence", "counter", "count_a", "count_b", "revolutions", "device_t
 
 
 def unit_of(field: str) -> str:
-    """Unit of a field by its name's end: ``displacement_m`` is in m; "count" for counters, "1" without a unit."""
+    """Return the unit in a field's name: ``displacement_m`` is in m; "count" for counters, "1" without a unit."""
     for ending, unit in _QUOTIENTS.items():
         if field.endswith(ending):
             return unit
@@ -51,12 +51,12 @@ class ColumnChoice:
     """A column named on the command line.
 
     Attributes:
-        name: the column's name, its number counted from 1, or the path of a variable.
-        unit: as it was given: a unit word with a minus sign before it where the axis points the other way, or a number;
-            "" where the file is to say it.
-        factor: one of that unit in s, m, rad or rad/s; negative for an axis the other way round; NaN where the file
-            is to say it.
-        time: the column with this column's own times, where it does not share the recording's.
+        name: name of the column, its number counted from 1, or the path of a variable.
+        unit: unit as given: a unit word, with a minus sign for an axis in the opposite direction, or a number; "" if
+            the file contains the unit.
+        factor: value of the unit in s, m, rad or rad/s; negative for an axis in the opposite direction; NaN if the file
+            contains the unit.
+        time: column of this column's own times, if it does not share those of the recording.
     """
 
     name: str
@@ -66,14 +66,14 @@ class ColumnChoice:
 
 
 def parse_column(text: str, quantity: Quantity, option: str) -> ColumnChoice:
-    """A column and its unit: ``NAME:UNIT``, ``NAME:-UNIT``, ``NAME:NUMBER``, each perhaps ``@TIME:UNIT``.
+    """Parse a column and its unit: ``NAME:UNIT``, ``NAME:-UNIT``, ``NAME:NUMBER``, each optionally ``@TIME:UNIT``.
 
-    The unit may be left out where the name ends in it (``displacement_m``) or the file has it above the column.
+    The unit may be omitted if the name ends in it (``displacement_m``) or the file contains it above the column.
 
     Args:
-        text: what was given.
-        quantity: what the column must hold.
-        option: where it was given, for messages.
+        text: text of the option.
+        quantity: quantity of the column.
+        option: name of the option, for messages.
 
     Raises:
         ExchangeError: a unit of another quantity, or a factor of 0.
@@ -107,34 +107,37 @@ def _parse(text: str, quantity: Quantity, option: str) -> ColumnChoice:
     return ColumnChoice(name, unit, factor)
 
 
-def settle_unit(choice: ColumnChoice, told: str | None, quantity: Quantity, option: str) -> ColumnChoice:
-    """A choice with its unit, held against what the file says of the column.
+def settle_unit(choice: ColumnChoice, file_unit: str | None, quantity: Quantity, option: str) -> ColumnChoice:
+    """Return a choice with its unit, after comparing it with the unit in the file.
 
     Args:
-        told: the unit in the file, a word of UNITS; None where it says none.
+        choice: the column.
+        file_unit: unit in the file, a word of UNITS; None if the file contains none.
+        quantity: quantity of the column.
+        option: name of the option, for messages.
 
     Raises:
-        ExchangeError: neither says a unit, or the file's is another one.
+        ExchangeError: the unit is given neither by the option nor by the file, or both are different.
     """
     words = UNITS[quantity]
-    if told is not None and told not in words:
+    if file_unit is not None and file_unit not in words:
         raise ExchangeError(
             f"{option} {choice.name}: expected a column of {quantity} ({', '.join(words)}), the file gives its unit "
-            f"as {told!r}; is it another column? Where the file is wrong give the factor to SI as a number: "
+            f"as {file_unit!r}; is it another column? If the file is wrong give the factor to SI as a number: "
             f"{option} {choice.name}:0.001"
         )
     if not choice.unit:
-        if told is None:
+        if file_unit is None:
             raise ExchangeError(
                 f"{option} {choice.name}: expected NAME:UNIT with a unit of {quantity} ({', '.join(words)}), got no "
-                "unit, and the file does not say it above the column"
+                "unit, and the file does not contain it above the column"
             )
-        return replace(choice, unit=told, factor=words[told])
+        return replace(choice, unit=file_unit, factor=words[file_unit])
     given = choice.unit.removeprefix("-")
-    if told is not None and given in words and words[given] != words[told]:
+    if file_unit is not None and given in words and words[given] != words[file_unit]:
         raise ExchangeError(
-            f"{option} {choice.name}:{choice.unit}: expected the unit that the file gives the column, {told!r}, got "
-            f"{given!r}; where the file is wrong give the factor to SI as a number: {option} {choice.name}:"
+            f"{option} {choice.name}:{choice.unit}: expected the unit that the file gives the column, {file_unit!r}, "
+            f"got {given!r}; if the file is wrong give the factor to SI as a number: {option} {choice.name}:"
             f"{choice.factor:g}"
         )
     return choice

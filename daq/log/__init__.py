@@ -1,6 +1,7 @@
-"""Logs: written (`file`), opened (`opened`), made whole (`recover`), and what they say of themselves.
+"""Logs: writing (`file`), reading (`opened`), recovery (`recover`), and the facts they contain.
 
-Loaded when asked for: who writes a log needs no reader, and the reader takes a third of a second to load.
+The reader is imported at its first use: it takes a third of a second to load, and a program that writes logs does not
+need it.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ __all__ = ["Log", "open_log"]
 
 def __getattr__(name: str) -> Any:
     if name in __all__:
-        from daq.log import opened  # noqa: PLC0415
+        from daq.log import opened  # noqa: PLC0415 (a third of a second, only for readers)
 
         return getattr(opened, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

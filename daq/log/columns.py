@@ -1,4 +1,4 @@
-"""A channel's messages as columns: one compiled pass over each chunk, straight into the arrays that are handed out."""
+"""A channel's messages as columns: one compiled pass over each chunk writes directly into the returned arrays."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _RECORD_HEAD_BYTES = 9
 
 @dataclass(frozen=True)
 class Messages:
-    """Messages of one chunk: its records; offset, end and channel id of each (n, 3); log and publish times (n,), ns."""
+    """Messages of one chunk: its bytes; offset, end and channel id of each (n, 3); log and publish times (n,), ns."""
 
     data: NDArray[np.uint8]
     places: NDArray[np.int64]
@@ -25,12 +25,12 @@ class Messages:
     publish_ns: NDArray[np.int64]
 
     def payload(self, row: int) -> bytes:
-        """The message of a row."""
+        """Return the payload of a row's message."""
         start, end, _ = self.places[row]
         return self.data[start + _RECORD_HEAD_BYTES + MESSAGE_HEAD_BYTES : end].tobytes()
 
     def part(self, rows: NDArray[np.bool_]) -> Messages:
-        """Some rows."""
+        """Return the selected rows."""
         return Messages(self.data, self.places[rows], self.log_ns[rows], self.publish_ns[rows])
 
     @property
@@ -41,14 +41,14 @@ class Messages:
 
 
 def find_messages(data: NDArray[np.uint8], channel_ids: NDArray[np.int64], count: int) -> Messages:
-    """The messages of some channels in a chunk; no ids mean all.
+    """Find the messages of some channels in a chunk; an empty `channel_ids` selects all channels.
 
     Raises:
-        IndexWrongError: there are not `count` of them.
+        IndexWrongError: the number of messages is not `count`.
     """
     found = Messages(data, np.empty((count, 3), np.int64), np.empty(count, np.int64), np.empty(count, np.int64))
     if locate(data, channel_ids, found.places, found.log_ns, found.publish_ns) < 0:
-        raise IndexWrongError(f"a chunk without the {count} messages that the index says")
+        raise IndexWrongError(f"a chunk without the {count} messages that the index lists")
     return found
 
 
@@ -62,17 +62,17 @@ class Columns:
     fields: dict[str, NDArray[Any]]
 
     def part(self, rows: Any) -> Columns:
-        """Some rows."""
+        """Return the selected rows."""
         fields = {name: column[rows] for name, column in self.fields.items()}
         return Columns(self.log_ns[rows], self.publish_ns[rows], self.sequence[rows], fields)
 
 
 def read_columns(source: LogSource, chunks: NDArray[np.intp], channel_ids: list[int], layout: Channel) -> Columns:
-    """Every sample of a channel in some chunks.
+    """Read every sample of a channel in some chunks.
 
     Raises:
-        IndexWrongError: a chunk does not hold what the index says.
-        ValueError: a message is no protobuf of this schema.
+        IndexWrongError: a chunk does not match the index.
+        ValueError: a message is not a protobuf message of this schema.
     """
     counts = source.contents.table.messages(chunks, channel_ids)
     chunks, counts = chunks[counts > 0], counts[counts > 0]
@@ -99,7 +99,7 @@ def read_columns(source: LogSource, chunks: NDArray[np.intp], channel_ids: list[
 
     results = source.for_each(chunks, take)
     if any(result in (BROKEN, OTHER_COUNT) for _, result in results):
-        raise IndexWrongError("a chunk without the messages that the index says")
+        raise IndexWrongError("a chunk without the messages that the index lists")
     if any(result == OTHER_LAYOUT for _, result in results):
         return _read_any(source, chunks, counts, ids, layout)
     columns = block.columns()
@@ -110,7 +110,7 @@ def read_columns(source: LogSource, chunks: NDArray[np.intp], channel_ids: list[
 
 
 class _Block:
-    """Room for n samples, columns of 8 and of 4 bytes apart."""
+    """Arrays for n samples; columns of 8 bytes and of 4 bytes are stored separately."""
 
     def __init__(self, layout: Channel, n: int) -> None:
         self.layout = layout
@@ -129,7 +129,7 @@ class _Block:
         self.wide, self.narrow = np.empty((wide, n), np.uint64), np.empty((narrow, n), np.uint32)
 
     def columns(self) -> Columns:
-        fields = {}
+        fields: dict[str, NDArray[Any]] = {}
         for name, (_, _, column) in zip(self.layout.names, self.table.tolist(), strict=True):
             bits = self.wide[column] if column >= 0 else self.narrow[-1 - column]
             fields[name] = bits.view(self.layout.dtype[name])
@@ -139,7 +139,7 @@ class _Block:
 def _read_any(
     source: LogSource, chunks: NDArray[np.intp], counts: NDArray[np.int64], ids: NDArray[np.int64], layout: Channel
 ) -> Columns:
-    """As `read_columns`, of messages any protobuf writer may have made."""
+    """As `read_columns`, for messages in any valid protobuf encoding of the schema."""
     expected = dict(zip(chunks.tolist(), counts.tolist(), strict=True))
     found = [find_messages(data, ids, expected[chunk]) for chunk, data in source.each(chunks)]
     fields = layout.unpack_any(part.payload(row) for part in found for row in range(len(part.places)))

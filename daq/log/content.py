@@ -1,4 +1,4 @@
-"""What is in one log: how much of each channel, how fast, what happened; found without holding a long log in memory."""
+"""Contents of one log: amount and rate of each channel, and the events; memory use is bounded for long logs."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from daq.log.outcome import TRIP
 
 _ALL_BEFORE, _ALL_AFTER = -(2**63), 2**63 - 1
 _STRETCH_MESSAGES = 400_000
-_EDGE_NS = 10**9  # first window in which the end of a channel is looked for …
-_WIDER = 8  # … and how much wider the next one is
+_EDGE_NS = 10**9  # length of the first window in which the end of a channel is searched …
+_WIDER = 8  # … and growth factor of the following ones
 _READS_COUNTED = 100_000
 _MOST_LINES = 200
-_MOST_TRIPS = 16  # a session ends with its first
+_MOST_TRIPS = 16  # a session ends at the first trip
 _NUMBERS = re.compile(r"\d+(?:\.\d+)?")
 
 
@@ -28,9 +28,9 @@ class ChannelContent:
     """One sample channel.
 
     Attributes:
-        samples: how many.
-        span_s: from the first sample to the last.
-        rate_Hz: mean over that span, gaps and all.
+        samples: number of samples.
+        span_s: time from the first sample to the last, s.
+        rate_Hz: mean rate over that span, gaps included.
     """
 
     samples: int
@@ -43,8 +43,8 @@ class RawContent:
     """Raw bytes of one device.
 
     Attributes:
-        messages: reads and writes.
-        bytes_in, bytes_out: from and to the device; None where a long log was not gone through to count them.
+        messages: number of reads and writes.
+        bytes_in, bytes_out: bytes from and to the device; None if the log is long and was not read completely.
     """
 
     messages: int
@@ -54,7 +54,7 @@ class RawContent:
 
 @dataclass
 class EventLine:
-    """Events alike but for their numbers: time of the first and the last in s since the log's start, and how many."""
+    """Events that differ only in numbers: times of the first and last, s since the log's start, and their number."""
 
     first_s: float
     last_s: float
@@ -66,25 +66,25 @@ class EventLine:
 
 @dataclass
 class EventContent:
-    """What happened.
+    """Events of a log.
 
     Attributes:
-        kinds: how many events of each kind.
-        lines: events alike taken together, in the order of their first.
-        more: events beyond the lines there is room for.
-        lost: by device and kind ("gap", "damage", "silence"): how many events, and the seconds they tell of.
-        trips: events of what interlocks found, whole; the first ones where there are many.
+        kinds: number of events of each kind.
+        lines: similar events combined, in the order of their first.
+        more: number of events beyond the maximum number of lines.
+        lost: number of events and their total duration in s, by device and kind ("gap", "damage", "silence").
+        trips: complete events of interlock trips; only the first ones if there are many.
     """
 
-    kinds: Counter[str] = field(default_factory=Counter)
-    lines: list[EventLine] = field(default_factory=list)
+    kinds: Counter[str] = field(default_factory=Counter[str])
+    lines: list[EventLine] = field(default_factory=list[EventLine])
     more: int = 0
-    lost: dict[str, dict[str, tuple[int, float]]] = field(default_factory=dict)
-    trips: list[dict[str, Any]] = field(default_factory=list)
+    lost: dict[str, dict[str, tuple[int, float]]] = field(default_factory=dict[str, dict[str, tuple[int, float]]])
+    trips: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
 
 
 def stretches(log: Log) -> Iterator[tuple[float, Log]]:
-    """The log in pieces of bounded size, one after the other in time, each with the share done after it, 0 … 1."""
+    """Yield the log in parts of bounded size, in order of time, each with the share completed after it, 0 … 1."""
     messages = sum(log.count(topic) for topic in log.topics)
     count = max(1, -(-messages // _STRETCH_MESSAGES))
     length = max(1, (log.end_ns - log.start_ns) // count)
@@ -94,10 +94,10 @@ def stretches(log: Log) -> Iterator[tuple[float, Log]]:
 
 
 def channel_content(log: Log, topic: str) -> ChannelContent:
-    """How much of a sample channel there is, from the log's own counts and the channel's two ends.
+    """Return amount and rate of a sample channel, from the log's counts and the channel's first and last samples.
 
     Raises:
-        LogError: its messages are not what its schema says.
+        LogError: the messages do not match their schema.
     """
     samples = log.count(topic)
     first, last = _end_of(log, topic, newest=False), _end_of(log, topic, newest=True)
@@ -106,10 +106,10 @@ def channel_content(log: Log, topic: str) -> ChannelContent:
 
 
 def raw_content(log: Log, thorough: bool = True) -> dict[str, RawContent]:
-    """How many raw bytes of each device there are.
+    """Return the amount of raw bytes of each device.
 
     Args:
-        thorough: go through a long log too; without, its bytes are not counted.
+        thorough: read long logs too; otherwise the bytes of long logs are not counted.
     """
     messages = {device: log.count(raw_topic(device)) for device in log.devices}
     if not thorough and sum(messages.values()) > _READS_COUNTED:
@@ -121,7 +121,7 @@ def raw_content(log: Log, thorough: bool = True) -> dict[str, RawContent]:
 
 
 def last_health(log: Log) -> dict[str, Any] | None:
-    """The last health report; None when there is none."""
+    """Return the last health report; None for a log without health reports."""
     for part in _from_the_edge(log, newest=True) if log.count(HEALTH_TOPIC) else ():
         if reports := part.health:
             return reports[-1]
@@ -129,13 +129,13 @@ def last_health(log: Log) -> dict[str, Any] | None:
 
 
 def events_of(log: Log) -> Iterator[dict[str, Any]]:
-    """Every event with its ``time_ns``, stretch by stretch."""
+    """Yield every event with its ``time_ns``, part by part."""
     for _, part in stretches(log):
         yield from part.events
 
 
 def event_content(events: Iterable[dict[str, Any]], start_ns: int) -> EventContent:
-    """What happened, events alike taken together; times count from `start_ns`."""
+    """Combine similar events; times count from `start_ns`."""
     content = EventContent()
     known: dict[tuple[str, str, str], EventLine] = {}
     for event in events:
@@ -155,23 +155,23 @@ def event_content(events: Iterable[dict[str, Any]], start_ns: int) -> EventConte
             content.trips.append(event)
         if kind == "silence":
             device = str(event.get("of", device))
-        if kind in ("gap", "damage") or (kind == "silence" and "span_s" in event):  # a silence counts when it ends
+        if kind in ("gap", "damage") or (kind == "silence" and "span_s" in event):  # a silence is counted at its end
             count, span_s = content.lost.setdefault(device, {}).get(kind, (0, 0.0))
             content.lost[device][kind] = (count + 1, span_s + seconds(event, "span_s"))
     return content
 
 
 def seconds(facts: Mapping[str, Any], name: str) -> float:
-    """A time that an event or a health report tells, s; 0 when it does not, or tells something else."""
-    said = facts.get(name, 0.0)
+    """Return a time stored in an event or a health report, s; 0 if it is missing or not a finite number."""
+    value = facts.get(name, 0.0)
     try:
-        return float(said) if isinstance(said, int | float) and math.isfinite(said) else 0.0
+        return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
     except OverflowError:
         return 0.0
 
 
 def _end_of(log: Log, topic: str, newest: bool) -> int | None:
-    """Time of a channel's first or last sample, ns since 1970; None when it has none."""
+    """Return the time of a channel's first or last sample, ns since 1970; None if it has no samples."""
     for part in _from_the_edge(log, newest) if log.count(topic) else ():
         if topic in part and len(part[topic]):
             times = part[topic].time_ns
@@ -180,7 +180,7 @@ def _end_of(log: Log, topic: str, newest: bool) -> int | None:
 
 
 def _from_the_edge(log: Log, newest: bool) -> Iterator[Log]:
-    """Its last second (or first), then more and more of it, in the end all of it."""
+    """Yield the log's last second (or first), then larger and larger parts, finally the whole log."""
     window = _EDGE_NS
     while window < log.end_ns - log.start_ns:
         if newest:

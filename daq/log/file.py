@@ -1,12 +1,12 @@
-"""One log being written, by one thread: a NAME.mcap.part with the rig's channels that gets its name when it is whole.
+"""Writer of one log, used by one thread: a NAME.mcap.part with the rig's channels, renamed to NAME.mcap when complete.
 
     with LogFile(path, facts, attachments, devices, now_ns) as log:
         log.raw("probe", RX, data, host_ns)
         log.batch(batch, host_ns)
         log.finish({"losses": …})
 
-The recorder puts a backlog and a thread before it; whoever makes a log of another (decoded anew, imported) uses it as
-it is.
+The recorder adds a backlog and a thread in front of it. Programs that make a log from another one (decoding again,
+import) use it directly.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Literal
+from typing import Any, BinaryIO, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,22 +29,22 @@ from daq.errors import LogError, RecordingError
 from daq.mcap.writer import BlockWriter, compile_writer
 
 FOXGLOVE = "foxglove"
-"""Metadata record by which Foxglove's recorder agent knows whose log it is."""
-_WAITS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Metadata record by which Foxglove's recorder agent identifies the device of a log."""
+_RETRY_DELAYS_S = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 _MEDIA_TYPES = {".json": "application/json", ".toml": "application/toml", ".csv": "text/csv", ".txt": "text/plain"}
 
 
 class ReservedName:
-    """A log's name, taken before there is anything to write: its empty NAME.mcap.part stands in the folder.
+    """A log's name, reserved before there is data: an empty NAME.mcap.part exists in the folder.
 
         with ReservedName(path) as name:
             …  # open devices
             log = LogFile(name, …)
 
-    A name that was not used in the end is given back.
+    A reserved name that was not used is released at the end of the block.
 
     Raises:
-        LogError: the name does not end in .mcap, or is taken by a log, by one being written, or by a cut one.
+        LogError: the name does not end in .mcap, or is used by a log, by one being written, or by a cut one.
         RecordingError: the file cannot be created.
     """
 
@@ -52,28 +52,28 @@ class ReservedName:
         self.path = Path(path)
         self.part = self.path.with_name(self.path.name + ".part")
         check_name(self.path)
-        compile_writer()  # before there is a file: one that is killed must not be found empty
+        compile_writer()  # before the file exists: a process killed while compiling must not leave an empty file
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file: BinaryIO | None = open(self.part, "xb")  # noqa: SIM115 (lives on)
+            self._file: BinaryIO | None = open(self.part, "xb")  # noqa: SIM115 (closed by `give_back` or by its writer)
         except FileExistsError as error:
             raise LogError(_taken(self.part)) from error
         except OSError as error:
             raise _cannot_create(self.part, error) from error
         try:
-            check_name(self.path)  # again: another recording of this name may just have ended
+            check_name(self.path)  # again: another recording of this name may have ended meanwhile
         except BaseException:
             self.give_back()
             raise
 
     def take(self) -> BinaryIO:
-        """The file to write; from now on it is its writer's."""
+        """Return the file to write; the caller owns it from now on."""
         assert self._file is not None, "the name has been used"
         file, self._file = self._file, None
         return file
 
     def give_back(self) -> None:
-        """Let go of a name that was not used; nothing is in its file yet."""
+        """Release a name that was not used and remove its empty file."""
         if self._file is not None:
             with contextlib.suppress(OSError):
                 self._file.close()
@@ -94,17 +94,17 @@ class LogFile:
     """A log being written.
 
     Args:
-        path: the finished file's name, ending in .mcap, or one that was reserved.
+        path: name of the finished file, ending in .mcap, or a reserved name.
         metadata: flat facts of the run (test, point, operator's note, software version …).
-        attachments: files that go in whole, by name (rig snapshot, identities).
-        devices: names of the devices whose raw bytes are kept.
-        created_ns: when, ns since 1970.
-        sample_channels: what is decoded.
-        compression: of the chunks.
+        attachments: content of attached files by name (rig snapshot, identities).
+        devices: names of the devices whose raw bytes are recorded.
+        created_ns: creation time, ns since 1970.
+        sample_channels: channels of decoded samples.
+        compression: compression of the chunks.
 
     Raises:
-        LogError: the name does not end in .mcap, or the file or the rest of a cut one of its name exists already.
-        RecordingError: it cannot be created.
+        LogError: the name does not end in .mcap, or the file or an unfinished one of its name exists already.
+        RecordingError: the file cannot be created.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class LogFile:
             self._writer = BlockWriter(self.file, compression)
             self._ids = self._define(devices, sample_channels)
             self._writer.add_metadata("run", dict(metadata))
-            if rig := metadata.get("rig"):  # without it Foxglove's recorder agent passes the file over
+            if rig := metadata.get("rig"):  # Foxglove's recorder agent skips files without it
                 self._writer.add_metadata(FOXGLOVE, {"deviceName": rig, "deviceId": rig})
             for name, data in attachments.items():
                 self._writer.add_attachment(name, _media_type(name), data, created_ns)
@@ -132,7 +132,7 @@ class LogFile:
             with contextlib.suppress(OSError):
                 self.file.close()
             with contextlib.suppress(OSError):
-                self.part.unlink()  # nothing is in it yet
+                self.part.unlink()  # it is still empty
             if isinstance(error, OSError):
                 raise _cannot_create(self.part, error) from error
             raise
@@ -155,37 +155,37 @@ class LogFile:
         return ids
 
     def raw(self, device: str, direction: int, data: bytes, host_ns: int) -> None:
-        """Keep bytes as they came from a device or went to it."""
+        """Write bytes as they came from a device or were sent to it."""
         message = channels.pack_raw(direction, data)
         self._writer.add_message(self._ids[channels.raw_topic(device)], host_ns, host_ns, 0, message)
 
     def batch(self, batch: Batch, host_ns: int | NDArray[np.int64]) -> None:
-        """Keep decoded samples that arrived at one host time, or each at its own (n,)."""
+        """Write decoded samples that arrived at one host time, or each at its own (n,)."""
         messages = batch.channel.pack(batch.columns)
         self._writer.add_block(self._ids[batch.channel.topic], host_ns, batch.time_ns, batch.sequence, messages)
 
     def event(self, event: Event, host_ns: int) -> None:
-        """Keep an event; its own time is ``facts["time_ns"]`` where it has one."""
+        """Write an event; its own time is ``facts["time_ns"]`` if present."""
         note = {"kind": event.kind, "device": event.device, "text": event.text, **event.facts}
         self.note(channels.EVENTS_TOPIC, note, host_ns, int(event.facts.get("time_ns", host_ns)))
 
     def note(self, topic: str, facts: Mapping[str, Any], log_ns: int, publish_ns: int) -> None:
-        """Keep an event or a health report as it stands."""
+        """Write the facts of an event or a health report unchanged."""
         self._writer.add_message(self._ids[topic], log_ns, publish_ns, 0, channels.pack_note(facts))
 
     def flush(self) -> None:
-        """Hand everything to the system: it survives the end of this process."""
+        """Pass all data to the operating system, so that it survives the end of this process."""
         self._writer.flush()
 
     def sync(self) -> None:
-        """Wait until the disk has what was flushed: it survives the end of the machine. Any thread may call it."""
+        """Wait until flushed data is on the disk, so that it survives a power cut. Any thread may call it."""
         getattr(os, "fdatasync", os.fsync)(self.file.fileno())  # only POSIX has fdatasync
 
     def is_there(self) -> bool:
-        """Whether the file still has its name: one that was moved or deleted is written in vain.
+        """Return True if the file still has its name. Data written to a moved or deleted file would be lost.
 
         Raises:
-            OSError: its folder is gone.
+            OSError: its folder does not exist any more.
         """
         try:
             return os.path.samestat(os.stat(self.part), os.fstat(self.file.fileno()))
@@ -193,11 +193,11 @@ class LogFile:
             return False
 
     def finish(self, summary: Mapping[str, Any]) -> Path:
-        """Write the summary metadata (losses, verdicts; values as JSON) and the file's end, and give it its name.
+        """Write the summary metadata (losses, verdicts; values as JSON) and the file's end, and rename the file.
 
         Raises:
-            OSError: the disk failed; the .part file stays.
-            LogError: another file has taken the name meanwhile; the .part file stays, whole.
+            OSError: the disk failed; the .part file remains.
+            LogError: another file has taken the name meanwhile; the complete .part file remains.
         """
         self._writer.add_metadata("summary", {key: _json(value) for key, value in summary.items()})
         self._writer.finish()
@@ -208,8 +208,8 @@ class LogFile:
         return self.path
 
     def close(self) -> None:
-        """Let go of the file; one that was not finished stays as .part, readable up to the last flush."""
-        with contextlib.suppress(OSError):  # what a full disk did not take is tried once more here
+        """Close the file. An unfinished file remains as .part, readable up to the last flush."""
+        with contextlib.suppress(OSError):  # closing retries the data that a full disk did not take
             self.file.close()
 
     def __enter__(self) -> LogFile:
@@ -221,7 +221,7 @@ class LogFile:
         self.close()
 
     def _sync_folder(self) -> None:
-        """The new name must survive a power cut too; Windows cannot open a folder and needs no such thing."""
+        """Make the new name survive a power cut. Windows cannot open a folder and does not need it."""
         with contextlib.suppress(OSError):
             folder = os.open(self.path.parent, os.O_RDONLY)
             try:
@@ -231,28 +231,28 @@ class LogFile:
 
 
 def check_name(path: Path) -> None:
-    """Whether a log of this name can be written.
+    """Check that a log of this name can be written.
 
     Raises:
-        LogError: it does not end in .mcap, or is taken.
+        LogError: the name does not end in .mcap, or is taken.
     """
     if path.suffix != ".mcap":
         raise LogError(f"{path}: expected a name that ends in .mcap, got {path.name!r}")
     if path.exists():
-        raise LogError(f"{path}: exists already; a log is never written over. Give another name")
+        raise LogError(f"{path}: exists already; logs are never overwritten. Give another name")
 
 
 def give_name(part: Path, path: Path) -> None:
-    """Rename a finished file, unless the name is taken; on Windows a program that is just reading it is waited for.
+    """Rename a finished file, unless the name is taken. On Windows retry while another program is reading the file.
 
     Raises:
         LogError: the name is taken.
-        OSError: it cannot be renamed.
+        OSError: the file cannot be renamed.
     """
     try:
-        os.link(part, path)  # a rename would write over a file that was made meanwhile
+        os.link(part, path)  # a rename would overwrite a file that was created meanwhile
     except FileExistsError as fault:
-        raise LogError(f"{path}: exists already; a log is never written over. Give another name") from fault
+        raise LogError(f"{path}: exists already; logs are never overwritten. Give another name") from fault
     except OSError:  # a file system without links
         check_name(path)
         _patiently(lambda: os.rename(part, path))
@@ -261,7 +261,7 @@ def give_name(part: Path, path: Path) -> None:
 
 
 def _patiently(step: Callable[[], object]) -> None:
-    for wait_s in _WAITS_S:
+    for wait_s in _RETRY_DELAYS_S:
         try:
             step()
             return
@@ -278,7 +278,7 @@ def _json(value: Any) -> str:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
+        return cast("Any", value).tolist()
     raise TypeError(f"expected a JSON value in a log's summary, got {type(value).__name__}")
 
 
@@ -292,12 +292,12 @@ def _taken(part: Path) -> str:
         size = part.stat().st_size
     if not size:
         return (
-            f"{part}: exists already: a recording under this name is about to begin, or was ended before it began. "
+            f"{part}: exists already: a recording under this name is about to begin, or was stopped before it began. "
             "Give another name, or remove the file if nothing is recording"
         )
     return (
         f"{part}: exists already: another recording is writing it, or it is the rest of a recording that was cut. "
-        f"Give another name; `rig recover {part}` makes a cut one whole"
+        f"Give another name; `rig recover {part}` makes a complete log of a cut one"
     )
 
 

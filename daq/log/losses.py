@@ -1,4 +1,4 @@
-"""What a log lost: counted while recording, by device, never guessed."""
+"""Losses of a log, by device: counted while recording, never estimated."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from daq.channels import EVENTS_TOPIC
 from daq.errors import LogError
 from daq.log import Log
 
-_SENSORS_OWN = ("invalid",)  # arrived in order, but the sensor said that it saw nothing
+_SENSORS_OWN = ("invalid",)  # the reading arrived, but the sensor marked it as invalid
 _LOG = "log"
 _COUNTED = ("samples", "bytes", "damaged", "radio_frames", "cable_frames", "frames", "lines", "suspect")
-_SILENT_MS = "_silent_ms"  # how such a count of a channel's silence ends
+_SILENT_MS = "_silent_ms"  # suffix of the duration of a channel's silence
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Losses:
 
     Attributes:
         by_device: counts by device and kind ("samples", "radio_frames", "damaged_frames", "invalid" …).
-        source: where they were found: the summary of a finished log; in a cut one the last health report, which may
-            be a second old, or the events themselves; "none" when the log has nothing that counts.
+        source: where they were read: the summary of a finished log; in a cut log the last health report, which may be
+            one second old, or the events; "none" if the log contains nothing that counts losses.
     """
 
     by_device: Mapping[str, Mapping[str, int]]
@@ -33,19 +33,19 @@ class Losses:
 
     @property
     def total(self) -> int:
-        """All counts added, which says whether anything is lost and how badly; a lost frame and its samples both count.
+        """Sum of all counts, an indicator of the amount of loss: a lost frame and its samples both count.
 
-        Readings that a sensor itself called invalid did arrive and are not in it.
+        Readings that the sensor marked as invalid did arrive and are not included.
         """
         return sum(n for kinds in self.by_device.values() for kind, n in kinds.items() if kind not in _SENSORS_OWN)
 
     @property
     def flat(self) -> dict[str, int]:
-        """By "device.kind"."""
+        """Counts by "device.kind"."""
         return {f"{device}.{kind}": n for device, kinds in self.by_device.items() for kind, n in kinds.items()}
 
     def words(self) -> str:
-        """Only what was lost, in one line."""
+        """Return the losses in one line, without zero counts."""
         found = [
             f"{device} {n} {kind.replace('_', ' ')}"
             for device, kinds in self.by_device.items()
@@ -56,11 +56,11 @@ class Losses:
 
 
 def losses_of(log: Log) -> Losses:
-    """Losses of a log, finished or cut: those counted while recording, and as device "log" the messages known to be
-    missing in the file, now or since before it was recovered.
+    """Return the losses of a log, finished or cut: those counted while recording, and as device "log" the messages that
+    are missing in the file or were lost before its recovery.
 
     Raises:
-        LogError: the log's own count is none: another program's, or a damaged one.
+        LogError: the counts in the log are invalid: it is damaged or was written by another program.
     """
     try:
         counted = _counted(log)
@@ -77,7 +77,7 @@ def losses_of(log: Log) -> Losses:
 
 
 def _counted(log: Log) -> Losses:
-    """What was counted while recording."""
+    """Return the losses counted while recording."""
     summary = log.metadata.get("summary", {})
     if "losses" in summary:
         return Losses(_counts(json.loads(summary["losses"])), "summary")

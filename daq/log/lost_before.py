@@ -1,4 +1,4 @@
-"""What a log lacked before it was recovered: kept in the recovered log, so that it never passes as whole."""
+"""Losses of a log before it was recovered: stored in the recovered log, so that it is not taken for a complete one."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from functools import lru_cache
 from daq.log.samples import Missing
 
 RECOVERED = "recovered"
-"""Name of the metadata record that says what a recovered log comes from."""
+"""Name of the metadata record that states the source of a recovered log."""
 _PLACES, _SENTENCES = "places", "missing"
 _MOST_PLACES = 10_000
 _BEFORE = "lost before it was recovered: "
 
 
-def tell_lost(lost: Iterable[Missing], origin: str, earlier: Iterable[Missing]) -> dict[str, str]:
-    """Texts for the metadata of a recovered log.
+def lost_metadata(lost: Iterable[Missing], origin: str, earlier: Iterable[Missing]) -> dict[str, str]:
+    """Return the metadata texts of a recovered log that describe its losses.
 
     Args:
-        lost: what its origin, a file of that name, lacked; the bytes are the origin's.
-        earlier: what had been lost before the origin itself was recovered.
+        lost: what the source file lacked; byte positions refer to the source file.
+        origin: name of the source file.
+        earlier: what had been lost before the source file itself was recovered.
     """
     lost = list(lost)
     places = _shortened([*earlier, *(_of_origin(place, origin) for place in lost)])
@@ -30,13 +31,13 @@ def tell_lost(lost: Iterable[Missing], origin: str, earlier: Iterable[Missing]) 
 
 
 def read_lost(metadata: Mapping[str, Mapping[str, str]]) -> tuple[Missing, ...]:
-    """What was lost before a log was recovered, by its metadata; nothing for any other log."""
-    told = metadata.get(RECOVERED, {})
-    return _parsed(told.get(_PLACES, ""), told.get(_SENTENCES, ""))
+    """Return what was lost before a log was recovered, from its metadata; empty for any other log."""
+    record = metadata.get(RECOVERED, {})
+    return _parsed(record.get(_PLACES, ""), record.get(_SENTENCES, ""))
 
 
 def _shortened(places: list[Missing]) -> list[Missing]:
-    """The places; when they are too many for a metadata record, the last ones as one."""
+    """Limit the number of places to what a metadata record holds; the last ones are combined into one."""
     if len(places) <= _MOST_PLACES:
         return places
     rest = places[_MOST_PLACES - 1 :]
@@ -62,7 +63,7 @@ def _of_origin(place: Missing, origin: str) -> Missing:
 
 @lru_cache(maxsize=64)
 def _parsed(places: str, sentences: str) -> tuple[Missing, ...]:
-    """The places as they were kept; where that is no list of them, the sentences count."""
+    """Parse the stored places; if they are not a valid list, use the sentences."""
     if not places:
         return tuple(Missing(_BEFORE + line) for line in sentences.splitlines())
     from pydantic import TypeAdapter, ValidationError  # noqa: PLC0415 (only recovered logs need it)

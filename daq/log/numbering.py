@@ -10,15 +10,15 @@ from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from pathlib import Path
 
-_NUMBERED = re.compile(r"([0-9]{1,6})-.*\.mcap", re.DOTALL)  # more digits are a date or a serial, no count
+_NUMBERED = re.compile(r"([0-9]{1,6})-.*\.mcap", re.DOTALL)  # more digits are a date or a serial number
 _LARGEST = 999_999
 
 
 def next_number(names: Iterable[str]) -> int:
-    """The number after the largest that a log in a folder has, however many digits; 1 in a folder without.
+    """Return the number after the largest of the logs in a folder, of any number of digits; 1 for no logs.
 
     Args:
-        names: what is in the folder; finished logs, cut ones and what lies beside them count, anything else does not.
+        names: names in the folder; finished logs, cut ones and files that belong to them count, others do not.
     """
     found = (_NUMBERED.match(name) for name in names)
     return 1 + max((n for match in found if match and (n := int(match[1])) < _LARGEST), default=0)
@@ -26,9 +26,9 @@ def next_number(names: Iterable[str]) -> int:
 
 @contextmanager
 def one_at_a_time(folder: Path) -> Generator[None]:
-    """Hold a folder while a log in it gets its number and its name, so that two tests never get the same.
+    """Lock a folder while a log in it gets its number and its name, so that two tests never get the same number.
 
-    Where a folder cannot be locked (Windows, some network drives) only the log's whole name is guarded.
+    Where a folder cannot be locked (Windows, some network drives), only the log's complete name is guarded.
     """
     try:
         import fcntl  # noqa: PLC0415 (POSIX only)

@@ -5,9 +5,9 @@
         x.time_s, x.displacement_m          # (n,) s since 1970, m
         log.between(start_ns, end_ns)["laser/x"]   # reads only what it needs
 
-A finished file opens at once, by its index; what is not sound is found when it is read, or by `verify`. What is not
-there or cannot be read is in `log.missing`; whatever is handed out was whole and had the right CRC.
-Sample fields are what the schema in the file says, so logs of other versions read alike.
+A finished file opens at once, from its index. Damage is found when the damaged part is read, or by `verify`. Missing
+and unreadable parts are listed in `log.missing`; all data that is returned was complete and had the right CRC.
+Sample fields are read from the schema in the file, so logs of other versions are read in the same way.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, cast
 
 from mcap.records import Channel as ChannelRecord
 from mcap.records import Schema
@@ -32,11 +32,13 @@ from daq.log.window import LogWindow
 
 
 class Log(Mapping[str, Samples]):
-    """An open log: a mapping from topic to `Samples`, and what else the file holds. Made by `open_log` and `between`.
+    """An open log: a mapping from topic to `Samples`, and the other contents of the file.
+
+    Created by `open_log` and `between`.
 
     Attributes:
-        path: the file.
-        window_ns: first time and end of the samples it is limited to, ns since 1970; None when it is not.
+        path: path of the file.
+        window_ns: first time and end of the samples it is limited to, ns since 1970; None if it is not limited.
     """
 
     def __init__(self, path: Path, source: LogSource, window_ns: tuple[int, int] | None = None) -> None:
@@ -48,34 +50,34 @@ class Log(Mapping[str, Samples]):
 
     @property
     def missing(self) -> list[Missing]:
-        """What the file lacks or what is damaged, as far as is known; longer when reading has found more. In a
-        recovered log, what was lost before is behind it.
+        """Missing and damaged parts of the file found so far; reading may find more. What a recovered log had lost
+        before its recovery is at the end of the list.
         """
         return [*self._source.missing, *self.lost_before]
 
     @property
     def lost_before(self) -> list[Missing]:
-        """What a recovered log had lost before it was recovered; empty for any other."""
+        """What a recovered log had lost before it was recovered; empty for any other log."""
         return list(read_lost(self._source.contents.metadata))
 
     @property
     def complete(self) -> bool:
-        """Nothing is known to be missing; `verify` makes sure."""
+        """True if nothing has been found missing; `verify` checks the whole file."""
         return not self.missing
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Tables of texts by name."""
+        """Tables of texts by name of the metadata record."""
         return self._source.contents.metadata
 
     @property
     def attachments(self) -> dict[str, bytes]:
-        """Files by name; read and checked at the first call."""
+        """Content of the attached files by name; read and checked at the first access."""
         return self._source.attachments
 
     @property
     def library(self) -> str:
-        """Who wrote the file, as it says itself."""
+        """Program that wrote the file, as stated in its header."""
         return self._source.contents.header.library
 
     @property
@@ -85,17 +87,17 @@ class Log(Mapping[str, Samples]):
 
     @property
     def chunk_count(self) -> int:
-        """Chunks of the file that are there."""
+        """Number of readable chunks."""
         return len(self._source.contents.table)
 
     @property
     def start_ns(self) -> int:
-        """First log time, ns since 1970; 0 when there are no messages."""
+        """First log time, ns since 1970; 0 if there are no messages."""
         return self._span()[0]
 
     @property
     def end_ns(self) -> int:
-        """Last log time, ns since 1970; 0 when there are no messages."""
+        """Last log time, ns since 1970; 0 if there are no messages."""
         return self._span()[1]
 
     @property
@@ -109,18 +111,18 @@ class Log(Mapping[str, Samples]):
         return tuple(topic.removeprefix(RAW_PREFIX) for topic in self.topics if topic.startswith(RAW_PREFIX))
 
     def count(self, topic: str) -> int:
-        """Messages of a topic, 0 when there is no such topic."""
+        """Return the number of messages of a topic; 0 if the topic does not exist."""
         ids = self._window.ids().get(topic, [])
         if self.window_ns is None:
             return sum(self._source.contents.counts.get(channel_id, 0) for channel_id in ids)
         return sum(len(part.places) for part in self._window.messages([topic]))
 
     def channel(self, topic: str) -> Channel:
-        """Layout of a sample channel, as the file's schema says.
+        """Return the layout of a sample channel, as defined by the file's schema.
 
         Raises:
-            ChannelMissing: no such sample channel.
-            LogError: the schema is missing, or is none of fixed-width fields, or is not the same throughout the file.
+            ChannelMissing: the log does not have this sample channel.
+            LogError: the schema is missing, has fields of variable width, or is not the same throughout the file.
         """
         if not self._is_samples(topic):
             raise self._missing_channel(topic, list(self))
@@ -138,8 +140,8 @@ class Log(Mapping[str, Samples]):
             raise LogError(f"{self.path}: {fault}") from fault
 
     def between(self, start_ns: int, end_ns: int) -> Log:
-        """The same log limited to start_ns ≤ time_ns < end_ns: samples, events and health by their own times, raw
-        bytes by their host time. Reads only the chunks it needs; open as long as this log is.
+        """Return the same log limited to start_ns ≤ time_ns < end_ns: samples, events and health by their own times,
+        raw bytes by their host time. Only the necessary chunks are read. The part is open as long as this log is.
 
         Raises:
             TypeError: a time is not a whole number; in seconds it would be a time in 1970.
@@ -155,15 +157,15 @@ class Log(Mapping[str, Samples]):
         return Log(self.path, self._source, (max(low, start_ns), min(high, end_ns)))
 
     def verify(self, progress: Callable[[float], None] | None = None) -> list[Missing]:
-        """Go through the whole file and check everything: chunks, message indexes, attachments, metadata, CRC of the
-        data, counts.
+        """Read the whole file and check everything: chunks, message indexes, attachments, metadata, CRC of the data,
+        counts.
 
         Args:
-            progress: told now and then which share is done.
+            progress: called with the completed share, 0 … 1.
 
         Returns:
-            What is missing or damaged in this file, now for certain; behind it what another writer gave no CRC for.
-            What a recovered log lost before is in `lost_before` alone.
+            Everything that is missing or damaged in this file, followed by the parts for which another writer stored
+            no CRC. What a recovered log lost before its recovery is only in `lost_before`.
         """
         self._source.walk(progress)
         self._samples.clear()
@@ -179,11 +181,11 @@ class Log(Mapping[str, Samples]):
         return isinstance(topic, str) and self._is_samples(topic)
 
     def __getitem__(self, topic: str) -> Samples:
-        """Samples of a topic; decoded at the first call, kept for the next.
+        """Return the samples of a topic; decoded at the first call and kept.
 
         Raises:
-            ChannelMissing: no such sample channel; lists those there are and the nearest name.
-            LogError: its messages are not what its schema says, or the log was closed.
+            ChannelMissing: the log does not have this sample channel; the text lists the existing ones.
+            LogError: the messages do not match their schema, or the log was closed.
         """
         if not self._is_samples(topic):
             raise self._missing_channel(topic, list(self))
@@ -192,40 +194,40 @@ class Log(Mapping[str, Samples]):
         return self._samples[topic]
 
     def raw(self, device: str) -> list[RawChunk]:
-        """Bytes from and to one device, in file order.
+        """Return the bytes from and to one device, in file order.
 
         Raises:
-            ChannelMissing: no raw bytes of that device.
+            ChannelMissing: the log has no raw bytes of that device.
         """
         if device not in self.devices:
             raise self._missing_channel(device, list(self.devices))
         return [chunk for _, chunk in self._raw([device])]
 
     def raw_in_order(self) -> Iterator[tuple[str, RawChunk]]:
-        """Bytes from and to all devices as (device, bytes), in the order they were written."""
+        """Yield the bytes from and to all devices as (device, bytes), in the order in which they were written."""
         return self._raw(list(self.devices))
 
     @property
     def events(self) -> list[dict[str, Any]]:
-        """Events in file order, each with its ``time_ns``; empty when there are none."""
+        """Events in file order, each with its ``time_ns``."""
         return self._notes(EVENTS_TOPIC)
 
     @property
     def health(self) -> list[dict[str, Any]]:
-        """Health reports in file order, each with its ``time_ns``; empty when there are none."""
+        """Health reports in file order, each with its ``time_ns``."""
         return self._notes(HEALTH_TOPIC)
 
     def close(self) -> None:
-        """Let go of the file; samples already read stay valid. A part made by `between` leaves it open."""
+        """Close the file. Samples already read stay valid. Closing a part made by `between` does not close the file."""
         if self.window_ns is None:
             self._source.close()
 
     def __bool__(self) -> bool:
-        """True, also without a single sample channel."""
+        """Return True, also for a log without sample channels."""
         return True
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is the same object: comparing two logs as mappings would read both."""
+        """Return True for the same object only: comparing two logs as mappings would read both."""
         return self is other
 
     def __hash__(self) -> int:
@@ -277,13 +279,13 @@ class Log(Mapping[str, Samples]):
     def _raw(self, devices: list[str]) -> Iterator[tuple[str, RawChunk]]:
         topics = [RAW_PREFIX + device for device in devices]
         for messages in self._window.messages(topics):
-            names = self._source.contents.definitions.channels
+            channels = self._source.contents.definitions.channels
             for row, host_ns in enumerate(messages.log_ns.tolist()):
                 try:
                     direction, data = unpack_raw(messages.payload(row))
                 except ValueError as fault:
                     raise LogError(f"{self.path}: raw bytes: {fault}") from fault
-                topic = names[int(messages.places[row, 2])].topic
+                topic = channels[int(messages.places[row, 2])].topic
                 yield topic.removeprefix(RAW_PREFIX), RawChunk(host_ns, direction, data)
 
     def _notes(self, topic: str) -> list[dict[str, Any]]:
@@ -291,12 +293,12 @@ class Log(Mapping[str, Samples]):
         for messages in self._window.messages([topic]):
             for row, time_ns in enumerate(messages.publish_ns.tolist()):
                 try:
-                    note = json.loads(messages.payload(row))
+                    note: Any = json.loads(messages.payload(row))
                 except (ValueError, RecursionError) as fault:
                     raise LogError(f"{self.path}: {topic}: expected JSON, got something else ({fault})") from fault
                 if not isinstance(note, dict):
                     raise LogError(f"{self.path}: {topic}: expected a JSON object, got {note!r:.80}")
-                notes.append(note | {"time_ns": time_ns})
+                notes.append(cast("dict[str, Any]", note) | {"time_ns": time_ns})
         return notes
 
 
@@ -308,13 +310,13 @@ def open_log(path: str | Path) -> Log:
     """Open a log for reading.
 
     Args:
-        path: an MCAP file, finished or a ``.part`` that was never finished; it may be cut or damaged.
+        path: an MCAP file, finished or an unfinished ``.part``; it may be cut or damaged.
 
     Returns:
-        The log; `Log.complete` and `Log.missing` say what is not there.
+        The log; `Log.complete` and `Log.missing` state what is missing.
 
     Raises:
-        LogError: no such file, or it is no MCAP file.
+        LogError: the file does not exist or is not an MCAP file.
     """
     path = Path(path)
     try:

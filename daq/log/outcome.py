@@ -1,9 +1,9 @@
 # pyright: strict
-"""What a guided test said of its own end, in the summary of its log: whether it was reached, and what was not.
+"""Result that a guided test wrote into the summary of its log: whether it reached its end, and what was not reached.
 
-A test writes `reached` and, where that is false, `ended` with what was not reached. Logs of earlier versions have only
-the test's own condition (`rung_down`, `settled` …); those of tests that were broken off have only `ended`. A log that
-interlocks ended names them in `tripped`, and every reason in `ended`.
+A test writes `reached` and, if that is false, `ended` with what was not reached. Logs of earlier versions have only the
+test's own condition (`rung_down`, `settled` …), and logs of aborted tests have only `ended`. A log that was ended by
+interlocks lists them in `tripped`, and every reason in `ended`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 REACHED, ENDED, TRIPPED = "reached", "ended", "tripped"
 TRIP = "trip"
-"""Kind of the event that holds what interlocks found, and the seconds around it."""
-_CONDITIONS = {  # the end of each test in logs that do not say `reached`
+"""Kind of the event that contains an interlock's finding and the data of the seconds before and after it."""
+_CONDITIONS = {  # conditions in logs without `reached`
     "rung_down": "the column did not ring down",
     "slowed_down": "the pendulums did not slow down",
     "reached_top": "the rotor did not reach the top speed",
@@ -29,20 +29,20 @@ _GUIDED = ("ring-down", "spin-down", "run-up", "run-down", "point-", "start-ups"
 
 
 def ending(missed: str) -> dict[str, Any]:
-    """The summary's facts about the end of a test.
+    """Return the summary's facts about the end of a test.
 
     Args:
-        missed: what was not reached; empty when the test reached its end.
+        missed: what was not reached; empty if the test reached its end.
     """
     return {REACHED: not missed, ENDED: f"not reached: {missed}" if missed else "done"}
 
 
 def tripping(ended: str, reasons: Iterable[tuple[str, str]]) -> dict[str, Any]:
-    """The summary's facts about a log that interlocks ended: all that tripped together, by name and with its reason.
+    """Return the summary's facts about a log that interlocks ended: all simultaneous trips, each with its reason.
 
     Args:
-        ended: what ended the log, as its session says it: the first reason, and what was done.
-        reasons: interlock and text of each, the first one first.
+        ended: the session's text on the end of the log: the first reason, and the reaction.
+        reasons: interlock and text of each trip, the first one first.
     """
     found = list(reasons)
     if not found:
@@ -52,27 +52,27 @@ def tripping(ended: str, reasons: Iterable[tuple[str, str]]) -> dict[str, Any]:
 
 
 def not_reached(test: str, outcome: Mapping[str, Any]) -> str:
-    """What a guided test did not reach; empty when it reached its end, or the log tells nothing of one.
+    """Return what a guided test did not reach; empty if it reached its end, or the log has no such facts.
 
     Args:
-        test: as the log names it.
-        outcome: the summary's values, not their JSON texts.
+        test: name of the test in the log.
+        outcome: values of the summary, decoded from JSON.
     """
-    said = str(outcome.get(ENDED) or "")
-    if REACHED in outcome:  # of any guided test, also one of another package
-        return "" if outcome[REACHED] is True else said.removeprefix("not reached: ") or "the test's end"
+    ended = str(outcome.get(ENDED) or "")
+    if REACHED in outcome:  # written by any guided test, also by tests of other packages
+        return "" if outcome[REACHED] is True else ended.removeprefix("not reached: ") or "the test's end"
     if not test.startswith(_GUIDED):
         return ""
     for condition, words in _CONDITIONS.items():
         if outcome.get(condition) is False:
             why = outcome.get("why")
             return f"{words} ({why})" if why else words
-    known = any(condition in outcome for condition in _CONDITIONS)
-    return f"broken off: {said}" if said and not known else ""
+    has_condition = any(condition in outcome for condition in _CONDITIONS)
+    return f"broken off: {ended}" if ended and not has_condition else ""
 
 
 def not_reached_of(log: Log) -> str:
-    """What the guided test in a log did not reach; see `not_reached`."""
+    """Return what the guided test in a log did not reach; see `not_reached`."""
     outcome = {key: _value(text) for key, text in log.metadata.get("summary", {}).items()}
     return not_reached(log.metadata.get("run", {}).get("test", ""), outcome)
 

@@ -1,8 +1,8 @@
-"""A log that was cut or damaged made whole: a new file of everything in the old one that is sound.
+"""Recovery of a cut or damaged log: a new, complete file with all intact contents of the old one.
 
-Good chunks are copied byte for byte and get fresh indexes; good metadata and attachments go along. The new file says
-in its metadata "recovered" where it comes from and what is missing. The old file is only read, and no file is ever
-written over.
+Intact chunks are copied byte for byte and indexed again. Intact metadata and attachments are copied. The metadata
+record "recovered" of the new file states its source and what is missing. The old file is only read, and no file is
+overwritten.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from daq.errors import LogError, RecordingError
 from daq.log import Log
 from daq.log.columns import find_messages
 from daq.log.file import give_name
-from daq.log.lost_before import RECOVERED, read_lost, tell_lost
+from daq.log.lost_before import RECOVERED, lost_metadata, read_lost
 from daq.log.samples import Missing
 from daq.log.source import LogSource
 from daq.mcap.chunks import BARE, HEAD_BYTES, parse_head
 from daq.mcap.records import DamageError, read_attachment
-from daq.mcap.writer import METADATA_CRC, BlockWriter
+from daq.mcap.writer import METADATA_CRC, BlockWriter, CopiedChunk
 from daq.version import software_version
 
 _EARLIER = "recovered earlier"
 _SUFFIX = ".recovering"
 _ELSEWHERE = "Give another place with -o"
-_COPYING_FROM = 0.6  # share of the time after which everything is checked
+_WALK_SHARE = 0.6  # share of the total time that the check of the old file takes
 
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was saved of a log.
+    """Result of a recovery.
 
     Attributes:
         path: the new file.
-        messages, chunks: how many are in it.
+        messages, chunks: numbers of messages and chunks in it.
         missing: what the old file lacked, place by place.
-        seconds: from the first to the last log time in it.
+        seconds: time from the first to the last log time in it, s.
     """
 
     path: Path
@@ -55,20 +55,20 @@ class Recovered:
 
 
 def recover(part: Path, out: Path | None = None, progress: Callable[[float], None] | None = None) -> Recovered:
-    """Make a whole log of what is sound in a cut or damaged one.
+    """Write a new log with the intact contents of a cut or damaged one.
 
-    A file that a recorder is still writing is taken as far as it goes, but only under a name given for it: NAME.mcap
-    will be the recorder's own. That it grew meanwhile is said among what is missing.
+    A file that a recorder is still writing is copied up to its present end, but only to an explicitly given name:
+    NAME.mcap is reserved for the recorder. If the file grew meanwhile, an item of `missing` states it.
 
     Args:
-        part: the old file; it is not touched.
-        out: the new file, NAME.mcap; its folder is made where there is none. Without it NAME.mcap for NAME.mcap.part,
-            NAME.recovered.mcap for anything else.
-        progress: told now and then which share is done.
+        part: the old file; it is not modified.
+        out: the new file, NAME.mcap; its folder is created if necessary. Default: NAME.mcap for NAME.mcap.part,
+            NAME.recovered.mcap for any other file.
+        progress: called with the completed share, 0 … 1.
 
     Raises:
-        LogError: no log, nothing in it can be saved, it is still being written and the new file would have the
-            recorder's name, or the new file exists already or is no .mcap.
+        LogError: the old file is not a log or has no intact contents, it is still being written and the new file would
+            have the recorder's name, or the new file exists already or does not end in .mcap.
         RecordingError: the new file cannot be written.
     """
     part = Path(part)
@@ -76,12 +76,12 @@ def recover(part: Path, out: Path | None = None, progress: Callable[[float], Non
     made = out.with_name(out.name + _SUFFIX)
     for path in (out, made):
         if path.exists():
-            raise LogError(f"{path}: exists already; a log is never written over. Move it away or give another name")
+            raise LogError(f"{path}: exists already; logs are never overwritten. Move it away or give another name")
     if out.suffix != ".mcap":
         raise LogError(f"{out}: expected a name for the new log that ends in .mcap, got {out.name!r}")
-    tell = progress or (lambda _: None)
+    report_share: Callable[[float], None] = progress or (lambda _: None)
     try:
-        source = LogSource(part, lambda share: tell(_COPYING_FROM * share))
+        source = LogSource(part, lambda share: report_share(_WALK_SHARE * share))
     except OSError as fault:
         raise LogError(f"{part}: expected a log, cannot read it ({fault.strerror}): check the path") from fault
     except LogError as fault:
@@ -92,7 +92,7 @@ def recover(part: Path, out: Path | None = None, progress: Callable[[float], Non
             raise LogError(f"{part}: expected a message, a fact or an attachment, found none; nothing can be recovered")
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
-            kept = _write(source, made, tell)
+            kept = _write(source, made, report_share)
             if out.absolute() == _default_name(part).absolute():
                 _refuse_growing(source, out)
             give_name(made, out)
@@ -103,12 +103,12 @@ def recover(part: Path, out: Path | None = None, progress: Callable[[float], Non
         except BaseException:
             _remove(made)
             raise
-    tell(1.0)
+    report_share(1.0)
     return replace(kept, path=out)
 
 
 def _remove(made: Path) -> None:
-    """Remove half a file, wherever one could be made."""
+    """Remove an incomplete file if it exists."""
     with contextlib.suppress(OSError):
         made.unlink()
 
@@ -117,7 +117,7 @@ def _default_name(part: Path) -> Path:
     return part.with_suffix("") if part.name.endswith(".mcap.part") else part.with_name(f"{part.stem}.recovered.mcap")
 
 
-def _write(source: LogSource, made: Path, tell: Callable[[float], None]) -> Recovered:
+def _write(source: LogSource, made: Path, progress: Callable[[float], None]) -> Recovered:
     contents = source.contents
     with made.open("xb") as stream:
         writer = BlockWriter(stream)
@@ -130,10 +130,10 @@ def _write(source: LogSource, made: Path, tell: Callable[[float], None]) -> Reco
         for attachment in attachments:
             writer.add_attachment(attachment.name, attachment.media_type, attachment.data, attachment.log_time)
         chunks, messages = _copy_chunks(
-            source, writer, lambda share: tell(_COPYING_FROM + 0.9 * share * (1 - _COPYING_FROM))
+            source, writer, lambda share: progress(_WALK_SHARE + 0.9 * share * (1 - _WALK_SHARE))
         )
         if contents.counts and not messages:
-            raise LogError(f"{source.file.path}: expected at least one sound message, found none any more")
+            raise LogError(f"{source.file.path}: expected at least one intact message, found none any more")
         missing = [*source.missing, *_growth(source)]
         writer.add_metadata(RECOVERED, _origin(source, missing, messages, chunks))
         if contents.header.ours or "summary" in facts:
@@ -146,7 +146,7 @@ def _write(source: LogSource, made: Path, tell: Callable[[float], None]) -> Reco
 
 
 def _definitions(source: LogSource) -> tuple[list[records.Schema], list[records.Channel]]:
-    """Every definition the messages need; a channel whose own was lost is kept under a name that says so."""
+    """Return every definition the messages need; a channel without definition gets the topic "unknown/ID"."""
     known, counts = source.contents.definitions, source.contents.counts
     channels = dict(known.channels)
     for channel_id in set(counts) - set(channels):
@@ -154,12 +154,14 @@ def _definitions(source: LogSource) -> tuple[list[records.Schema], list[records.
     for channel_id, channel in channels.items():
         if channel.schema_id not in known.schemas:
             channels[channel_id] = replace(channel, schema_id=0)
-    schemas = [schema for schema in known.schemas.values() if schema.id]  # 0 means none, whatever a file defines it as
+    schemas = [
+        schema for schema in known.schemas.values() if schema.id
+    ]  # 0 means "no schema", even if a file defines it
     return schemas, list(channels.values())
 
 
 def _other_records(source: LogSource) -> tuple[dict[str, dict[str, str]], list[records.Attachment]]:
-    """Metadata and attachments that are sound, made fit for the new file."""
+    """Return the intact metadata and attachments, adapted to the new file."""
     facts: dict[str, dict[str, str]] = {}
     for name, texts in source.contents.metadata.items():
         own = {f"{key} of origin" if key == METADATA_CRC else key: text for key, text in texts.items()}
@@ -173,10 +175,10 @@ def _other_records(source: LogSource) -> tuple[dict[str, dict[str, str]], list[r
     return facts, attachments
 
 
-def _copy_chunks(source: LogSource, writer: BlockWriter, tell: Callable[[float], None]) -> tuple[int, int]:
-    """Copy every chunk that is still sound; returns how many chunks and messages."""
+def _copy_chunks(source: LogSource, writer: BlockWriter, progress: Callable[[float], None]) -> tuple[int, int]:
+    """Copy every chunk that is still intact; return the numbers of chunks and messages."""
     table, chunks, messages = source.contents.table, 0, 0
-    assert table.crc is not None  # a walk has read them all
+    assert table.crc is not None  # `walk` has read all chunks
     everything = table.numbers(None)
     counts = table.messages(everything, range(65536))
     for chunk, data in source.each(everything):
@@ -189,14 +191,17 @@ def _copy_chunks(source: LogSource, writer: BlockWriter, tell: Callable[[float],
             packed, compression = record[head.data_at :], head.compression
         crc = int(table.crc[chunk])
         ids = found.places[:, 2]
-        writer.copy_chunk(packed, compression, len(data), crc, ids, found.log_ns, found.publish_ns, found.places[:, 0])
+        offsets = found.places[:, 0]
+        writer.copy_chunk(
+            CopiedChunk(packed, compression, len(data), crc, ids, found.log_ns, found.publish_ns, offsets)
+        )
         chunks, messages = chunks + 1, messages + len(ids)
-        tell((start + length) / source.file.size)
+        progress((start + length) / source.file.size)
     return chunks, messages
 
 
 def _refuse_growing(source: LogSource, out: Path) -> None:
-    """Leave its name to a recorder that is still at work.
+    """Raise if the recorder still writes the file and will need the new file's name.
 
     Raises:
         LogError: the file has grown since it was opened.
@@ -209,7 +214,7 @@ def _refuse_growing(source: LogSource, out: Path) -> None:
 
 
 def _growth(source: LogSource) -> list[Missing]:
-    """That the old file became longer since it was opened: somebody still writes it."""
+    """Return the growth of the old file since it was opened, which shows that it is still being written."""
     grown = os.stat(source.file.path).st_size - source.file.size
     if grown <= 0:
         return []
@@ -229,14 +234,14 @@ def _origin(source: LogSource, missing: list[Missing], messages: int, chunks: in
         if any(place.messages is None for place in missing)
         else str(sum(place.messages or 0 for place in missing)),
         "missing_places": str(len(missing)),
-        **tell_lost(missing, source.file.path.name, read_lost(source.contents.metadata)),
+        **lost_metadata(missing, source.file.path.name, read_lost(source.contents.metadata)),
         "origin_library": source.contents.header.library,
         "software": software_version(),
     }
 
 
 def _summary(source: LogSource) -> Mapping[str, str]:
-    """What the recorder would have written at the end: losses as last reported, and how it ended."""
+    """Return the summary in place of the recorder's: losses of the last report, and how the log ended."""
     facts: dict[str, Any] = {"ended": "cut; recovered"}
     with contextlib.suppress(LogError):
         reports = [note["losses"] for note in Log(source.file.path, source).health if "losses" in note]

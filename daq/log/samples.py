@@ -1,11 +1,11 @@
-"""What a log hands out: the samples of a channel as arrays, raw bytes as they were on a line, and what is missing."""
+"""Contents returned by a log: samples of a channel as arrays, raw bytes as transmitted, and missing parts."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,14 @@ from daq.errors import ChannelMissing
 
 @dataclass(frozen=True)
 class Missing:
-    """One damaged or missing place of a log; what is not known is None or empty.
+    """One damaged or missing part of a log; unknown facts are None or empty.
 
     Attributes:
-        text: what is wrong, in words.
-        byte_start, byte_end: the place in the file, bytes; the end is not part of it.
+        text: description of the damage.
+        byte_start, byte_end: position in the file, bytes; the end is exclusive.
         start_ns, end_ns: log times between which messages are missing, ns since 1970.
-        topics: channels that miss messages, sorted.
-        messages: how many are missing; 0 when the damage costs none.
+        topics: channels with missing messages, sorted.
+        messages: number of missing messages; 0 if the damage costs none.
     """
 
     text: str
@@ -34,7 +34,7 @@ class Missing:
     messages: int | None = None
 
     def __str__(self) -> str:
-        """The whole sentence."""
+        """Return the complete sentence."""
         place = "" if self.byte_start is None else f"from byte {self.byte_start} on: "
         if self.byte_start is not None and self.byte_end is not None:
             place = f"bytes {self.byte_start} … {self.byte_end}: "
@@ -51,7 +51,7 @@ class Missing:
 
 
 def _utc(time_ns: int) -> str:
-    """Time of day for people; the bare number when it is no time a calendar knows."""
+    """Return the time of day as text; the number of ns if it is outside the calendar's range."""
     try:
         return f"{datetime.fromtimestamp(time_ns // 10**6 / 1000, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " UTC"
     except (OverflowError, ValueError, OSError):
@@ -59,12 +59,12 @@ def _utc(time_ns: int) -> str:
 
 
 class RawChunk(NamedTuple):
-    """Bytes of one read from, or write to, a device.
+    """Bytes of one read from, or one write to, a device.
 
     Attributes:
         host_ns: host time, ns since 1970.
         direction: 0 from the device, 1 to it (`daq.channels.RX`, `TX`).
-        data: the bytes as they were on the line.
+        data: the bytes as transmitted.
     """
 
     host_ns: int
@@ -73,8 +73,8 @@ class RawChunk(NamedTuple):
 
 
 class Samples:
-    """Samples of one channel in file order; each field is an attribute and an item: an array (n,), read-only because
-    the log hands out the same one again. `in` and iteration go over the names of the fields, `len` is n.
+    """Samples of one channel in file order. Each field is an attribute and an item: an array (n,), read-only because
+    the log returns the same array again. `in` and iteration go over the names of the fields, `len` is n.
 
     Attributes:
         time_ns: sample time on the common clock, ns since 1970, int64.
@@ -105,13 +105,13 @@ class Samples:
         return len(self.time_ns)
 
     def __getitem__(self, field: str) -> NDArray[Any]:
-        """Field by name.
+        """Return a field by name.
 
         Raises:
-            ChannelMissing: the channel has no such field; the text lists those it has.
-            TypeError: not a name.
+            ChannelMissing: the channel has no such field; the text lists the existing ones.
+            TypeError: the key is not a name.
         """
-        if not isinstance(field, str):
+        if not isinstance(cast("object", field), str):  # callers without a type checker pass rows
             name = next(iter(self.columns), "time_ns")
             raise TypeError(
                 f"{self.topic}: expected the name of a field, one of {list(self.columns)}, got {field!r}; "

@@ -1,10 +1,10 @@
-"""What a log says of the rig it was recorded on."""
+"""Facts that a log contains about the rig it was recorded on."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 from pydantic import ValidationError
 
@@ -21,23 +21,23 @@ _LONGEST_RANGE_M = 1e3
 
 
 def snapshot_of(log: Log) -> dict[str, Any]:
-    """The rig file as it was when the log was recorded, as a raw table.
+    """Return the rig file as it was when the log was recorded, as a raw table.
 
     Raises:
-        LogError: the log has none, or one that cannot be read.
+        LogError: the log does not contain it, or it cannot be read.
     """
     return _table(log, RIG)
 
 
 def rig_of(log: Log, settings: Sequence[str] = ()) -> Rig:
-    """The rig as it was when the log was recorded.
+    """Return the rig as it was when the log was recorded.
 
     Args:
-        settings: "key=value" laid over it, for a what-if.
+        settings: "key=value" texts that replace values of the rig file, for what-if studies.
 
     Raises:
-        LogError: the log has none, or one that this version cannot read.
-        RigFileError: a setting that no rig file can have.
+        LogError: the log does not contain the rig file, or this version cannot read it.
+        RigFileError: a setting is not valid in a rig file.
     """
     raw = snapshot_of(log)
     for text in settings:
@@ -51,46 +51,50 @@ def rig_of(log: Log, settings: Sequence[str] = ()) -> Rig:
 
 
 def _with_stored(log: Log, raw: dict[str, Any]) -> dict[str, Any]:
-    """The same, with the roles that the log keeps in place of settings whose driver is not installed here."""
+    """Replace the settings of devices whose driver is not installed by the roles that are stored in the log."""
     devices = raw.get("devices")
     if ROLES not in log.attachments or not isinstance(devices, dict):
         return raw
     roles = _table(log, ROLES)
-    unknown = [
-        name
-        for name, table in devices.items()
-        if isinstance(table, dict) and isinstance(table.get("driver"), str) and table["driver"] not in installed()
-    ]
-    for name in unknown:
+    tables = cast("dict[str, Any]", devices)
+    for name, table in tables.items():
+        if not _lacks_driver(table):
+            continue
         try:
-            devices[name] = StoredDevice.model_validate({**devices[name], "stored_roles": roles.get(name, [])})
+            tables[name] = StoredDevice.model_validate({**table, "stored_roles": roles.get(name, [])})
         except ValidationError as fault:
-            raise LogError(f"{log.path}: {ROLES}: {name}: cannot be what a device is to a rig: {fault}") from fault
+            raise LogError(f"{log.path}: {ROLES}: {name}: expected the roles of a device: {fault}") from fault
     return raw
 
 
+def _lacks_driver(table: Any) -> bool:
+    """Return True if a device's table names a driver that is not installed."""
+    driver: object = cast("dict[str, Any]", table).get("driver") if isinstance(table, dict) else None
+    return isinstance(driver, str) and driver not in installed()
+
+
 def identities_of(log: Log) -> dict[str, dict[str, Any]]:
-    """What each device said of itself when it was opened; empty where nothing was asked.
+    """Return the identity that each device reported when it was opened; empty if no identities were queried.
 
     Raises:
-        LogError: it cannot be what a device said, or names a range that no sensor has.
+        LogError: an identity is not a table, or contains an impossible range.
     """
     if IDENTITIES not in log.attachments:
         return {}
     identities = _table(log, IDENTITIES)
-    for device, told in identities.items():
+    for device, identity in identities.items():
         place = f"{log.path}: {IDENTITIES}: {device}"
-        if not isinstance(told, dict):
-            raise LogError(f"{place}: expected a table of what the device said, got {type(told).__name__}")
-        _check_range(told.get("range_m", 1.0), place)
+        if not isinstance(identity, dict):
+            raise LogError(f"{place}: expected a table of the device's identity, got {type(identity).__name__}")
+        _check_range(cast("dict[str, Any]", identity).get("range_m", 1.0), place)
     return identities
 
 
 def seeds_of(log: Log) -> dict[str, Any]:
-    """How the devices' clocks stood when the log began, tables of `ClockSeed` by device; empty where nobody knew.
+    """Return the state of the devices' clocks at the log's start: tables of `ClockSeed` by device; empty if unknown.
 
     Raises:
-        LogError: the attachment is no table.
+        LogError: the attachment is not a table.
     """
     return _table(log, CLOCKS) if CLOCKS in log.attachments else {}
 
@@ -109,9 +113,9 @@ def _table(log: Log, name: str) -> dict[str, Any]:
             f"{lacking}. A recording made elsewhere becomes a log with `rig import`"
         )
     try:
-        table = json.loads(log.attachments[name])
+        table: Any = json.loads(log.attachments[name])
     except (ValueError, RecursionError) as fault:
         raise LogError(f"{log.path}: expected JSON in the attachment {name!r}, got something else ({fault})") from fault
     if not isinstance(table, dict):
         raise LogError(f"{log.path}: expected a table in the attachment {name!r}, got {type(table).__name__}")
-    return table
+    return cast("dict[str, Any]", table)

@@ -1,7 +1,7 @@
-"""The open file under a log: chunks read from the disk when they are needed, checked whenever they are read.
+"""The open file of a log: chunks are read from the disk when they are needed, and checked at every read.
 
-A chunk that turns out to be damaged is left out from then on and said in `missing`. When a chunk is not what the
-file's index says, the index is no longer believed and the whole file is walked.
+A damaged chunk is excluded from then on and listed in `missing`. If a chunk does not match the file's index, the index
+is discarded and the whole file is walked.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ from daq.mcap.scan import spans
 
 _CACHE_BYTES = 64 * 2**20
 _THREADS = min(4, os.cpu_count() or 1)
-_ALONE_BYTES = 2**20  # less is read faster than a second thread is started
+_MIN_PARALLEL_BYTES = 2**20  # reading less takes less time than starting a thread
 T = TypeVar("T")
 
 
 class IndexWrongError(Exception):
-    """A chunk is not what the file's index says."""
+    """A chunk does not match the file's index."""
 
 
 class LogSource:
     """An open log file.
 
     Args:
-        path: the file.
-        check: go through all of it at once, and tell this the share that is done; without it a sound index is enough.
+        path: path of the file.
+        check: called with the completed share while the whole file is read. None: an intact index is sufficient.
 
     Raises:
-        OSError: it cannot be opened.
-        LogError: it is no MCAP file.
+        OSError: the file cannot be opened.
+        LogError: the file is not an MCAP file.
     """
 
     def __init__(self, path: Path, check: Callable[[float], None] | None = None) -> None:
@@ -57,14 +57,14 @@ class LogSource:
             self.file.close()
             raise
         self.missing = list(self.contents.missing)
-        self._lost: set[int] = set()  # chunks found damaged, by their offset
+        self._lost: set[int] = set()  # offsets of damaged chunks
         self._kept: dict[int, NDArray[np.uint8]] = {}  # unpacked chunks by their offset
         self._kept_bytes = 0
         self._lock = threading.Lock()
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
-        """Attachments by name, read and checked now."""
+        """Attachments by name, read and checked at the first access."""
         found: dict[str, bytes] = {}
         for place in self.contents.attachments:
             try:
@@ -75,7 +75,7 @@ class LogSource:
         return found
 
     def walk(self, progress: Callable[[float], None] | None = None) -> None:
-        """Go through the whole file and believe only what is found."""
+        """Read the whole file and replace the index by what is found."""
         self.contents = walk(self.file, progress)
         with self._lock:
             self.missing[:] = self.contents.missing
@@ -85,56 +85,56 @@ class LogSource:
         self.__dict__.pop("attachments", None)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._kept.clear()
         self.file.close()
 
     def for_each(self, chunks: NDArray[np.intp], task: Callable[[int, NDArray[np.uint8]], T]) -> list[tuple[int, T]]:
-        """Do something with the records of each chunk, in several threads when there is much to do.
+        """Apply a function to the records of each chunk, in several threads if the chunks are large.
 
         Args:
             chunks: numbers in the table, ascending.
-            task: takes the chunk's number and its records, uint8.
+            task: called with the chunk's number and its records, uint8.
 
         Returns:
-            Number and result of every chunk that was not damaged, in file order.
+            Number and result of every chunk that is not damaged, in file order.
 
         Raises:
-            IndexWrongError: a chunk is not what the index says.
+            IndexWrongError: a chunk does not match the index.
         """
         groups, keep = self._groups(chunks), self._may_keep(chunks)
 
         def run(group: NDArray[np.intp]) -> list[tuple[int, T]]:
             return [(chunk, task(chunk, data)) for chunk, data in self._read(group, keep)]
 
-        if len(groups) < 2 or self.contents.table.packed[chunks].sum() < _ALONE_BYTES:
+        if len(groups) < 2 or self.contents.table.packed[chunks].sum() < _MIN_PARALLEL_BYTES:
             return [result for group in groups for result in run(group)]
         with ThreadPoolExecutor(_THREADS) as pool:
             return [result for results in pool.map(run, groups) for result in results]
 
     def each(self, chunks: NDArray[np.intp]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        """Number and records of each chunk that is not damaged, in file order, a few at a time.
+        """Yield number and records of each chunk that is not damaged, in file order; a few chunks are read at a time.
 
         Raises:
-            IndexWrongError: a chunk is not what the index says.
+            IndexWrongError: a chunk does not match the index.
         """
         keep = self._may_keep(chunks)
         for group in self._groups(chunks):
             yield from self._read(group, keep)
 
     def _may_keep(self, chunks: NDArray[np.intp]) -> bool:
-        """Whether the unpacked chunks are few enough to be kept for the next channel."""
-        return self.contents.table.unpacked[chunks].sum() <= _CACHE_BYTES
+        """Return True if the unpacked chunks are few enough to be kept for the next channel."""
+        return bool(self.contents.table.unpacked[chunks].sum() <= _CACHE_BYTES)
 
     def _groups(self, chunks: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-        """Chunks that are read from the disk at once, because they stand near each other."""
+        """Group the chunks that are close enough in the file to be read together."""
         table = self.contents.table
         if not len(chunks):
             return []
         starts, ends = table.start[chunks], table.start[chunks] + table.length[chunks]
-        far = starts[1:] - ends[:-1] > PIECE_BYTES // 8
+        is_far = starts[1:] - ends[:-1] > PIECE_BYTES // 8
         in_next_piece = starts[1:] // PIECE_BYTES != starts[:-1] // PIECE_BYTES
-        cuts = np.flatnonzero(far | in_next_piece) + 1
+        cuts = np.flatnonzero(is_far | in_next_piece) + 1
         return np.split(chunks, cuts)
 
     def _read(self, group: NDArray[np.intp], keep: bool) -> Iterator[tuple[int, NDArray[np.uint8]]]:
@@ -155,7 +155,7 @@ class LogSource:
                 yield chunk, data
 
     def _block(self, begin: int, end: int) -> memoryview:
-        """Bytes of the file; where the disk refuses them or the file was cut meanwhile, as many as there are."""
+        """Return bytes of the file; fewer if the disk fails or the file was cut meanwhile."""
         if self.file.closed:
             raise LogError(f"{self.file.path}: expected an open log, it was closed: read what you need before close()")
         try:
@@ -164,7 +164,7 @@ class LogSource:
             return memoryview(b"")
 
     def _unpack(self, chunk: int, record: memoryview) -> NDArray[np.uint8] | None:
-        """Records of a chunk, checked; None when it is damaged, which is noted."""
+        """Return the checked records of a chunk; None if it is damaged, which is noted in `missing`."""
         table = self.contents.table
         start, length = int(table.start[chunk]), int(table.length[chunk])
         try:
@@ -172,7 +172,7 @@ class LogSource:
                 record = memoryview(self.file.read(start, length))
             data = np.frombuffer(self._checked(chunk, record), np.uint8)
             if table.crc is None and not spans(data, table.start_ns[chunk], table.end_ns[chunk]):
-                raise IndexWrongError("a chunk with messages of other times than the index says")
+                raise IndexWrongError("a chunk with messages at other times than the index lists")
         except (DamageError, LogError) as damage:
             if self.file.closed:
                 raise
@@ -181,7 +181,7 @@ class LogSource:
         return data
 
     def _keep(self, start: int, data: NDArray[np.uint8]) -> None:
-        """Keep an unpacked chunk, and let go of those kept longest."""
+        """Keep an unpacked chunk, and drop the oldest ones beyond the limit."""
         with self._lock:
             self._kept[start] = data
             self._kept_bytes += len(data)
@@ -202,17 +202,17 @@ class LogSource:
                 int(table.kind[chunk]),
                 int(table.packed[chunk]),
             ) or (table.crc is None and times != (head.start_ns, head.end_ns)):
-                raise DamageError("a chunk that is not what the index says")
+                raise DamageError("a chunk that does not match the index")
         except DamageError as damage:
             if table.crc is None:
                 raise IndexWrongError(str(damage)) from damage
-            raise  # the walk had found it sound: the file was changed meanwhile
+            raise  # `walk` found the chunk intact: the file was changed since
         if table.crc is not None:
             head = replace(head, crc=int(table.crc[chunk]))
         return unpack(record[head.data_at :], head, ours)
 
     def _lose(self, chunk: int, why: str) -> None:
-        """Leave a chunk out from now on, and say what was in it."""
+        """Exclude a chunk from now on, and list in `missing` what it contained."""
         table = self.contents.table
         start, end = int(table.start[chunk]), int(table.start[chunk] + table.length[chunk])
         with self._lock:

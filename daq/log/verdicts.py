@@ -1,7 +1,7 @@
-"""What a validation said of a log, kept beside it as NAME.mcap.verdict.json: a finished log is never written again.
+"""Verdict of a validation, stored next to its log as NAME.mcap.verdict.json: a finished log is never written again.
 
-The verdict names the log by its digest, so that one of another file, or of this file before it was changed, is known
-as such (`Verdict.is_of`).
+The verdict contains the digest of the log. A verdict on another file, or on this file before it was changed, is
+therefore detected (`Verdict.is_of`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from daq.errors import LogError, RecordingError
 from rig_configs.regular_file import need_regular
 
 SUFFIX = ".verdict.json"
-_MOST_BYTES = 2**20  # a verdict is a few lines; a file that claims more is none
+_MOST_BYTES = 2**20  # a verdict is a few lines; a larger file is rejected
 _BLOCK_BYTES = 2**20
 
 
@@ -29,12 +29,12 @@ class Verdict(BaseModel):
 
     Attributes:
         verdict: "pass", "fail", "not settled", "not locked" or "not enough data".
-        state: what was measured: "I", "II", "III", "slipping", "not settled"; empty where there is none.
-        why: the verdict's reason in one sentence.
-        point: the point it was held against; empty where there is none.
-        parameters: which parameters the model had, for example "parameters.toml sha256:1a2b3c4d".
-        software: version that judged.
-        judged_at: when, ISO 8601.
+        state: measured state: "I", "II", "III", "slipping", "not settled"; may be empty.
+        why: reason for the verdict in one sentence.
+        point: operating point the log was compared with; empty for other tests.
+        parameters: parameters of the model, for example "parameters.toml sha256:1a2b3c4d".
+        software: version of the software that validated.
+        judged_at: time of the validation, ISO 8601.
         digest: "sha256:" and 64 hexadecimal digits, of the whole log.
     """
 
@@ -50,23 +50,23 @@ class Verdict(BaseModel):
     digest: Annotated[str, Field(pattern=r"^sha256:[0-9a-f]{64}$")]
 
     def is_of(self, digest: str) -> bool:
-        """Whether it was said of the log with this digest."""
+        """Return True if the verdict belongs to the log with this digest."""
         return self.digest == digest
 
 
 def verdict_path(log_path: Path) -> Path:
-    """Where the verdict on a log is kept."""
+    """Return the path of the verdict file of a log."""
     return log_path.with_name(log_path.name + SUFFIX)
 
 
 def keep_verdict(log_path: str | Path, verdict: Verdict) -> Path:
-    """Keep a verdict beside its log, in place of an earlier one; readers see the old one or the new one, never half.
+    """Write the verdict file of a log, replacing an earlier one; readers get the old or the new one, never a part.
 
     Returns:
         The file written.
 
     Raises:
-        RecordingError: it cannot be written there.
+        RecordingError: the file cannot be written there.
     """
     path = verdict_path(Path(log_path))
     written = path.with_name(f"{path.name}.{secrets.token_hex(4)}.new")
@@ -83,17 +83,17 @@ def keep_verdict(log_path: str | Path, verdict: Verdict) -> Path:
             raise
     except OSError as fault:
         raise RecordingError(
-            f"{path}: the verdict cannot be kept beside its log ({fault.strerror}). Make the folder writable, or copy "
-            "the log to one that is"
+            f"{path}: the verdict cannot be written next to its log ({fault.strerror}). Make the folder writable, or "
+            "copy the log to a writable one"
         ) from fault
     return path
 
 
 def verdict_of(log_path: str | Path) -> Verdict | None:
-    """The verdict kept beside a log, None when there is none; hold its `digest` against the log's (`digest_of`).
+    """Return the verdict stored next to a log, or None; compare its `digest` with `digest_of` the log.
 
     Raises:
-        LogError: a file of that name is there and is no verdict.
+        LogError: the verdict file exists and is not a verdict.
     """
     path = verdict_path(Path(log_path))
     try:
@@ -112,16 +112,19 @@ def verdict_of(log_path: str | Path) -> Verdict | None:
         first = fault.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the file"
         raise LogError(
-            f"{path}: expected a verdict as `rig validate` keeps it, got: {where}: {first['msg']}; "
+            f"{path}: expected a verdict as `rig validate` writes it, got: {where}: {first['msg']}; "
             "validate the log again, or remove the file"
         ) from fault
 
 
 def digest_of(path: str | Path, progress: Callable[[float], None] | None = None) -> str:
-    """Digest of a whole file: "sha256:" and 64 hexadecimal digits; `progress` is told the share done, 0 … 1.
+    """Return the digest of a whole file: "sha256:" and 64 hexadecimal digits.
+
+    Args:
+        progress: called with the completed share, 0 … 1.
 
     Raises:
-        LogError: it cannot be read.
+        LogError: the file cannot be read.
     """
     digest = hashlib.sha256()
     done = 0

@@ -1,4 +1,4 @@
-"""The messages of a log that lie within a time window: as columns, or chunk by chunk in file order."""
+"""The messages of a log within a time window: as columns, or chunk by chunk in file order."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from daq.mcap.chunks import ChunkTable
 
 
 class LogWindow:
-    """What a file holds between two times; reads only the chunks it needs.
+    """Contents of a file between two times; only the necessary chunks are read.
 
-    Where the file's index turns out to be wrong, the file is walked, and reading goes on with what the walk found.
+    If the file's index turns out to be wrong, the file is walked and reading continues with the result.
 
     Args:
         source: the open file.
@@ -35,10 +35,10 @@ class LogWindow:
         return ids
 
     def columns(self, topic: str, layout: Channel) -> Columns:
-        """Samples of a topic whose own time lies in the window.
+        """Return the samples of a topic whose own time is in the window.
 
         Raises:
-            ValueError: a message is no protobuf of this schema.
+            ValueError: a message is not a protobuf message of this schema.
             LogError: the log was closed.
         """
         try:
@@ -50,12 +50,12 @@ class LogWindow:
             return columns
         start, end = self._window_ns
         rows = np.flatnonzero((columns.publish_ns >= start) & (columns.publish_ns < end))
-        if len(rows) and rows[-1] - rows[0] + 1 == len(rows):  # mostly so: no copy
+        if len(rows) and rows[-1] - rows[0] + 1 == len(rows):  # the usual case: a slice needs no copy
             return columns.part(slice(rows[0], rows[-1] + 1))
         return columns.part(rows)
 
     def messages(self, topics: list[str]) -> Iterator[Messages]:
-        """Messages of some topics chunk by chunk, in file order: raw bytes by their log time, others by their own.
+        """Yield the messages of some topics in file order, chunk by chunk: raw bytes by log time, others by their own.
 
         Raises:
             LogError: the log was closed.
@@ -71,16 +71,16 @@ class LogWindow:
                 self._source.walk()
 
     def _chunks(self) -> NDArray[np.intp]:
-        """Chunks that may hold what lies in the window."""
+        """Return the chunks that may contain messages in the window."""
         table = self._source.contents.table
         if self._chosen is None or self._chosen[0] is not table:
             self._chosen = table, table.numbers(self._window_ns)
         return self._chosen[1]
 
     def _from(self, position: int, topics: list[str]) -> Iterator[tuple[int, Messages]]:
-        """As `messages`, of the chunks that begin at byte `position` or behind, each with where it begins."""
-        known = self.ids()
-        ids = [channel_id for topic in topics for channel_id in known.get(topic, ())]
+        """As `messages`, for chunks that begin at byte `position` or later, each with its position."""
+        by_topic = self.ids()
+        ids = [channel_id for topic in topics for channel_id in by_topic.get(topic, ())]
         table, chunks = self._source.contents.table, self._chunks()
         chunks = chunks[table.start[chunks] >= position]
         counts = table.messages(chunks, ids)

@@ -1,4 +1,4 @@
-"""MCAP at the speed of the disk: written in blocks, read from the summary or by a walk, every checksum checked.
+"""MCAP files: written in blocks, read from the summary or by a walk over the whole file; every checksum is verified.
 
-`writer` writes; `reader` finds out what is in a file, `summary_reader` from its end, `walk` from its start.
+`writer` writes. `reader` determines the contents of a file; `summary_reader` starts at its end, `walk` at its start.
 """

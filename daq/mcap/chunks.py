@@ -1,4 +1,4 @@
-"""Chunks of an MCAP file: where they stand and what is in them, and how one is unpacked within bounds and checked."""
+"""Chunks of an MCAP file: their positions and contents; decompression within bounds and verification."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
-from zlib_ng.zlib_ng import crc32
 
+from daq.mcap.checksum import crc32
 from daq.mcap.records import RECORD_HEAD, DamageError
 
 CHUNK_LIMIT_BYTES = 64 * 2**20
-"""Largest chunk that is unpacked; a head that says more is taken as damage."""
+"""Largest chunk that is unpacked; a head with a larger size is treated as damage."""
 HEAD_BYTES = 4096
-"""Enough of a chunk's record for its head."""
+"""Number of bytes of a chunk record that contain its head."""
 NOT_PACKED, ZSTD, OTHER, BARE = 0, 1, 2, 3
-"""Kinds of chunks; a bare one is a stretch of messages that stand in the file without a chunk around them."""
+"""Kinds of chunks; a bare one is a series of messages in the file without a chunk around them."""
 NEVER_NS, EVER_NS = -(2**63), 2**63 - 1
 _HEAD = struct.Struct("<QQQII")
 _per_thread = threading.local()
@@ -27,7 +27,7 @@ _per_thread = threading.local()
 
 @dataclass(frozen=True)
 class ChunkHead:
-    """What a chunk's own head says; `data_at` is where its packed records begin, from the record's start."""
+    """Fields of a chunk's head; `data_at` is the offset of its packed records from the record's start."""
 
     start_ns: int
     end_ns: int
@@ -40,14 +40,14 @@ class ChunkHead:
 
 
 def parse_head(record: bytes | memoryview, length: int) -> ChunkHead:
-    """Head of the chunk record that begins `record`.
+    """Parse the head of the chunk record that begins `record`.
 
     Args:
-        record: its first bytes, 64 or more (fewer only when it is shorter itself).
-        length: of the whole record with its opcode and length, bytes.
+        record: first bytes of the record, 64 or more (fewer only if the record is shorter).
+        length: length of the whole record including opcode and length field, bytes.
 
     Raises:
-        DamageError: its lengths contradict each other.
+        DamageError: the lengths in it contradict each other.
     """
     at = RECORD_HEAD.size + _HEAD.size
     if length < at + 8 or len(record) < at:
@@ -66,15 +66,15 @@ def parse_head(record: bytes | memoryview, length: int) -> ChunkHead:
 
 
 def unpack(packed: bytes | memoryview, head: ChunkHead, needs_crc: bool) -> bytes | memoryview:
-    """Decompressed and checked records of a chunk.
+    """Decompress and verify the records of a chunk.
 
     Args:
-        packed: its packed records.
-        head: what its head says.
-        needs_crc: a chunk without CRC is damaged.
+        packed: packed records.
+        head: the chunk's head.
+        needs_crc: treat a chunk without CRC as damaged.
 
     Raises:
-        DamageError: unknown compression, a size other than announced, a wrong CRC, or none where it must be.
+        DamageError: unknown compression, a size other than announced, or a wrong or missing CRC.
     """
     if head.unpacked > CHUNK_LIMIT_BYTES:
         raise DamageError(f"a chunk of {head.unpacked} bytes, more than the {CHUNK_LIMIT_BYTES} that are unpacked")
@@ -93,7 +93,7 @@ def unpack(packed: bytes | memoryview, head: ChunkHead, needs_crc: bool) -> byte
 
 def _unpack_zstd(packed: bytes | memoryview, unpacked: int) -> bytes:
     try:
-        announced = zstandard.frame_content_size(packed)  # -1 when the frame does not say
+        announced = zstandard.frame_content_size(packed)  # -1 if the frame does not contain it
         if announced not in (-1, unpacked):
             raise DamageError(f"a chunk of {unpacked} bytes whose zstd frame announces {announced}")
         if not hasattr(_per_thread, "decompressor"):
@@ -105,17 +105,17 @@ def _unpack_zstd(packed: bytes | memoryview, unpacked: int) -> bytes:
 
 @dataclass(frozen=True)
 class ChunkTable:
-    """Where the n chunks of a file stand, in file order, and how many messages of which channels are in each.
+    """Positions of the n chunks of a file, in file order, and their numbers of messages per channel.
 
     Attributes:
-        start, length: int64 (n,), the whole record, bytes.
-        packed, unpacked: int64 (n,), its records in the file and decompressed, bytes.
+        start, length: int64 (n,), position and length of the whole record, bytes.
+        packed, unpacked: int64 (n,), sizes of its records in the file and decompressed, bytes.
         kind: uint8 (n,), `NOT_PACKED` …
         start_ns, end_ns: int64 (n,), first and last log time.
-        low_ns, high_ns: int64 (n,), bounds of log and publish times; NEVER_NS, EVER_NS when they are not known.
-        crc: uint32 (n,) of the unpacked records, where they have been read already; None from an index.
-        first_entry: int64 (n + 1,), where each chunk's entries begin.
-        channel, count: (m,), channel id and messages per entry.
+        low_ns, high_ns: int64 (n,), bounds of log and publish times; NEVER_NS, EVER_NS if they are unknown.
+        crc: uint32 (n,), CRC of the unpacked records, if they have been read; None for a table from an index.
+        first_entry: int64 (n + 1,), index of each chunk's first entry.
+        channel, count: (m,), channel id and number of messages per entry.
     """
 
     start: NDArray[np.int64]
@@ -136,14 +136,14 @@ class ChunkTable:
         return len(self.start)
 
     def numbers(self, window_ns: tuple[int, int] | None) -> NDArray[np.intp]:
-        """Chunks that may hold messages with start ≤ time < end of the window; all of them without one."""
+        """Return the chunks that may contain messages with start ≤ time < end of the window; all for None."""
         if window_ns is None:
             return np.arange(len(self))
         return np.flatnonzero((self.high_ns >= window_ns[0]) & (self.low_ns < window_ns[1]))
 
     def alike(self) -> list[NDArray[np.intp]]:
-        """Groups of chunks, by number, that have first and last log time and unpacked size in common."""
-        if (self.start_ns[1:] > self.start_ns[:-1]).all():  # mostly so
+        """Return groups of chunks, by number, with the same first and last log time and unpacked size."""
+        if (self.start_ns[1:] > self.start_ns[:-1]).all():  # the usual case
             return []
         starts = np.sort(self.start_ns)
         chunks = np.flatnonzero(np.isin(self.start_ns, starts[1:][starts[1:] == starts[:-1]]))
@@ -153,7 +153,7 @@ class ChunkTable:
         return [group for group in np.split(chunks[order], np.flatnonzero(other) + 1) if len(group) > 1]
 
     def messages(self, chunks: NDArray[np.intp], channel_ids: Iterable[int]) -> NDArray[np.int64]:
-        """Messages of some channels in each of `chunks` (ascending), shape as `chunks`."""
+        """Return the number of messages of some channels in each of `chunks` (ascending), shape as `chunks`."""
         if not len(chunks):
             return np.zeros(0, np.int64)
         first, last = int(chunks[0]), int(chunks[-1]) + 1
@@ -165,17 +165,17 @@ class ChunkTable:
         return sums[self.first_entry[chunks + 1] - begin] - sums[self.first_entry[chunks] - begin]
 
     def entries(self, chunk: int) -> list[tuple[int, int]]:
-        """Channel id and messages of one chunk's channels."""
+        """Return channel id and number of messages for each channel of one chunk."""
         part = slice(int(self.first_entry[chunk]), int(self.first_entry[chunk + 1]))
         return list(zip(self.channel[part].tolist(), self.count[part].tolist(), strict=True))
 
     def totals(self) -> dict[int, int]:
-        """Messages by channel id; channels without any are left out."""
+        """Return the number of messages by channel id, without channels that have none."""
         sums = np.zeros(65536, np.int64)
         np.add.at(sums, self.channel, self.count)
         return {int(channel): int(sums[channel]) for channel in np.flatnonzero(sums)}
 
     def span(self) -> tuple[int, int]:
-        """First and last log time; zeros when there are no messages."""
+        """Return first and last log time; zeros for a file without messages."""
         filled = self.first_entry[1:] > self.first_entry[:-1]
         return (int(self.start_ns[filled].min()), int(self.end_ns[filled].max())) if filled.any() else (0, 0)

@@ -1,4 +1,4 @@
-"""What an MCAP file holds; made from its summary here, or by a walk over the whole file in daq.mcap.reader."""
+"""Contents of an MCAP file, here from its summary; daq.mcap.reader walks the whole file."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from daq.mcap.writer import TIMES
 
 @dataclass
 class Contents:
-    """What a file holds.
+    """Contents of a file.
 
     Attributes:
-        header: who wrote it.
+        header: program that wrote the file.
         table: its chunks.
-        indexed: the table is the summary's, and no chunk has been looked at yet.
+        indexed: True if the table is from the summary and no chunk has been read yet.
         definitions: schemas and channels by id.
-        counts: messages by channel id.
-        span_ns: first and last log time; zeros when there are no messages.
+        counts: number of messages by channel id.
+        span_ns: first and last log time; zeros for a file without messages.
         metadata: texts by name of record.
-        attachments: where the attachments stand; not checked yet when `indexed`.
-        missing: what is not there or not right.
-        unchecked: what another writer gave no CRC for.
+        attachments: positions of the attachments; not verified if `indexed`.
+        missing: missing and damaged parts.
+        unchecked: parts for which another writer stored no CRC.
     """
 
     header: Header
@@ -38,14 +38,14 @@ class Contents:
     definitions: Definitions
     counts: dict[int, int]
     span_ns: tuple[int, int]
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: list[AttachmentPlace] = field(default_factory=list)
-    missing: list[Missing] = field(default_factory=list)
-    unchecked: list[Missing] = field(default_factory=list)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict[str, dict[str, str]])
+    attachments: list[AttachmentPlace] = field(default_factory=list[AttachmentPlace])
+    missing: list[Missing] = field(default_factory=list[Missing])
+    unchecked: list[Missing] = field(default_factory=list[Missing])
 
 
 def from_summary(file: FileBytes, header: Header, summary: Summary) -> Contents:
-    """What a sound summary says; no chunk and no attachment is looked at."""
+    """Return the contents according to an intact summary; no chunk and no attachment is read."""
     statistics = summary.statistics
     counts = {channel: n for channel, n in statistics.channel_message_counts.items() if n} if statistics else {}
     span = (statistics.message_start_time, statistics.message_end_time) if statistics and counts else (0, 0)
@@ -66,7 +66,7 @@ def from_summary(file: FileBytes, header: Header, summary: Summary) -> Contents:
 
 
 def bounded(table: ChunkTable, times: Mapping[str, str]) -> ChunkTable:
-    """The table with bounds on sample times, from how late and early samples came; as it is when that is not known."""
+    """Return the table with bounds of the sample times, from the extreme delays; unchanged if these are unknown."""
     try:
         late, early = int(times["most_late_ns"]), int(times["most_early_ns"])
     except (KeyError, ValueError):

@@ -1,4 +1,4 @@
-"""Damaged places of a file, and what is known of what they held."""
+"""Damaged places of a file, and what is known of their former contents."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from daq.mcap.records import Definitions
 
 @dataclass(frozen=True)
 class Held:
-    """Messages that an index tells of: how many by channel id, first and last log time, ns."""
+    """Messages listed in an index: number by channel id, first and last log time, ns."""
 
     counts: dict[int, int]
     span_ns: tuple[int, int] | None
@@ -25,13 +25,13 @@ class Held:
 
 @dataclass
 class Place:
-    """A stretch of a file that is not what it should be.
+    """A damaged range of a file.
 
     Attributes:
-        start, end: bytes.
-        text: why.
-        before: how many good chunks stand before it.
-        held: what is known to have stood there; None when nothing is, empty when no message did.
+        start, end: range, bytes.
+        text: description of the damage.
+        before: number of intact chunks before it.
+        held: known former contents; None if unknown, empty if it contained no message.
     """
 
     start: int
@@ -43,9 +43,9 @@ class Place:
 
 @dataclass
 class Damage:
-    """All places of a file, in file order."""
+    """All damaged places of a file, in file order."""
 
-    places: list[Place] = field(default_factory=list)
+    places: list[Place] = field(default_factory=list[Place])
 
     def note(self, start: int, end: int, text: str, before: int) -> Place:
         """Add a place."""
@@ -53,33 +53,34 @@ class Damage:
         return self.places[-1]
 
     def explain(self, index: ChunkTable, found: ChunkTable) -> None:
-        """Tell from a sound index which chunks are not among those found, and so what each place held.
+        """Determine from an intact index which chunks were not found, and thus the contents of each place.
 
-        A chunk that is not at its place may stand at another one: each found where the index does not tell of it
-        accounts for one.
+        A chunk that is not at its place may be at another one. Each chunk found at a place that is not in the index
+        replaces one missing chunk.
         """
-        known = sorted(self.places, key=lambda place: place.start)
-        sorted_starts = [place.start for place in known]
+        by_start = sorted(self.places, key=lambda place: place.start)
+        sorted_starts = [place.start for place in by_start]
         for place in self.places:
             place.held = []
         for chunk in _not_found(index, found):
             start, end = int(index.start[chunk]), int(index.start[chunk] + index.length[chunk])
             near = bisect_left(sorted_starts, end) - 1
-            if near >= 0 and known[near].end > start:
-                at = known[near]
+            if near >= 0 and by_start[near].end > start:
+                at = by_start[near]
             else:
-                at = self.note(start, end, "a chunk of the index is not there", int((found.start < start).sum()))
+                at = self.note(start, end, "a chunk of the index is missing", int((found.start < start).sum()))
             at.held = at.held or []
             at.held.append(Held(dict(index.entries(chunk)), (int(index.start_ns[chunk]), int(index.end_ns[chunk]))))
         self.places.sort(key=lambda place: place.start)
 
     def settle(self, found: ChunkTable, unnamed: set[int]) -> None:
-        """Forget what message indexes tell of chunks that stand elsewhere in the file, so are not missing.
+        """Remove messages listed in message indexes whose chunks are elsewhere in the file and thus not missing.
 
         Args:
-            found: the good chunks.
-            unnamed: where those begin that lack message indexes of their own. Where only others fit what is told, it
-                may be of them, or of one lost that was like them: then nothing is known.
+            found: intact chunks.
+            unnamed: positions of intact chunks that lack message indexes of their own. If only other chunks match the
+                listed messages, the indexes may belong to them or to a similar chunk that was lost. Then the contents
+                are unknown.
         """
         free = {chunk for chunk, start in enumerate(found.start.tolist()) if start in unnamed}
         for place in self.places:
@@ -97,40 +98,40 @@ class Damage:
                 place.held = left
 
     def missing(self, definitions: Definitions, table: ChunkTable) -> list[Missing]:
-        """The places in words and numbers; where nothing else is known, the neighbours tell the times."""
+        """Return the places as `Missing`; if nothing else is known, the times are those of the neighbours."""
         return [_missing(place, definitions, table) for place in self.places]
 
 
 def _not_found(index: ChunkTable, found: ChunkTable) -> list[int]:
-    """Numbers of the index's chunks that are not among those found, each of which stands for one."""
-    as_told, in_place = _pairs(index, found)
+    """Return the numbers of the index's chunks that were not found; each chunk found elsewhere replaces one."""
+    as_listed, in_place = _pairs(index, found)
     spare: dict[tuple[object, ...], list[int]] = {}
     for number in np.flatnonzero(~in_place).tolist():
         spare.setdefault(_facts(found, number), []).append(number)
     lacking: list[int] = []
-    for number in np.flatnonzero(~as_told).tolist():
+    for number in np.flatnonzero(~as_listed).tolist():
         if elsewhere := spare.get(_facts(index, number)):
             elsewhere.pop()
         else:
             lacking.append(number)
-    # where the right messages stand at the right place, the index is wrong about their times
+    # if the right messages are at the right place, the times in the index are wrong
     holding = {int(found.start[n]): _entries(found, n) for numbers in spare.values() for n in numbers}
     return [number for number in lacking if holding.get(int(index.start[number])) != _entries(index, number)]
 
 
 def _pairs(index: ChunkTable, found: ChunkTable) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which of the index's chunks are found at their place just as it tells, and which found ones these are."""
+    """Return which chunks of the index were found at their place as listed, and which found chunks these are."""
     _, a, b = np.intersect1d(index.start, found.start, assume_unique=True, return_indices=True)
-    told, there = (table.messages(table.numbers(None), range(65536)) for table in (index, found))
-    same = (told[a] == there[b]) & (index.unpacked[a] == found.unpacked[b])
-    same &= (told[a] == 0) | ((index.start_ns[a] == found.start_ns[b]) & (index.end_ns[a] == found.end_ns[b]))
-    as_told, in_place = np.zeros(len(index), bool), np.zeros(len(found), bool)
-    as_told[a[same]] = in_place[b[same]] = True
-    return as_told, in_place
+    listed, present = (table.messages(table.numbers(None), range(65536)) for table in (index, found))
+    same = (listed[a] == present[b]) & (index.unpacked[a] == found.unpacked[b])
+    same &= (listed[a] == 0) | ((index.start_ns[a] == found.start_ns[b]) & (index.end_ns[a] == found.end_ns[b]))
+    as_listed, in_place = np.zeros(len(index), bool), np.zeros(len(found), bool)
+    as_listed[a[same]] = in_place[b[same]] = True
+    return as_listed, in_place
 
 
 def _facts(table: ChunkTable, chunk: int) -> tuple[object, ...]:
-    """What both an index and a chunk itself tell."""
+    """Return the facts that are contained both in an index and in a chunk itself."""
     return int(table.start_ns[chunk]), int(table.end_ns[chunk]), int(table.unpacked[chunk]), _entries(table, chunk)
 
 
@@ -139,7 +140,7 @@ def _entries(table: ChunkTable, chunk: int) -> frozenset[tuple[int, int]]:
 
 
 def _alike(held: Held, found: ChunkTable) -> list[int]:
-    """Chunks that hold as many messages of that time."""
+    """Return the chunks that contain at least these messages in this time span."""
     if held.span_ns is None:
         return []
     around = (found.start_ns <= held.span_ns[0]) & (found.end_ns >= held.span_ns[1])
@@ -161,7 +162,7 @@ def _missing(place: Place, definitions: Definitions, table: ChunkTable) -> Missi
 
 
 def topics_of(counts: Iterable[int], definitions: Definitions) -> tuple[str, ...]:
-    """Names of channels, sorted; those without a name by their id."""
-    known = definitions.channels
-    names = {known[channel].topic if channel in known else f"channel {channel}" for channel in counts}
+    """Return the topics of channels, sorted; channels without definition by their id."""
+    defined = definitions.channels
+    names = {defined[channel].topic if channel in defined else f"channel {channel}" for channel in counts}
     return tuple(sorted(names))

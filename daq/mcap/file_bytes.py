@@ -1,6 +1,6 @@
-"""A file read at any offset, without mapping it: a bad disk or a file cut by someone else is an error, no crash.
+"""Random access to a file without mapping it: a disk fault or a shortened file raises an error and does not crash.
 
-Reads carry their own offset (pread), so threads share one file.
+Reads have their own offset (pread), so threads can share one file.
 """
 
 from __future__ import annotations
@@ -9,28 +9,28 @@ import os
 import threading
 from pathlib import Path
 
-from zlib_ng.zlib_ng import crc32
-
 from daq.errors import LogError
+from daq.mcap.checksum import crc32
 from rig_configs.regular_file import need_regular
 
 PIECE_BYTES = 2**20
-"""What is read at once where a long stretch is gone through."""
+"""Size of one read when a long range is read, bytes."""
 
 
 class FileBytes:
-    """An open file; its size is what it was when opened.
+    """An open file; its size is the size at opening.
 
     Args:
-        path: the file.
+        path: path of the file.
+
     Raises:
-        OSError: it cannot be opened, or is no file but a pipe, a folder or a device.
+        OSError: the file cannot be opened, or is a pipe, a folder or a device.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         need_regular(path)
-        self._stream = open(path, "rb", buffering=0)  # noqa: SIM115 (lives as long as the log)
+        self._stream = open(path, "rb", buffering=0)  # noqa: SIM115 (closed together with the log)
         try:
             self.size = self._stream.seek(0, os.SEEK_END)
         except OSError:
@@ -40,14 +40,14 @@ class FileBytes:
 
     @property
     def closed(self) -> bool:
-        """Nothing can be read any more."""
+        """True after `close`."""
         return self._stream.closed
 
     def read(self, start: int, length: int) -> bytes:
-        """Exactly `length` bytes from `start`.
+        """Read exactly `length` bytes from `start`.
 
         Raises:
-            LogError: the file is closed, has fewer bytes, or the disk refuses them.
+            LogError: the file is closed or shorter, or the disk fails.
         """
         if self.closed:
             raise LogError(f"{self.path}: expected an open log, it was closed: read what you need before close()")
@@ -64,12 +64,12 @@ class FileBytes:
                 data += more
         except OSError as fault:
             raise LogError(
-                f"expected {length} bytes at byte {start}, the disk refuses them ({fault.strerror})"
+                f"expected {length} bytes at byte {start}, the disk cannot read them ({fault.strerror})"
             ) from fault
         return data
 
     def crc(self, start: int, end: int, crc: int = 0) -> int:
-        """CRC-32 of a stretch, continued from `crc`, in bounded memory.
+        """Return the CRC-32 of a range, continued from `crc`, in bounded memory.
 
         Raises:
             LogError: as `read`.
@@ -79,11 +79,11 @@ class FileBytes:
         return crc
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._stream.close()
 
     def __del__(self) -> None:
-        if hasattr(self, "_stream"):  # a log that was only looked at need not be closed by hand
+        if hasattr(self, "_stream"):  # a log that was only read need not be closed explicitly
             self._stream.close()
 
     if hasattr(os, "pread"):

@@ -1,8 +1,8 @@
-"""The chunk being filled: message records and where they stand, written by compiled loops straight to their place.
+"""The chunk being filled: message records and their positions, written in place by compiled loops.
 
-A message record is 31 bytes and the message: opcode, length, channel, sequence, log time, publish time. Numbers of the
-format are little-endian and stand unaligned, so the loops store them byte by byte, at unsigned positions: then the
-compiler makes one store of the eight.
+A message record consists of 31 bytes and the message: opcode, length, channel, sequence, log time, publish time.
+Numbers of the format are little-endian and unaligned. The loops store them byte by byte at unsigned positions, which
+the compiler combines into one store of eight bytes.
 """
 
 import struct
@@ -18,19 +18,19 @@ RECORD_HEAD_BYTES = 31
 """Bytes of a message record in front of its message."""
 _INDEX_HEAD_BYTES, _INDEX_ENTRY_BYTES = 15, 16  # of a message index record
 _RECORD_HEAD = struct.Struct("<BQHIQQ")
-_ENTRIES = 1024  # messages there is room for at first
-_HEAD_ROOM = 64  # free bytes in front of the records, for the head of the chunk's own record
+_ENTRIES = 1024  # initial capacity, messages
+_HEAD_ROOM = 64  # free bytes before the records, for the head of the chunk record
 
 
 class OpenChunk:
-    """Records gathered for the next chunk.
+    """Records of the next chunk.
 
     Attributes:
-        size: bytes of records so far.
-        extremes: largest log time − publish time and the other way round among its messages, ns, uint64 (2,).
+        size: size of the records so far, bytes.
+        extremes: largest log time − publish time and publish time − log time of its messages, ns, uint64 (2,).
 
     Args:
-        chunk_bytes: the size expected; more finds room too, and gives it back with `clear`.
+        chunk_bytes: expected size; the buffer grows if necessary and shrinks again at `clear`.
     """
 
     def __init__(self, chunk_bytes: int) -> None:
@@ -43,7 +43,7 @@ class OpenChunk:
         self.clear()
 
     def clear(self) -> None:
-        """Begin the next chunk."""
+        """Start the next chunk."""
         usual = _HEAD_ROOM + self._usual_bytes
         if not usual <= len(self._data) <= 2 * usual:
             self._data = np.empty(usual, np.uint8)
@@ -52,7 +52,7 @@ class OpenChunk:
 
     @property
     def records(self) -> memoryview:
-        """The records so far, valid until the next call."""
+        """Records so far, valid until the next call."""
         return self._data.data[_HEAD_ROOM : _HEAD_ROOM + self.size]
 
     @property
@@ -62,7 +62,7 @@ class OpenChunk:
         return self._channel_ids[:n], self._log_times[:n], self._offsets[:n]
 
     def framed(self, head: bytes, tail: bytes) -> memoryview:
-        """The records with bytes in front of and behind them, not copied; valid until the next call."""
+        """Return the records with bytes before and after them, not copied; valid until the next call."""
         self._make_room(len(tail), 0)
         start, end = _HEAD_ROOM - len(head), _HEAD_ROOM + self.size
         self._data.data[start:_HEAD_ROOM] = head
@@ -70,7 +70,7 @@ class OpenChunk:
         return self._data.data[start : end + len(tail)]
 
     def append(self, record: bytes) -> None:
-        """Add a record that is no message."""
+        """Add a record that is not a message."""
         self._make_room(len(record), 0)
         at = _HEAD_ROOM + self.size
         self._data.data[at : at + len(record)] = record
@@ -142,22 +142,22 @@ class OpenChunk:
 
 
 def _grown(array: NDArray[Any], used: int, wanted: int) -> NDArray[Any]:
-    """The same with room for at least `wanted`."""
+    """Return the array with a capacity of at least `wanted`."""
     larger = np.empty(max(wanted, 2 * len(array)), array.dtype)
     larger[:used] = array[:used]
     return larger
 
 
 class MessageBlock:
-    """n messages of one size as the compiled loops take them.
+    """n messages of one size in the form that the compiled loops need.
 
     Args:
         messages: (n,) of any dtype whose items are whole messages.
-        log_times, publish_times: one or (n,), ns.
-        sequences: one or (n,), taken modulo 2**32.
+        log_times, publish_times: one value or (n,), ns.
+        sequences: one value or (n,), taken modulo 2**32.
 
     Raises:
-        ValueError: another shape, no integers, or times before 1970.
+        ValueError: another shape, values that are not integers, or times before 1970.
     """
 
     def __init__(
@@ -186,20 +186,20 @@ class MessageBlock:
 
 
 def _plain(array: NDArray[Any]) -> NDArray[Any]:
-    """The same aligned and writable: for anything else the loops would have to be compiled once more."""
+    """Return the array aligned and writable; other arrays would need another compilation of the loops."""
     return array if array.flags.behaved else array.copy()
 
 
 def message_indexes(
     channel_ids: NDArray[np.uint16], log_times: NDArray[np.uint64], offsets: NDArray[np.uint64]
 ) -> tuple[bytes, dict[int, int], dict[int, int]]:
-    """Message index records of a chunk, one per channel, entries in order of log time.
+    """Return the message index records of a chunk, one per channel, entries in order of log time.
 
     Args:
-        channel_ids, log_times, offsets: (n,), per message; where its record starts in the chunk.
+        channel_ids, log_times, offsets: (n,), per message; the offset is the start of its record in the chunk.
 
     Returns:
-        The records back to back, where each channel's starts among them, and how many messages each has.
+        The concatenated records, the offset of each channel's record, and the number of messages per channel.
     """
     counts = np.bincount(channel_ids)
     present = np.flatnonzero(counts)
@@ -214,12 +214,13 @@ def message_indexes(
 
 
 def compile_loops() -> None:
-    """Compile everything now (or load it from numba's cache), so that no samples wait for it later."""
+    """Compile everything now (or load it from numba's cache), so that no samples are delayed by it later."""
     chunk = OpenChunk(64)
     chunk.add_messages(1, MessageBlock(np.zeros(1, "V1"), 0, 0, 0), 0, 1)
     message_indexes(*chunk.index)
 
 
+# compiled loops take more than 8 arguments: numba cannot pass an object of the interpreter
 _U = np.uint64
 
 
@@ -265,7 +266,7 @@ def _put_messages(
     count: int,
     extremes: Any,
 ) -> None:  # pragma: no cover - compiled
-    """Write `count` message records at out[start]; columns of length 1 stand for all."""
+    """Write `count` message records at out[start]; columns of length 1 apply to all."""
     log_step, publish_step, sequence_step = len(log_times) > 1, len(publish_times) > 1, len(sequences) > 1
     size = _U(record_bytes - RECORD_HEAD_BYTES)
     at, message_at = _U(start), _U(first) * size
@@ -300,7 +301,7 @@ def _put_entries(
     offset: int,
     record_bytes: int,
 ) -> None:  # pragma: no cover - compiled
-    """Note where `count` records from `offset` on stand."""
+    """Store the positions of `count` records that begin at `offset`."""
     step = len(times) > 1
     for i in range(count):
         channel_ids[at + i] = channel_id
@@ -312,7 +313,7 @@ def _put_entries(
 def _put_indexes(
     out: Any, channel_ids: Any, log_times: Any, offsets: Any, counts: Any
 ) -> bool:  # pragma: no cover - compiled
-    """Write the message index records of all channels; False when some channel's log times do not ascend."""
+    """Write the message index records of all channels; False if the log times of a channel do not ascend."""
     places, latest = np.zeros(len(counts), np.uint64), np.zeros(len(counts), np.uint64)
     at = _U(0)
     for channel_id in range(len(counts)):

@@ -1,7 +1,7 @@
-"""Finds out what an MCAP file holds: finished, unfinished, cut and damaged files alike.
+"""Contents of an MCAP file that is finished, unfinished, cut or damaged.
 
-A sound summary tells at once; otherwise the file is walked from its start (daq.mcap.walk) and whatever is whole is
-kept. Everything a damaged file lacks is said in `Contents.missing`; only a file that is no MCAP at all is an error.
+An intact summary lists the contents. Otherwise the file is walked from its start (daq.mcap.walk) and everything intact
+is used. Missing and damaged parts are listed in `Contents.missing`; only a file that is not MCAP raises an error.
 """
 
 from __future__ import annotations
@@ -22,35 +22,37 @@ from daq.mcap.summary_reader import Summary, read_summary
 from daq.mcap.walk import Walk
 from daq.mcap.writer import TIMES
 
-_SHORT_HEAD_BYTES = 64  # enough of a chunk's record for the head of one that can be unpacked
+_SHORT_HEAD_BYTES = 64  # contains the head of any chunk that can be unpacked
 
 
 def survey(file: FileBytes) -> Contents:
-    """Find out what a file holds: at once from a sound summary, else by going through all of it.
+    """Determine the contents of a file from an intact summary, otherwise by reading the whole file.
 
     Raises:
-        LogError: it does not begin like an MCAP file.
+        LogError: the file does not begin like an MCAP file.
     """
     header = read_header(file)
     try:
         summary = read_summary(file, header)
-        if not _only_index_knows(header, summary) and _stands_twice(file, summary.table):
-            raise DamageError("the same chunk stands at two places of the index")
+        if not _trusts_index(header, summary) and _has_duplicates(file, summary.table):
+            raise DamageError("the same chunk is at two places of the index")
         return from_summary(file, header, summary)
     except DamageError:
         return walk(file)
 
 
-def _only_index_knows(header: Header, summary: Summary) -> bool:
-    """Whether nothing else tells if the same chunk twice was written so or copied by mistake: another writer, who need
-    not number messages, and gave no CRC of the data.
+def _trusts_index(header: Header, summary: Summary) -> bool:
+    """Return True if only the index can show whether a duplicate chunk was written or copied by mistake.
+
+    This is the case for files of other writers, which need not number messages, without a CRC of the data.
     """
     return not header.ours and not summary.data_crc
 
 
-def _stands_twice(file: FileBytes, index: ChunkTable) -> bool:
-    """Whether two chunks of an index have the same CRC as well; a chunk that is not what its index says is found out
-    when it is read.
+def _has_duplicates(file: FileBytes, index: ChunkTable) -> bool:
+    """Return True if two similar chunks of an index also have the same CRC.
+
+    A chunk that does not match its index is detected when it is read.
     """
     for chunks in index.alike():
         crcs: set[int] = set()
@@ -66,24 +68,24 @@ def _stands_twice(file: FileBytes, index: ChunkTable) -> bool:
 
 
 def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Contents:
-    """Go through a whole file and check everything in it; a sound summary tells what the damaged places held.
+    """Read a whole file and check everything in it; an intact summary gives the former contents of damaged places.
 
     Args:
-        file: the file.
-        progress: told now and then which share of it is done.
+        file: the open file.
+        progress: called with the completed share, 0 … 1.
 
     Raises:
-        LogError: it does not begin like an MCAP file.
+        LogError: the file does not begin like an MCAP file.
     """
     header = read_header(file)
     try:
         summary, why = read_summary(file, header), ""
     except DamageError as damage:
         summary, why = None, str(damage)
-    believed = frozenset[int]()
-    if summary is not None and _only_index_knows(header, summary):
-        believed = frozenset(summary.table.start.tolist())
-    done = Walk(file, header, why, believed, progress)
+    trusted = frozenset[int]()
+    if summary is not None and _trusts_index(header, summary):
+        trusted = frozenset(summary.table.start.tolist())
+    done = Walk(file, header, why, trusted, progress)
     done.run()
     if not done.finished:
         _note_cut(done)
@@ -92,7 +94,7 @@ def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Co
     table = done.table.build()
     if summary is None:
         done.damage.settle(table, done.unnamed)
-    done.metadata.pop(TIMES, None)  # the table has the times themselves
+    done.metadata.pop(TIMES, None)  # the table contains the times themselves
     contents = Contents(
         header,
         table,
@@ -105,7 +107,7 @@ def walk(file: FileBytes, progress: Callable[[float], None] | None = None) -> Co
     )
     contents.missing = _missing(done, summary, contents)
     contents.unchecked = [
-        Missing(f"{count} {what} without a CRC: damage in them cannot be seen", messages=0)
+        Missing(f"{count} {what} without a CRC: damage in them cannot be detected", messages=0)
         for what, count in done.no_crc.items()
     ]
     return contents
@@ -124,15 +126,15 @@ def _note_cut(done: Walk) -> None:
 
 
 def _use_summary(done: Walk, summary: Summary) -> None:
-    """Take what only the summary leads to, because it stands in a damaged stretch, and compare it with the rest."""
+    """Add what only the summary locates, because it is in a damaged range, and compare the summary with the rest."""
     done.definitions.fill_up(summary.definitions)
     found = from_summary(done.file, done.header, summary)
-    done.metadata = found.metadata  # the index knows the names, which no CRC of the records covers
+    done.metadata = found.metadata  # the index contains the names, which no CRC of the records covers
     for place in found.missing:
         done.damage.note(place.byte_start or 0, place.byte_end or 0, place.text, len(done.table))
-    known = {place.start for place in done.attachments}
+    starts_found = {place.start for place in done.attachments}
     for place in found.attachments:
-        if place.start not in known:
+        if place.start not in starts_found:
             try:
                 done.attachments.append(check_attachment(done.file, place.start, done.header.ours))
             except DamageError as damage:
@@ -145,16 +147,16 @@ def _use_summary(done: Walk, summary: Summary) -> None:
                 head = parse_head(done.window.view(start, min(start + length, start + HEAD_BYTES)), length)
                 done.table.add(start, head, done.read_chunk(start, start + length, head))
             except DamageError:
-                continue  # the walk has noted it
+                continue  # `Walk` has listed it
     table = done.table.build()
     done.damage.explain(summary.table, table)
     if not done.damage.places and not _same(table, summary.table):
-        text = "the index is not what stands in the file"
+        text = "the index does not match the file"
         done.damage.note(summary.data_end, done.file.size, text, len(table)).held = []
 
 
 def _same(table: ChunkTable, index: ChunkTable) -> bool:
-    """Everything that both know of the chunks agrees."""
+    """Return True if all facts of the chunks that both tables contain agree."""
     filled = table.first_entry[1:] > table.first_entry[:-1]
     return (
         np.array_equal(table.start, index.start)
@@ -166,7 +168,7 @@ def _same(table: ChunkTable, index: ChunkTable) -> bool:
 
 
 def _missing(done: Walk, summary: Summary | None, contents: Contents) -> list[Missing]:
-    """What is missing, in file order; counts that only the statistics tell go where they must belong."""
+    """Return what is missing, in file order; messages counted only by the statistics are assigned where possible."""
     missing = done.damage.missing(contents.definitions, contents.table)
     if done.announced is not None and summary is None:
         lost = done.announced - sum(contents.counts.values())

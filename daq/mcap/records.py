@@ -1,7 +1,7 @@
-"""Records of an MCAP file that are no messages: header, definitions, metadata, attachments; each checked as it is read.
+"""Records of an MCAP file other than messages: header, definitions, metadata, attachments; each is verified when read.
 
-What no CRC covers is believed only in files of other writers: ours give every chunk, attachment, metadata record and
-summary a CRC, so where it is missing there, it was damaged.
+Data without a CRC are accepted only in files of other writers. This package writes a CRC for every chunk, attachment,
+metadata record and summary; if it is missing in one of its files, the file is damaged.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
+from daq.mcap.checksum import crc32
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.writer import LIBRARY, MAGIC, METADATA_CRC, metadata_crc
 
@@ -29,16 +29,16 @@ _ALIKE = 0.7
 
 
 class DamageError(Exception):
-    """A record is not what its head or its CRC says."""
+    """A record does not match its head or its CRC."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """Who wrote a file.
+    """Program that wrote a file.
 
     Attributes:
-        library: as the header says; "" when the header cannot be read.
-        ours: written by this package, so that every CRC must be there.
+        library: name in the header; "" if the header cannot be read.
+        ours: True if written by this package, so that every CRC must be present.
     """
 
     library: str
@@ -46,7 +46,7 @@ class Header:
 
 
 def read_header(file: FileBytes) -> Header:
-    """The file's header.
+    """Read the file's header.
 
     Raises:
         LogError: the file does not begin like an MCAP file.
@@ -61,7 +61,7 @@ def read_header(file: FileBytes) -> Header:
         library = ""
     if library.startswith(LIBRARY):
         return Header(library, True)
-    # no CRC covers the header when the file was cut: a few flipped bits in it must not switch the checks off
+    # no CRC covers the header when the file was cut: a few flipped bits must not disable the checks
     text = begin[len(MAGIC) :].decode("latin-1")
     alike = SequenceMatcher(None, LIBRARY, text[: 4 * len(LIBRARY)], autojunk=False)
     same = sum(block.size for block in alike.get_matching_blocks())
@@ -69,10 +69,10 @@ def read_header(file: FileBytes) -> Header:
 
 
 def read_record(file: FileBytes, position: int, limit: int) -> tuple[int, bytes]:
-    """Opcode and content of the record at `position`.
+    """Return opcode and content of the record at `position`.
 
     Raises:
-        DamageError: it does not fit into the file, is longer than `limit` bytes, or cannot be read.
+        DamageError: the record does not fit into the file, is longer than `limit` bytes, or cannot be read.
     """
     try:
         opcode, length = RECORD_HEAD.unpack(file.read(position, RECORD_HEAD.size))
@@ -84,10 +84,10 @@ def read_record(file: FileBytes, position: int, limit: int) -> tuple[int, bytes]
 
 
 def parse(kind: Any, body: bytes) -> Any:
-    """Read a record's content with the library's own class.
+    """Parse a record's content with the library's own class.
 
     Raises:
-        DamageError: it cannot be read.
+        DamageError: the content cannot be parsed.
     """
     try:
         return kind.read(ReadDataStream(BytesIO(body)))
@@ -97,16 +97,16 @@ def parse(kind: Any, body: bytes) -> Any:
 
 @dataclass
 class Definitions:
-    """Schemas and channels by id; the first of an id counts, as the format forbids another."""
+    """Schemas and channels by id; the first definition of an id is used, since the format forbids others."""
 
-    schemas: dict[int, records.Schema] = field(default_factory=dict)
-    channels: dict[int, records.Channel] = field(default_factory=dict)
+    schemas: dict[int, records.Schema] = field(default_factory=dict[int, records.Schema])
+    channels: dict[int, records.Channel] = field(default_factory=dict[int, records.Channel])
 
     def take(self, opcode: int, body: bytes) -> None:
         """Add a definition.
 
         Raises:
-            DamageError: it cannot be read, or is not what the same id meant before.
+            DamageError: it cannot be parsed, or differs from an earlier definition of the same id.
         """
         if opcode == Opcode.SCHEMA:
             schema = parse(records.Schema, body)
@@ -118,32 +118,32 @@ class Definitions:
             raise DamageError("an id of a schema or channel that was given to another one before")
 
     def fill_up(self, others: Definitions) -> None:
-        """Add what is not known yet."""
+        """Add definitions with new ids."""
         self.schemas = others.schemas | self.schemas
         self.channels = others.channels | self.channels
 
 
 def check_metadata(body: bytes, ours: bool) -> tuple[str, dict[str, str]]:
-    """Name and texts of a metadata record, without our own CRC in it.
+    """Return name and texts of a metadata record, without this package's CRC.
 
     Raises:
-        DamageError: it cannot be read, or its CRC is wrong or missing.
+        DamageError: the record cannot be parsed, or its CRC is wrong or missing.
     """
     metadata = parse(records.Metadata, body)
     texts = dict(metadata.metadata)
     crc = texts.pop(METADATA_CRC, None)
     if not ours and (crc is None or not re.fullmatch("[0-9a-f]{8}", crc) or crc != metadata_crc(metadata.name, texts)):
-        return metadata.name, dict(metadata.metadata)  # another writer's, who may mean anything by this key
+        return metadata.name, dict(metadata.metadata)  # of another writer, which may use this key for anything
     if crc != metadata_crc(metadata.name, texts):
         raise DamageError(f"metadata {metadata.name[:80]!r} whose CRC is wrong")
     return metadata.name, texts
 
 
 def read_metadata(file: FileBytes, start: int, ours: bool) -> tuple[str, dict[str, str]]:
-    """Name and texts of the metadata record at byte `start`.
+    """Return name and texts of the metadata record at byte `start`.
 
     Raises:
-        DamageError: none is there, it cannot be read, or its CRC is wrong or missing.
+        DamageError: there is another record, it cannot be parsed, or its CRC is wrong or missing.
     """
     opcode, body = read_record(file, start, _TEXT_LIMIT_BYTES)
     if opcode != Opcode.METADATA:
@@ -153,7 +153,7 @@ def read_metadata(file: FileBytes, start: int, ours: bool) -> tuple[str, dict[st
 
 @dataclass(frozen=True)
 class AttachmentPlace:
-    """Where an attachment's record stands: offset and length with its head, bytes; its name."""
+    """Position of an attachment's record: offset and length including its head, bytes; and its name."""
 
     start: int
     length: int
@@ -161,10 +161,10 @@ class AttachmentPlace:
 
 
 def check_attachment(file: FileBytes, start: int, ours: bool) -> AttachmentPlace:
-    """Check the attachment record at byte `start` in bounded memory.
+    """Verify the attachment record at byte `start` in bounded memory.
 
     Raises:
-        DamageError: none is there, its lengths contradict each other, or its CRC is wrong or (ours) missing.
+        DamageError: there is another record, its lengths contradict each other, or its CRC is wrong or (ours) missing.
     """
     try:
         opcode, length = RECORD_HEAD.unpack(file.read(start, RECORD_HEAD.size))
@@ -172,7 +172,8 @@ def check_attachment(file: FileBytes, start: int, ours: bool) -> AttachmentPlace
         end = body + length
         if opcode != Opcode.ATTACHMENT or length < 36 or end > file.size:
             raise DamageError("an attachment whose lengths contradict each other")
-        at, texts = body + 16, []
+        at = body + 16
+        texts: list[bytes] = []
         for _ in range(2):
             size = int.from_bytes(file.read(at, 4), "little")
             if at + 4 + size > end - 12:
@@ -191,7 +192,7 @@ def check_attachment(file: FileBytes, start: int, ours: bool) -> AttachmentPlace
 
 
 def read_attachment(file: FileBytes, place: AttachmentPlace, ours: bool) -> records.Attachment:
-    """The attachment at a place; its CRC is checked on the very bytes that are handed out.
+    """Read the attachment at a place; the CRC is verified for exactly the bytes that are returned.
 
     Raises:
         DamageError: as `check_attachment`.

@@ -1,25 +1,27 @@
-# pyright: reportMissingParameterType=false
 """Compiled passes over the bytes of an MCAP file: message records, message indexes, chunk indexes.
 
-Every length is held against the bytes that are there before it is used. The functions let go of the interpreter's
-lock, so threads scan several chunks at once.
+Every length is compared with the available bytes before it is used. The functions release the interpreter lock, so
+threads scan several chunks at once. Some take more than 8 arguments: numba cannot pass an object of the interpreter.
 """
 
-import numba
+from typing import Any
+
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 BROKEN, OTHER_LAYOUT, OTHER_COUNT = -1, -2, -3
-"""What passes return instead of a number: no whole records; no message of the layout; not as many as announced."""
+"""Results instead of a number: incomplete records; a message of another layout; another number than announced."""
 MESSAGE_HEAD_BYTES = 22  # channel id, sequence, log time, publish time
 _RECORD_HEAD = 9
 _ZSTD = np.uint32(int.from_bytes(b"zstd", "little"))
-_MOST = np.int64(2**60)  # bytes; sums of a few such sizes are still numbers
+_MAX_BYTES = np.int64(2**60)  # sums of a few such sizes do not overflow
 _FAR = np.uint64(2**64 - 1)
 
 
-@numba.njit(cache=True, nogil=True)
-def _eight(data, at):  # pragma: no cover - compiled
-    """Little-endian number of 8 bytes; spelled out, with unsigned places, so that it becomes one load."""
+@njit(cache=True, nogil=True)
+def _eight(data: Any, at: Any) -> Any:  # pragma: no cover - compiled
+    """Little-endian number of 8 bytes; written out with unsigned positions, so that it is compiled to one load."""
     i = np.uint64(at)
     return (
         np.uint64(data[i])
@@ -33,8 +35,8 @@ def _eight(data, at):  # pragma: no cover - compiled
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _four(data, at):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def _four(data: Any, at: Any) -> Any:  # pragma: no cover - compiled
     i = np.uint64(at)
     return (
         np.uint32(data[i])
@@ -44,15 +46,15 @@ def _four(data, at):  # pragma: no cover - compiled
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _two(data, at):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def _two(data: Any, at: Any) -> Any:  # pragma: no cover - compiled
     i = np.uint64(at)
     return np.int64(data[i]) | np.int64(data[i + np.uint64(1)]) << 8
 
 
-@numba.njit(cache=True, nogil=True)
-def _record_end(data, position):  # pragma: no cover - compiled
-    """End of the record at `position` of a chunk, -1 when it is none that a chunk may hold."""
+@njit(cache=True, nogil=True)
+def _record_end(data: Any, position: Any) -> Any:  # pragma: no cover - compiled
+    """End of the record at `position` of a chunk, -1 if it is not a record that a chunk may contain."""
     size = len(data)
     if size - position < _RECORD_HEAD:
         return -1
@@ -64,18 +66,20 @@ def _record_end(data, position):  # pragma: no cover - compiled
     return position + _RECORD_HEAD + np.int64(length)
 
 
-@numba.njit(cache=True, nogil=True)
-def tally(data, counts, touched, times):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def tally(
+    data: NDArray[np.uint8], counts: NDArray[np.int64], touched: NDArray[np.int64], times: NDArray[np.uint64]
+) -> tuple[int, int]:  # pragma: no cover - compiled
     """Count an unpacked chunk's messages.
 
     Args:
-        data: its records, uint8 (size,).
-        counts: int64 (65536,) of zeros, becomes messages by channel id.
-        touched: int64 (65536,), becomes the ids that have any, in the order they come.
-        times: uint64 (4,), set to first and last log time, first and last publish time.
+        data: records of the chunk, uint8 (size,).
+        counts: int64 (65536,) of zeros, receives the number of messages by channel id.
+        touched: int64 (65536,), receives the ids with messages, in order of occurrence.
+        times: uint64 (4,), receives first and last log time, first and last publish time.
 
     Returns:
-        Number of ids, -1 when the chunk does not consist of whole records; number of records that are no messages.
+        Number of ids, -1 if the chunk does not consist of whole records; number of records other than messages.
     """
     times[0] = times[2] = _FAR
     times[1] = times[3] = 0
@@ -103,9 +107,9 @@ def tally(data, counts, touched, times):  # pragma: no cover - compiled
     return found, others
 
 
-@numba.njit(cache=True, nogil=True)
-def spans(data, first, last):  # pragma: no cover - compiled
-    """Whether the log times of an unpacked chunk's messages go from `first` to `last`, ns; true without messages."""
+@njit(cache=True, nogil=True)
+def spans(data: NDArray[np.uint8], first: np.int64, last: np.int64) -> bool:  # pragma: no cover - compiled
+    """Return True if the log times of an unpacked chunk span `first` to `last`, ns; true without messages."""
     earliest, latest = _FAR, np.uint64(0)
     position = 0
     while position < len(data):
@@ -116,12 +120,12 @@ def spans(data, first, last):  # pragma: no cover - compiled
             log_time = _eight(data, position + 15)
             earliest, latest = min(earliest, log_time), max(latest, log_time)
         position = end
-    return earliest > latest or (earliest == np.uint64(first) and latest == np.uint64(last))
+    return bool(earliest > latest or (earliest == np.uint64(first) and latest == np.uint64(last)))
 
 
-@numba.njit(cache=True, nogil=True)
-def loose_messages(block):  # pragma: no cover - compiled
-    """End of the whole message records at the start of `block`, which stand outside of any chunk."""
+@njit(cache=True, nogil=True)
+def loose_messages(block: NDArray[np.uint8]) -> int:  # pragma: no cover - compiled
+    """End of the whole message records at the start of `block`, which are outside of any chunk."""
     position = 0
     while position < len(block) and block[position] == 5:
         end = _record_end(block, position)
@@ -131,9 +135,9 @@ def loose_messages(block):  # pragma: no cover - compiled
     return position
 
 
-@numba.njit(cache=True, nogil=True)
-def definitions(data, places):  # pragma: no cover - compiled
-    """Find a chunk's schemas and channels: their offset and end go into `places`, int64 (n, 2); returns how many."""
+@njit(cache=True, nogil=True)
+def definitions(data: NDArray[np.uint8], places: NDArray[np.int64]) -> int:  # pragma: no cover - compiled
+    """Store offset and end of a chunk's schemas and channels in `places`, int64 (n, 2); return their number."""
     found = 0
     position = 0
     while position < len(data):
@@ -149,18 +153,24 @@ def definitions(data, places):  # pragma: no cover - compiled
     return found
 
 
-@numba.njit(cache=True, nogil=True)
-def locate(data, wanted, places, log_times, publish_times):  # pragma: no cover - compiled
+@njit(cache=True, nogil=True)
+def locate(
+    data: NDArray[np.uint8],
+    wanted: NDArray[np.int64],
+    places: NDArray[np.int64],
+    log_times: NDArray[np.int64],
+    publish_times: NDArray[np.int64],
+) -> int:  # pragma: no cover - compiled
     """Find messages.
 
     Args:
         data: records of an unpacked chunk, uint8 (size,).
-        wanted: channel ids, int64 (k,); none means every message.
-        places: int64 (n, 3), becomes offset of the record, its end, channel id.
+        wanted: channel ids, int64 (k,); empty selects every message.
+        places: int64 (n, 3), receives offset of the record, its end, channel id.
         log_times, publish_times: int64 (n,).
 
     Returns:
-        How many there are, BROKEN, or OTHER_COUNT when it is not n.
+        Number of messages, BROKEN, or OTHER_COUNT if the number is not n.
     """
     found = 0
     position = 0
@@ -186,22 +196,33 @@ def locate(data, wanted, places, log_times, publish_times):  # pragma: no cover 
     return found if found == len(places) else OTHER_COUNT
 
 
-@numba.njit(cache=True, nogil=True)
-def collect(data, wanted, message_bytes, fields, heads, sequence, wide, narrow, row, room):  # pragma: no cover
+@njit(cache=True, nogil=True)
+def collect(
+    data: NDArray[np.uint8],
+    wanted: NDArray[np.int64],
+    message_bytes: int,
+    fields: NDArray[np.int64],
+    heads: NDArray[np.int64],
+    sequence: NDArray[np.uint32],
+    wide: NDArray[np.uint64],
+    narrow: NDArray[np.uint32],
+    row: int,
+    room: int,
+) -> int:  # pragma: no cover
     """Copy messages of constant layout into columns.
 
     Args:
         data: records of an unpacked chunk, uint8 (size,).
         wanted: channel ids, int64 (k,).
         message_bytes: size of a message.
-        fields: int64 (f, 3): offset of the field's value behind its tag byte, the tag, column number; 8-byte columns
-            count from 0, 4-byte columns from -1 downwards.
+        fields: int64 (f, 3): offset of the field's value, which follows its tag byte, the tag, column number; 8-byte
+            columns count from 0, 4-byte columns from -1 downwards.
         heads: int64 (2, n): log and publish times. sequence: uint32 (n,).
         wide: uint64 (a, n), narrow: uint32 (b, n): columns of 8 and of 4 bytes.
-        row, room: where the first message goes, and how many there must be.
+        row, room: row of the first message, and required number of messages.
 
     Returns:
-        How many, BROKEN, OTHER_LAYOUT or OTHER_COUNT.
+        Number of messages, BROKEN, OTHER_LAYOUT or OTHER_COUNT.
     """
     last = row + room
     position = 0
@@ -237,18 +258,20 @@ def collect(data, wanted, message_bytes, fields, heads, sequence, wide, narrow, 
     return room if row == last else OTHER_COUNT
 
 
-@numba.njit(cache=True, nogil=True)
-def message_indexes(block, data, entries, times):  # pragma: no cover - compiled
-    """Go through the message index records that stand behind a chunk, and hold them against it.
+@njit(cache=True, nogil=True)
+def message_indexes(
+    block: NDArray[np.uint8], data: NDArray[np.uint8], entries: NDArray[np.int64], times: NDArray[np.uint64]
+) -> tuple[int, int, int]:  # pragma: no cover - compiled
+    """Parse the message index records that follow a chunk, and compare them with the chunk.
 
     Args:
-        block: what follows the chunk, uint8 (size,).
-        data: the chunk's records, uint8; empty when they are not to be had.
-        entries: int64 (n, 2), becomes channel id and number of messages per record.
-        times: uint64 (2,), first and last log time are put into it.
+        block: bytes after the chunk, uint8 (size,).
+        data: records of the chunk, uint8; empty if they are not available.
+        entries: int64 (n, 2), receives channel id and number of messages per record.
+        times: uint64 (2,), receives first and last log time.
 
     Returns:
-        End of the last whole index in `block`, number of records, offset of the first one that is not right or -1.
+        End of the last whole index in `block`, number of records, offset of the first wrong one or -1.
     """
     position = found = 0
     wrong = -1
@@ -278,15 +301,26 @@ def message_indexes(block, data, entries, times):  # pragma: no cover - compiled
                         wrong = position
         found += 1
         position += _RECORD_HEAD + np.int64(length)
-    return position, found, wrong
+    return int(position), found, int(wrong)
 
 
-@numba.njit(cache=True, nogil=True, forceinline=True)  # a call counts references to its arrays: a fifth of the time
-def _index_entries(block, at, n, chunk_end, following, room, channels, counts, entry, totals):  # pragma: no cover
-    """Take the n entries of a chunk index, from the last to the first: each message index ends where the next begins.
+@njit(cache=True, nogil=True, forceinline=True)  # a call counts references to its arrays, a fifth of the time
+def _index_entries(
+    block: Any,
+    at: Any,
+    n: Any,
+    chunk_end: Any,
+    following: Any,
+    room: Any,
+    channels: Any,
+    counts: Any,
+    entry: Any,
+    totals: Any,
+) -> Any:  # pragma: no cover
+    """Store the n entries of a chunk index, from the last to the first: each message index ends where the next begins.
 
     Returns:
-        Whether they follow each other from `chunk_end` on and name no more messages than there is room for.
+        True if they are contiguous from `chunk_end` on and list no more messages than the chunk can contain.
     """
     sound = True
     for k in range(n - 1, -1, -1):
@@ -305,21 +339,30 @@ def _index_entries(block, at, n, chunk_end, following, room, channels, counts, e
     return sound
 
 
-@numba.njit(cache=True, nogil=True)
-def chunk_indexes(block, numbers, kinds, first_entry, channels, counts, totals, state):  # pragma: no cover - compiled
-    """Take the chunk index records at the start of `block` into arrays.
+@njit(cache=True, nogil=True)
+def chunk_indexes(
+    block: NDArray[np.uint8],
+    numbers: NDArray[np.int64],
+    kinds: NDArray[np.uint8],
+    first_entry: NDArray[np.int64],
+    channels: NDArray[np.uint16],
+    counts: NDArray[np.uint32],
+    totals: NDArray[np.int64],
+    state: NDArray[np.int64],
+) -> int:  # pragma: no cover - compiled
+    """Store the chunk index records at the start of `block` in arrays.
 
     Args:
         block: bytes of the summary, uint8 (size,).
         numbers: int64 (6, n): record start, record length, packed and unpacked bytes, first and last log time.
         kinds: uint8 (n,): 0 not compressed, 1 zstd, 2 anything else.
-        first_entry: int64 (n + 1,): where each chunk's entries begin in `channels` (uint16) and `counts` (uint32).
-        totals: int64 (65536,): messages by channel id are added to it.
-        state: int64 (3,): chunks and entries taken so far, and the end of the last chunk's indexes in the file; kept
-            up to date. Chunks must stand in order and apart.
+        first_entry: int64 (n + 1,): index of each chunk's first entry in `channels` (uint16) and `counts` (uint32).
+        totals: int64 (65536,): the numbers of messages by channel id are added to it.
+        state: int64 (3,), updated: chunks and entries so far, and the end of the last chunk's indexes in the file.
+            Chunks must be in order and must not overlap.
 
     Returns:
-        How many bytes were taken, or BROKEN. What is left begins with another record or with half a one.
+        Number of bytes processed, or BROKEN. The rest begins with another or an incomplete record.
     """
     position = 0
     while len(block) - position >= _RECORD_HEAD and block[position] == 8:
@@ -343,7 +386,7 @@ def chunk_indexes(block, numbers, kinds, first_entry, channels, counts, totals, 
         first, last = np.int64(_eight(block, at)), np.int64(_eight(block, at + 8))
         if name_at + 4 + name_bytes + 16 != end or start < state[2] or min(size, packed, unpacked, first, last) < 0:
             return BROKEN
-        if behind < 0 or max(start, size, packed, unpacked, behind) >= _MOST:
+        if behind < 0 or max(start, size, packed, unpacked, behind) >= _MAX_BYTES:
             return BROKEN
         following, room = start + size + behind, unpacked // (_RECORD_HEAD + MESSAGE_HEAD_BYTES)
         if not _index_entries(block, at + 36, n, start + size, following, room, channels, counts, entry, totals):
@@ -355,4 +398,4 @@ def chunk_indexes(block, numbers, kinds, first_entry, channels, counts, totals, 
         state[0], state[1], state[2] = chunk + 1, entry + n, following
         first_entry[chunk + 1] = entry + n
         position = end
-    return position
+    return int(position)

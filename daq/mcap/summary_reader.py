@@ -1,7 +1,7 @@
-"""Opens a finished MCAP file from its summary alone: definitions, statistics, and where every chunk stands.
+"""Reader of a finished MCAP file's summary: definitions, statistics, and the position of every chunk.
 
-The summary counts only with the right CRC and when it is consistent in itself and with the file; else the file is to be
-walked from the start (daq.mcap.reader). It is read in pieces, so that an index of many megabytes costs no memory.
+The summary is used only if its CRC is right and it is consistent in itself and with the file; otherwise the file must
+be walked from the start (daq.mcap.reader). It is read in pieces, so that an index of many megabytes needs no memory.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from mcap import records
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, MetadataIndex, Statistics
 from numpy.typing import NDArray
-from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
+from daq.mcap.checksum import crc32
 from daq.mcap.chunks import EVER_NS, NEVER_NS, ChunkTable
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.records import RECORD_HEAD, DamageError, Definitions, Header, parse
@@ -26,21 +26,21 @@ from daq.mcap.writer import MAGIC
 _FOOTER_BYTES = RECORD_HEAD.size + 20
 _DATA_END_BYTES = RECORD_HEAD.size + 4
 _PIECE_BYTES = 256 * 1024  # stays in the processor's cache between reading, CRC and parsing
-_LEAST_INDEX_BYTES = RECORD_HEAD.size + 64
-_LEAST_ENTRY_BYTES = 10
+_MIN_INDEX_BYTES = RECORD_HEAD.size + 64
+_MIN_ENTRY_BYTES = 10
 
 
 @dataclass
 class Summary:
-    """What the summary of a finished file says.
+    """Summary of a finished file.
 
     Attributes:
         definitions: schemas and channels.
-        statistics: counts and times; None when the writer gave none.
+        statistics: counts and times; None if the writer stored none.
         table: the chunks.
-        attachments, metadata: where they stand.
-        data_end: byte at which the data section ends.
-        data_crc: CRC of the data section, not checked; 0 when the writer gave none.
+        attachments, metadata: their positions.
+        data_end: end of the data section, bytes.
+        data_crc: CRC of the data section, not verified; 0 if the writer stored none.
     """
 
     definitions: Definitions
@@ -53,7 +53,7 @@ class Summary:
 
 
 def read_summary(file: FileBytes, header: Header) -> Summary:
-    """Read and check the summary of a finished file.
+    """Read and verify the summary of a finished file.
 
     Raises:
         DamageError: the file is not finished, or its summary is damaged, has no CRC, or does not index everything.
@@ -78,7 +78,7 @@ def read_summary(file: FileBytes, header: Header) -> Summary:
     except LogError as fault:
         raise DamageError(str(fault)) from fault
     except MemoryError as fault:
-        raise DamageError("a summary longer than there is memory for") from fault
+        raise DamageError("a summary larger than the available memory") from fault
     return reading.summary(start - _DATA_END_BYTES, int.from_bytes(data_end[-4:], "little"), header)
 
 
@@ -92,12 +92,12 @@ class _Reading:
     crc: int = 0
     definitions: Definitions = field(default_factory=Definitions)
     statistics: Statistics | None = None
-    attachments: list[AttachmentIndex] = field(default_factory=list)
-    metadata: list[MetadataIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list[AttachmentIndex])
+    metadata: list[MetadataIndex] = field(default_factory=list[MetadataIndex])
 
     def __post_init__(self) -> None:
-        # room for the most there can be: pages that are never written cost nothing
-        most, entries = (self.end - self.start) // _LEAST_INDEX_BYTES, (self.end - self.start) // _LEAST_ENTRY_BYTES
+        # capacity for the largest possible number: pages that are never written cost nothing
+        most, entries = (self.end - self.start) // _MIN_INDEX_BYTES, (self.end - self.start) // _MIN_ENTRY_BYTES
         numbers, self.first_entry, self.counts, self.channels, self.kinds = _in_one_piece(
             (np.int64, 6 * most), (np.int64, most + 1), (np.uint32, entries), (np.uint16, entries), (np.uint8, most)
         )
@@ -107,7 +107,7 @@ class _Reading:
         self.state = np.zeros(3, np.int64)
 
     def run(self) -> None:
-        """Take every record.
+        """Read every record.
 
         Raises:
             DamageError, LogError: the summary cannot be read.
@@ -119,13 +119,13 @@ class _Reading:
             checked, size = position + len(piece), _PIECE_BYTES
             taken = self._take(piece)
             position += taken
-            if not taken:  # a long record, or a broken one
+            if not taken:  # a long or a damaged record
                 size = RECORD_HEAD.size + RECORD_HEAD.unpack_from(piece.ljust(RECORD_HEAD.size, b"\xff"))[1]
                 if size > self.end - position:
                     raise DamageError("a summary that ends inside a record")
 
     def _take(self, block: bytes) -> int:
-        """Take the whole records at the start of `block`; returns where the rest begins."""
+        """Read the whole records at the start of `block`; return the position of the rest."""
         position, data = 0, np.frombuffer(block, np.uint8)
         while len(block) - position >= RECORD_HEAD.size:
             opcode, length = RECORD_HEAD.unpack_from(block, position)
@@ -154,13 +154,13 @@ class _Reading:
             self.metadata.append(parse(records.MetadataIndex, body))
 
     def summary(self, data_end: int, data_crc: int, header: Header) -> Summary:
-        """What was read, once it is consistent.
+        """Return the result after checking that it is consistent.
 
         Raises:
-            DamageError: it is not, or does not index every message.
+            DamageError: it is inconsistent, or does not index every message.
         """
         if self.state[2] > data_end:
-            raise DamageError("a chunk index that points behind the data")
+            raise DamageError("a chunk index that points beyond the data")
         statistics, found = self.statistics, self.counts_by_channel()
         if not set(found) <= set(self.definitions.channels):
             raise DamageError("a summary that lacks channels")
@@ -179,7 +179,7 @@ class _Reading:
         return Summary(self.definitions, statistics, *parts, data_end, data_crc)
 
     def counts_by_channel(self) -> dict[int, int]:
-        """Messages by channel id; channels without any are left out."""
+        """Return the number of messages by channel id, without channels that have none."""
         return {int(channel): int(self.totals[channel]) for channel in np.flatnonzero(self.totals)}
 
     def _table(self) -> ChunkTable:
@@ -207,8 +207,9 @@ def _constant(count: int, value: int) -> NDArray[np.int64]:
 
 
 def _in_one_piece(*wanted: tuple[type[np.generic], int]) -> list[NDArray[Any]]:
-    """Arrays of kinds and lengths, wider kinds first, side by side in memory: the system hands out one large piece with
-    far fewer page faults than several small ones, which cost more than all that is written into them.
+    """Return arrays of the given types and lengths (wider types first) in one block of memory.
+
+    One large block causes far fewer page faults than several small ones, which would cost more than all writing.
     """
     ends = np.cumsum([np.dtype(kind).itemsize * length for kind, length in wanted])
     parts = np.split(np.empty(ends[-1], np.uint8), ends[:-1])

@@ -1,4 +1,4 @@
-"""The table of chunks as a walk finds them, one after the other."""
+"""Table of chunks, built while a file is walked."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from zlib_ng.zlib_ng import crc32
 
+from daq.mcap.checksum import crc32
 from daq.mcap.chunks import ChunkHead, ChunkTable
 from daq.mcap.records import RECORD_HEAD, DamageError, Definitions
 from daq.mcap.scan import definitions, tally
@@ -18,7 +18,7 @@ _NOTHING = np.empty(0, np.uint8)
 
 @dataclass(frozen=True)
 class TakenChunk:
-    """A good chunk: its records, uint8; messages by channel id; first and last log and publish times, ns."""
+    """An intact chunk: records, uint8; messages by channel id; first and last log and publish times, ns."""
 
     data: NDArray[np.uint8]
     counts: dict[int, int]
@@ -26,10 +26,10 @@ class TakenChunk:
 
 
 class TableBuilder:
-    """Grows a `ChunkTable`.
+    """Builder of a `ChunkTable`.
 
     Args:
-        known: takes the schemas and channels that stand in the chunks.
+        known: receives the schemas and channels found in the chunks.
     """
 
     def __init__(self, known: Definitions) -> None:
@@ -39,7 +39,7 @@ class TableBuilder:
         self._rows = array("q")
         self._entries = array("q")
         self._first_entry = array("q", [0])
-        self._seen: dict[tuple[int, ...], int] = {}  # CRC, size and times of a chunk: where it stands
+        self._seen: dict[tuple[int, ...], int] = {}  # CRC, size and times of a chunk: its position
         self._copies: list[tuple[int, ChunkHead, TakenChunk]] = []
 
     def __len__(self) -> int:
@@ -47,14 +47,14 @@ class TableBuilder:
 
     @property
     def starts(self) -> list[int]:
-        """Where the chunks so far begin, bytes."""
+        """Positions of the chunks so far, bytes."""
         return self._rows[::10].tolist()
 
     def count(self, data: NDArray[np.uint8]) -> TakenChunk:
-        """Count the messages of an unpacked chunk, and take over the definitions in it.
+        """Count the messages of an unpacked chunk, and add its definitions to the known ones.
 
         Raises:
-            DamageError: it does not consist of whole records, or defines an id anew.
+            DamageError: it does not consist of whole records, or redefines an id.
         """
         found, others = tally(data, self._counts, self._touched, self._times)
         if found < 0:
@@ -69,16 +69,16 @@ class TableBuilder:
                 self._known.take(int(data[start]), data[start + RECORD_HEAD.size : end].tobytes())
         return TakenChunk(data, counts, self._times.tolist() if found else [0] * 4)
 
-    def add(self, start: int, head: ChunkHead, chunk: TakenChunk, believed: bool = False) -> int | None:
-        """Add a chunk that begins at byte `start`; where the same one stands already, only tell where.
+    def add(self, start: int, head: ChunkHead, chunk: TakenChunk, trusted: bool = False) -> int | None:
+        """Add a chunk that begins at byte `start`. A duplicate is not added; the position of the first is returned.
 
         Args:
-            believed: add it even so.
+            trusted: add a duplicate as well.
         """
         crc = head.crc or crc32(chunk.data.data)
         key = crc, head.unpacked, *chunk.times
         earlier = self._seen.setdefault(key, start)
-        if earlier != start and chunk.counts and not believed:
+        if earlier != start and chunk.counts and not trusted:
             self._copies.append((start, replace(head, crc=crc), replace(chunk, data=_NOTHING)))
             return earlier
         self._rows.extend((start, head.data_at + head.packed, head.packed, head.unpacked, head.kind, crc))
@@ -89,17 +89,17 @@ class TableBuilder:
         return None
 
     def keep_all(self) -> set[int]:
-        """Add what was left out because the same stands elsewhere; returns where these chunks begin."""
+        """Add the omitted duplicates; return their positions."""
         for start, head, chunk in self._copies:
-            self.add(start, head, chunk, believed=True)
+            self.add(start, head, chunk, trusted=True)
         return {start for start, _, _ in self._copies}
 
     def build(self) -> ChunkTable:
-        """The table of all chunks so far."""
+        """Return the table of all chunks so far."""
         rows = np.array(self._rows, np.int64).reshape(-1, 10)
         entries = np.array(self._entries, np.int64).reshape(-1, 2)
         first_entry = np.array(self._first_entry, np.int64)
-        if (np.diff(rows[:, 0]) < 0).any():  # some were found late
+        if (np.diff(rows[:, 0]) < 0).any():  # some were found later
             order = np.argsort(rows[:, 0])
             sizes = np.diff(first_entry)[order]
             begins = np.repeat(first_entry[:-1][order] - np.cumsum(sizes) + sizes, sizes)

@@ -1,7 +1,7 @@
-"""The walk over an MCAP file from its start to its end, which keeps whatever is whole.
+"""Walk over an MCAP file from its start to its end that uses everything intact.
 
-Chunks count only with the right CRC, no length in the file is believed before it is held against the bytes that are
-there, and where a record makes no sense the walk looks for the next sound one and goes on.
+Chunks are used only with the right CRC. Lengths in the file are compared with the available bytes before they are used.
+After an invalid record the walk searches the next intact one and continues there.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from collections.abc import Callable
 import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
-from zlib_ng.zlib_ng import crc32
 
 from daq.errors import LogError
+from daq.mcap.checksum import crc32
 from daq.mcap.chunks import BARE, CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
 from daq.mcap.damage import Damage, Held, Place
 from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
@@ -36,7 +36,7 @@ from daq.mcap.writer import MAGIC, METADATA_CRC
 _NOTHING = np.empty(0, np.uint8)
 _METADATA_LIMIT_BYTES = 64 * 2**20
 _STRETCH_BYTES = 4 * PIECE_BYTES
-_KNOWN = frozenset(Opcode)
+_DEFINED_OPCODES = frozenset(Opcode)
 _OF_SUMMARY = frozenset(
     (
         Opcode.SCHEMA,
@@ -54,20 +54,20 @@ class Walk:
     """One pass over the records of a file; `run` fills the attributes.
 
     Args:
-        file: the file.
-        header: who wrote it.
-        no_summary: why its summary cannot be used, in words; "" when it can.
-        believed: where chunks begin that count even when the same one stands elsewhere too.
-        progress: told now and then which share of the file is done.
+        file: the open file.
+        header: program that wrote the file.
+        no_summary: reason why the summary cannot be used; "" if it can.
+        trusted: positions of chunks that are used even if they are duplicates.
+        progress: called with the completed share of the file, 0 … 1.
 
     Attributes:
-        table: the good chunks.
-        damage: the places that are not what they should be.
-        definitions, metadata, attachments: what else is sound.
-        finished: the file has its end.
-        position: how far the walk came, bytes.
-        announced: messages as a sound summary counts them, None without one.
-        no_crc: how many records of which kind another writer gave no CRC.
+        table: intact chunks.
+        damage: damaged places.
+        definitions, metadata, attachments: other intact contents.
+        finished: True if the file has its end.
+        position: end of the walk, bytes.
+        announced: number of messages according to an intact summary, None without one.
+        no_crc: number of records without CRC by kind, in files of other writers.
     """
 
     def __init__(
@@ -75,10 +75,10 @@ class Walk:
         file: FileBytes,
         header: Header,
         no_summary: str,
-        believed: frozenset[int],
+        trusted: frozenset[int],
         progress: Callable[[float], None] | None,
     ) -> None:
-        self.file, self.header, self.no_summary, self.believed = file, header, no_summary, believed
+        self.file, self.header, self.no_summary, self.trusted = file, header, no_summary, trusted
         self.window = Window(file, header.ours)
         self.progress = progress
         self.damage = Damage()
@@ -88,23 +88,23 @@ class Walk:
         self.attachments: list[AttachmentPlace] = []
         self.loose: list[tuple[int, int]] = []
         self.no_crc: dict[str, int] = {}
-        self.last_data = _NOTHING  # records of the last good chunk: its message indexes follow
+        self.last_data = _NOTHING  # records of the last intact chunk: its message indexes follow
         self.last_counts: dict[int, int] = {}
-        self.indexed: dict[int, int] = {}  # what its message indexes have named so far
+        self.indexed: dict[int, int] = {}  # messages listed by its message indexes so far
         self.last_start = -1
-        self.unnamed: set[int] = set()  # where good chunks stand whose message indexes do not name all they hold
-        self.open_place: Place | None = None  # message indexes that come next belong to it
+        self.unnamed: set[int] = set()  # positions of intact chunks whose message indexes do not list all messages
+        self.open_place: Place | None = None  # following message indexes belong to it
         self.left_out_end = -1
-        self.search_from = len(MAGIC)  # behind what was right for sure, or behind the last record searched for
-        self.budget = 8 * file.size + 2**28  # bytes that may be looked at in vain; hostile files nest records
-        self.crc: int | None = 0  # of the data section so far; None once a stretch was left out
+        self.search_from = len(MAGIC)  # end of the last certainly intact record, or of the last one searched for
+        self.budget = 8 * file.size + 2**28  # bytes that may be searched without result; hostile files nest records
+        self.crc: int | None = 0  # of the data section so far; None after an excluded range
         self.data_ended = self.finished = False
         self.summary_start = 0
         self.statistics = b""
         self.announced: int | None = None
 
     def run(self) -> None:
-        """Go through the file."""
+        """Walk the file."""
         position = 0
         try:
             self._pass(0, len(MAGIC))
@@ -123,7 +123,7 @@ class Walk:
                     if self.left_out_end != position:
                         break
                     self.left_out_end = -1
-                    raise DamageError("the file ends behind a chunk that was left out")
+                    raise DamageError("the file ends after a chunk that was left out")
                 end = self._record(position)
                 self._pass(position, end)
                 position = end
@@ -133,7 +133,7 @@ class Walk:
         self._keep_loose()
 
     def _pass(self, position: int, end: int) -> None:
-        """What stands between is as it should be."""
+        """Accept an intact range."""
         if self.crc is not None and not self.data_ended:
             for at in range(position, end, PIECE_BYTES):
                 self.crc = crc32(self.window.view(at, min(end, at + PIECE_BYTES)), self.crc)
@@ -143,9 +143,9 @@ class Walk:
             self.progress(end / self.file.size)
 
     def _resume(self, position: int, why: str) -> int:
-        """Note the damage and find the next sound record; the end of the file when there is none.
+        """Note the damage and return the position of the next intact record, or the end of the file.
 
-        The search begins behind what was right for sure, not here: a wrong length may have jumped over some.
+        The search begins after the last certainly intact record, since a wrong length may have skipped some.
         """
         self.crc = None
         found = self.window.next_credible(self.search_from, self._spend)
@@ -163,7 +163,7 @@ class Walk:
         return self.budget > 0
 
     def _record(self, position: int) -> int:
-        """Take the record at `position`; returns where the next one starts."""
+        """Process the record at `position`; return the position of the next one."""
         opcode, end = self.window.head(position)
         if opcode == Opcode.MESSAGE_INDEX:
             return self._message_indexes(position)
@@ -186,13 +186,13 @@ class Walk:
                 self.statistics = bytes(self.window.view(position + RECORD_HEAD.size, min(end, position + PIECE_BYTES)))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not self.header.ours:
             self.definitions.take(opcode, bytes(self.window.view(position + RECORD_HEAD.size, end)))
-        elif opcode == 0 or self.header.ours or opcode in _KNOWN:
-            raise DamageError(f"a record of kind {opcode:#04x}, which may not stand here")
+        elif opcode == 0 or self.header.ours or opcode in _DEFINED_OPCODES:
+            raise DamageError(f"a record of kind {opcode:#04x}, which is not allowed here")
         self.open_place = None
         return end
 
     def _message_indexes(self, position: int) -> int:
-        """The message indexes behind a chunk; behind a damaged one they tell what it held."""
+        """Process the message indexes of a chunk; those of a damaged chunk give its former contents."""
         end, counts, span, wrong = indexes_behind(self.window, position, self.last_data)
         fits = wrong < 0 and len(self.last_data) > 0
         if fits and all(self.last_counts.get(channel) == count for channel, count in counts.items()):
@@ -210,14 +210,14 @@ class Walk:
         return end
 
     def _end_of_indexes(self, position: int) -> None:
-        """Another record follows the last good chunk and its message indexes: do these name every message?"""
+        """Check at the next record whether the message indexes of the last intact chunk list every message."""
         lacking = {c: n for c, n in self.last_counts.items() if self.indexed.get(c) != n}
         if lacking and (self.indexed or self.header.ours):
             size, place = sum(15 + 16 * n for n in lacking.values()), self.open_place
             if place is not None and place.end - place.start == size:
-                place.held = []  # the damaged stretch is as long as the indexes that are not there
+                place.held = []  # the damaged range is as long as the missing indexes
             elif place is None:
-                text = "message indexes before this place do not name every message of their chunk"
+                text = "message indexes before this place do not list every message of their chunk"
                 self.damage.note(position, position, text, len(self.table)).held = []
         self.last_data, self.last_counts, self.indexed = _NOTHING, {}, {}
 
@@ -230,15 +230,15 @@ class Walk:
             self._spend(head.packed + min(head.unpacked, CHUNK_LIMIT_BYTES))
             self.open_place = self.damage.note(position, end, f"{damage}, left out", len(self.table))
             self.crc = None
-            self.left_out_end = end  # perhaps a wrong length: the search still begins inside
-            self.search_from = max(self.search_from, position + 1)  # but not at this very chunk again
+            self.left_out_end = end  # the length may be wrong: the search still begins inside the chunk …
+            self.search_from = max(self.search_from, position + 1)  # … but not at this very chunk again
             return end
-        earlier = self.table.add(position, head, chunk, position in self.believed)
+        earlier = self.table.add(position, head, chunk, position in self.trusted)
         if earlier is not None:
-            text = f"the chunk of byte {earlier} again, copied over what stood here; taken once"
+            text = f"the chunk of byte {earlier} again, copied over the original contents; used once"
             self.open_place = self.damage.note(position, end, text, len(self.table))
         elif chunk.counts and self.header.ours and chunk.times[:2] != [head.start_ns, head.end_ns]:
-            text = "a chunk whose head tells other times than its messages; these count"
+            text = "a chunk whose head has other times than its messages; those of the messages are used"
             self.damage.note(position, end, text, len(self.table)).held = []
         self._count_without_crc("chunks", head.crc)
         self.last_data, self.last_counts, self.last_start = chunk.data, chunk.counts, position
@@ -246,10 +246,10 @@ class Walk:
         return end
 
     def read_chunk(self, position: int, end: int, head: ChunkHead) -> TakenChunk:
-        """The chunk at `position`, unpacked, checked and counted.
+        """Read, unpack, verify and count the chunk at `position`.
 
         Raises:
-            DamageError: it is not sound.
+            DamageError: the chunk is damaged.
         """
         if head.packed > CHUNK_LIMIT_BYTES + PIECE_BYTES:
             raise DamageError(f"a chunk of {head.packed} packed bytes, more than the {CHUNK_LIMIT_BYTES} that are read")
@@ -257,7 +257,7 @@ class Walk:
         return self.table.count(np.frombuffer(unpack(packed, head, self.header.ours), np.uint8))
 
     def _loose(self, position: int, end: int) -> int:
-        """Messages outside of chunks, where no CRC covers them."""
+        """Process messages outside of chunks, which have no CRC."""
         block = self.window.view(position, min(self.file.size, max(end, position + PIECE_BYTES)))
         length = loose_messages(np.frombuffer(block, np.uint8))
         if not length:
@@ -269,7 +269,7 @@ class Walk:
         return position + length
 
     def _keep_loose(self) -> None:
-        """Messages outside of chunks count only in a file without chunks; beside chunks they are damaged records."""
+        """Use messages outside of chunks only in a file without chunks; otherwise they are damaged records."""
         chunked = len(self.table) > 0
         for start, end in self.loose:
             if chunked:
@@ -278,8 +278,8 @@ class Walk:
             try:
                 chunk = self.table.count(np.frombuffer(self.file.read(start, end - start), np.uint8))
                 crc = crc32(chunk.data.data)
-                self.table.add(start, ChunkHead(0, 0, end - start, crc, BARE, "", 0, end - start), chunk, believed=True)
-                self._count_without_crc("stretches of messages", 0)
+                self.table.add(start, ChunkHead(0, 0, end - start, crc, BARE, "", 0, end - start), chunk, trusted=True)
+                self._count_without_crc("series of messages", 0)
             except (DamageError, LogError) as damage:
                 self.damage.note(start, end, f"{damage}, left out", len(self.table))
 
@@ -297,10 +297,10 @@ class Walk:
 
     def _data_end(self, position: int, end: int) -> None:
         if end - position != RECORD_HEAD.size + 4:
-            raise DamageError("an end of the data of another length than it has")
+            raise DamageError("an end of the data of the wrong length")
         crc = int.from_bytes(self.window.view(end - 4, end), "little")
         self._count_without_crc("data sections", crc)
-        if crc and crc == self.crc and not self.data_ended:  # what stands twice was written twice
+        if crc and crc == self.crc and not self.data_ended:  # the right CRC shows that duplicates were written
             written = self.table.keep_all()
             self.damage.places = [place for place in self.damage.places if place.start not in written]
         if self.crc is not None and crc != self.crc and (crc or self.header.ours):
@@ -313,19 +313,19 @@ class Walk:
             raise DamageError("a footer of another length than 20 bytes, or before the end of the data")
         closing = self.window.view(end, min(self.file.size, end + len(MAGIC)))
         if bytes(closing) != MAGIC:
-            raise DamageError(f"no {MAGIC!r} behind the footer")
+            raise DamageError(f"no {MAGIC!r} after the footer")
         self.finished = True
-        told, _, crc = struct.unpack("<QQI", self.window.view(position + RECORD_HEAD.size, end))
+        summary_start, _, crc = struct.unpack("<QQI", self.window.view(position + RECORD_HEAD.size, end))
         self._count_without_crc("summaries", crc)
-        try:  # a sound summary need not stand where its footer says: the file may have become longer before it
+        try:  # an intact summary may have moved: the file may have become longer before it
             right = crc == 0 or self.file.crc(self.summary_start, end - 4) == crc
         except LogError:
             right = False
         if self.statistics and right and (crc or not self.header.ours):
             self.announced = parse(records.Statistics, self.statistics).message_count
-        if not right or (told not in (0, self.summary_start)) or (self.header.ours and self.no_summary):
+        if not right or (summary_start not in (0, self.summary_start)) or (self.header.ours and self.no_summary):
             text = f"the summary cannot be used: {self.no_summary}" if self.no_summary else "the summary is damaged"
             self.damage.note(self.summary_start, end, text, len(self.table)).held = []
         if end + len(MAGIC) < self.file.size:
-            text = "bytes behind the end of the log, which do not belong to it"
+            text = "bytes after the end of the log, which do not belong to it"
             self.damage.note(end + len(MAGIC), self.file.size, text, len(self.table)).held = []

@@ -1,4 +1,4 @@
-"""Going through a file from front to back: a window that reads ahead, and the search for the next sound record."""
+"""Sequential access to a file: a window that reads ahead, and the search for the next intact record."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
 from daq.errors import LogError
 from daq.mcap.chunks import HEAD_BYTES, parse_head
@@ -27,8 +28,8 @@ class Window:
     """Bytes of a file, read ahead.
 
     Args:
-        file: it.
-        ours: written by this package; decides what counts as a sound record.
+        file: the open file.
+        ours: True if written by this package; affects which records are intact.
     """
 
     def __init__(self, file: FileBytes, ours: bool) -> None:
@@ -36,16 +37,16 @@ class Window:
         self._base, self._data = 0, memoryview(b"")
 
     def view(self, start: int, end: int) -> memoryview:
-        """The bytes from `start` to `end`.
+        """Return the bytes from `start` to `end`.
 
         Raises:
-            DamageError: the file is shorter, or the disk refuses them.
+            DamageError: the file is shorter, or the disk fails.
         """
         if start < self._base or end > self._base + len(self._data):
             length = min(max(end - start, PIECE_BYTES), self.file.size - start)
             try:
                 self._data, self._base = memoryview(self.file.read(start, length)), start
-            except LogError:  # perhaps only what lies behind cannot be read
+            except LogError:  # possibly only the bytes after `end` cannot be read
                 try:
                     return memoryview(self.file.read(start, end - start))
                 except LogError as fault:
@@ -55,10 +56,10 @@ class Window:
         return self._data[start - self._base : end - self._base]
 
     def head(self, position: int) -> tuple[int, int]:
-        """Opcode of the record at `position`, and where it ends.
+        """Return opcode and end of the record at `position`.
 
         Raises:
-            DamageError: the file ends before.
+            DamageError: the file ends before the record.
         """
         if self.file.size - position < RECORD_HEAD.size:
             raise DamageError("the file ends inside a record's head")
@@ -70,17 +71,17 @@ class Window:
         return opcode, end
 
     def next_credible(self, position: int, spend: Callable[[int], bool]) -> int:
-        """Where the next record begins that is what it says, from `position` on; the file's size when there is none.
+        """Return the position of the next valid record from `position` on; the file's size if none is found.
 
         Args:
-            position: byte.
-            spend: told how many bytes a closer look costs; returns False when it was enough.
+            position: start of the search, bytes.
+            spend: called with the number of bytes that a closer check reads; returns False if the budget is used up.
         """
         while position < self.file.size:
             end = min(position + PIECE_BYTES, self.file.size)
             try:
                 piece = self.file.read(position, min(end + _LOOK_AHEAD, self.file.size) - position)
-            except LogError:  # a bad spot on the disk
+            except LogError:  # a read fault of the disk
                 position = end
                 continue
             for match in _CREDIBLE.finditer(piece):
@@ -91,7 +92,7 @@ class Window:
             position = end
         return self.file.size
 
-    def _credible(self, position: int, spend: Callable[[int], bool]) -> bool:  # noqa: PLR0911 (one per kind)
+    def _credible(self, position: int, spend: Callable[[int], bool]) -> bool:  # noqa: PLR0911 (one return per kind of record)
         try:
             opcode, end = self.head(position)
             if opcode == Opcode.CHUNK:
@@ -114,17 +115,17 @@ class Window:
 
 
 def indexes_behind(
-    window: Window, position: int, data: np.ndarray
+    window: Window, position: int, data: NDArray[np.uint8]
 ) -> tuple[int, dict[int, int], tuple[int, int] | None, int]:
-    """The message index records that stand from `position` on.
+    """Read the message index records from `position` on.
 
     Args:
         window: the file.
-        position: byte behind a chunk, or of a message index.
-        data: the chunk's records, uint8; empty when they are not to be had.
+        position: end of a chunk, or start of a message index, bytes.
+        data: records of the chunk, uint8; empty if they are not available.
 
     Returns:
-        Where they end; messages by channel id; first and last log time; byte of the first one that does not fit the
+        Their end; messages by channel id; first and last log time; position of the first one that does not match the
         chunk, or -1.
 
     Raises:
@@ -148,7 +149,7 @@ def indexes_behind(
         if not found:
             if counts:
                 break
-            raise DamageError("a message index of another length than it says")
+            raise DamageError("a message index of the wrong length")
         for channel, count in entries[:found].tolist():
             counts[channel] = counts.get(channel, 0) + count
         if bad >= 0 and wrong < 0:

@@ -1,68 +1,94 @@
-"""MCAP written in blocks: the message records of a whole batch of samples are made by one compiled loop.
+"""MCAP writer that works in blocks: the message records of a batch of samples are made by one compiled loop.
 
-The bytes are the format's own (https://mcap.dev/spec); the library's record classes write what there is little of. A
-file is a header, chunks of messages each followed by its message indexes, attachments and metadata between them, then
-a summary with the indexes and statistics. A chunk and its indexes reach the stream in one write, so a file cut
-anywhere holds whole chunks.
+The bytes follow the format's specification (https://mcap.dev/spec); rare records are encoded by the library's record
+classes. A file consists of a header, chunks of messages each followed by its message indexes, attachments and metadata
+between them, and a summary with indexes and statistics. A chunk and its indexes reach the stream in one write, so a
+file cut anywhere contains whole chunks.
 
 Not thread-safe: one thread writes.
 """
 
+from __future__ import annotations
+
 import struct
 from collections.abc import Iterable, Mapping
-from typing import Any, BinaryIO, Literal
+from dataclasses import dataclass
+from typing import Any, BinaryIO, Literal, cast
 
 import numpy as np
 import zstandard
 from mcap import records
 from mcap.opcode import Opcode
 from numpy.typing import ArrayLike, NDArray
-from zlib_ng.zlib_ng import crc32
 
+from daq.mcap.checksum import crc32
 from daq.mcap.open_chunk import RECORD_HEAD_BYTES, MessageBlock, OpenChunk, compile_loops, message_indexes
-from daq.mcap.summary import Summary, encode_record
+from daq.mcap.summary import Summary, WrittenChunk, encode_record
 
 MAGIC = b"\x89MCAP0\r\n"
 RESTATE_EVERY = 64
-"""Schemas and channels are repeated in every so many-th chunk: a file that lost its first chunk stays readable."""
+"""Period in chunks at which schemas and channels are repeated: a file without its first chunk remains readable."""
 METADATA_CRC = "crc32"
-"""Key of a metadata record under which its own checksum stands."""
+"""Key of a metadata record under which its own checksum is stored."""
 LIBRARY = "self-balancing rotor rig, log layout 2"
-"""Who wrote a file, as its header says: from it every checksum is expected. Layout 1, which called itself by the
-package's name, had none for metadata; its files are read like those of others."""
+"""Name of the writer in the header. Files with this name must contain every checksum. Layout 1, with the package's name
+in the header, had none for metadata; its files are read like those of other writers."""
 TIMES = "times"
-"""Name of the metadata record that says how far sample times and log times are apart."""
-_ZSTD_LEVEL = 3  # a tenth smaller than level 1 for a fifth more time; the levels above cost twice as much for nothing
+"""Name of the metadata record that contains the largest differences between sample times and log times."""
+_ZSTD_LEVEL = 3  # 10 % smaller files than level 1 in 20 % more time; higher levels take twice the time for no gain
 _CHUNK_HEAD = struct.Struct("<BQQQQII")
 
 
 def metadata_crc(name: str, metadata: Mapping[str, str]) -> str:
-    """Checksum of a named table of texts, 8 hex digits; MCAP itself has none for metadata.
+    """Return the checksum of a named table of texts, 8 hex digits; MCAP itself has none for metadata.
 
-    A key `METADATA_CRC` among them is left out.
+    The key `METADATA_CRC` is excluded.
     """
     text = f"{name}\0" + "".join(f"{key}\0{value}\0" for key, value in sorted(metadata.items()) if key != METADATA_CRC)
     return f"{crc32(text.encode()):08x}"
 
 
 def compile_writer() -> None:
-    """Load what is compiled, or compile it: seconds once on a machine, and never while samples wait."""
+    """Load or compile the compiled loops: takes seconds once per computer, and must not happen while samples arrive."""
     compile_loops()
+
+
+@dataclass(frozen=True)
+class CopiedChunk:
+    """A chunk of another file with n messages.
+
+    Attributes:
+        packed: its content as stored in the other file.
+        compression: "" or the name of the compression.
+        unpacked: size of the unpacked content, bytes.
+        crc: CRC of the unpacked content, as stored in the other file.
+        channel_ids, log_times, publish_times, offsets: (n,) each: channel ids, times in ns, and the offset of each
+            message record (its opcode) in the unpacked content.
+    """
+
+    packed: bytes
+    compression: str
+    unpacked: int
+    crc: int
+    channel_ids: ArrayLike
+    log_times: ArrayLike
+    publish_times: ArrayLike
+    offsets: ArrayLike
 
 
 class BlockWriter:
     """Writes one MCAP file to a stream.
 
     Args:
-        stream: where the bytes go; it is flushed by `flush` and `finish` and never closed here.
-        compression: of the chunks.
-        chunk_bytes: largest size of a chunk before compression, unless a single message is larger. zstd has tables
-            for up to 256 KiB that make samples 5 % smaller, and faster, than those for more.
-        library: who wrote the file, for its header.
+        stream: output stream; flushed by `flush` and `finish` and never closed here.
+        compression: compression of the chunks.
+        chunk_bytes: largest size of a chunk before compression, unless a single message is larger. For sizes up to
+            256 KiB zstd uses tables that give 5 % smaller samples in less time.
+        library: name of the writer for the header.
 
     Raises (all methods):
-        OSError: the stream cannot be written, for instance because the disk is full, or could not before, or the file
-            is finished. What was written until then stays readable.
+        OSError: the stream cannot be written, for instance because the disk is full, or an earlier write failed, or the
+            file is finished. Everything written before remains readable.
     """
 
     def __init__(
@@ -79,9 +105,9 @@ class BlockWriter:
         self._chunk_bytes = chunk_bytes
         self._library = library
         self._offset = self._crc = 0
-        self._closed = ""  # why nothing can be written any more
+        self._closed = ""  # reason why nothing can be written any more
         self._chunk = OpenChunk(chunk_bytes)
-        self._restated_bytes = 0  # of the open chunk: definitions repeated, for which alone no chunk is written
+        self._restated_bytes = 0  # repeated definitions in the open chunk; these alone do not make a chunk
         self._definitions = b""
         self._summary = Summary()
 
@@ -99,10 +125,10 @@ class BlockWriter:
     def register_channel(
         self, topic: str, message_encoding: str, schema_id: int, metadata: Mapping[str, str] | None = None
     ) -> int:
-        """Add a channel, at any time; schema 0 means none. Returns its id.
+        """Add a channel, at any time; schema 0 means no schema. Returns its id.
 
         Raises:
-            ValueError: no such schema.
+            ValueError: the schema is not registered.
         """
         channel = records.Channel(
             id=_free_id(self._summary.channels),
@@ -115,10 +141,10 @@ class BlockWriter:
         return channel.id
 
     def adopt(self, schemas: Iterable[records.Schema], channels: Iterable[records.Channel]) -> None:
-        """Take over the definitions of another file with their ids, so that its chunks can be copied.
+        """Adopt the definitions of another file with their ids, so that its chunks can be copied.
 
         Raises:
-            ValueError: something is registered already, an id occurs twice or is no id, or a channel's schema is not
+            ValueError: something is registered already, an id is invalid or occurs twice, or a channel's schema is not
                 among them.
         """
         if self._summary.schemas or self._summary.channels:
@@ -144,7 +170,7 @@ class BlockWriter:
             messages: (n,) of any dtype whose items are whole messages.
 
         Raises:
-            ValueError: unknown channel, negative times, no integers, or lengths that differ.
+            ValueError: unknown channel, negative times, values that are not integers, or different lengths.
         """
         self._check_channel(channel_id)
         block = MessageBlock(messages, log_time_ns, publish_time_ns, sequence)
@@ -160,7 +186,7 @@ class BlockWriter:
         """Add one message of any size; sequence is taken modulo 2**32.
 
         Raises:
-            ValueError: unknown channel, or times before 1970 or that 64 bits do not hold.
+            ValueError: unknown channel, or times before 1970 or beyond 64 bits.
         """
         self._check_channel(channel_id)
         if not 0 <= min(log_time_ns, publish_time_ns) <= max(log_time_ns, publish_time_ns) < 2**64:
@@ -168,49 +194,33 @@ class BlockWriter:
         self._make_room(RECORD_HEAD_BYTES + len(data))
         self._chunk.add_message(channel_id, log_time_ns, publish_time_ns, sequence & 0xFFFFFFFF, data)
 
-    def copy_chunk(
-        self,
-        packed: bytes,
-        compression: str,
-        unpacked: int,
-        crc: int,
-        channel_ids: ArrayLike,
-        log_times: ArrayLike,
-        publish_times: ArrayLike,
-        offsets: ArrayLike,
-    ) -> None:
-        """Add a whole chunk of another file as it is, with a fresh message index; an open chunk is closed first.
-
-        Args:
-            packed: its content as it stands in the other file.
-            compression: "" or the name of the compression.
-            unpacked: size of the content when unpacked, bytes.
-            crc: of the unpacked content, as the other file has it.
-            channel_ids, log_times, publish_times, offsets: (n,) each, of its n messages: times in ns, and where the
-                message record (its opcode) starts in the unpacked content.
+    def copy_chunk(self, chunk: CopiedChunk) -> None:
+        """Add a whole chunk of another file unchanged, with a new message index; an open chunk is closed first.
 
         Raises:
-            ValueError: a channel that was not adopted, lengths that differ, or a message outside of the chunk.
+            ValueError: a channel that was not adopted, different lengths, or a message outside of the chunk.
         """
-        ids = np.ascontiguousarray(channel_ids, np.uint16)
-        log, publish, places = (np.ascontiguousarray(a, np.uint64) for a in (log_times, publish_times, offsets))
+        ids = np.ascontiguousarray(chunk.channel_ids, np.uint16)
+        log, publish, places = (
+            np.ascontiguousarray(a, np.uint64) for a in (chunk.log_times, chunk.publish_times, chunk.offsets)
+        )
         if not ids.shape == log.shape == publish.shape == places.shape or ids.ndim != 1:
             raise ValueError(
                 f"expected four arrays (n,), got {ids.shape}, {log.shape}, {publish.shape} and {places.shape}"
             )
         for channel_id in np.unique(ids):
             self._check_channel(int(channel_id))
-        if len(places) and places.max() + RECORD_HEAD_BYTES > unpacked:
-            raise ValueError(f"expected messages within {unpacked} bytes, got one at {places.max()}")
+        if len(places) and places.max() + RECORD_HEAD_BYTES > chunk.unpacked:
+            raise ValueError(f"expected messages within {chunk.unpacked} bytes, got one at {places.max()}")
         self._close_chunk()
         late, early = (int(np.where(a > b, a - b, 0).max(initial=0)) for a, b in ((log, publish), (publish, log)))
-        self._put_chunk(packed, compression, unpacked, crc, (ids, log, places), (late, early))
+        self._put_chunk(chunk.packed, chunk.compression, chunk.unpacked, chunk.crc, (ids, log, places), (late, early))
 
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
-        """Add a named table of texts; it gets its checksum under the key `METADATA_CRC`.
+        """Add a named table of texts; its checksum is added under the key `METADATA_CRC`.
 
         Raises:
-            ValueError: it has such a key already.
+            ValueError: the table contains this key already.
         """
         self._check_open()
         if METADATA_CRC in metadata:
@@ -221,7 +231,7 @@ class BlockWriter:
         self._write(record)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, log_time_ns: int) -> None:
-        """Add a file."""
+        """Add an attached file."""
         self._check_open()
         record = encode_record(records.Attachment(0, log_time_ns, name, media_type, data))
         index = records.AttachmentIndex(self._offset, len(record), log_time_ns, 0, len(data), name, media_type)
@@ -229,12 +239,12 @@ class BlockWriter:
         self._write(record)
 
     def flush(self) -> None:
-        """Close the open chunk and flush the stream: what was added so far survives the end of this process."""
+        """Close the open chunk and flush the stream, so that everything added survives the end of this process."""
         self._close_chunk()
         self._stream.flush()
 
     def finish(self) -> None:
-        """Write the times, the summary and the footer; nothing may be added after."""
+        """Write the times, the summary and the footer; nothing may be added afterwards."""
         self._close_chunk()
         times = {"most_late_ns": self._summary.most_late, "most_early_ns": self._summary.most_early}
         self.add_metadata(TIMES, {name: str(value) for name, value in times.items()})
@@ -254,7 +264,7 @@ class BlockWriter:
             raise ValueError(f"expected a channel of {known}, got {channel_id}: register it first")
 
     def _define(self, record: records.Schema | records.Channel) -> None:
-        """Put a schema or channel into the open chunk, and keep it for repeating."""
+        """Add a schema or channel to the open chunk, and keep it for repetition."""
         self._check_open()
         known: dict[int, Any]
         if isinstance(record, records.Schema):
@@ -273,12 +283,12 @@ class BlockWriter:
         self._chunk.append(data)
 
     def _make_room(self, record_bytes: int) -> None:
-        """Close the open chunk if such a record would make it larger than a chunk is to be."""
+        """Close the open chunk if this record would exceed the size of a chunk."""
         if self._chunk.size + record_bytes > self._chunk_bytes:
             self._close_chunk()
 
     def _close_chunk(self) -> None:
-        """Write the open chunk with its message indexes, if there is anything in it."""
+        """Write the open chunk with its message indexes, if it is not empty."""
         self._check_open()
         if self._chunk.size == self._restated_bytes:
             return
@@ -302,9 +312,9 @@ class BlockWriter:
         messages: tuple[NDArray[np.uint16], NDArray[np.uint64], NDArray[np.uint64]],
         extremes: tuple[int, int],
     ) -> None:
-        """Write a chunk and the message indexes of its (channel ids, log times, offsets).
+        """Write a chunk and the message indexes of `messages` (channel ids, log times, offsets).
 
-        Without `packed` its content are the records of the open chunk as they are.
+        If `packed` is None, the content is the open chunk's records, uncompressed.
         """
         log_times, start, name = messages[1], self._offset, compression.encode()
         times = (int(log_times.min()), int(log_times.max())) if len(log_times) else (0, 0)
@@ -318,14 +328,16 @@ class BlockWriter:
             self._write(self._chunk.framed(head, indexes))
         else:
             self._write(b"".join((head, packed, indexes)))
-        self._summary.add_chunk(start, length, compression, size, unpacked, times, places, len(indexes), counts)
+        self._summary.add_chunk(
+            WrittenChunk(start, length, compression, size, unpacked, times, places, len(indexes), counts)
+        )
         self._summary.most_late = max(self._summary.most_late, extremes[0])
         self._summary.most_early = max(self._summary.most_early, extremes[1])
 
     def _write(self, data: bytes | memoryview) -> None:
         self._check_open()
-        self._closed = "writing it failed before"  # unless this goes well: behind half a record nothing is readable
-        written = self._stream.write(data)
+        self._closed = "writing it failed before"  # reset below: data after an incomplete record are unreadable
+        written = cast("int | None", self._stream.write(data))  # None: an unbuffered stream that would block
         if written is not None and written != len(data):
             raise OSError(f"expected {len(data)} bytes to be written, only {written} were: is the disk full?")
         self._closed = ""
@@ -334,5 +346,5 @@ class BlockWriter:
 
 
 def _free_id(known: Mapping[int, Any]) -> int:
-    """The lowest id from 1 on that is not taken."""
+    """Return the lowest free id from 1 on."""
     return next(number for number in range(1, len(known) + 2) if number not in known)

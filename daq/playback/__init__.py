@@ -1,8 +1,8 @@
-"""A log's bytes played out on ports, so that any program sees the rig as it was.
+"""Playback of a log's bytes on ports, so that any program receives the data of the rig as recorded.
 
-`open_outlets` makes or opens the ports, `played_devices` stands in for the devices behind them, `Playback` plays.
-A program that only listens gets every byte from the first; one that configures its devices first is answered, and
-gets the bytes from when it has told them to send.
+`open_outlets` makes or opens the ports, `played_devices` simulates the devices behind them, `Playback` plays. A program
+that only receives gets every byte from the first. A program that configures its devices gets answers, and gets the
+bytes from the time at which it has started the devices' transmission.
 """
 
 from daq.drivers.played import PlayedDevice

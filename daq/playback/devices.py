@@ -1,5 +1,5 @@
 # pyright: strict
-"""What stands at the far end of each port while a log is played."""
+"""Simulated devices at the far ends of the ports while a log is played."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from daq.log.snapshot import identities_of, rig_of
 
 
 def played_devices(log: Log) -> dict[str, PlayedDevice]:
-    """What stands in for each device of a log.
+    """Return the simulated device for each device of a log.
 
     Raises:
-        LogError: the log does not say what its devices were.
+        LogError: the log does not contain the settings of its devices.
     """
-    known, identities = devices_of(installed_of(rig_of(log).devices)), identities_of(log)
+    devices, identities = devices_of(installed_of(rig_of(log).devices)), identities_of(log)
 
     def played(name: str) -> PlayedDevice:
-        if name not in known:
+        if name not in devices:
             return PlayedDevice()
         try:
-            return known[name].played(identities.get(name, {}))
+            return devices[name].played(identities.get(name, {}))
         except (LogError, DeviceError) as fault:
             raise LogError(f"{log.path}: {name}: {fault}") from fault
 

@@ -1,4 +1,4 @@
-"""The ports a log is played out on: made here, or there already."""
+"""Ports on which a log is played: new or existing ones."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from daq.log.snapshot import rig_of
 from daq.transports.link import Link, open_link
 from daq.transports.wires import KINDS, make_wire
 
-_USUAL_BAUD = 115_200  # where nobody says what a line's is
-_PIECE_BYTES = 4096  # offered to a port that takes all or blocks
+_DEFAULT_BAUD = 115_200  # of lines whose baud rate is not in the rig file
+_PIECE_BYTES = 4096  # largest write to a port that accepts everything or blocks
 
 
 class Outlet(Protocol):
-    """Where one device's bytes go; a Wire is one."""
+    """Destination of one device's bytes. `Wire` implements it."""
 
     port: str
 
     def offer(self, data: bytes) -> int:
-        """Send what there is room for; how many bytes that were. LinkLost when the reader is gone."""
+        """Send as many bytes as there is room for and return their number. Raises LinkLost if the reader is gone."""
         ...
 
     def receive(self) -> bytes:
-        """What the reader sent; never blocks."""
+        """Return what the reader sent; never blocks."""
         ...
 
     def connected(self) -> bool:
-        """Whether a reader has the port open, as far as that can be known."""
+        """Return True if a reader has the port open, as far as this can be detected."""
         ...
 
     def descriptor(self) -> int | None:
-        """What to wait on; None when there is nothing to wait on."""
+        """Return the file descriptor to wait on; None for outlets without one."""
         ...
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
         ...
 
 
 class LinkOutlet:
-    """An existing port to write to. Whether somebody listens at its far end cannot be known."""
+    """An existing port to write to. It cannot detect whether a program reads at its far end."""
 
     def __init__(self, link: Link) -> None:
         self._link = link
@@ -53,7 +53,7 @@ class LinkOutlet:
         self._open = True
 
     def offer(self, data: bytes) -> int:
-        """See Outlet; a port that is full blocks for as long as its link waits, then it is lost."""
+        """See Outlet. A full port blocks until the timeout of its link, then the link is lost."""
         piece = data[:_PIECE_BYTES]
         try:
             self._link.write(piece)
@@ -85,18 +85,19 @@ class LinkOutlet:
 
 
 def open_outlets(log: Log, to: str) -> dict[str, Outlet]:
-    """One outlet for each device to be played.
+    """Open one outlet for each device to be played.
 
     Args:
+        log: the open log.
         to: "pty" or "tcp" for a new port per device of the log, or existing ports as "device=port,device=port", each
-            any port a rig file may name.
+            any port that is valid in a rig file.
 
     Raises:
-        LogError: a device of which the log has no bytes, or a text that names no port.
+        LogError: the log has no bytes of a device, or the text does not name a port.
         LinkLost: a port cannot be opened or made.
     """
     if not log.devices:
-        raise LogError(f"{log.path}: holds no raw bytes (it was not recorded from devices): nothing to play")
+        raise LogError(f"{log.path}: contains no raw bytes (it was not recorded from devices): nothing to play")
     if to in KINDS:
         return _new_ports(log.devices, to)
     ports = _named_ports(log, to)
@@ -134,7 +135,7 @@ def _named_ports(log: Log, to: str) -> Mapping[str, str]:
         if device not in log.devices:
             near = difflib.get_close_matches(device, log.devices, 1)
             hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise LogError(f"{log.path}: has raw bytes of {', '.join(log.devices)}, none of {device!r}{hint}")
+            raise LogError(f"{log.path}: contains raw bytes of {', '.join(log.devices)}, not of {device!r}{hint}")
         if device in ports:
             raise LogError(f"{to!r}: {device} is named twice; a device is played to one port")
         ports[device] = port
@@ -142,6 +143,6 @@ def _named_ports(log: Log, to: str) -> Mapping[str, str]:
 
 
 def _lines(log: Log) -> Mapping[str, Line]:
-    """What carried the bytes of each device."""
-    known = devices_of(installed_of(rig_of(log).devices))
-    return {name: known[name].line if name in known else Line("", _USUAL_BAUD) for name in log.devices}
+    """Return the settings of each device's line."""
+    devices = devices_of(installed_of(rig_of(log).devices))
+    return {name: devices[name].line if name in devices else Line("", _DEFAULT_BAUD) for name in log.devices}

@@ -1,7 +1,7 @@
-"""Bytes out at their time, answers in between, one thread for all ports.
+"""Player of a log's bytes at their times, with answers in between; one thread serves all ports.
 
-Bytes leave in the order they came; nothing is dropped, a program that reads slowly is waited for, and a slow reader of
-one port does not hold up the others until a few MB wait.
+Bytes leave in the recorded order and none is dropped: the player waits for a slow reader. A slow reader of one port
+does not delay the others until `BACKLOG_BYTES` are waiting.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from daq.replay.pace import Clock, Pace
 from daq.transports.host_clock import HostClock
 
 BACKLOG_BYTES = 4 * 2**20
-"""More waiting for slow readers than this, and the playing itself waits."""
-_TURN_S = 0.02  # longest time without a look at the ports
-_SETTLE_S = 0.3  # between a program's opening a port and its flushing what it finds there, or its first command
-_PATIENCE_S = 60.0  # from a host's first command to the last that was waited for
+"""Number of waiting bytes above which playing waits for slow readers."""
+_TURN_S = 0.02  # longest time without service of the ports
+_SETTLE_S = 0.3  # time for a program to flush a port after opening it, or to send its first command
+_SETUP_TIMEOUT_S = 60.0  # from a host's first command to the last expected one
 
 
 @dataclass(frozen=True)
 class Played:
-    """How far it is.
+    """State of a playback.
 
     Attributes:
-        log_ns: log time of what was handed over last, ns since 1970; 0 before anything was.
-        late_s, most_late_s: how late that was, and the latest so far, wall s.
+        log_ns: log time of the last delivered bytes, ns since 1970; 0 before any were delivered.
+        late_s, most_late_s: delay of the last bytes, and largest delay so far, wall s.
         delivered, undelivered: bytes by device; undelivered are those whose reader had gone.
-        withheld: bytes by device that its host had not told it to send, or not any more.
-        unfollowed: commands by device that a log cannot follow.
-        waiting_bytes: not handed over yet.
-        gone: devices whose reader went away, with the log time when it was noticed, ns since 1970.
-        cut_short: every reader had gone before the end.
-        stopped: a host told every device it can tell to send no more.
+        withheld: bytes by device while its host had not started its transmission, or had stopped it.
+        unfollowed: number of commands by device that the recorded bytes cannot follow.
+        waiting_bytes: number of bytes not delivered yet.
+        gone: devices whose reader went away, with the log time of the detection, ns since 1970.
+        cut_short: True if every reader had gone before the end.
+        stopped: True if a host has stopped the transmission of every device that has a stop command.
     """
 
     log_ns: int
@@ -55,11 +55,11 @@ class Played:
 
 
 class _Line:
-    """One device, its outlet and what waits for it."""
+    """One device, its outlet and the bytes that wait for it."""
 
     def __init__(self, outlet: Outlet, device: PlayedDevice) -> None:
         self.outlet, self.device = outlet, device
-        self.waiting: deque[tuple[int | None, bytes]] = deque()  # with the log time; an answer has none
+        self.waiting: deque[tuple[int | None, bytes]] = deque()  # with the log time; answers have None
         self.delivered = self.undelivered = self.waiting_bytes = 0
         self.gone_ns: int | None = None
 
@@ -78,13 +78,13 @@ class _Line:
 
 
 class Playback:
-    """Plays bytes out on outlets.
+    """Plays bytes on outlets.
 
     Args:
-        outlets: by device; bytes of other devices are not played.
-        devices: what stands behind each outlet, see `played_devices`.
-        speed: seconds of the log per wall second; `math.inf` as fast as the readers read.
-        clock: of the pace; the host's if None.
+        outlets: outlets by device; bytes of other devices are not played.
+        devices: simulated device behind each outlet, see `played_devices`.
+        speed: seconds of the log per wall second; `math.inf` is limited by the readers only.
+        clock: clock of the pace; None for the host's clock.
     """
 
     def __init__(
@@ -103,14 +103,14 @@ class Playback:
 
     @property
     def configured(self) -> bool:
-        """Whether the reader is a host that configures its devices before it listens; known when all ports are open."""
+        """True if the reader is a host that configures its devices first; valid when all ports are open."""
         return self._configured
 
     @property
     def state(self) -> Played:
-        """How far it is."""
+        """State of the playback."""
         lines = self._lines.items()
-        told = [line.device for _, line in lines if line.device.expects]
+        startable = [line.device for _, line in lines if line.device.expects]
         return Played(
             self._log_ns,
             self._pace.late_s,
@@ -122,72 +122,72 @@ class Playback:
             sum(line.waiting_bytes for _, line in lines),
             {name: line.gone_ns for name, line in lines if line.gone_ns is not None},
             self._cut_short,
-            bool(told) and not any(device.sending for device in told),
+            bool(startable) and not any(device.sending for device in startable),
         )
 
-    def wait_for_readers(self, tell: Callable[[list[str]], None] = lambda waiting: None) -> None:
-        """Return when every port has been open for a little while, or was open and a command came.
+    def wait_for_readers(self, notify: Callable[[list[str]], None] = lambda waiting: None) -> None:
+        """Return when every port has been open for `_SETTLE_S`, or was open and a command arrived.
 
-        A program that opens a port throws away what it finds there; what is sent before that is lost. One that
-        configures its devices does so at once.
+        A program that opens a port discards what it finds there, so earlier bytes would be lost. A program that
+        configures its devices sends commands at once.
 
         Args:
-            tell: given the devices whose port nobody has opened yet, whenever they change.
+            notify: called with the devices whose port has not been opened yet, at every change.
         """
-        told: list[str] | None = None
+        reported: list[str] | None = None
         open_since_ns: int | None = None
         while not self._configured and not self._passed(open_since_ns, _SETTLE_S):
             self._serve()
             waiting = [name for name, line in self._lines.items() if not line.outlet.connected()]
-            if waiting != told:
-                told = waiting
-                tell(waiting)
+            if waiting != reported:
+                reported = waiting
+                notify(waiting)
             for name in waiting:
-                self._lines[name].device.commands = 0  # of somebody who has left again
+                self._lines[name].device.commands = 0  # commands of a program that has left again
             open_since_ns = None if waiting else open_since_ns or self._clock.now_ns()
             self._configured = not waiting and any(line.device.commands for line in self._lines.values())
             self._wait(_TURN_S)
 
-    def wait_for_setup(self, tell: Callable[[Mapping[str, str]], None] = lambda waiting: None) -> None:
-        """With a host that configures, return when it has told every device to send; with a listener at once.
+    def wait_for_setup(self, notify: Callable[[Mapping[str, str]], None] = lambda waiting: None) -> None:
+        """Return when a configuring host has started every device's transmission; at once for a receiving program.
 
         Args:
-            tell: given the devices and what they have not been told yet, whenever they change.
+            notify: called with the devices and the commands that they still need, at every change.
 
         Raises:
-            DeviceError: it leaves, or never gets that far.
+            DeviceError: the host leaves, or does not finish within `_SETUP_TIMEOUT_S`.
         """
         started_ns = self._clock.now_ns()
-        told: dict[str, str] | None = None
+        reported: dict[str, str] | None = None
         while self._configured:
             self._serve()
             waiting = {name: line.device.expects for name, line in self._lines.items() if not line.device.sending}
-            if waiting != told:
-                told = waiting
-                tell(waiting)
+            if waiting != reported:
+                reported = waiting
+                notify(waiting)
             if not waiting:
                 return
-            wanted = ", ".join(f"{expects} at {name}" for name, expects in waiting.items())
+            expected = ", ".join(f"{expects} at {name}" for name, expects in waiting.items())
             if not any(line.outlet.connected() for line in self._lines.values()):
                 raise DeviceError(
-                    f"the host closed its ports before it had set up its devices; still expected: {wanted}. What it "
-                    "says itself tells why"
+                    f"the host closed its ports before it had set up its devices; still expected: {expected}. See the "
+                    "messages of the host for the reason"
                 )
-            if self._passed(started_ns, _PATIENCE_S):
+            if self._passed(started_ns, _SETUP_TIMEOUT_S):
                 raise DeviceError(
-                    f"the host began to configure its devices, {_PATIENCE_S:g} s later still expected: {wanted}. "
-                    "A program that only listens must not send commands when it opens its ports"
+                    f"the host began to configure its devices, {_SETUP_TIMEOUT_S:g} s later still expected: "
+                    f"{expected}. A program that only receives must not send commands when it opens its ports"
                 )
             self._wait(_TURN_S)
 
     def play(
-        self, chunks: Iterable[tuple[str, RawChunk]], tell: Callable[[Played], None] = lambda state: None
+        self, chunks: Iterable[tuple[str, RawChunk]], report: Callable[[Played], None] = lambda state: None
     ) -> Played:
-        """Play bytes until all were handed over, or every reader has gone.
+        """Play bytes until all are delivered, or every reader has gone.
 
         Args:
-            chunks: raw bytes in the order they came, as a log gives them.
-            tell: given the state at every look at the ports.
+            chunks: raw bytes in the recorded order, as a log returns them.
+            report: called with the state each time the ports are served.
         """
         if not self._configured:
             for line in self._lines.values():
@@ -198,14 +198,14 @@ class Playback:
                 continue
             while (left := self._pace.left_s(chunk.host_ns)) > 0 and self._alive():
                 self._turn(min(left, _TURN_S))
-                tell(self.state)
+                report(self.state)
             line.add(chunk.host_ns, line.device.play(chunk.direction, chunk.data))
             self._send(line)
             if self._passed(self._looked_ns, _TURN_S):
                 self._turn(0.0)
             while sum(each.waiting_bytes for each in self._lines.values()) > BACKLOG_BYTES:
                 self._turn(_TURN_S)
-                tell(self.state)
+                report(self.state)
             if not self._alive():
                 self._cut_short = True
                 break
@@ -213,14 +213,14 @@ class Playback:
             line.add(self._log_ns, line.device.rest())
         while any(line.waiting for line in self._lines.values()):
             self._turn(_TURN_S)
-            tell(self.state)
-        self._listen()  # a host's last words may have come just before it left
+            report(self.state)
+        self._listen()  # a host may have sent commands just before it left
         return self.state
 
     def hold(self, linger_s: float | None = None) -> None:
-        """Keep the ports open until their readers close them, or for some wall seconds at most.
+        """Keep the ports open until their readers close them, or for at most `linger_s` wall seconds.
 
-        What a reader has not fetched yet would be lost if its port was closed under it.
+        Data that a reader has not fetched yet would be lost if its port were closed.
         """
         started_ns = self._clock.now_ns()
         while any(line.outlet.connected() for line in self._lines.values()):
@@ -231,7 +231,7 @@ class Playback:
         self._listen()
 
     def close(self) -> None:
-        """Let go of every port."""
+        """Close every port."""
         for line in self._lines.values():
             line.outlet.close()
 
@@ -242,7 +242,7 @@ class Playback:
         return any(line.gone_ns is None for line in self._lines.values())
 
     def _turn(self, wait_s: float) -> None:
-        """Serve every port, notice who has gone, then wait until one has something or has room, at most so long."""
+        """Serve every port, detect readers that have gone, then wait for a port at most `wait_s`."""
         self._serve()
         for line in self._lines.values():
             if line.gone_ns is None and not line.outlet.connected():
@@ -257,7 +257,7 @@ class Playback:
             self._send(line)
 
     def _wait(self, wait_s: float) -> None:
-        """Until a port has something to read, or room where something waits."""
+        """Wait until a port has something to read, or has room for waiting bytes."""
         open_lines = [line for line in self._lines.values() if line.outlet.connected()]
         full = [line.outlet.descriptor() for line in open_lines if line.waiting]
         readable = [descriptor for line in open_lines if (descriptor := line.outlet.descriptor()) is not None]
@@ -267,7 +267,7 @@ class Playback:
             self._clock.sleep(wait_s)
 
     def _send(self, line: _Line) -> None:
-        """Hand over what there is room for."""
+        """Send as many waiting bytes as there is room for."""
         while line.waiting:
             log_ns, data = line.waiting[0]
             try:
@@ -286,7 +286,7 @@ class Playback:
             self._log_ns = max(self._log_ns, log_ns or 0)
 
     def _listen(self) -> None:
-        """Take what readers send, so that their side does not fill up, and answer behind what waits."""
+        """Read what readers sent, so that their side does not fill up, and queue the answers."""
         for line in self._lines.values():
             if data := line.outlet.receive():
                 line.add(None, line.device.hear(data))

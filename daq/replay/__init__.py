@@ -1,11 +1,11 @@
-"""Replay: a log's raw bytes decoded again through the pipelines that recorded it.
+"""Replay: decode a log's raw bytes again with the pipelines that recorded it.
 
-check(path)             again, and compared with what was decoded live, bit for bit
-decode_anew(path)       into a new log, with corrected calibration
-replay_interlocks(log)  when its interlocks would have tripped, with its limits or others
-paced(log, speed)       at the pace it was recorded at, for the live view
+check(path)             decode again and compare with the recorded samples, bit for bit
+decode_anew(path)       decode into a new log, with corrected calibration
+replay_interlocks(log)  times at which its interlocks would have tripped, with its limits or others
+paced(log, speed)       decode at the recorded pace, for the live view
 
-`daq.playback` sends the bytes themselves out, on ports that any program can open.
+`daq.playback` sends the bytes themselves to ports that any program can open.
 """
 
 from daq.replay.anew import Anew, decode_anew

@@ -1,4 +1,4 @@
-"""A log decoded anew into another one: the same raw bytes, samples and events by today's decoders and calibration."""
+"""Decoding of a log into a new one: the same raw bytes, samples and events from present decoders and calibration."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from daq.replay.compare import ChannelCheck, ChannelComparison
 from daq.replay.stream import decoded, pipelines_of, pipelines_with
 from daq.version import software_version
 
-_TOGETHER_NS = 50_000_000  # samples of a channel that arrived within this stand together, as in a recording
-_OURS = ("origin", "origin_sha256", "origin_software", "calibration")
-_WRITTEN_ANEW = ("run", "summary", "times", FOXGLOVE)
+_TOGETHER_NS = 50_000_000  # samples of a channel that arrived within this time are written together, as in a recording
+_ORIGIN_KEYS = ("origin", "origin_sha256", "origin_software", "calibration")
+_REWRITTEN = ("run", "summary", "times", FOXGLOVE)
 
 
 @dataclass(frozen=True)
 class Anew:
-    """What was made.
+    """Result of decoding a log into a new one.
 
     Attributes:
         path: the new log.
-        moved: by channel, how its values lie against those of the origin; only their distances mean anything here.
-        losses: counted anew, by device and kind.
-        missing: what the origin lacked, sentences.
+        moved: comparison of the values with those of the origin, by channel; only the distances are significant.
+        losses: losses counted while decoding, by device and kind.
+        missing: missing parts of the origin, as sentences.
     """
 
     path: Path
@@ -52,20 +52,22 @@ def decode_anew(
 ) -> Anew:
     """Decode a log's raw bytes into a new log that names its origin.
 
-    Raw bytes, health reports and the host's own events keep their times; samples and events of the devices are made
-    anew, losses counted anew. Nothing is left of a new log that could not be finished.
+    Raw bytes, health reports and the host's own events keep their times. Samples and events of the devices are made
+    again, and losses are counted again. A new log that cannot be finished is removed.
 
     Args:
-        calibration: numbers in place of the log's own; None for the log's own.
-        progress: told the share done, 0 … 1.
+        path: the log to decode.
+        out: the new log.
+        calibration: corrected values; None for the values of the log.
+        progress: called with the completed share, 0 … 1.
 
     Raises:
-        LogError: not a readable log, one without raw bytes, or `out` exists.
-        RigFileError: the calibration does not fit.
+        LogError: the file is not a readable log, it has no raw bytes, or `out` exists.
+        RigFileError: the calibration does not fit the rig.
         RecordingError: `out` cannot be written.
     """
     with open_log(path) as log:
-        pipelines_of(log)  # says what is lacking before anything is written
+        pipelines_of(log)  # raises before anything is written
         rig, identities = rig_of(log), identities_of(log)
         if calibration is not None:
             rig, identities = calibration.correct(rig), calibration.correct_identities(identities)
@@ -92,13 +94,13 @@ def decode_anew(
         except BaseException:
             new.close()
             with contextlib.suppress(OSError):
-                new.part.unlink(missing_ok=True)  # its origin is there still: half of it helps nobody
+                new.part.unlink(missing_ok=True)  # the origin still exists, an incomplete copy is useless
             raise
         return Anew(made, copy.moved(), losses, missing)
 
 
 class _Copy:
-    """Moves one log into another, everything in the order it happened."""
+    """Copies one log into another, everything in order of time."""
 
     def __init__(self, log: Log, new: LogFile, pipelines: Mapping[str, Pipeline], known: Mapping[str, Channel]) -> None:
         self._log, self._new, self._pipelines = log, new, pipelines
@@ -143,10 +145,10 @@ class _Copy:
 
 
 def _facts(log: Log, calibration: Calibration | None) -> dict[str, str]:
-    """The run's facts, and where they come from; what an origin said of its own origin stays under another name."""
+    """Return the run's facts and its origin; facts about the origin's own origin are kept under another name."""
     run = log.metadata.get("run", {})
-    facts = {(f"origin.{key}" if key in _OURS else key): value for key, value in run.items()}
-    others = {name: table for name, table in log.metadata.items() if name not in _WRITTEN_ANEW}
+    facts = {(f"origin.{key}" if key in _ORIGIN_KEYS else key): value for key, value in run.items()}
+    others = {name: table for name, table in log.metadata.items() if name not in _REWRITTEN}
     facts |= {f"origin.{name}": json.dumps(table, ensure_ascii=False) for name, table in others.items()}
     try:
         with log.path.open("rb") as file:
@@ -161,7 +163,7 @@ def _facts(log: Log, calibration: Calibration | None) -> dict[str, str]:
 
 
 def _summary(log: Log, losses: Mapping[str, Any], missing: tuple[str, ...]) -> dict[str, Any]:
-    """Losses counted anew; all else as the origin has it, its losses under another name."""
+    """Return the origin's summary with the new losses; the origin's losses are kept under another name."""
     old = {key: _value(text) for key, text in log.metadata.get("summary", {}).items()}
     if "losses" in old:
         old["losses_of_origin"] = old["losses"]
@@ -171,7 +173,7 @@ def _summary(log: Log, losses: Mapping[str, Any], missing: tuple[str, ...]) -> d
 
 
 def _value(text: str) -> Any:
-    """What stands in a summary as JSON; a plain text of an older log as it is."""
+    """Decode a JSON value of a summary; plain text of an older log is returned unchanged."""
     try:
         return json.loads(text)
     except ValueError:

@@ -1,9 +1,8 @@
 # pyright: strict
-"""What arrived from every device of a log, in the order of host time: decoded again where its raw bytes are there,
-otherwise as its samples stand in the log.
+"""Arrivals from every device of a log in order of host time, decoded again from raw bytes or from stored samples.
 
-A recorder writes what its threads leave behind, so that neighbouring reads of two devices may stand the wrong way
-round; they are put in order here.
+A recorder writes the data of several threads, so neighbouring reads of two devices may be in the wrong order. They are
+sorted here.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from daq.log.samples import Missing
 from daq.replay.stored import StoredRows
 from daq.replay.stream import decoded
 
-_ROWS = 4096  # stored samples taken at once
-_READ_NS = 20_000_000  # stored samples that arrived within this stand for one read
+_ROWS = 4096  # stored samples per read
+_READ_NS = 20_000_000  # stored samples that arrived within this time are treated as one read
 _HEADS = ("time_ns", "log_time_ns", "sequence")
 
 
 @dataclass(frozen=True)
 class Hole:
-    """A stretch of host time in which messages of a log are missing.
+    """A period of host time in which messages of a log are missing.
 
     Attributes:
         start_ns, end_ns: first and last host time, ns since 1970.
@@ -45,10 +44,10 @@ class Arrival:
     """One read, or one write.
 
     Attributes:
-        host_ns: when.
-        device: which.
-        wrote: bytes went to the device; nothing of it came.
-        items: what the bytes hold.
+        host_ns: host time, ns since 1970.
+        device: name of the device.
+        wrote: True for bytes that were sent to the device.
+        items: decoded contents of the bytes.
     """
 
     host_ns: int
@@ -58,7 +57,7 @@ class Arrival:
 
 
 def holes_of(missing: list[Missing]) -> tuple[Hole, ...]:
-    """Holes that lie between two known times, sorted; the cut end of a log is none."""
+    """Return the holes between two known times, sorted. The missing end of a cut log is not a hole."""
     found = [
         Hole(place.start_ns, place.end_ns)
         for place in missing
@@ -69,17 +68,17 @@ def holes_of(missing: list[Missing]) -> tuple[Hole, ...]:
 
 
 class Arrivals:
-    """Everything that arrived.
+    """Everything that arrived, iterated in order of host time.
 
     Args:
-        log: open.
-        pipelines: fresh ones, by device.
-        device_of: which device fills a channel, by topic.
-        disorder_s: how far apart in host time two reads may stand the wrong way round.
+        log: the open log.
+        pipelines: new pipelines by device.
+        device_of: device that fills a channel, by topic.
+        disorder_s: largest difference in host time between two reads in the wrong order, s.
 
     Attributes:
         again: devices whose raw bytes are decoded again.
-        stored: topics whose stored samples are taken.
+        stored: topics whose stored samples are used.
     """
 
     def __init__(
@@ -100,7 +99,7 @@ class Arrivals:
         return heapq.merge(*(self._in_order(source) for source in sources), key=lambda arrival: arrival.host_ns)
 
     def _in_order(self, arrivals: Iterator[Arrival]) -> Iterator[Arrival]:
-        """Sorted, as far as they stand no farther apart than `disorder_s`."""
+        """Yield the arrivals in order, provided they are displaced by at most `disorder_s`."""
         waiting: list[tuple[int, int, Arrival]] = []
         newest = last = 0
         for number, arrival in enumerate(arrivals):
@@ -117,9 +116,9 @@ class Arrivals:
             yield Arrival(chunk.host_ns, device, chunk.direction == TX, tuple(items))
 
     def _events(self) -> Iterator[Arrival]:
-        """Events of devices whose bytes are not decoded again."""
-        known = set(self._device_of.values())
-        found = [note for note in self._log.events if note.get("device") in known] if known else []
+        """Yield the events of devices whose bytes are not decoded again."""
+        devices = set(self._device_of.values())
+        found = [note for note in self._log.events if note.get("device") in devices] if devices else []
         for note in sorted(found, key=lambda note: note["time_ns"]):
             facts = {key: value for key, value in note.items() if key not in ("kind", "device", "text", "time_ns")}
             event = Event(str(note["kind"]), str(note["device"]), str(note.get("text", "")), facts)
@@ -139,12 +138,11 @@ class Arrivals:
                 start = end
 
 
-_LATER = {"code": np.uint32, "flags": np.uint32}
+_ADDED = {"code": np.uint32, "flags": np.uint32}
 
 
 def with_all_fields(batch: Batch) -> Batch:
-    """A batch with the fields that watches ask for and that logs of other origin lack: no code, no flag, no clock of
-    the device's own."""
-    lacking = {name: np.zeros(len(batch.time_ns), kind) for name, kind in _LATER.items() if name not in batch.columns}
+    """Return the batch with the fields that watches need and that imported logs lack: code, flags, device clock."""
+    lacking = {name: np.zeros(len(batch.time_ns), kind) for name, kind in _ADDED.items() if name not in batch.columns}
     own_us = {"node_time_us": (batch.time_ns // 1000).astype(np.uint64)}
     return Batch(batch.channel, batch.time_ns, batch.sequence, {**own_us, **lacking, **batch.columns})

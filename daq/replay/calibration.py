@@ -1,7 +1,7 @@
-"""A calibration file: better numbers for what turned a recording's bytes into samples, laid over its rig file.
+"""Calibration file: corrected values for decoding a recording, applied to its rig file.
 
 [devices.probe]
-range_m = 0.02503          # overrides what the sensor said of itself, too
+range_m = 0.02503          # also overrides the range that the sensor reported
 [devices.node]
 counts_per_revolution = 4096
 """
@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from rig_configs.errors import RigFileError
 from rig_configs.load import validate
@@ -24,11 +24,12 @@ from rig_configs.toml_text import parse_toml, read_text
 
 @dataclass(frozen=True)
 class Calibration:
-    """Corrected numbers by device and key.
+    """Corrected values by device and key.
 
     Attributes:
-        source: the file, for messages.
-        text: the file as it is.
+        source: path of the file, for messages.
+        text: content of the file.
+        devices: corrected values by device and key.
     """
 
     source: str
@@ -40,7 +41,7 @@ class Calibration:
         """Read a calibration file.
 
         Raises:
-            RigFileError: it cannot be read, is no TOML, or names anything but devices; gives the nearest name.
+            RigFileError: it cannot be read, is not TOML, or has other tables than devices; contains the nearest name.
         """
         try:
             need_regular(path)
@@ -51,11 +52,11 @@ class Calibration:
         return cls(str(path), text, _devices(raw, str(path)))
 
     def correct(self, rig: Rig) -> Rig:
-        """The rig file with these numbers in it.
+        """Return the rig file with the corrected values.
 
         Raises:
-            RigFileError: no such device, or a key of it that is no calibration; gives the nearest name. Or a number
-                that cannot be what its name says.
+            RigFileError: an unknown device, or a key that is not a calibration value (the text contains the nearest
+                name), or an invalid value.
         """
         raw = rig.model_dump(exclude_none=True)
         _only(self.devices, tuple(rig.devices), "devices.", self.source)
@@ -65,16 +66,17 @@ class Calibration:
         return validate(raw, self.source)
 
     def correct_identities(self, identities: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-        """What the devices said, with a corrected range in place of what a sensor said of its own.
+        """Return the devices' identities, with corrected ranges in place of those that the sensors reported.
 
-        A laser is decoded with the range it told when it was opened, before any the rig file names. What it told is
-        kept beside it, as ``told_range_m``.
+        A laser is decoded with the range that it reported when it was opened, not with the range in the rig file. The
+        reported range is kept as ``told_range_m``.
         """
-        corrected = {device: dict(told) for device, told in identities.items()}
+        corrected = {device: dict(identity) for device, identity in identities.items()}
         for device, table in self.devices.items():
-            told = corrected.get(device, {})
-            if "range_m" in table and "range_m" in told:
-                corrected[device] = {**told, "told_range_m": told["range_m"], "range_m": float(table["range_m"])}
+            identity = corrected.get(device, {})
+            if "range_m" in table and "range_m" in identity:
+                reported = {"told_range_m": identity["range_m"]}
+                corrected[device] = {**identity, **reported, "range_m": float(table["range_m"])}
         return corrected
 
 
@@ -90,17 +92,17 @@ def _devices(raw: Mapping[str, Any], source: str) -> dict[str, dict[str, Any]]:
 def _table(value: Any, key: str, source: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise RigFileError(f"{source}: {key}: expected a table, got {json.dumps(value, default=str)}")
-    return value
+    return cast("dict[str, Any]", value)
 
 
 def _only(table: Mapping[str, Any], known: tuple[str, ...], place: str, source: str) -> None:
-    """Refuse the first key that is no calibration, with the nearest one that is."""
+    """Raise for the first key that is not a calibration value; the message contains the nearest valid one."""
     for key in table:
         if key in known:
             continue
         near = [name for name in known if name.startswith(f"{key}_")] or difflib.get_close_matches(key, known, 1, 0.5)
         hint = f"; did you mean {place}{near[0]}?" if near else ""
         raise RigFileError(
-            f"{source}: {place}{key}: expected a calibration{hint} Known here: {', '.join(known)}. What was plugged in "
-            "and how fast it measured cannot be changed afterwards"
+            f"{source}: {place}{key}: expected a calibration{hint} Valid here: {', '.join(known)}. Connections and "
+            "sampling rates cannot be changed afterwards"
         )

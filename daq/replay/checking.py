@@ -1,4 +1,4 @@
-"""A log decoded again and compared with what was decoded live, bit for bit."""
+"""Check of a log: decode it again and compare with the recorded samples, bit for bit."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from daq.replay.compare import ChannelCheck, ChannelComparison, EventComparison
 from daq.replay.stream import decoded, pipelines_of
 
 Progress = Callable[[float], None]
-_NEIGHBOURS_NS = 1_000_000_000  # samples are written this long after their bytes at the most, but for a stalled disk
+_NEIGHBOURS_NS = 1_000_000_000  # samples are written at most this long after their bytes, unless the disk stalls
 
 
 @dataclass(frozen=True)
 class Check:
-    """A log decoded again and compared; iterating gives its channels.
+    """Result of a check; iterating gives its channels.
 
     Attributes:
         channels: every sample channel, then the events.
-        until_ns: log time up to which it was compared, because raw bytes are missing from there on; None for all.
-        notes: what a reader of the result must know, sentences.
+        until_ns: log time up to which the log was compared, because raw bytes are missing from there on; None for all.
+        notes: limitations of the result, as sentences.
     """
 
     channels: tuple[ChannelCheck, ...]
@@ -36,7 +36,7 @@ class Check:
 
     @property
     def identical(self) -> bool:
-        """Nothing that could be compared differs."""
+        """True if nothing that could be compared differs."""
         return not any(channel.difference for channel in self.channels)
 
     def __iter__(self) -> Iterator[ChannelCheck]:
@@ -44,35 +44,36 @@ class Check:
 
 
 def check(path: str | Path, progress: Progress | None = None) -> Check:
-    """Decode again and compare every sample and event with the log's own, bit for bit.
+    """Decode a log again and compare every sample and event with the recorded one, bit for bit.
 
-    What a damaged, cut or recovered log cannot answer is not asked: from the first place on where raw bytes are
-    missing, decoders and clock maps go other ways than they went live, so the comparison ends there and says so. At
-    the end of a cut log raw bytes may stand whose samples were not written yet; they are counted as extra.
+    Damaged, cut and recovered logs are compared as far as possible. From the first missing raw bytes on, decoders and
+    clock maps differ from those of the recording, so the comparison ends there and a note states it. At the end of a
+    cut log raw bytes may exist whose samples were not written yet; they are counted as extra.
 
     Args:
-        progress: told the share done, 0 … 1.
+        path: the log.
+        progress: called with the completed share, 0 … 1.
 
     Raises:
-        LogError: not a readable log, or one that cannot be decoded again.
+        LogError: the file is not a readable log, or cannot be decoded again.
     """
     with open_log(path) as log:
         return check_log(log, progress)
 
 
 def check_log(log: Log, progress: Progress | None = None) -> Check:
-    """See `check`."""
+    """Check an open log; see `check`."""
     pipelines = pipelines_of(log)
-    log.verify()  # all of it before anything is compared: what is damaged decides how far
+    log.verify()  # before the comparison: damage determines how far it goes
     until_ns = first_hole_ns(log.missing)
     cut = any(place.messages != 0 for place in log.missing) or "recovered" in log.metadata
     rig = rig_of(log)
-    known = channels_of(rig.devices)
-    comparisons = {topic: ChannelComparison(log, channel, until_ns, cut) for topic, channel in known.items()}
+    channels = channels_of(rig.devices)
+    comparisons = {topic: ChannelComparison(log, channel, until_ns, cut) for topic, channel in channels.items()}
     events = EventComparison(log, pipelines, until_ns, cut)
     share = share_of(log, progress)
     device_of = rig.roles.device_of
-    unflagged = {device_of[topic] for topic, comparison in comparisons.items() if comparison.unasked}
+    unflagged = {device_of[topic] for topic, comparison in comparisons.items() if comparison.added}
     for _, chunk, items in decoded(log, pipelines):
         for item in items:
             if isinstance(item, Batch):
@@ -81,20 +82,20 @@ def check_log(log: Log, progress: Progress | None = None) -> Check:
                 events.add(item, chunk.host_ns)
         share(chunk.host_ns)
     rows = (*(comparison.result() for comparison in comparisons.values()), events.result())
-    notes = [*_notes(log, set(pipelines), set(known), until_ns, rows)]
+    notes = [*_notes(log, set(pipelines), set(channels), until_ns, rows)]
     notes += [
-        f"not compared, the log is of a version that did not write it: {', '.join(comparison.unasked)} of {topic}"
+        f"not compared, the version that recorded the log did not write it: {', '.join(comparison.added)} of {topic}"
         for topic, comparison in comparisons.items()
-        if comparison.unasked
+        if comparison.added
     ]
     return Check(rows, until_ns, tuple(notes))
 
 
 def first_hole_ns(missing: list[Missing]) -> int | None:
-    """Log time from which on messages are missing although others follow; None when nothing but the end is.
+    """Return the log time from which messages are missing although others follow; None if at most the end is missing.
 
-    A hole that cannot be placed may be anywhere: 0. One known only by its neighbours may hold samples of bytes that
-    stand before it, for a recorder writes raw bytes first: it begins earlier than it seems.
+    A hole without a known position may be anywhere, so the result is 0. A hole that is known only by its neighbours may
+    contain samples of earlier bytes, because a recorder writes raw bytes first. It therefore begins earlier.
     """
     holes = [
         (place.start_ns or 0) - (_NEIGHBOURS_NS if place.messages is None else 0)
@@ -109,18 +110,18 @@ def _is_the_end(place: Missing) -> bool:
 
 
 def share_of(log: Log, progress: Progress | None) -> Callable[[int], None]:
-    """What to call with each log time so that `progress` is told the share done, a thousand times at most."""
+    """Return a function of the log time that calls `progress` with the completed share, at most a thousand times."""
     span = max(1, log.end_ns - log.start_ns)
-    told = -1
+    reported = -1
 
-    def tell(log_ns: int) -> None:
-        nonlocal told
+    def report(log_ns: int) -> None:
+        nonlocal reported
         thousandth = (log_ns - log.start_ns) * 1000 // span
-        if progress is not None and thousandth > told:
-            told = thousandth
+        if progress is not None and thousandth > reported:
+            reported = thousandth
             progress(min(1.0, thousandth / 1000))
 
-    return tell
+    return report
 
 
 def _notes(
@@ -136,7 +137,7 @@ def _notes(
         yield f"the log is cut: {extra} samples and events are in its raw bytes alone"
     unknown = sorted(set(log.devices) - decodable)
     if unknown:
-        yield f"not decoded, this version knows no such device: {', '.join(unknown)}"
+        yield f"not decoded, devices without an installed driver: {', '.join(unknown)}"
     others = sorted(set(log) - known)
     if others:
         yield f"not compared, not made from raw bytes: {', '.join(others)}"

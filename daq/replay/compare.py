@@ -1,4 +1,4 @@
-"""Two decodings of the same bytes, the one in the log and the one made now, compared sample by sample in slices."""
+"""Comparison of two decodings of the same bytes, the recorded and the present one, sample by sample in slices."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from daq.drivers.items import Batch, Event, joined
 from daq.log import Log
 from daq.replay.stored import StoredRows
 
-_SLICE = 65_536  # samples compared at once
+_SLICE = 65_536  # samples per comparison
 
 Columns = dict[str, NDArray[Any]]
 
@@ -27,10 +27,10 @@ class Difference:
     """The first sample or event that differs.
 
     Attributes:
-        index: its place in the channel, from 0.
-        time_ns: its time as it stands in the log, ns since 1970.
-        field: which value ("time_ns", "log_time_ns", "sequence" or a field; of an event, a key).
-        stored, decoded: what the log says and what its bytes give; None where one has no such sample.
+        index: index in the channel, from 0.
+        time_ns: time in the log, ns since 1970.
+        field: name of the value ("time_ns", "log_time_ns", "sequence" or a field; for an event, a key).
+        stored, decoded: value in the log and value decoded now; None without such a sample.
     """
 
     index: int
@@ -42,13 +42,13 @@ class Difference:
 
 @dataclass
 class FieldDifference:
-    """How far one field's values lie apart, over all compared samples of the channel, in the field's own unit.
+    """Differences of one field's values over all compared samples of the channel, in the field's own unit.
 
     Attributes:
-        samples: how many differ.
-        largest: largest distance; 0 when only bits differ that are no distance (NaN, the sign of 0).
+        samples: number of samples that differ.
+        largest: largest distance; 0 if only bits without a distance differ (NaN, the sign of 0).
         squares: sum of the squared distances.
-        pairs: samples that have both values.
+        pairs: number of samples that have both values.
     """
 
     samples: int = 0
@@ -64,18 +64,18 @@ class FieldDifference:
 
 @dataclass(frozen=True)
 class ChannelCheck:
-    """One channel compared.
+    """Comparison of one channel.
 
     Attributes:
         topic: the channel, or "events".
-        live: samples in the log.
-        again: samples its raw bytes give.
-        compared: pairs that were compared.
-        differing: how many of them differ, and those that the one has and the other not, though it should.
-        extra: samples decoded from raw bytes whose own samples a cut log does not have.
+        live: number of samples in the log.
+        again: number of samples decoded from its raw bytes.
+        compared: number of pairs that were compared.
+        differing: number of pairs that differ, plus samples that unexpectedly exist on one side only.
+        extra: number of decoded samples that are missing at the end of a cut log.
         first: the first difference.
-        fields: by field, where values differ.
-        missing: the channel has no field that is decoded, or the other way round, by name.
+        fields: differences by field.
+        missing: names of fields that only the log or only the present decoder has.
     """
 
     topic: str
@@ -85,12 +85,12 @@ class ChannelCheck:
     differing: int = 0
     extra: int = 0
     first: Difference | None = None
-    fields: Mapping[str, FieldDifference] = field(default_factory=dict)
+    fields: Mapping[str, FieldDifference] = field(default_factory=dict[str, FieldDifference])
     missing: tuple[str, ...] = ()
 
     @property
     def difference(self) -> str:
-        """What differs in words; empty when nothing does."""
+        """Description of the differences; empty without differences."""
         if self.missing:
             return f"the log and this version do not both have {', '.join(self.missing)}"
         if self.fields:
@@ -101,14 +101,16 @@ class ChannelCheck:
 
 
 class ChannelComparison:
-    """Compares one channel as its samples are decoded.
+    """Compares one channel while its samples are decoded.
 
     Args:
-        until_ns: log time from which on nothing is compared, for the log misses raw bytes there; None for all.
-        cut: the log's end is missing, so that raw bytes may be there whose samples are not.
+        log: the open log.
+        channel: the channel.
+        until_ns: log time from which nothing is compared, because the log lacks raw bytes there; None for all.
+        cut: True if the log's end is missing, so that raw bytes may exist without their samples.
 
     Attributes:
-        unasked: fields that are decoded now and that no log of the version that wrote this one has.
+        added: fields of the present decoder that did not exist in the version that wrote the log.
     """
 
     def __init__(self, log: Log, channel: channels.Channel, until_ns: int | None, cut: bool) -> None:
@@ -117,8 +119,8 @@ class ChannelComparison:
         self._channel = channel
         self._rows = StoredRows(log, topic)
         names = set(self._rows.names)
-        later = set(self._channel.later) - names  # that log's version did not write them
-        self.unasked = tuple(sorted(later)) if log.count(topic) else ()
+        later = set(self._channel.later) - names  # did not exist in the version that wrote the log
+        self.added = tuple(sorted(later)) if log.count(topic) else ()
         self._lacking = tuple(sorted(names ^ set(self._channel.names) - later)) if log.count(topic) else ()
         self._both = [name for name in self._channel.names if name in names]
         self._live = log.count(topic)
@@ -129,7 +131,7 @@ class ChannelComparison:
         self._waiting = 0
 
     def add(self, batch: Batch, host_ns: int) -> None:
-        """The next samples, decoded now."""
+        """Add the next samples that were decoded."""
         self._again += len(batch.time_ns)
         if self._until_ns is not None and host_ns >= self._until_ns:
             return
@@ -139,11 +141,11 @@ class ChannelComparison:
             self._compare()
 
     def result(self) -> ChannelCheck:
-        """What was found; call it once, when everything was added."""
+        """Return the result; call it once, after everything was added."""
         if self._arrived:
             self._compare()
         left = self._rows.take(_SLICE, self._until_ns)
-        while len(left["time_ns"]):  # in the log, and its raw bytes give no such thing
+        while len(left["time_ns"]):  # in the log, but not decoded from its raw bytes
             self._lone(self._compared + self._extra, left, None)
             left = self._rows.take(_SLICE, self._until_ns)
         return ChannelCheck(
@@ -161,7 +163,7 @@ class ChannelComparison:
     def _compare(self) -> None:
         batch, log_time_ns = joined(self._arrived)
         self._arrived, self._waiting = [], 0
-        packed = self._channel.pack(batch.columns)  # as it would stand in a log
+        packed = self._channel.pack(batch.columns)  # as written to a log
         decoded: Columns = {"time_ns": batch.time_ns, "log_time_ns": log_time_ns}
         decoded["sequence"] = (np.asarray(batch.sequence, np.int64) & 0xFFFFFFFF).astype(np.uint32)
         decoded |= {name: np.ascontiguousarray(packed[name]) for name in self._both}
@@ -201,26 +203,26 @@ class ChannelComparison:
         self._differing += int(np.count_nonzero(differs))
 
     def _measure(self, name: str, stored: NDArray[Any], decoded: NDArray[Any], samples: int) -> None:
-        known = self._fields.setdefault(name, FieldDifference(pairs=self._compared))
+        difference = self._fields.setdefault(name, FieldDifference(pairs=self._compared))
         if stored.dtype.kind == "f":
             apart = np.abs(decoded.astype(float) - stored.astype(float))
             apart = apart[~np.isnan(apart)]
         else:
             apart = np.abs(decoded.astype(np.int64) - stored.astype(np.int64)).astype(float)
-        known.samples += samples
-        known.largest = max(known.largest, float(apart.max(initial=0.0)))
-        known.squares += float(np.sum(apart**2))
-        known.pairs += len(apart)
+        difference.samples += samples
+        difference.largest = max(difference.largest, float(apart.max(initial=0.0)))
+        difference.squares += float(np.sum(apart**2))
+        difference.pairs += len(apart)
 
     def _lone(self, index: int, stored: Columns | None, decoded: Columns | None) -> None:
-        there = stored if stored is not None else decoded
-        assert there is not None
-        self._differing += len(there["time_ns"])
+        present = stored if stored is not None else decoded
+        assert present is not None
+        self._differing += len(present["time_ns"])
         if self._first is None:
-            shown = int(there["sequence"][0])
+            shown = int(present["sequence"][0])
             self._first = Difference(
                 index,
-                int(there["time_ns"][0]),
+                int(present["time_ns"][0]),
                 "sequence",
                 None if stored is None else shown,
                 None if decoded is None else shown,
@@ -228,17 +230,19 @@ class ChannelComparison:
 
 
 def _differing(stored: NDArray[Any], decoded: NDArray[Any]) -> NDArray[np.bool_]:
-    """Rows whose bits differ: NaN equals the same NaN, and −0 is not 0."""
+    """Return the rows whose bits differ: NaN equals the same NaN, and −0 differs from 0."""
     kind = f"u{stored.dtype.itemsize}"
     same_kind = np.ascontiguousarray(decoded.astype(stored.dtype, copy=False))
     return np.ascontiguousarray(stored).view(kind) != same_kind.view(kind)
 
 
 class EventComparison:
-    """Compares events device by device: threads interleave devices, but each device's own order is in its bytes.
+    """Compares events by device: threads interleave devices, but the order within a device follows its bytes.
 
     Args:
-        devices: those with a pipeline; events of others (the host's own) are not made from raw bytes.
+        log: the open log.
+        devices: devices with a pipeline; events of others (the host's own) are not made from raw bytes.
+        until_ns, cut: as in `ChannelComparison`.
     """
 
     def __init__(self, log: Log, devices: Iterable[str], until_ns: int | None, cut: bool) -> None:
@@ -251,7 +255,7 @@ class EventComparison:
         self._late = 0
 
     def add(self, event: Event, host_ns: int) -> None:
-        """The next event, made now."""
+        """Add the next event that was decoded."""
         if self._until_ns is not None and host_ns >= self._until_ns:
             self._late += 1
             return
@@ -260,7 +264,7 @@ class EventComparison:
         self._again[event.device].append(as_stored | {"time_ns": int(event.facts.get("time_ns", host_ns))})
 
     def result(self) -> ChannelCheck:
-        """What was found."""
+        """Return the result."""
         live = sum(map(len, self._live.values()))
         again = sum(map(len, self._again.values()))
         compared = differing = extra = 0

@@ -1,9 +1,9 @@
 # pyright: strict
-"""When the interlocks would have tripped in a log: the same `Interlocks`, fed with what arrived, as a session feeds it.
+"""Replay of a log through the interlocks: the same `Interlocks` receive what arrived, in the same way as in a session.
 
-Period, patience and order of calls are the session's own; the time is the log's. When in each period a session looked
-is not in a log, except where it stopped the rotor: there is a look of its own. A log says nothing of link, disk and
-operator beyond what ended it, so those rows of the table are not judged again.
+Period, tolerances and order of calls are those of a session; the time is that of the log. The phase of a session's
+period is not in a log, except where the session stopped the rotor: there it is evaluated additionally. A log contains
+only the result of the checks of link, disk and operator, so these rows of the table are not evaluated again.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from daq.log import Log
 from daq.log.snapshot import identities_of, rig_of
 from daq.replay.arrivals import Arrival, Arrivals, Hole, holes_of, with_all_fields
 from daq.replay.checking import Progress, share_of
-from daq.replay.orders import Orders, standing_order, tell_hand
+from daq.replay.orders import Orders, report_hand_orders, standing_order
 from daq.replay.session_facts import clock_rate, closing_ns, needed_at_rest, roles_in, stops_of
 from daq.replay.stream import pipelines_with
 from daq.transports.host_clock import HostClock
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits, Rig
 
-_AGAIN_S = 1.0  # the same thing found later than this after the last time is another trip
-_DISORDER_S = 0.2  # wall seconds by which reads of two devices may stand the wrong way round
-_NOT_HEEDED = ("reply", "acknowledge")  # answers to the host, not something that happened
+_AGAIN_S = 1.0  # the same finding after a longer pause is another trip
+_DISORDER_S = 0.2  # largest displacement of two devices' reads in the wrong order, wall s
+_IGNORED_EVENTS = ("reply", "acknowledge")  # answers to the host
 
 
 @dataclass(frozen=True)
 class WouldTrip:
-    """A trip that would have been.
+    """A trip that would have occurred.
 
     Attributes:
         interlock: name of its row in the table.
-        text: the reason, with the values.
+        text: reason with the values.
         cause: as `Stop.cause`.
-        time_ns: when it was found, host time.
-        last_ns, found: until when and how often it was found again; the same where the replay ended with it.
-        speed_rpm: how fast the rotor turned by all that is known, None where nobody can tell.
-        told_rpm: what the rotor was last told; None where the log does not hold it.
+        time_ns: host time of the finding, ns since 1970.
+        last_ns, found: time of the last repetition and number of findings; not counted if the replay ended at the trip.
+        speed_rpm: estimated speed of the rotor; None if unknown.
+        told_rpm: last commanded speed; None if it is not in the log.
         newest: newest values of every channel that guards the rotor, by topic and field.
     """
 
@@ -61,14 +61,14 @@ class WouldTrip:
 
 @dataclass(frozen=True)
 class InterlockReplay:
-    """What was found.
+    """Result of a replay through the interlocks.
 
     Attributes:
-        trips: in the order of their times; the first, and those that belong to it, unless all were asked for.
-        start_ns, until_ns: host times between which the log was judged.
-        limits, roles: what was judged by, and what of the rig the log holds.
+        trips: trips in order of time; the first and those that belong to it, unless all were requested.
+        start_ns, until_ns: host times between which the log was evaluated, ns since 1970.
+        limits, roles: limits used, and roles of the rig that are in the log.
         stops: see `stops_of`.
-        notes: what a reader of the result must know, sentences.
+        notes: limitations of the result, as sentences.
     """
 
     trips: tuple[WouldTrip, ...]
@@ -83,19 +83,19 @@ class InterlockReplay:
 def replay_interlocks(
     log: Log, settings: Sequence[str] = (), *, all_trips: bool = False, progress: Progress | None = None
 ) -> InterlockReplay:
-    """Put a log through the interlocks.
+    """Evaluate the interlocks for a log.
 
     Args:
-        log: open; finished, cut or damaged.
-        settings: "key=value" laid over the log's rig file, such as limits.amplitude_m=0.004.
-        all_trips: go on after the first trip, which would have ended the run.
-        progress: told the share done, 0 … 1.
+        log: the open log; finished, cut or damaged.
+        settings: "key=value" texts that replace values of the log's rig file, such as limits.amplitude_m=0.004.
+        all_trips: continue after the first trip, which would have ended the run.
+        progress: called with the completed share, 0 … 1.
 
     Raises:
-        LogError: the log does not say what rig it was recorded on.
-        RigFileError: a setting that the rig file cannot have.
+        LogError: the log does not contain its rig file.
+        RigFileError: a setting is not valid in the rig file.
     """
-    log.verify()  # what is damaged decides where the log has holes
+    log.verify()  # damage determines the holes of the log
     rig = rig_of(log, settings)
     roles, notes = roles_in(log, rig)
     run = _Run(log, rig, roles, all_trips)
@@ -127,21 +127,21 @@ class _Run:
         pipelines = pipelines_with(rig, identities_of(log), str(log.path), log)
         self.arrivals = Arrivals(log, pipelines, roles.device_of, patience(_DISORDER_S))
         self._closing_ns = closing_ns(log, patience)
-        self._looked_ns = sorted(note["time_ns"] for note in stops_of(log))  # a session looked then, that is known
-        self._let_go = 0
+        self._looked_ns = sorted(note["time_ns"] for note in stops_of(log))  # a session certainly evaluated then
+        self._at_closing = 0
         self.trips: list[WouldTrip] = []
         self._newest: dict[str, dict[str, float]] = {}
         self._start_ns = self.now_ns = log.start_ns
         self._begin(log.start_ns, whole=True)
 
     def _begin(self, now_ns: int, *, whole: bool) -> None:
-        """As a session does with each log: everything is due from now on."""
+        """Start as a session does with each log: all data are due from now on."""
         self._locks = Interlocks(self._rig.limits, self._roles, self._patience, driving=True)
         self._locks.begin(now_ns)
         self._locks.need(needed_at_rest(self._facts.get("test", ""), self._roles))
         standing = standing_order(self._facts)
         if self._roles.speed is None:
-            tell_hand(self._locks.told, self._facts, self._rig.limits.speed_rpm)
+            report_hand_orders(self._locks.told, self._facts, self._rig.limits.speed_rpm)
         self._orders = Orders(
             self._locks.told, whole=whole, standing=standing if whole else None, rest_rpm=self._roles.rest_rpm
         )
@@ -149,7 +149,7 @@ class _Run:
         self.now_ns = max(self.now_ns, now_ns)
 
     def take(self, arrival: Arrival) -> bool:
-        """What arrived next; returns whether a session would have ended before it."""
+        """Process the next arrival; return True if a session would have ended before it."""
         if self._holes and arrival.host_ns > self._holes[0].start_ns:
             self._pass_hole(self._holes[0], arrival.host_ns)
         if self._tick_until(arrival.host_ns):
@@ -158,38 +158,42 @@ class _Run:
         speed = self._roles.speed
         if arrival.wrote and speed is not None and arrival.device == speed.device:
             self._orders.sent()
-        self._stood = not self._locks.turning(arrival.host_ns)  # what comes may take away all that tells so
+        self._stood = not self._locks.turning(arrival.host_ns)  # the arrival may end the knowledge of the speed
         for item in arrival.items:
             if isinstance(item, Batch):
                 self._note_newest(item)
                 if speed is not None and item.channel.topic == speed.topic:
                     self._orders.follow(item)
-                self._heed(self._locks.feed(with_all_fields(item), arrival.host_ns), arrival.host_ns)
-            elif item.kind not in _NOT_HEEDED:
-                self._heed(self._locks.happened(item), arrival.host_ns)
+                self._collect(self._locks.feed(with_all_fields(item), arrival.host_ns), arrival.host_ns)
+            elif item.kind not in _IGNORED_EVENTS:
+                self._collect(self._locks.happened(item), arrival.host_ns)
         return self._ended(arrival.host_ns)
 
     def finish(self, end_ns: int) -> None:
-        """Nothing comes any more."""
+        """Evaluate until the end, without further arrivals."""
         self._tick_until(end_ns)
         self.now_ns = max(self.now_ns, end_ns)
 
     def notes(self) -> list[str]:
-        """What must be known of the result."""
+        """Return the limitations of the result, as sentences."""
         out = [
             f"messages are missing from {self._after_s(hole.start_ns)} to {self._after_s(hole.end_ns)} s: nothing was "
-            "judged there, and what follows was judged as a log of its own"
+            "judged there, and the part after it was judged as a separate log"
             for hole in self._whole_holes
         ]
-        out += [f"missing, nobody knows when: {place}" for place in self._unplaced]
+        out += [f"missing, at an unknown time: {place}" for place in self._unplaced]
         if self._cut_ns is not None:
-            out.append(f"the log is cut: what came after {self._after_s(self._cut_ns)} s is missing and was not judged")
+            out.append(
+                f"the log is cut: everything after {self._after_s(self._cut_ns)} s is missing and was not judged"
+            )
         if self.arrivals.stored:
-            out.append(f"judged by stored samples, there are no bytes to decode: {', '.join(self.arrivals.stored)}")
+            out.append(f"judged by stored samples, without raw bytes to decode: {', '.join(self.arrivals.stored)}")
         if self._roles.speed is not None and self._orders.rpm is None:
-            out.append("the log holds no order to the drive: its own word was taken for it, a runaway was not judged")
-        if self._let_go:
-            out.append("what its devices did as the session let go of them, the rotor at rest, is left out")
+            out.append(
+                "the log contains no order to the drive: its reported speed was used instead, a runaway was not judged"
+            )
+        if self._at_closing:
+            out.append("the state of the devices while the session closed them, with the rotor at rest, was not judged")
         return out
 
     # --- parts -------------------------------------------------------------------------------------------------
@@ -201,14 +205,14 @@ class _Run:
         self._begin(max(now_ns, hole.end_ns), whole=False)
 
     def _tick_until(self, now_ns: int) -> bool:
-        """Let the log's time pass, a look each period; returns whether the run would have ended."""
+        """Advance the log's time, with one evaluation per period; return True if the run would have ended."""
         while (tick_ns := min([self._tick_ns, *self._looked_ns[:1]])) <= now_ns:
             if tick_ns == self._tick_ns:
                 self._tick_ns += self._period_ns
             else:
                 self._looked_ns.pop(0)
             self.now_ns = max(self.now_ns, tick_ns)
-            self._heed(self._locks.tick(tick_ns), tick_ns)
+            self._collect(self._locks.tick(tick_ns), tick_ns)
             if self._ended(tick_ns):
                 return True
         return False
@@ -216,21 +220,21 @@ class _Run:
     def _ended(self, now_ns: int) -> bool:
         return bool(self.trips) and not self._all and now_ns > self.trips[0].time_ns + self._together_ns
 
-    def _heed(self, found: Sequence[Event | Stop], now_ns: int) -> None:
+    def _collect(self, found: Sequence[Event | Stop], now_ns: int) -> None:
         for item in found:
             if isinstance(item, Stop):
                 self._tripped(item, now_ns)
 
     def _tripped(self, stop: Stop, now_ns: int) -> None:
         if now_ns >= self._closing_ns and self._stood and not self._orders.rpm:
-            self._let_go += 1
+            self._at_closing += 1
             return
         finding = finding_of(stop.interlock, stop.text)
         for number in range(len(self.trips) - 1, -1, -1):
-            known = self.trips[number]
-            if finding_of(known.interlock, known.text) == finding:
-                if now_ns - known.last_ns <= _ns(_AGAIN_S) or not self._all:
-                    self.trips[number] = replace(known, last_ns=now_ns, found=known.found + 1)
+            earlier = self.trips[number]
+            if finding_of(earlier.interlock, earlier.text) == finding:
+                if now_ns - earlier.last_ns <= _ns(_AGAIN_S) or not self._all:
+                    self.trips[number] = replace(earlier, last_ns=now_ns, found=earlier.found + 1)
                     return
                 break
         if self.trips and not self._all and now_ns > self.trips[0].time_ns + self._together_ns:

@@ -1,4 +1,4 @@
-"""Replay at a pace: everything at its own time after the start, so that no delay adds up."""
+"""Replay at a pace: each item at its own time after the start, so that delays do not accumulate."""
 
 from __future__ import annotations
 
@@ -12,40 +12,41 @@ from daq.transports.host_clock import HostClock
 
 
 class Clock(Protocol):
-    """What a pace needs of a clock; HostClock is one."""
+    """Clock used by a pace; HostClock implements it."""
 
     def now_ns(self) -> int:
-        """Time now, ns."""
+        """Return the present time, ns."""
         ...
 
     def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """Wait for this time, s."""
         ...
 
 
 class Pace:
-    """When what was recorded at some time is due.
+    """Schedule of recorded items.
 
-    The first instant asked about is due at once and starts the schedule; after a stall everything overdue is due at
-    once, until the schedule is caught up with.
+    The first requested instant is due at once and starts the schedule. After a stall everything overdue is due at once,
+    until the schedule is met again.
 
     Attributes:
-        late_s: how late the last thing told to `note` was, s of the clock.
-        most_late_s: the most of it so far.
+        late_s: delay of the last item passed to `note`, s of the clock.
+        most_late_s: largest delay so far, s of the clock.
 
     Args:
-        speed: seconds of the log per second of the clock; infinite for no waiting at all.
+        speed: seconds of the log per second of the clock; infinite for no waiting.
+        clock: clock of the schedule.
     """
 
     def __init__(self, speed: float, clock: Clock) -> None:
         if not speed > 0:
             raise ValueError(f"expected a speed above 0, got {speed}")
         self._speed, self._clock = speed, clock
-        self._start: tuple[int, int] | None = None  # in the log and on the clock, ns
+        self._start: tuple[int, int] | None = None  # log time and clock time, ns
         self.late_s = self.most_late_s = 0.0
 
     def left_s(self, log_ns: int) -> float:
-        """How long until it is due, s of the clock; negative when it is overdue, 0 without a schedule."""
+        """Return the time until an item is due, s of the clock; negative if it is overdue, 0 without a schedule."""
         if math.isinf(self._speed):
             return 0.0
         now = self._clock.now_ns()
@@ -55,7 +56,7 @@ class Pace:
         return ((log_ns - log_start) / self._speed - (now - start)) * 1e-9
 
     def note(self, log_ns: int) -> None:
-        """It happens now."""
+        """Note that an item is processed now."""
         self.late_s = max(0.0, -self.left_s(log_ns))
         self.most_late_s = max(self.most_late_s, self.late_s)
 
@@ -64,8 +65,8 @@ class Paced(Iterator[Decoded]):
     """A log decoded again at a pace; made by `paced`.
 
     Attributes:
-        pace: how late it is.
-        pipelines: with the losses so far, by device.
+        pace: schedule with the delays.
+        pipelines: pipelines by device, with the losses so far.
     """
 
     def __init__(self, log: Log, speed: float, clock: Clock) -> None:
@@ -84,11 +85,12 @@ class Paced(Iterator[Decoded]):
 
 
 def paced(log: Log, speed: float = 1.0, clock: Clock | None = None) -> Paced:
-    """Every raw read and write of a log when it is due, with what the device's pipeline makes of it.
+    """Return every raw read and write of a log when it is due, with the items that the device's pipeline decodes.
 
     Args:
-        speed: seconds of the log per second; `math.inf` waits for nothing.
-        clock: of the waiting; the host's if None.
+        log: the open log.
+        speed: seconds of the log per second; `math.inf` for no waiting.
+        clock: clock of the schedule; None for the host's clock.
 
     Returns:
         Iterator over (device, chunk, items).

@@ -1,6 +1,6 @@
 # pyright: strict
-"""What a log holds of the session that recorded it, as far as its interlocks were led by it: which roles were there,
-what its test needed, how fast its clock ran, when it stopped the rotor and when it let go of its devices."""
+"""Facts of the recording session that its interlocks depended on: roles, channels needed by the test, clock rate,
+stops, and the time at which it closed its devices."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from daq.log import Log
 from rig_configs.roles import Roles
 from rig_configs.schema import Rig
 
-_CLOSING_S = 5.0  # wall seconds that a session may take to let go of its devices, log still open
-_ENDS = ("the test's end", "done", "duration", "silence", "not reached")  # logs that ended before their session did
+_CLOSING_S = 5.0  # time in which a session closes its devices while the log is still open, wall s
+_ENDS = ("the test's end", "done", "duration", "silence", "not reached")  # of logs that ended before their session
 
 
 def stops_of(log: Log) -> tuple[Mapping[str, Any], ...]:
-    """What a log says of its session's stops: events of the host, each with `time_ns` and `text`."""
+    """Return the session's stops: events of the host, each with `time_ns` and `text`."""
     return tuple(note for note in log.events if note.get("device") == HOST and note.get("kind") == "stop")
 
 
 def roles_in(log: Log, rig: Rig) -> tuple[Roles, list[str]]:
-    """Roles of a rig that a log holds something of, and why others are left out.
+    """Return the roles of a rig that have data in a log, and the reasons why others are omitted.
 
-    A device that was recorded and never said anything is one that was silent; one that was not recorded is none.
+    A device that was recorded and sent nothing was silent; a device that was not recorded is omitted.
     """
     left_out: dict[str, str] = {}
     for topic, device in rig.roles.device_of.items():
         if device not in log.devices and not (topic in log and log.count(topic)):
-            left_out[topic] = f"not judged, the log holds nothing of {device}: {topic}"
+            left_out[topic] = f"not judged, the log contains nothing of {device}: {topic}"
     phase = rig.roles.phase
-    there = phase is not None and phase.topic not in left_out and phase.device not in log.devices
-    if phase is not None and there and "revolutions" not in log.channel(phase.topic).names:
-        left_out[phase.topic] = f"not judged, the log holds no index marks: {phase.topic}"
+    present = phase is not None and phase.topic not in left_out and phase.device not in log.devices
+    if phase is not None and present and "revolutions" not in log.channel(phase.topic).names:
+        left_out[phase.topic] = f"not judged, the log contains no index marks: {phase.topic}"
     kept = rig.roles
     single = {
         name: role
@@ -51,34 +51,34 @@ def roles_in(log: Log, rig: Rig) -> tuple[Roles, list[str]]:
 
 
 def needed_at_rest(test: str, roles: Roles) -> list[str]:
-    """Channels that a guided test lives on at rest, by its row; of one that is not installed none is known."""
+    """Return the channels that a guided test needs at rest, from its table row; empty if the test is not installed."""
     kind = kind_of(test)
     return [] if kind is None else list(kind.lives_on(roles))
 
 
 def closing_ns(log: Log, patience: Callable[[float], float]) -> int:
-    """From when on a session may have been letting go of its devices, host time; behind the log's end where it ended
-    first, as most do.
+    """Return the host time from which a session may have been closing its devices; after the log's end if the log
+    ended first, which is the usual case.
 
-    A session that was broken off ends its log last: after the stop that the log holds, or within its last seconds.
+    A session that was aborted ends its log last: after the stop in the log, or within the log's last seconds.
     """
-    said = log.metadata.get("summary", {}).get("ended", "")
-    if not said or _text(said).startswith(_ENDS):
+    ended = log.metadata.get("summary", {}).get("ended", "")
+    if not ended or _text(ended).startswith(_ENDS):
         return log.end_ns + 1
     stops = [note["time_ns"] for note in stops_of(log)]
     return min(stops) + _ns(patience(TOGETHER_S)) if stops else log.end_ns - _ns(patience(_CLOSING_S))
 
 
-def _text(said: str) -> str:
-    """A word of the summary: JSON, or in a log of an earlier version the word itself."""
+def _text(value: str) -> str:
+    """Return a text of the summary: decoded from JSON, or unchanged for a log of an earlier version."""
     try:
-        return str(json.loads(said))
+        return str(json.loads(value))
     except (ValueError, RecursionError):
-        return said
+        return value
 
 
 def clock_rate(run: Mapping[str, str]) -> float:
-    """Seconds of rig time per wall second, as the log says; 1 where it says nothing that can be."""
+    """Return the seconds of rig time per wall second stated in the log; 1 if it is missing or invalid."""
     try:
         rate = float(run.get("clock_rate", 1.0))
     except ValueError:

@@ -1,4 +1,4 @@
-"""The samples that stand in a log, handed out in their order and as many at a time as asked for."""
+"""Stored samples of a log, read in order in blocks of a requested size."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from numpy.typing import NDArray
 
 from daq.log import Log
 
-_ROWS = 60_000  # about so many samples are in memory at once
-_WINDOW_NS = 2_000_000_000  # no window of time is shorter
+_ROWS = 60_000  # approximate number of samples in memory
+_WINDOW_NS = 2_000_000_000  # shortest window
 _NEVER_NS = 2**63 - 1
 
 
 class StoredRows:
-    """One channel of a log from its beginning on, a window of time in memory at once.
+    """One channel of a log from its beginning on; one time window is in memory at a time.
 
     Attributes:
-        names: its fields; none when the log has no such channel.
+        names: its fields; empty if the log does not have the channel.
     """
 
     def __init__(self, log: Log, topic: str) -> None:
         self._log, self._topic = log, topic
-        self._there = topic in log and log.count(topic) > 0
-        self.names = log.channel(topic).names if self._there else ()
-        self._blocks = self._in_order() if self._there else iter(())
+        self._exists = topic in log and log.count(topic) > 0
+        self.names = log.channel(topic).names if self._exists else ()
+        self._blocks = self._in_order() if self._exists else iter(())
         self._block: dict[str, NDArray[Any]] = {}
         self._at = self._size = 0
 
     def take(self, count: int, until_ns: int | None = None) -> dict[str, NDArray[Any]]:
-        """The next samples: time_ns, log_time_ns, sequence and every field, each of shape (n ≤ count,).
+        """Return the next samples: time_ns, log_time_ns, sequence and every field, each of shape (n ≤ count,).
 
-        Fewer only when there are no more, or none whose log time lies before `until_ns`.
+        The number is smaller only at the channel's end, or if the next log time is not before `until_ns`.
         """
         parts: list[dict[str, NDArray[Any]]] = []
         while count:
@@ -64,10 +64,10 @@ class StoredRows:
         return True
 
     def _in_order(self) -> Iterator[dict[str, NDArray[Any]]]:
-        """Blocks in the order of the file.
+        """Yield blocks in the order of the file.
 
-        Windows are of sample times, and where a device's clock was mapped anew these may step back. Log times of a
-        channel never do: they put in order what two neighbouring windows hold.
+        Windows are of sample times, which may step back if a device's clock was mapped again. Log times of a channel
+        ascend, so they restore the order within two neighbouring windows.
         """
         held: dict[str, NDArray[Any]] | None = None
         for block in self._windows():
@@ -96,7 +96,7 @@ class StoredRows:
 def _merged(
     before: dict[str, NDArray[Any]], after: dict[str, NDArray[Any]]
 ) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-    """Both by log time, the first as long as it was."""
+    """Return both blocks sorted by log time; the first keeps its length."""
     both = {name: np.concatenate([before[name], after[name]]) for name in before}
     order = np.argsort(both["log_time_ns"], kind="stable")
     size = len(before["log_time_ns"])

@@ -1,9 +1,9 @@
-"""A log's raw bytes through fresh pipelines: what live recording did, done again, in bounded memory."""
+"""Decoding of a log's raw bytes with new pipelines, as during the recording, in bounded memory."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, cast
 
 from daq.clock import CLOCK_RULES, FIRST_RULES, NEWEST_RULES
 from daq.drivers.contract import Pipeline
@@ -16,54 +16,56 @@ from daq.log.snapshot import identities_of, rig_of, seeds_of
 from rig_configs.schema import Rig
 
 Decoded = tuple[str, RawChunk, list[Batch | Event]]
-"""A device, bytes of one read or write, and what its pipeline made of them."""
+"""A device, the bytes of one read or write, and the items decoded by its pipeline."""
 
 
 def pipelines_of(log: Log) -> dict[str, Pipeline]:
-    """Fresh pipelines as they were when the log was recorded.
+    """Return new pipelines in the state at the start of the log.
 
     Raises:
-        LogError: the log holds no raw bytes, or not what is needed to decode them.
+        LogError: the log contains no raw bytes, or not the facts needed to decode them.
     """
     if not log.devices:
-        raise LogError(f"{log.path}: holds no raw bytes (it was not recorded from devices): nothing to decode again")
+        raise LogError(f"{log.path}: contains no raw bytes (it was not recorded from devices): nothing to decode again")
     identities = identities_of(log)
-    for device, told in identities.items():
-        if not isinstance(told, dict):
-            raise LogError(f"{log.path}: identities.json: expected a table under {device!r:.80}, got {told!r:.80}")
+    for device, identity in identities.items():
+        if not isinstance(cast("object", identity), dict):
+            raise LogError(f"{log.path}: identities.json: expected a table under {device!r:.80}, got {identity!r:.80}")
     return pipelines_with(rig_of(log), identities, str(log.path), log)
 
 
 def rules_of(log: Log) -> int:
-    """By which rules its clock maps went when it was recorded: those of a log that says nothing are the first.
+    """Return the rules of the clock maps at the time of recording; logs without this fact use the first rules.
 
     Raises:
-        LogError: this version knows no such rules.
+        LogError: this version does not have these rules.
     """
-    told = log.metadata.get("run", {}).get(CLOCK_RULES, str(FIRST_RULES))
-    known = [str(rules) for rules in range(FIRST_RULES, NEWEST_RULES + 1)]
-    if told not in known:
+    rules = log.metadata.get("run", {}).get(CLOCK_RULES, str(FIRST_RULES))
+    valid = [str(number) for number in range(FIRST_RULES, NEWEST_RULES + 1)]
+    if rules not in valid:
         raise LogError(
-            f"{log.path}: expected {CLOCK_RULES} {' or '.join(known)} among its facts, got {told!r:.80}: "
+            f"{log.path}: expected {CLOCK_RULES} {' or '.join(valid)} among its facts, got {rules!r:.80}: "
             "it was recorded by a newer version; decode it with that one"
         )
-    return int(told)
+    return int(rules)
 
 
 def pipelines_with(
     rig: Rig, identities: Mapping[str, Mapping[str, Any]], source: str, log: Log | None = None
 ) -> dict[str, Pipeline]:
-    """Fresh pipelines for devices that said this of themselves.
+    """Return new pipelines for devices with these identities.
 
     Args:
-        source: of the identities, for a message.
-        log: whose bytes they are to decode: their clock maps begin as they did then.
+        rig: the rig file.
+        identities: identity that each device reported, by device.
+        source: source of the identities, for messages.
+        log: log whose bytes are to be decoded; its clock maps start as in the recording.
 
     Returns:
-        By device; without those of a log whose driver is not installed here.
+        Pipelines by device, without devices whose driver is not installed.
 
     Raises:
-        LogError: no such device can have said it.
+        LogError: an identity is not valid for its device.
     """
     try:
         if log is None:
@@ -74,12 +76,12 @@ def pipelines_with(
 
 
 def decoded(log: Log, pipelines: Mapping[str, Pipeline]) -> Iterator[Decoded]:
-    """Every raw read and write in file order, with what the device's pipeline makes of it.
+    """Yield every raw read and write in file order, with the items that the device's pipeline decodes.
 
-    Bytes of devices without a pipeline are handed on with nothing made of them.
+    Bytes of devices without a pipeline have no items.
 
     Raises:
-        LogError: raw bytes in the log are not what its schema says.
+        LogError: raw bytes in the log do not match their schema.
     """
     for device, chunk in log.raw_in_order():
         pipeline = pipelines.get(device)

@@ -1,1 +1,1 @@
-"""A log as signals on one clock, and when they have settled."""
+"""Signals of a log on one clock, and the decision whether they have settled."""

@@ -1,17 +1,17 @@
 # pyright: strict
-"""What is still to come of an approach to rest, as a bound, from window means that are known only to ± a width.
+"""Bound on the remaining change of a quantity that approaches its end, from window means with an error of at most ± w.
 
-A mean m_k of a window is known to lie within w of the truth: w holds half a count of a code that stands still (less
-where noise or a wobble dithers it) and the noise of the mean. An approach m∞ + a e^{−λ(t−T)}, T the end of the last
-window, fits when every two windows j, k agree: |m_j − m_k − a (u_j − u_k)| ≤ 2w with u the window's mean of
-e^{−λ(t−T)}. That leaves for each rate λ an interval of a, the change still to come, and the bound is the largest |a|
-of all rates that fit. Where the means do not move beyond ± w every rate fits; then only the time for which they have
-stood says something, and rates below a slowest one are left out. Where they move, slower decays count as well, and a
-drift that fits growth or a straight line, and none that ends soon enough, has no bound.
+The mean m_k of a window is within w of the true mean. The width w contains the noise of the mean and half a count of a
+constant code (less if noise or a ripple dithers the code). An approach m∞ + a e^{−λ(t−T)}, with T the end of the last
+window, fits if every pair of windows j, k agrees: |m_j − m_k − a (u_j − u_k)| ≤ 2w, where u is the window mean of
+e^{−λ(t−T)}. For each rate λ this leaves an interval of a, the remaining change. The bound is the largest |a| over all
+rates that fit. If the means stay within ± w, every rate fits. Then only the time for which they were constant gives
+information, and rates below the slowest one are excluded. If the means move, slower decays are included as well. A
+drift that fits growth or a straight line, and no approach that ends soon enough, has no bound.
 
-The longest stretch that some rate fits is taken, so that the rate is known from all that was seen of it. Where no
-stretch fits, two rates together and decaying oscillations are tried, then the whole range of the newest means is
-taken for a change at the slowest rate.
+The longest series of newest windows that some rate fits is used, so that the rate is estimated from as many windows as
+possible. If no series fits, two rates together and decaying oscillations are tried. If these do not fit either, the
+whole range of the newest means is taken as a change at the slowest rate.
 Source: docs/theory/steady_states.md.
 """
 
@@ -20,38 +20,37 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.signals.decay import MIN_WINDOWS, decay_means, newest_counts
+
 Array = NDArray[np.float64]
 
-SLOWEST_PER_S = 0.08  # slower than this a radian would not shrink to the tolerance in a minute and a half
-_ENDLESS_PER_S = 0.01  # so slow that over the windows it is a straight line
-_SHOWS = 4.0  # widths: means that move less say nothing of a rate
-_SLOWER_BY = 3.0  # exponent: twice that, and the slowest rate that counts falls from SLOWEST_PER_S to _ENDLESS_PER_S
-_FAST_PER_S = 0.5  # an approach this fast hides a slow one beside it until it is over
-_STEP = 1.06  # from one rate that is tried to the next
-_BETWEEN = 1.15  # on the bound of a drift: for the rates between those that are tried
+SLOWEST_PER_S = 0.08  # at a slower rate one radian would not decay to the tolerance within a minute and a half
+_ENDLESS_PER_S = 0.01  # so slow that it is a straight line over the windows
+_MIN_MOTION_WIDTHS = 4.0  # means that move by less give no information on the rate
+_SLOWER_BY = 3.0  # exponent: twice _MIN_MOTION_WIDTHS lowers the slowest included rate from SLOWEST to _ENDLESS_PER_S
+_FAST_PER_S = 0.5  # an approach this fast hides a simultaneous slow one until it is over
+_STEP = 1.06  # ratio of neighbouring trial rates
+_GRID_FACTOR = 1.15  # on the bound of a drift, for rates between the trial rates
 _FASTEST_PER_S = 4.0
-_LEAST_WINDOWS = 9
-_MARGIN = 1.5  # on the width for a drift that ends: the rates that are tried are not all there are
-_RIDGE = 1e-9  # keeps two nearly equal shapes apart
-_SHORTER = 0.7  # of the windows are kept when nothing fits all
-_NOT_QUITE = 0.01  # of the newest windows' range: an approach is exponential only near its end, and rates are a grid
-_CLEARLY = 0.1  # of the newest windows' range: two rates or an oscillation count as found when they leave less
+_MARGIN = 1.5  # on the width for a drift that ends, for rates between the trial rates
+_RIDGE = 1e-9  # regularises two nearly equal shapes
+_MIN_WIDTH_SHARE = 0.01  # of the newest windows' range: approaches are only nearly exponential, and rates are a grid
+_MAX_RESIDUAL_SHARE = 0.1  # of the newest windows' range: residual up to which two rates or an oscillation are accepted
 
 
 @dataclass(frozen=True)
 class Approach:
-    """What is still to come after the last window.
+    """Remaining change after the last window.
 
     Attributes:
-        remaining: bound on the change still to come, unit of the means; inf for a drift that need not end.
-        mean_off: bound on the distance from the end of the mean over the stretch asked for.
-        rate_per_s: rate of the approach that gives the bound; 0 where it need not end.
-        seen_s: length of the stretch the bound rests on.
+        remaining: bound on the remaining change, unit of the means; inf for a drift that need not end.
+        mean_off: bound on the distance of the mean over the last `average_s` from the end value.
+        rate_per_s: rate of the approach that gives the bound, 1/s; 0 for a drift that need not end.
+        seen_s: length of the series of windows that gives the bound, s.
     """
 
     remaining: float
@@ -61,33 +60,34 @@ class Approach:
 
 
 def bound(edges_s: Array, means: Array, width: float, average_s: float, far: float = math.inf) -> Approach:
-    """Bound on what is still to come of one quantity.
+    """Return a bound on the remaining change of one quantity.
 
     Args:
-        edges_s: start and end of each window, shape (n, 2), in order, n ≥ 3.
-        means: the quantity's mean in each, shape (n,).
-        width: how far a mean may be from the truth.
-        average_s: length of the stretch before the last window's end whose mean's distance from the end is asked.
-        far: a change over the last two windows from which on a crude bound will do.
+        edges_s: start and end of each window, shape (n, 2), s, in order, n ≥ 3.
+        means: mean of the quantity in each window, shape (n,).
+        width: largest error of a mean.
+        average_s: length of the period before the last window's end over which `mean_off` is computed, s.
+        far: change over the last two windows above which a crude bound is sufficient.
     """
-    late = slice(-_LEAST_WINDOWS, None)
-    width = max(width, _NOT_QUITE * float(np.ptp(means[late])))
-    tails = _tails(len(means))
+    late = slice(-MIN_WINDOWS, None)
+    width = max(width, _MIN_WIDTH_SHARE * float(np.ptp(means[late])))
+    tails = newest_counts(len(means))
     for count in tails:
         found = _one_rate(edges_s[-count:], means[-count:], width, average_s)
         if found is not None:
             return found
     for count in tails if np.ptp(means[-3:]) < far else ():
-        found = _two_terms(edges_s[-count:], means[-count:], width, _CLEARLY * float(np.ptp(means[late])), average_s)
+        most = _MAX_RESIDUAL_SHARE * float(np.ptp(means[late]))
+        found = _two_terms(edges_s[-count:], means[-count:], width, most, average_s)
         if found is not None:
             return found
     return _unexplained(edges_s[late], means[late], width, average_s)
 
 
 def _unexplained(edges_s: Array, means: Array, width: float, average_s: float) -> Approach:
-    """No approach fits: the means may come as far again as the slowest approach would from their whole range.
+    """Return the bound if no approach fits: as much as the slowest approach would still move, given the whole range.
 
-    No bound where they move one way and no slower than before.
+    The result is unbounded if the means move in one direction and not more slowly than before.
     """
     seen = float(edges_s[-1, 1] - edges_s[0, 0])
     half = len(means) // 2
@@ -99,37 +99,21 @@ def _unexplained(edges_s: Array, means: Array, width: float, average_s: float) -
     return Approach(left, left * float(_of_mean(SLOWEST_PER_S, average_s)), SLOWEST_PER_S, seen)
 
 
-def _tails(count: int) -> list[int]:
-    """How many of the newest windows to look at, most first."""
-    tails = [count]
-    while tails[-1] > _LEAST_WINDOWS:
-        tails.append(max(_LEAST_WINDOWS, int(tails[-1] * _SHORTER)))
-    return tails
-
-
 @lru_cache(maxsize=1)
 def _rates() -> Array:
-    """Rates that are tried, 1/s: growth, a straight line (nearly) and decay; shape (r,)."""
+    """Trial rates, 1/s: growth, a straight line (nearly) and decay; shape (r,)."""
     decay = _ENDLESS_PER_S * _STEP ** np.arange(math.ceil(math.log(_FASTEST_PER_S / _ENDLESS_PER_S) / math.log(_STEP)))
     return np.concatenate([-decay[::2], [1e-4], decay])
 
 
-def _shape(rates: NDArray[Any], edges_s: Array) -> NDArray[Any]:
-    """Mean of e^{−λ(t−T)} in each window, shape (rates, windows); a complex λ turns."""
-    middle = edges_s.mean(axis=1) - edges_s[-1, 1]
-    half = 0.5 * np.diff(edges_s, axis=1)[:, 0]
-    x = rates[:, None] * half
-    return np.exp(-rates[:, None] * middle) * np.sinh(x) / x
-
-
-@lru_cache(maxsize=8)  # the two quantities of one look share their windows
+@lru_cache(maxsize=8)  # both quantities of one evaluation share their windows
 def _spans(edges: bytes) -> tuple[Array, Array]:
-    """1/(u_j − u_k) of every two windows j < k for every rate, and its modulus; shape (rates, couples).
+    """1/(u_j − u_k) of every pair of windows j < k for every rate, and its modulus; shape (rates, pairs).
 
     Args:
         edges: the bytes of the windows' edges, shape (n, 2), s.
     """
-    shape = _shape(_rates(), np.frombuffer(edges).reshape(-1, 2))
+    shape = decay_means(_rates(), np.frombuffer(edges).reshape(-1, 2))
     early, late = np.triu_indices(shape.shape[1], 1)
     with np.errstate(over="ignore", divide="ignore"):
         inverse = 1 / (shape[:, early] - shape[:, late])
@@ -137,13 +121,13 @@ def _spans(edges: bytes) -> tuple[Array, Array]:
 
 
 def _of_mean(rates: Array | float, average_s: float) -> Array:
-    """Mean of e^{−λ(t−T)} over the last stretch."""
+    """Mean of e^{−λ(t−T)} over the last `average_s`."""
     x = np.maximum(np.asarray(rates), 1e-6) * average_s
     return np.expm1(x) / x
 
 
 def _one_rate(edges_s: Array, means: Array, width: float, average_s: float) -> Approach | None:
-    """The largest change still to come of all single rates that fit; None when none fits."""
+    """Return the largest remaining change over all single rates that fit; None if none fits."""
     seen = float(edges_s[-1, 1] - edges_s[0, 0])
     spread = float(np.ptp(means))
     moves = spread > 2 * width * (1 + 1e-9)
@@ -160,44 +144,44 @@ def _one_rate(edges_s: Array, means: Array, width: float, average_s: float) -> A
     fits = low <= high
     if not fits.any():
         return None
-    if np.any(fits & ending):  # growth is found where nothing that ends fits as well
+    if np.any(fits & ending):  # growth is accepted only if no approach that ends fits as well
         fits &= rates >= _slowest(spread / width)
     elif np.any(fits & (rates <= _ENDLESS_PER_S)):
         return Approach(math.inf, math.inf, 0.0, seen)
-    left = np.where(fits, np.maximum(np.abs(low), np.abs(high)), 0.0) * (_BETWEEN if moves else 1.0)
+    left = np.where(fits, np.maximum(np.abs(low), np.abs(high)), 0.0) * (_GRID_FACTOR if moves else 1.0)
     worst = int(np.argmax(left))
     found = Approach(float(left[worst]), float(np.max(left * _of_mean(rates, average_s))), float(rates[worst]), seen)
     return _with_slow(found, float(rates[fits].min()), edges_s, means, width, average_s)
 
 
 def _slowest(widths: float) -> float:
-    """Slowest decay that counts where the means move by so many widths, 1/s: a noisy mean more or less is no jump."""
-    slower = (max(widths, _SHOWS) / _SHOWS) ** _SLOWER_BY
+    """Slowest included decay for means that move by `widths`, 1/s: continuous, so that a little noise makes no jump."""
+    slower = (max(widths, _MIN_MOTION_WIDTHS) / _MIN_MOTION_WIDTHS) ** _SLOWER_BY
     return max(_ENDLESS_PER_S, SLOWEST_PER_S / slower)
 
 
 def _with_slow(
     found: Approach, slowest: float, edges_s: Array, means: Array, width: float, average_s: float
 ) -> Approach:
-    """The bound, or that of a slow approach hidden beside it where all that fits is fast."""
-    slow = _beside(edges_s, means, width) if slowest > _FAST_PER_S else 0.0
+    """Return the bound, or that of a hidden slow approach if only fast rates fit and the latter is larger."""
+    slow = _hidden_slow(edges_s, means, width) if slowest > _FAST_PER_S else 0.0
     if slow <= found.remaining:
         return found
     return Approach(slow, slow * float(_of_mean(SLOWEST_PER_S, average_s)), SLOWEST_PER_S, found.seen_s)
 
 
-def _beside(edges_s: Array, means: Array, width: float) -> float:
-    """What a slow approach beside a fast one may have to go: known by how long the means have stood since."""
+def _hidden_slow(edges_s: Array, means: Array, width: float) -> float:
+    """Remaining change of a slow approach hidden by a fast one: limited by the time the means have been constant."""
     after = np.maximum.accumulate(means[::-1]) - np.minimum.accumulate(means[::-1]) <= 2 * width
     standing = int(np.argmin(after)) if not after.all() else len(means)
     stood = float(edges_s[-1].mean() - edges_s[-standing].mean())
-    most = _unexplained(edges_s[-_LEAST_WINDOWS:], means[-_LEAST_WINDOWS:], width, 1.0).remaining
+    most = _unexplained(edges_s[-MIN_WINDOWS:], means[-MIN_WINDOWS:], width, 1.0).remaining
     return min(most, 2 * width / math.expm1(SLOWEST_PER_S * stood)) if standing > 1 else most
 
 
 @lru_cache(maxsize=1)
 def _terms() -> tuple[Array, Array]:
-    """Rates of two terms, 1/s: pairs (λ1, λ2) well apart, shape (p, 2), and (λ, ω) of oscillations, shape (q, 2)."""
+    """Rates of two terms, 1/s: well separated pairs (λ1, λ2), shape (p, 2), and (λ, ω) of oscillations, (q, 2)."""
     slow = np.geomspace(SLOWEST_PER_S, 1.0, 9)
     pairs = [(a, b) for a in slow for b in np.geomspace(0.25, _FASTEST_PER_S, 9) if b > 2.5 * a]
     decay = np.concatenate([[-0.1, 1e-4, 0.03], np.geomspace(SLOWEST_PER_S, 2.0, 9)])
@@ -205,19 +189,19 @@ def _terms() -> tuple[Array, Array]:
     return np.array(pairs), np.array(waves)
 
 
-@lru_cache(maxsize=8)  # the two quantities of one look share their windows
+@lru_cache(maxsize=8)  # both quantities of one evaluation share their windows
 def _designs(edges: bytes) -> tuple[Array, Array]:
-    """For each two terms 1 and their two shapes, (h, n, 3), and the least squares inverse of that, (h, 3, n).
+    """Design matrix of each two-term model, 1 and its two shapes, (h, n, 3), and its least-squares inverse, (h, 3, n).
 
     Args:
         edges: the bytes of the windows' edges, shape (n, 2), s.
     """
     edges_s = np.frombuffer(edges).reshape(-1, 2)
     pairs, waves = _terms()
-    turning = _shape(waves[:, 0] - 1j * waves[:, 1], edges_s)
+    turning = decay_means(waves[:, 0] - 1j * waves[:, 1], edges_s)
     shapes = np.concatenate(
         [
-            np.stack([_shape(pairs[:, 0], edges_s), _shape(pairs[:, 1], edges_s)], axis=2),
+            np.stack([decay_means(pairs[:, 0], edges_s), decay_means(pairs[:, 1], edges_s)], axis=2),
             np.stack([np.real(turning), np.imag(turning)], axis=2),
         ]
     )
@@ -234,9 +218,9 @@ def _solved(matrix: Array, right: Array) -> Array:
 
 
 def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_s: float) -> Approach | None:
-    """Two rates, or a decaying oscillation, fitted by least squares; None when none leaves less than `most`.
+    """Fit two rates, or a decaying oscillation, by least squares; None if every fit leaves more than `most`.
 
-    Two terms of a pair may cancel now and not later, so their sizes are added.
+    The two terms of a pair may cancel now and not later. Therefore their absolute values are added.
     """
     pairs, waves = _terms()
     design, inverse = _designs(edges_s.tobytes())
@@ -250,7 +234,9 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     rates = np.concatenate([pairs[:, 0], waves[:, 0]])
     fast = np.concatenate([pairs[:, 1], waves[:, 0]])
     wave = np.arange(len(rates)) >= len(pairs)
-    swing = np.hypot(size[:, 0], size[:, 1]) * np.where(rates < _ENDLESS_PER_S, 2.0, 1.0)  # one that lasts: both ways
+    swing = np.hypot(size[:, 0], size[:, 1]) * np.where(
+        rates < _ENDLESS_PER_S, 2.0, 1.0
+    )  # an undamped one moves to both sides
     left = size[:, 0] + size[:, 1]
     left[wave] = swing[wave]
     off: Array = size[:, 0] * _of_mean(rates, average_s) + size[:, 1] * _of_mean(fast, average_s)

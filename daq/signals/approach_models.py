@@ -1,8 +1,8 @@
 # pyright: strict
-"""Ways to approach an end: shapes of one rate, two rates and a decaying oscillation, and their posterior on a grid.
+"""Models of an approach to a limit: one rate, two rates, a decaying oscillation, and their posterior on a grid.
 
-For given rates the limits and amplitudes are linear and are integrated out; the rates are integrated over a grid in
-log λ that is moved, turned and refined to where the posterior is. Used by daq.signals.limit, which says why.
+For given rates the limits and amplitudes are linear and are integrated analytically. The rates are integrated over a
+grid in log λ that is moved, rotated and refined until it resolves the posterior. Used by daq.signals.limit.
 Source: docs/theory/steady_states.md, "Where it ends".
 """
 
@@ -15,21 +15,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.signals.decay import decay_means
+
 Array = NDArray[np.float64]
 
-SLOWEST_PER_S = 0.05  # slower than this an approach is a straight line within the windows
+SLOWEST_PER_S = 0.05  # an approach at a slower rate is a straight line within the windows
 FASTEST_PER_S = 4.0
-_PRIOR_RANGES = (0.25, 1.0, 4.0)  # of the range seen: prior deviations of a shape's change over the windows, each 1/3
-_FAINT = (1.0, 0.05, 0.0025)  # of that: prior deviations of the slower of two, each 1/3: what moves late may be little
-_GRID = {1: (40, 21), 2: (17, 13)}  # points along each axis, by dimension: first look, refined
-_REACH = 4.5  # standard deviations that a refined grid covers to either side
-_MOST_EXPONENT = 200.0
-_FINEST = 1e-7  # of the range seen: noise below that drowns in rounding of the arithmetic
-_LEAST_BEND = 1e-6  # of the range seen: less is no bend, and a prior has to have a width
-_RIDGE = 1e-13  # of the normal equations: keeps equal shapes apart
-_LOOKS, _ROUGHLY = 20, 5  # grids at most, and before a model is given up
-_FAR = 40.0  # below a rival's evidence
-_ENOUGH = {1: 5.0, 2: 12.0}  # points that share the weight: the grid resolves the posterior
+_PRIOR_RANGES = (0.25, 1.0, 4.0)  # prior deviations of a shape's change over the windows, of the data range, each 1/3
+_FAINT = (1.0, 0.05, 0.0025)  # prior deviations of the slower of two shapes, of the former, each 1/3: it may be small
+_GRID = {1: (40, 21), 2: (17, 13)}  # points along each axis, by dimension: first grid, refined grid
+_REACH = 4.5  # standard deviations that a refined grid covers on either side
+_MAX_EXPONENT = 200.0
+_MIN_NOISE_SHARE = 1e-7  # of the data range: smaller noise is below the rounding of the arithmetic
+_MIN_BEND_SHARE = 1e-6  # of the data range: a prior deviation must not be zero
+_RIDGE = 1e-13  # of the normal equations: regularises equal shapes
+_MAX_GRIDS, _MIN_GRIDS = 20, 5  # grids per model; grids before a model may be abandoned
+_HOPELESS = 40.0  # difference of log evidence to a rival model at which a model is abandoned
+_MIN_POINTS = {1: 5.0, 2: 12.0}  # effective number of points, by dimension, at which the grid resolves the posterior
 
 
 @dataclass(frozen=True)
@@ -39,10 +41,10 @@ class Shapes:
     Attributes:
         forms: mean of each shape in each window, shape (g, n, p); p is 0, 1 or 2.
         last: value of each shape at the end of the last window, shape (g, p).
-        size: of an oscillation the amplitude there, (g,); None where the shapes are no oscillation.
-        rates_per_s: of each shape, shape (g, p).
-        slower_first: whether the first of two shapes is a slower decay of its own.
-        square: whether the last shape is the square of the one before, of which the size is known beforehand.
+        size: amplitude of an oscillation at that time, shape (g,); None for other shapes.
+        rates_per_s: rate of each shape, 1/s, shape (g, p).
+        slower_first: True if the first of two shapes is a slower decay of its own.
+        square: True if the last shape is the square of the one before it, whose size has a prior.
     """
 
     forms: Array
@@ -55,12 +57,12 @@ class Shapes:
 
 @dataclass(frozen=True)
 class Family:
-    """A model whose rates are unknown.
+    """A model with unknown rates.
 
     Attributes:
-        name: of the model.
-        shapes: from the windows' edges (n, 2) in s and points (g, d) of the grid.
-        box: range of each coordinate of the grid; the prior is uniform in it.
+        name: name of the model.
+        shapes: function of the windows' edges (n, 2) in s and of the grid points (g, d).
+        box: range of each grid coordinate; the prior is uniform in it.
     """
 
     name: str
@@ -70,15 +72,15 @@ class Family:
 
 @dataclass(frozen=True)
 class Points:
-    """What each point of a grid of rates leaves.
+    """Result at each point of a grid of rates.
 
     Attributes:
         evidence: log of marginal likelihood times the point's share of the prior, shape (g,).
         values, variance: posterior of the limits, shapes (g, q).
-        left, size: change to come and its size (of an oscillation the amplitude), shapes (g, q).
-        rate_per_s: rate of the shape with the largest change to come, shape (g,); nan where nothing decays.
-        chi2: of the residuals, shape (g, q).
-        unknowns: how many numbers per quantity the model has, and how many all quantities share.
+        left, size: remaining change and its size (amplitude of an oscillation), shapes (g, q).
+        rate_per_s: rate of the shape with the largest remaining change, 1/s, shape (g,); NaN if nothing decays.
+        chi2: χ² of the residuals, shape (g, q).
+        unknowns: number of parameters per quantity, and number shared by all quantities.
     """
 
     evidence: Array
@@ -92,32 +94,32 @@ class Points:
 
 
 class Stretch:
-    """Consecutive window means, whitened once: every model is judged on the same numbers.
+    """Consecutive window means, whitened once, so that every model is compared on the same numbers.
 
     Attributes:
-        edges_s: of the windows, shape (n, 2).
-        bent: whether an approach's square has to be looked for.
+        edges_s: edges of the windows, shape (n, 2), s.
+        bent: True if the square of an approach is part of the models.
     """
 
     def __init__(self, edges_s: Array, means: Array, noise: Array, bends: Array | None = None) -> None:
-        """As daq.signals.limit's arguments; the bends are those of these windows."""
+        """See the arguments of daq.signals.limit; `bends` are those of these windows."""
         self.edges_s, self.bent = edges_s, bends is not None
         self._origin = np.asarray(means[-1], np.float64)
         values = (means - self._origin).T
         deviation = np.sqrt(np.median(np.diagonal(noise, axis1=1, axis2=2), axis=1))
-        self._unit = np.maximum(np.ptp(values, axis=1), deviation)  # of every number inside
-        scaled = noise / (self._unit**2)[:, None, None] + _FINEST**2 * np.eye(len(means))
-        self._bends = np.zeros(len(values)) if bends is None else np.maximum(bends / self._unit, _LEAST_BEND)
+        self._unit = np.maximum(np.ptp(values, axis=1), deviation)  # unit of all values in this object
+        scaled = noise / (self._unit**2)[:, None, None] + _MIN_NOISE_SHARE**2 * np.eye(len(means))
+        self._bends = np.zeros(len(values)) if bends is None else np.maximum(bends / self._unit, _MIN_BEND_SHARE)
         self._white = np.asarray(np.linalg.inv(np.linalg.cholesky(scaled)), np.float64)
         self._seen = (self._white @ (values / self._unit[:, None])[:, :, None])[:, :, 0]
 
     def standing(self) -> Points:
-        """The model without any approach."""
+        """Return the result of the model without an approach."""
         n = len(self.edges_s)
         return self.points(Shapes(np.empty((1, n, 0)), np.empty((1, 0)), None, np.empty((1, 0))), 0, 0.0)
 
     def points(self, shapes: Shapes, rates: int, share: float) -> Points:
-        """Limits and amplitudes integrated out for each point of a grid; share: log of a point's part of the prior."""
+        """Integrate limits and amplitudes at each grid point; share: log of a point's share of the prior."""
         count, n, p = shapes.forms.shape
         design = np.concatenate([np.ones((count, n, 1)), shapes.forms], axis=2)
         x = self._white[:, None] @ design  # (q, g, n, 1 + p)
@@ -132,7 +134,7 @@ class Stretch:
         return _joined([self._for_scale(shapes, *data, rates, share - math.log(len(scales)), s) for s in scales])
 
     def _for_scale(self, shapes: Shapes, across: Array, right: Array, rates: int, share: float, scale: Array) -> Points:
-        """The same for one prior deviation of each quantity's and shape's change, shape (q, p).
+        """As `points` for one prior deviation of each quantity's and shape's change, shape (q, p).
 
         Args:
             across, right: normal equations of limit and shapes, shapes (q, g, 1 + p, 1 + p), (q, g, 1 + p).
@@ -165,7 +167,7 @@ class Stretch:
         )
 
     def integrated(self, family: Family, rival: float = -math.inf) -> Points:
-        """A family's points on a grid that resolves its posterior, or a rough one where it is far below a rival.
+        """Return a family's points on a grid that resolves its posterior; a coarse grid if it is far below a rival.
 
         Args:
             rival: largest evidence of another model's points.
@@ -184,9 +186,9 @@ class Stretch:
             at = at[np.all((at >= box[:, 0]) & (at <= box[:, 1]), axis=1)]
             cell = abs(float(np.linalg.det(axes))) * float(steps[1] - steps[0]) ** dimension
             points = self.points(family.shapes(self.edges_s, at), dimension, math.log(cell / volume))
-            weight, heat = _tempered(points.evidence, _ENOUGH[dimension])
-            hopeless = look >= _ROUGHLY and float(points.evidence.max()) < rival - _FAR
-            if heat == 1.0 or look == _LOOKS or hopeless:
+            weight, heat = _tempered(points.evidence, _MIN_POINTS[dimension])
+            hopeless = look >= _MIN_GRIDS and float(points.evidence.max()) < rival - _HOPELESS
+            if heat == 1.0 or look == _MAX_GRIDS or hopeless:
                 return points
             at = np.tile(at, (len(weight) // len(at), 1))
             centre = weight @ at
@@ -198,7 +200,7 @@ class Stretch:
 
 
 def _tempered(evidence: Array, enough: float) -> tuple[Array, float]:
-    """Weights, flattened by as much as is needed for enough points to share them, and by how much."""
+    """Return the weights, flattened until enough points share them, and the factor by which they were flattened."""
     heat = 1.0
     while True:
         weight = np.exp((evidence - evidence.max()) / heat)
@@ -209,7 +211,7 @@ def _tempered(evidence: Array, enough: float) -> tuple[Array, float]:
 
 
 def _joined(parts: Sequence[Points]) -> Points:
-    """One grid after another."""
+    """Concatenate grids."""
     if len(parts) == 1:
         return parts[0]
     names = ("evidence", "values", "variance", "left", "size", "rate_per_s", "chi2")
@@ -217,23 +219,15 @@ def _joined(parts: Sequence[Points]) -> Points:
     return Points(*columns, unknowns=parts[0].unknowns)
 
 
-def _shape(rates: NDArray[np.inexact], edges_s: Array) -> NDArray[np.inexact]:
-    """Mean of e^{−λ(t−T)} in each window, shape (rates, windows); a complex λ turns."""
-    middle = edges_s.mean(axis=1) - edges_s[-1, 1]
-    half = 0.5 * np.diff(edges_s, axis=1)[:, 0]
-    x = rates[:, None] * half
-    return np.exp(-rates[:, None] * middle) * np.sinh(x) / x
-
-
-def _most(edges_s: Array) -> float:
-    """A rate at which all is over long before the last window, 1/s: numbers stay finite for a slow rotor."""
-    return _MOST_EXPONENT / float(edges_s[-1, 1] - edges_s[0, 0])
+def _max_rate(edges_s: Array) -> float:
+    """Rate at which an approach is over long before the last window, 1/s; keeps numbers finite for a slow rotor."""
+    return _MAX_EXPONENT / float(edges_s[-1, 1] - edges_s[0, 0])
 
 
 def _decays(edges_s: Array, rates: Array) -> Shapes:
-    """Shapes of real rates (g, p), each changing by 1 over the windows."""
-    rates = np.minimum(rates, _most(edges_s))
-    forms = np.stack([np.real(_shape(column, edges_s)) for column in rates.T], axis=2)
+    """Return the shapes of real rates (g, p), each changing by 1 over the windows."""
+    rates = np.minimum(rates, _max_rate(edges_s))
+    forms = np.stack([np.real(decay_means(column, edges_s)) for column in rates.T], axis=2)
     change = np.abs(forms[:, 0] - forms[:, -1])
     return Shapes(forms / change[:, None], 1 / change, None, rates)
 
@@ -248,7 +242,7 @@ def _two(edges_s: Array, at: Array) -> Shapes:
 
 
 def _bent(shapes: Callable[[Array, Array], Shapes]) -> Callable[[Array, Array], Shapes]:
-    """The same with the last one's square."""
+    """Return the same shapes and the square of the last one."""
 
     def with_square(edges_s: Array, at: Array) -> Shapes:
         plain = shapes(edges_s, at)
@@ -260,8 +254,8 @@ def _bent(shapes: Callable[[Array, Array], Shapes]) -> Callable[[Array, Array], 
 
 def _wave(edges_s: Array, at: Array) -> Shapes:
     rate, turn = np.exp(at).T
-    rate = np.minimum(rate, _most(edges_s))
-    turning = _shape(rate - 1j * turn, edges_s)
+    rate = np.minimum(rate, _max_rate(edges_s))
+    turning = decay_means(rate - 1j * turn, edges_s)
     size = 1 / np.abs(turning).max(axis=1)
     forms = np.stack([np.real(turning), np.imag(turning)], axis=2) * size[:, None, None]
     return Shapes(forms, np.stack([size, np.zeros(len(size))], axis=1), size, np.stack([rate, rate], axis=1))

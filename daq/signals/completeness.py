@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a person should know about runs whose logs do not hold all that was to be recorded."""
+"""Warnings about runs whose logs are incomplete."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from pathlib import Path
 
 from daq.signals.run import Run
 
-_MOST_TOLD = 5  # missing places of one log
+_MAX_PLACES = 5  # missing places of one log that are listed
 
 
 def missing_warnings(runs: Sequence[Run]) -> list[str]:
-    """A sentence for each run whose log is not whole, or whose test did not reach its end."""
+    """Return one sentence for each run with an incomplete log, and for each test that did not reach its end."""
     warnings: list[str] = []
     for run in runs:
         missing = run.metadata.get("missing") or ()
         if missing:
-            more = [f"and {len(missing) - _MOST_TOLD} more"] if len(missing) > _MOST_TOLD else []
-            told = "; ".join([*missing[:_MOST_TOLD], *more])
-            warnings.append(f"{Path(run.source).name}: the log is not whole: {told}")
+            more = [f"and {len(missing) - _MAX_PLACES} more"] if len(missing) > _MAX_PLACES else []
+            places = "; ".join([*missing[:_MAX_PLACES], *more])
+            warnings.append(f"{Path(run.source).name}: the log is incomplete: {places}")
         if missed := run.metadata.get("not_reached"):
             warnings.append(f"{Path(run.source).name}: the test did not reach its end: {missed}")
     return warnings

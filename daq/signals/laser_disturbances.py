@@ -1,9 +1,9 @@
 # pyright: strict
-"""What a laser shows beside the rotor's motion: wander of its zero, and steady lines, each with figures and in words.
+"""Disturbances of a laser in addition to the rotor's motion: wander of its zero, and steady lines.
 
-Both are looked for in what is left of a displacement once the motion is taken out. Wander is power below 1 Hz that
-stands far above the level of white noise; a suspension has no mode there. A line is a narrow peak whose amplitude does
-not change over the record; what rings decays.
+Both are searched in the residual of a displacement after the motion is removed. Wander is power below 1 Hz far above
+the level of white noise; the suspension has no mode there. A line is a narrow peak whose amplitude is constant over the
+record; a ring-down decays.
 Source: docs/theory/steady_states.md, "Noise that is not white".
 """
 
@@ -20,17 +20,17 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BELOW_Hz = 1.0
-_HIGHEST_RATE_Hz = 1000.0  # of the grid
-_LEAST_S = 6.0
-_FEWEST_ORDINATES = 5
-_FAR = 30.0  # of the white level: a misfit or an orbit that swings leaves several times it
-_LOWEST = 1.5  # ordinates: below, a taper and a straight line taken out leave nothing
+_MAX_RATE_Hz = 1000.0  # of the grid
+_MIN_LENGTH_S = 6.0
+_MIN_ORDINATES = 5
+_MIN_WANDER_RATIO = 30.0  # to the white level: a misfit or a changing orbit leaves several times the white level
+_FIRST_ORDINATE = 1.5  # ordinates below are removed by the taper and the straight line
 _GROUP = 24  # ordinates whose median is the local level
-_PROMINENT = 60.0  # power over that level; noise's largest of 10⁵ ordinates stays below 17
-_CLEARLY = 12.0  # standard deviations of a line's amplitude
-_STAYS = 0.25  # of the amplitude, by which both halves of a record may differ
-_APART = 4.0  # ordinates from a line or an order to another
-_MOST, _LOOKED_AT = 4, 20
+_MIN_PEAK_RATIO = 60.0  # power over that level; the maximum of 10⁵ ordinates of noise stays below 17
+_MIN_DEVIATIONS = 12.0  # standard deviations of a line's amplitude
+_MAX_CHANGE = 0.25  # of the amplitude, by which both halves of a record may differ
+_SEPARATION = 4.0  # ordinates from a line or an order to another
+_MAX_LINES, _MAX_PEAKS = 4, 20
 _MAINS_Hz = (50.0, 60.0)
 
 
@@ -39,7 +39,7 @@ class Wander:
     """Slow noise of a laser.
 
     Attributes:
-        rms_m: of what lies below 1 Hz, m.
+        rms_m: rms of the part below 1 Hz, m.
         slope: α of a spectrum like 1/f^α below 1 Hz.
     """
 
@@ -48,7 +48,7 @@ class Wander:
 
     @property
     def words(self) -> str:
-        """Its figures."""
+        """Description with figures."""
         like = "flat" if self.slope < 0.3 else "about 1/f" if self.slope < 1.5 else f"about 1/f^{self.slope:.1f}"
         return f"wanders: {1e6 * self.rms_m:.2g} µm rms below {BELOW_Hz:g} Hz, spectrum {like}"
 
@@ -58,8 +58,8 @@ class SteadyLine:
     """A sinusoid that does not decay.
 
     Attributes:
-        frequency_Hz, amplitude_m: its own.
-        phase_rad: of its cosine at time 0.
+        frequency_Hz, amplitude_m: frequency, Hz, and amplitude, m.
+        phase_rad: phase of its cosine at time 0, rad.
     """
 
     frequency_Hz: float
@@ -67,18 +67,18 @@ class SteadyLine:
     phase_rad: float = 0.0
 
     def at(self, time_s: Array) -> Array:
-        """Its values, m."""
+        """Values of the line, m."""
         return self.amplitude_m * np.cos(2 * math.pi * self.frequency_Hz * time_s + self.phase_rad)
 
     @property
     def words(self) -> str:
-        """Its figures, and what it may be."""
-        said = f"{self.frequency_Hz:.2f} Hz, {1e6 * self.amplitude_m:.3g} µm"
+        """Description with figures and a possible cause."""
+        figures = f"{self.frequency_Hz:.2f} Hz, {1e6 * self.amplitude_m:.3g} µm"
         for mains in _MAINS_Hz:
             times = round(self.frequency_Hz / mains)
             if times and abs(self.frequency_Hz - times * mains) < 0.002 * self.frequency_Hz + 0.02:
-                return f"{said}: mains hum?"
-        return said
+                return f"{figures}: mains hum?"
+        return figures
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,11 @@ class _Even:
 
 
 def wander_in(time_s: Array, rest_m: Array, white_m2_per_Hz: float) -> Wander | None:
-    """Slow noise that stands far above the white part; None where there is none or the record is short.
+    """Return slow noise far above the white part; None if it is not present or the record is short.
 
     Args:
         time_s: shape (n,), ascending, s.
-        rest_m: what the motion leaves, shape (n,), m; finite.
+        rest_m: residual after the motion is removed, shape (n,), m; finite.
         white_m2_per_Hz: one-sided level of the white noise, 2σ²Δt.
     """
     even = _evenly(time_s, rest_m)
@@ -111,11 +111,11 @@ def wander_in(time_s: Array, rest_m: Array, white_m2_per_Hz: float) -> Wander | 
     spectrum = np.fft.rfft((even.value - straight[0] - straight[1] * from_middle) * taper)
     power = np.abs(spectrum) ** 2 * 2 * even.step_s / float(taper @ taper)
     frequency = np.arange(len(power)) / even.length_s
-    slow = (frequency >= _LOWEST / even.length_s) & (frequency <= BELOW_Hz)
-    if slow.sum() < _FEWEST_ORDINATES or float(np.median(power[slow])) < _FAR * math.log(2) * white_m2_per_Hz:
+    slow = (frequency >= _FIRST_ORDINATE / even.length_s) & (frequency <= BELOW_Hz)
+    if slow.sum() < _MIN_ORDINATES or float(np.median(power[slow])) < _MIN_WANDER_RATIO * math.log(2) * white_m2_per_Hz:
         return None
     line = np.polynomial.polynomial.polyfit(np.log(frequency[slow]), np.log(np.maximum(power[slow], 1e-300)), 1)
-    lacking = BELOW_Hz / (BELOW_Hz - _LOWEST / even.length_s)  # the same density in the lowest ordinates, at least
+    lacking = BELOW_Hz / (BELOW_Hz - _FIRST_ORDINATE / even.length_s)  # assumes the same density below the first one
     rms = math.sqrt(float(power[slow].sum()) / even.length_s * lacking)
     return Wander(rms, max(0.0, -float(line[1])))
 
@@ -127,20 +127,20 @@ def lines_in(
     known_Hz: Sequence[tuple[float, float]] = (),
     least_m: float = 0.0,
 ) -> list[SteadyLine]:
-    """Steady lines that stand clear, strongest first.
+    """Return the significant steady lines, strongest first.
 
     Args:
-        time_s, value_m: samples, shape (n,), ascending, finite; s and m. They have the line's amplitude, and tell a
-            line from one that only looks like it where samples are thinned.
-        rest: times and what the motion leaves, thinned, shapes (k,).
-        known_Hz: frequencies and half-widths of bands in which the motion itself may have left something.
-        least_m: amplitude below which a line is none to speak of.
+        time_s, value_m: samples, shape (n,), ascending, finite; s and m. They give the line's amplitude, and reject
+            aliases of the thinned samples.
+        rest: times and residuals after the motion is removed, thinned, shapes (k,).
+        known_Hz: frequencies and half-widths of bands that may contain residuals of the motion.
+        least_m: smallest amplitude of a reported line, m.
     """
     length = float(rest[0][-1] - rest[0][0]) if len(rest[0]) > 1 else 0.0
-    if length < _LEAST_S:
+    if length < _MIN_LENGTH_S:
         return []
     found: list[SteadyLine] = []
-    apart = _APART / length
+    apart = _SEPARATION / length
     for frequency, noise in _peaks(*rest):
         near = [*known_Hz, *((line.frequency_Hz, 0.0) for line in found)]
         if frequency < max(BELOW_Hz, 2 * apart) or any(abs(frequency - f) < apart + wide for f, wide in near):
@@ -148,13 +148,13 @@ def lines_in(
         line = _steady(time_s, value_m, frequency, noise)
         if line is not None and line.amplitude_m >= least_m:
             found.append(line)
-        if len(found) == _MOST:
+        if len(found) == _MAX_LINES:
             break
     return found
 
 
 def _peaks(time_s: Array, rest_m: Array) -> Iterator[tuple[float, float]]:
-    """Frequencies of narrow peaks, the strongest first, each with the noise of a half's amplitude there, m."""
+    """Yield the frequencies of narrow peaks, strongest first, with the noise of the amplitude in half a record, m."""
     step = float(time_s[1] - time_s[0])
     window = np.hanning(len(rest_m))
     power = np.abs(np.fft.rfft((rest_m - rest_m.mean()) * window)) ** 2
@@ -164,54 +164,54 @@ def _peaks(time_s: Array, rest_m: Array) -> Iterator[tuple[float, float]]:
     local = np.median(power[: count * _GROUP].reshape(count, _GROUP), axis=1)
     level = np.concatenate([np.repeat(local, _GROUP), np.full(len(power) - count * _GROUP, local[-1])])
     inner = power[1:-1]
-    top = 1 + np.flatnonzero((inner > power[:-2]) & (inner >= power[2:]) & (inner > _PROMINENT * level[1:-1]))
-    for k in top[np.argsort(power[top])[::-1]][:_LOOKED_AT]:
+    top = 1 + np.flatnonzero((inner > power[:-2]) & (inner >= power[2:]) & (inner > _MIN_PEAK_RATIO * level[1:-1]))
+    for k in top[np.argsort(power[top])[::-1]][:_MAX_PEAKS]:
         noise = 2 * math.sqrt(2 * float(level[k]) / math.log(2) / 2) / float(window.sum())
         yield _peak(power, int(k)) / (step * len(rest_m)), noise
 
 
 def sentences(name: str, wander: Wander | None, lines: Sequence[SteadyLine]) -> list[str]:
-    """What a reader should know of a laser; empty where nothing was found.
+    """Return sentences on the disturbances of a laser; empty if none was found.
 
     Args:
-        name: of the laser, as "laser x".
+        name: name of the laser, such as "laser x".
     """
-    said = [f"{name} {wander.words}"] if wander is not None else []
+    found = [f"{name} {wander.words}"] if wander is not None else []
     if lines:
-        said.append(
+        found.append(
             f"{name} shows {'a steady line' if len(lines) == 1 else 'steady lines'} at "
             f"{'; '.join(line.words for line in lines)}"
         )
-    return said
+    return found
 
 
 def thinned(time_s: Array, value: Array) -> tuple[Array, Array]:
-    """A record on an even grid of at most about 1 kHz, means of what lies between: times and values."""
+    """Return times and values of a record on an even grid of at most about 1 kHz; each value is a mean."""
     step = float(np.median(np.diff(time_s)))
     grid: Array = float(time_s[0]) + step * np.arange(float(int((time_s[-1] - time_s[0]) / step + 1e-6) + 1))
     even: Array = np.asarray(np.interp(grid, time_s, value), np.float64)
-    many = max(1, round(1 / (step * _HIGHEST_RATE_Hz)))
+    many = max(1, round(1 / (step * _MAX_RATE_Hz)))
     count = len(even) // many
     middle = grid[: count * many].reshape(count, many).mean(axis=1)
     return middle, even[: count * many].reshape(count, many).mean(axis=1)
 
 
 def _evenly(time_s: Array, value: Array) -> _Even | None:
-    """A record as `thinned` has it; None where it is short."""
-    if len(time_s) < 2 or time_s[-1] - time_s[0] < _LEAST_S:
+    """Return a record thinned by `thinned`; None if it is short."""
+    if len(time_s) < 2 or time_s[-1] - time_s[0] < _MIN_LENGTH_S:
         return None
     time, even = thinned(time_s, value)
     return _Even(float(time[1] - time[0]), even)
 
 
 def _peak(power: Array, k: int) -> float:
-    """Where a peak's middle is, ordinates."""
+    """Position of a peak's maximum, ordinates."""
     a, b, c = np.log(np.maximum(power[k - 1 : k + 2], 1e-300))
     return k + float(0.5 * (a - c) / (a - 2 * b + c))
 
 
 def _of_halves(time_s: Array, value: Array, frequency: float) -> tuple[complex, complex]:
-    """Complex amplitudes, phases at time 0, in both halves of a record, each under a taper."""
+    """Complex amplitudes, phases at time 0, in both halves of a record, each with a taper."""
     middle, reach = 0.5 * float(time_s[0] + time_s[-1]), 0.25 * float(time_s[-1] - time_s[0])
     found: list[complex] = []
     for centre in (middle - reach, middle + reach):
@@ -224,12 +224,12 @@ def _of_halves(time_s: Array, value: Array, frequency: float) -> tuple[complex, 
 
 
 def _steady(time_s: Array, value: Array, frequency: float, noise: float) -> SteadyLine | None:
-    """The line at a peak, where both halves of a record show it alike and far above the noise."""
+    """Return the line at a peak if both halves of a record show the same amplitude, far above the noise."""
     early, late = _of_halves(time_s, value, frequency)
     turned = math.remainder(cmath.phase(late) - cmath.phase(early), 2 * math.pi)
     frequency += turned / (math.pi * float(time_s[-1] - time_s[0]))
     early, late = _of_halves(time_s, value, frequency)
     size = 0.5 * (abs(early) + abs(late))
-    if size < _CLEARLY * noise or abs(abs(early) - abs(late)) > _STAYS * size + 4 * noise:
+    if size < _MIN_DEVIATIONS * noise or abs(abs(early) - abs(late)) > _MAX_CHANGE * size + 4 * noise:
         return None
     return SteadyLine(frequency, abs(early + late) / 2, cmath.phase(early + late))

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A signal's samples by windows of whole revolutions, and its orders in each."""
+"""A signal's samples in windows of whole revolutions, and the orders in each window."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from daq.signals.order_noise import OrderNoise, order_noise
 
 Array = NDArray[np.float64]
 
-_LEAST_SHARE = 0.4  # of a window's samples that must have come
-_LEAST_SAMPLES = 20
-_GOOD_OF_NEWEST = 0.75  # share of the newest windows that must be good, the last one among them
+_MIN_SHARE = 0.4  # of a window's expected samples that must be present
+_MIN_SAMPLES = 20
+_MIN_GOOD_SHARE = 0.75  # share of the newest windows that must have enough samples, including the last one
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class Cut:
     """Samples by window.
 
     Attributes:
-        phase, values: of all windows, shapes (s,), (columns, s).
+        phase, values: samples of all windows, shapes (s,), (columns, s).
         where: index of each window's first sample and of the end, shape (n + 1,).
-        enough: whether a window has enough samples, shape (n,).
+        enough: True for windows with enough samples, shape (n,).
         edges: start and end of each window, shape (n, 2), s.
     """
 
@@ -39,11 +39,11 @@ class Cut:
 
     @property
     def counts(self) -> NDArray[np.int64]:
-        """Samples per window."""
+        """Number of samples per window."""
         return np.diff(self.where)
 
     def mean(self, values: NDArray[Any], kept: NDArray[np.bool_] | None = None) -> Array:
-        """Means per window (nan in an empty one), of all windows or of some; shape (windows, columns)."""
+        """Means per window (NaN for an empty one), of all windows or of `kept`; shape (windows, columns)."""
         where = np.minimum(self.where, values.shape[1])
         counts = np.diff(where)
         some = counts > 0
@@ -54,7 +54,7 @@ class Cut:
     def orders(self) -> NDArray[np.floating]:
         """Amplitudes of 1, cos ψ, sin ψ, cos 2ψ, sin 2ψ by least squares, shape (5, n, columns).
 
-        In each window that has enough samples; 0 in the others.
+        The amplitudes are 0 in windows without enough samples.
         """
         basis = self._basis
         fit = np.zeros((len(self.enough), 5, len(self.values)))
@@ -69,7 +69,7 @@ class Cut:
         return fit.transpose(1, 0, 2)
 
     def rest(self, fit: NDArray[np.floating]) -> Array:
-        """What the orders leave of the values, shape (columns, s)."""
+        """Residuals of the values after the orders are removed, shape (columns, s)."""
         rest = self.values.copy()
         for j in np.flatnonzero(self.enough):
             part = slice(self.where[j], self.where[j + 1])
@@ -77,7 +77,7 @@ class Cut:
         return rest
 
     def order_noise(self, fit: NDArray[np.floating], white: float) -> OrderNoise:
-        """Of the first column's order-1 vectors; white: deviation of their parts from white noise."""
+        """Noise of the first column's order-1 vectors; white: deviation of their parts from white noise."""
         kept = np.flatnonzero(self.enough)
         rest = self.rest(fit)[0]
         parts = [slice(self.where[j], self.where[j + 1]) for j in kept]
@@ -98,20 +98,20 @@ class Cut:
 
 
 def squared(values: NDArray[Any]) -> Array:
-    """Squares, element by element."""
+    """Return the squares, element by element."""
     return values * values
 
 
 def cut_windows(
     time: Array, values: Array, mark_time: Array, mark_phase: Array, edges: Array, newest: int
 ) -> Cut | None:
-    """Samples between edges; None where too many are missing in the newest windows.
+    """Cut samples into windows; None if too many are missing in the newest windows.
 
     Args:
-        time, values: samples, shapes (k,), (k,) or (k, columns); NaN is left out.
-        mark_time, mark_phase: tachometer marks and ψ there.
-        edges: of the windows, shape (n + 1,), s.
-        newest: how many windows, counted from the end, must be good.
+        time, values: samples, shapes (k,), (k,) or (k, columns); NaN is omitted.
+        mark_time, mark_phase: times of the tachometer marks, s, and ψ there, rad.
+        edges: edges of the windows, shape (n + 1,), s.
+        newest: number of windows, counted from the end, that must have enough samples.
     """
     begin, end = np.searchsorted(time, edges[[0, -1]])
     time, table = time[begin:end], np.ascontiguousarray(np.atleast_2d(values.T)[:, begin:end])
@@ -120,14 +120,14 @@ def cut_windows(
         good &= np.isfinite(column)
     if not good.all():
         time, table = time[good], table[:, good]
-    if len(time) < _LEAST_SAMPLES:
+    if len(time) < _MIN_SAMPLES:
         return None
     where = np.searchsorted(time, edges).astype(np.int64)
     counts = np.diff(where)
     usual = np.diff(edges) / np.median(np.diff(time))
-    enough = (counts >= _LEAST_SAMPLES) & (counts >= _LEAST_SHARE * usual)
+    enough = (counts >= _MIN_SAMPLES) & (counts >= _MIN_SHARE * usual)
     late = enough[-newest:]
-    if not late[-1] or late.sum() < _GOOD_OF_NEWEST * newest:
+    if not late[-1] or late.sum() < _MIN_GOOD_SHARE * newest:
         return None
     phase = np.interp(time, mark_time, mark_phase)
     return Cut(phase, table, where, enough, np.stack([edges[:-1], edges[1:]], axis=1))

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What the readings of a rotor's phase are worth: an encoder's steps, white noise, and an integrated speed's wander."""
+"""Noise of the readings of a rotor's phase: an encoder's steps, white noise, and the wander of an integrated speed."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from daq.signals.run import Run
 
 Array = NDArray[np.float64]
 
-_FILE_ROUNDING = 20.0  # an encoder's step is at least so many times what a file's digits leave open
+_FILE_ROUNDING = 20.0  # smallest ratio of an encoder's step to the rounding of a file's digits
 _STRIDE = 32
-_THIRD, _THIRD_WALK, _THIRD_WORST = 20.0, 6.0, 64.0  # variance of a third difference: white, a walk, a rounding's most
-_FEWEST, _MOST = 400, 20_000  # readings
-_LEAST_STEP_RAD, _LEAST_WANDER_RAD = 3e-4, 1e-4  # worth a remark: a step, what the phase wanders in a second
-_SEGMENT, _LOWEST, _ORDERS, _CLEARLY = 512, 0.02, 8.0, 8.0  # readings; of their rate; of the rotor; std of a walk
-_LEAST_TURN_RAD, _STEPS = 2e-3, 6  # by which a rotor that should rest has turned; and steps of its encoder
+_THIRD, _THIRD_WALK, _THIRD_WORST = 20.0, 6.0, 64.0  # variance of a third difference: white, walk, worst rounding
+_MIN_READINGS, _MAX_READINGS = 400, 20_000
+_MIN_STEP_RAD, _MIN_WANDER_RAD = 3e-4, 1e-4  # reported sizes: a step, and the wander of the phase in one second
+_SEGMENT, _MIN_FREQUENCY, _ORDERS = 512, 0.02, 8.0  # readings; of the sampling rate; of the rotor's frequency
+_MIN_DEVIATIONS = 8.0  # standard deviations of the density of a walk
+_MIN_TURN_RAD, _STEPS = 2e-3, 6  # angle, and encoder steps, by which a rotor at rest has turned
 
 
 def encoder_step(angle_rad: Array) -> float:
-    """The step of a quantised angle, rad; 0 when its values lie on no grid.
+    """Return the step of a quantised angle, rad; 0 if its values are not on a grid.
 
-    First and second differences are whole steps; among thousands of them some are a single one.
+    First and second differences are whole steps; among thousands of them some are a single step.
     """
     differences = np.sort(np.concatenate([np.abs(np.diff(angle_rad, order)) for order in (1, 2)]))
     moving = differences[differences > 1e-9]
@@ -33,7 +34,7 @@ def encoder_step(angle_rad: Array) -> float:
     leaps = moving[1:] / moving[:-1]
     widest = int(np.argmax(leaps)) if len(leaps) else 0
     if widest < 0.5 * len(leaps) and leaps[widest] > _FILE_ROUNDING:
-        moving = moving[widest + 1 :]  # below are the digits that a file kept, not the encoder
+        moving = moving[widest + 1 :]  # smaller values are the rounding of the file's digits
     smallest = float(np.min(moving))
     small = moving[moving < 20.5 * smallest]
     counts = np.round(small / smallest)
@@ -45,14 +46,15 @@ def encoder_step(angle_rad: Array) -> float:
 
 
 def white_and_walk(phase_rad: Array, step_rad: float, apart_s: float) -> tuple[float, float]:
-    """Variance of one reading's white noise beyond its steps (rad²), and density of a walk (rad²/s), 0 where none is.
+    """Return the white variance of one reading in addition to its steps, rad², and the density of a walk, rad²/s.
 
-    A third difference over k samples has twenty times the white variance whatever k, and six k times a walk's.
+    A third difference over k samples has twenty times the white variance for any k, and 6 k times that of a walk. The
+    density is 0 if no walk is found.
 
     Args:
-        phase_rad: readings of a smooth motion, even in time, shape (n,).
-        step_rad: of the encoder; 0 without one.
-        apart_s: between readings.
+        phase_rad: readings of a smooth motion at even intervals, shape (n,).
+        step_rad: step of the encoder; 0 without encoder.
+        apart_s: time between readings, s.
     """
     near, far = (_third(phase_rad, k) for k in (1, _STRIDE))
     most = (_THIRD_WORST if step_rad else 2 * _THIRD) * (step_rad**2 / 12 if step_rad else near / _THIRD)
@@ -63,7 +65,7 @@ def white_and_walk(phase_rad: Array, step_rad: float, apart_s: float) -> tuple[f
 
 
 def _third(value: Array, stride: int) -> float:
-    """Mean square of third differences over so many readings, without the few that stand out."""
+    """Mean square of third differences over `stride` readings, with outliers clipped."""
     third = (
         value[3 * stride :] - 3 * value[2 * stride : -stride] + 3 * value[stride : -2 * stride] - value[: -3 * stride]
     )
@@ -72,23 +74,23 @@ def _third(value: Array, stride: int) -> float:
 
 
 def phase_remarks(run: Run, turns: bool) -> list[str]:
-    """What a reader should know of the readings of a run's phase, sentences; of marks and sound readings nothing.
+    """Return sentences on the noise of a run's phase readings; empty for marks and for readings with little noise.
 
     Args:
-        turns: whether the rotor is meant to turn.
+        turns: True if the rotor turns in this test.
     """
     known = np.isfinite(run.phase_rad)
-    time, phase = run.phase_time_s[known][:_MOST], run.phase_rad[known][:_MOST]
-    if len(time) < _FEWEST or not np.all(np.diff(time) > 0):
+    time, phase = run.phase_time_s[known][:_MAX_READINGS], run.phase_rad[known][:_MAX_READINGS]
+    if len(time) < _MIN_READINGS or not np.all(np.diff(time) > 0):
         return []
     step = encoder_step(np.diff(phase) if turns else phase)
     if not turns:
         return _at_rest(run.phase_time_s[known], run.phase_rad[known], step)
-    if step > _LEAST_STEP_RAD:  # what is read in steps was not integrated
+    if step > _MIN_STEP_RAD:  # a phase that is read in steps was not integrated
         return [f"the rotor's phase is read in steps of {math.degrees(step):.2g}°; its rounding counts as noise"]
     apart = float(np.median(np.diff(time)))
     walk = _integrated(phase, apart)
-    if walk * apart < step**2 / 12 or math.sqrt(walk) <= _LEAST_WANDER_RAD:  # digits of a file may beat as slowly
+    if walk * apart < step**2 / 12 or math.sqrt(walk) <= _MIN_WANDER_RAD:  # the digits of a file may beat as slowly
         return []
     noise = math.sqrt(walk / apart) * 30 / math.pi
     return [
@@ -98,13 +100,14 @@ def phase_remarks(run: Run, turns: bool) -> list[str]:
 
 
 def _integrated(phase: Array, apart_s: float) -> float:
-    """Density of a random walk in a phase, rad²/s; 0 where none stands out.
+    """Return the density of a random walk in a phase, rad²/s; 0 if none is significant.
 
-    The increments of a walk have a flat spectrum, those of white noise one with 4 sin²(πf) of the sampling rate; both
-    are read from medians over bands above the rotor's first orders, which ripple in narrow lines hardly changes.
+    The increments of a walk have a flat spectrum, those of white noise a spectrum proportional to 4 sin²(πf) of the
+    sampling rate. Both levels are medians over bands above the rotor's first orders. Ripple in narrow lines hardly
+    changes a median.
     """
     increments = np.diff(phase)
-    turn = abs(float(np.median(increments))) / (2 * math.pi)  # revolutions a reading
+    turn = abs(float(np.median(increments))) / (2 * math.pi)  # revolutions per reading
     segments = len(increments) // _SEGMENT
     if segments < 1:
         return 0.0
@@ -116,28 +119,28 @@ def _integrated(phase: Array, apart_s: float) -> float:
     power = np.abs(np.fft.rfft(parts * window, axis=1)) ** 2 / float(np.sum(window**2))
     frequency = np.fft.rfftfreq(_SEGMENT)
     white = 4 * np.sin(math.pi * frequency) ** 2
-    first = max(_LOWEST, _ORDERS * turn)
+    first = max(_MIN_FREQUENCY, _ORDERS * turn)
     low, high = (frequency > first) & (frequency < first + 0.06), (frequency > 0.2) & (frequency < 0.3)
     if first > 0.12:
         return 0.0
     (low_level, low_std), (high_level, high_std) = (_level(power[:, band]) for band in (low, high))
     share = float(np.mean(white[low]) / np.mean(white[high]))
     walk, std = (low_level - share * high_level) / (1 - share), math.hypot(low_std, share * high_std) / (1 - share)
-    return walk / apart_s if walk > _CLEARLY * std else 0.0
+    return walk / apart_s if walk > _MIN_DEVIATIONS * std else 0.0
 
 
 def _level(power: Array) -> tuple[float, float]:
-    """Mean of a band's spectrum by its median, and its standard deviation; windowed segments lose a third."""
+    """Mean of a band's spectrum from its median, and its standard deviation; windowing reduces the data by a third."""
     level = float(np.median(power)) / math.log(2)
     return level, level * math.sqrt(2 * 1.5 / power.size)
 
 
 def _at_rest(time: Array, phase: Array, step: float) -> list[str]:
-    """Of a rotor that should stand still."""
+    """Return a sentence if the rotor turned in a test at rest."""
     many = max(1, len(time) // 20)
     turned = float(np.median(phase[-many:]) - np.median(phase[:many]))
     white = float(np.median(np.abs(np.diff(phase)))) / 0.95
-    if abs(turned) < max(_LEAST_TURN_RAD, _STEPS * step, _STEPS * white):
+    if abs(turned) < max(_MIN_TURN_RAD, _STEPS * step, _STEPS * white):
         return []
     rpm = turned / float(np.median(time[-many:]) - np.median(time[:many])) * 30 / math.pi
     return [

@@ -1,10 +1,10 @@
-"""Has the rig settled? One decision, asked by the guided test while it records and by the analysis of the log.
+"""Decision whether the rig has settled, used by the guided test while it records and by the analysis of the log.
 
-Judged on means over whole revolutions in consecutive windows, so that the wobble of a periodic orbit does not matter
-(daq.signals.window_means), and on a bound of what is still to come (daq.signals.approach): settled means that the
-bound, with the encoders' quantisation and the noise in it, is below the tolerance. A drift that does not shrink has
-no bound: a creeping pendulum, or one that leaves an unstable balance, where the drift is tiny for many seconds and
-grows. In doubt it is not settled, and the test records on.
+The decision uses means over whole revolutions in consecutive windows, which do not depend on the ripple of a periodic
+orbit (daq.signals.window_means), and a bound on the remaining change (daq.signals.approach). The rig has settled if the
+bound, which includes the encoders' quantisation and the noise, is below the tolerance. A drift that does not decrease
+has no bound. Examples are a creeping pendulum, and one that leaves an unstable balance, where the drift is tiny for
+many seconds and grows. If the decision is uncertain, the rig has not settled and the test continues to record.
 """
 
 from __future__ import annotations
@@ -17,30 +17,31 @@ import numpy as np
 from daq.signals.approach import Approach, bound
 from daq.signals.window_means import WindowMeans, amplitude_means, angle_means, whole_revolutions
 
-_SAME_GAP = math.radians(5.0)  # pendulums this close to their gap at release may still stand on a saddle
-_MOST_WINDOWS = 30
-# Of a tolerance: the width of a mean is not taken smaller. Angles show an unstable balance being left, by little at
-# first; amplitudes need only be steady, and may wander with temperature and speed for ever.
-_UNSEEN_ANGLE, _UNSEEN_AMPLITUDE = 1 / 50, 1 / 10
-_FAR = 20  # of a tolerance: a change over two windows that makes a look at older ones needless
+_SAME_GAP_RAD = math.radians(5.0)  # pendulums this close to their gap at release may still be on an unstable balance
+_MAX_WINDOWS = 30
+# Smallest width of a mean as a share of the tolerance. Angles show the departure from an unstable balance, small at
+# first; amplitudes need only be steady, and may wander with temperature and speed for any time.
+_MIN_WIDTH_ANGLE, _MIN_WIDTH_AMPLITUDE = 1 / 50, 1 / 10
+_FAR = 20  # tolerances: with a larger change over two windows, older windows are not needed
 
 
 @dataclass(frozen=True)
 class Settling:
-    """The answer, with what it rests on.
+    """The decision and its reasons.
 
     Attributes:
-        settled: nothing still to come that matters.
-        slipping: a pendulum turns steadily relative to the rotor.
-        why: one sentence.
-        drift_rad: change of the mean angles over the last window, the larger pendulum's, rad (nan: no angles).
-        remaining_rad: bound on the angles' change still to come after the last window, rad; inf for a drift that does
-            not shrink.
-        mean_off_rad: bound on how far the angles' mean over the last `average_s` is from where they will end, rad.
+        settled: True if the remaining change is below the tolerance.
+        slipping: True if a pendulum turns steadily relative to the rotor.
+        why: reason in one sentence.
+        drift_rad: change of the mean angles over the last window, of the pendulum with the larger change, rad; NaN
+            without angles.
+        remaining_rad: bound on the angles' remaining change after the last window, rad; inf for a drift that does not
+            decrease.
+        mean_off_rad: bound on the difference between the angles' mean over the last `average_s` and their end, rad.
         drift_m, remaining_m, mean_off_m: the same for the order-1 amplitudes of x and y, m.
-        span_s: how far back the windows reach, s.
-        more_s: about how much longer it will take until all is settled, s; inf where no end is in sight.
-        approaching: whether nothing but a bounded change still to come speaks against it.
+        span_s: time covered by the windows, s.
+        more_s: estimated time until everything has settled, s; inf if no end can be predicted.
+        approaching: True if a bounded remaining change is the only reason against.
     """
 
     settled: bool
@@ -77,27 +78,29 @@ def settled(
     average_s: float = 2.0,
     slack: float = 1.0,
 ) -> Settling:
-    """Whether released pendulums and the orbit have reached their steady state at the end of the signals.
+    """Decide whether released pendulums and the orbit have reached their steady state at the end of the signals.
 
     Args:
         time_s, angles_rad: encoder samples, shapes (k,), (k, 2), rad, unwrapped.
         mark_time_s, mark_phase_rad: tachometer marks and ψ there (rad, unwrapped), shape (n,).
-        x_time_s, x_m, y_time_s, y_m: lasers, each with its own times; NaN where invalid.
-        angle_tolerance_rad, amplitude_tolerance_m: how much may still be to come.
+        x_time_s, x_m, y_time_s, y_m: lasers, each with its own times; NaN if invalid.
+        angle_tolerance_rad, amplitude_tolerance_m: largest allowed remaining change.
         window_s, windows: least length of a window (rounded up to whole revolutions) and the least number of them; up
-            to 30 since the release are looked at.
-        release_time_s: when the pendulums were let go; None when not known.
-        linger_s: a pendulum pair that still has the gap it was released with is not called settled earlier than
-            this after release: from an unstable balance it leaves exponentially, unseen at first.
-        angle_step_rad: of the encoders' code; None: the smallest change in the samples.
-        average_s: the stretch before the last mark whose mean's distance from the end is wanted.
-        slack: how many tolerances may still be to come; how well a mean is known goes by the tolerances themselves.
+            to 30 windows since the release are used.
+        release_time_s: time of the pendulums' release; None if unknown.
+        linger_s: time after release before which a pendulum pair that still has its gap at release is not accepted as
+            settled, s: it leaves an unstable balance exponentially, too slowly at first to be detected.
+        angle_step_rad: step of the encoders' code; None: the smallest change in the samples.
+        average_s: period before the last mark for `mean_off_rad` and `mean_off_m`, s.
+        slack: number of tolerances that the remaining change may have; the width of a mean depends on the tolerances
+            themselves.
 
     Returns:
-        Settling; `settled` is False, with the reason, when the signals are too short or too sparse.
+        Settling; `settled` is False, with the reason, if the signals are too short or too sparse.
+
     Source: docs/theory/steady_states.md.
     """
-    edges = whole_revolutions(mark_time_s, mark_phase_rad, window_s, _MOST_WINDOWS)
+    edges = whole_revolutions(mark_time_s, mark_phase_rad, window_s, _MAX_WINDOWS)
     if release_time_s is not None:
         edges = edges[edges >= release_time_s]
     if len(edges) <= windows:
@@ -109,16 +112,41 @@ def settled(
     if angles is None or orbit is None:
         missing = "pendulum angles" if angles is None else "displacements"
         return _unknown(f"too many samples of the {missing} are missing")
-    slip = _slipping(angles.means[-windows:])
-    turning = _worst(angles, angle_tolerance_rad, _UNSEEN_ANGLE, average_s)
-    whirling = _worst(orbit, amplitude_tolerance_m, _UNSEEN_AMPLITUDE, average_s)
-    found = _settling(angles, orbit, turning, whirling)
     held = release_time_s is not None and _still_as_released(
         time_s, angles_rad, angles.means[-1], edges[-1], release_time_s, linger_s
     )
-    angle_limit, amplitude_limit = slack * angle_tolerance_rad, slack * _visible(orbit, amplitude_tolerance_m)
+    speed = _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :])
+    tolerances = _Tolerances(angle_tolerance_rad, amplitude_tolerance_m, average_s, slack)
+    return _judged(angles, orbit, windows, tolerances, speed, held)
+
+
+@dataclass(frozen=True)
+class _Tolerances:
+    """Tolerances of a decision, as in `settled`."""
+
+    angle_rad: float
+    amplitude_m: float
+    average_s: float
+    slack: float
+
+
+def _judged(
+    angles: WindowMeans, orbit: WindowMeans, windows: int, tolerances: _Tolerances, speed: str, held: bool
+) -> Settling:
+    """Return the decision for means of angles and amplitudes.
+
+    Args:
+        speed: reason against, from the rotor's speed; may be empty.
+        held: True if the pendulums still have their gap at release.
+    """
+    slip = _slipping(angles.means[-windows:])
+    turning = _worst(angles, tolerances.angle_rad, _MIN_WIDTH_ANGLE, tolerances.average_s)
+    whirling = _worst(orbit, tolerances.amplitude_m, _MIN_WIDTH_AMPLITUDE, tolerances.average_s)
+    found = _settling(angles, orbit, turning, whirling)
+    angle_limit = tolerances.slack * tolerances.angle_rad
+    amplitude_limit = tolerances.slack * _visible(orbit, tolerances.amplitude_m)
     reasons = [
-        _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
+        speed,
         slip,
         "pendulums still stand as released; they may be on an unstable balance" if held else "",
         _reason("pendulum angles", found.drift_rad, turning, angle_limit, 180 / math.pi, "°"),
@@ -127,7 +155,7 @@ def settled(
     lasting = max(_more(turning, angle_limit), _more(whirling, amplitude_limit))
     bounded = math.isfinite(found.remaining_rad) and math.isfinite(found.remaining_m)
     found = replace(found, approaching=bounded and any(reasons[3:]) and not any(reasons[:3]))
-    return _said(found, reasons, "angles and amplitudes are steady", math.inf if slip else lasting, bool(slip))
+    return _decision(found, reasons, "angles and amplitudes are steady", math.inf if slip else lasting, bool(slip))
 
 
 def locked_settled(
@@ -142,27 +170,27 @@ def locked_settled(
     window_s: float = 1.0,
     windows: int = 9,
 ) -> Settling:
-    """Whether the locked orbit is steady, before the pendulums are released; arguments as in `settled`."""
-    edges = whole_revolutions(mark_time_s, mark_phase_rad, window_s, _MOST_WINDOWS)
+    """Decide whether the locked orbit is steady, before the pendulums are released; arguments as in `settled`."""
+    edges = whole_revolutions(mark_time_s, mark_phase_rad, window_s, _MAX_WINDOWS)
     if len(edges) <= windows:
         return _unknown(f"fewer than {windows} windows of {window_s:g} s at speed")
     orbit = amplitude_means(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, windows)
     if orbit is None:
         return _unknown("too many samples of the displacements are missing")
-    whirling = _worst(orbit, amplitude_tolerance_m, _UNSEEN_AMPLITUDE, window_s)
+    whirling = _worst(orbit, amplitude_tolerance_m, _MIN_WIDTH_AMPLITUDE, window_s)
     limit = _visible(orbit, amplitude_tolerance_m)
     found = _settling(None, orbit, Approach(math.nan, math.nan, 0.0, 0.0), whirling)
     reasons = [
         _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
         _reason("amplitudes", found.drift_m, whirling, limit, 1e6, " µm"),
     ]
-    return _said(found, reasons, "amplitudes are steady", _more(whirling, limit), slipping=False)
+    return _decision(found, reasons, "amplitudes are steady", _more(whirling, limit), slipping=False)
 
 
 def _visible(orbit: WindowMeans, tolerance_m: float) -> float:
-    """The amplitudes' tolerance, or the width of a mean where noise that is not white makes that larger.
+    """Return the amplitudes' tolerance, or the width of a mean if coloured noise makes the width larger.
 
-    What lasers that wander cannot show is asked of the pendulum angles alone, which the orbit follows.
+    A change that wandering lasers cannot resolve is detected by the pendulum angles, which the orbit follows.
     """
     return max(tolerance_m, float(orbit.width.max())) if orbit.coloured else tolerance_m
 
@@ -171,10 +199,10 @@ def _unknown(why: str) -> Settling:
     return Settling(False, False, why, math.nan, math.inf, math.nan, math.inf, 0.0)
 
 
-def _worst(seen: WindowMeans, tolerance: float, unseen: float, average_s: float) -> Approach:
-    """The larger of the two quantities' bounds."""
+def _worst(seen: WindowMeans, tolerance: float, min_width: float, average_s: float) -> Approach:
+    """Return the larger bound of the two quantities."""
     both = [
-        bound(seen.edges_s, column, max(float(width), unseen * tolerance), average_s, _FAR * tolerance)
+        bound(seen.edges_s, column, max(float(width), min_width * tolerance), average_s, _FAR * tolerance)
         for column, width in zip(seen.means.T, seen.width, strict=True)
     ]
     worst = max(both, key=lambda a: a.remaining)
@@ -182,7 +210,7 @@ def _worst(seen: WindowMeans, tolerance: float, unseen: float, average_s: float)
 
 
 def _settling(angles: WindowMeans | None, orbit: WindowMeans, turning: Approach, whirling: Approach) -> Settling:
-    """The numbers of an answer that is still to be given."""
+    """Return the figures of a decision, without the decision itself."""
     drift = math.nan if angles is None else float(np.abs(angles.means[-1] - angles.means[-2]).max())
     return Settling(
         False,
@@ -198,14 +226,14 @@ def _settling(angles: WindowMeans | None, orbit: WindowMeans, turning: Approach,
     )
 
 
-def _said(found: Settling, reasons: list[str], steady: str, more_s: float, slipping: bool) -> Settling:
-    """The answer: the first reason against, or that all is steady."""
+def _decision(found: Settling, reasons: list[str], steady: str, more_s: float, slipping: bool) -> Settling:
+    """Complete the decision: with the first reason against, or with the statement that everything is steady."""
     why = next((reason for reason in reasons if reason), "")
     return replace(found, settled=not why, slipping=slipping, why=why or steady, more_s=more_s if why else 0.0)
 
 
 def _more(approach: Approach, tolerance: float) -> float:
-    """How long an approach takes until less than the tolerance is to come, s."""
+    """Return the time after which the remaining change of an approach is below the tolerance, s."""
     if approach.remaining <= tolerance:
         return 0.0
     rate = approach.rate_per_s
@@ -213,14 +241,14 @@ def _more(approach: Approach, tolerance: float) -> float:
 
 
 def _change(time: np.ndarray, angles: np.ndarray, edges: np.ndarray) -> float:
-    """Roughly how much the angles' means change over a few windows, the larger pendulum's; nan when too few came."""
+    """Return the rough change of the mean angles over a few windows, the larger pendulum's; NaN for empty windows."""
     parts = np.split(angles, np.searchsorted(time, edges))[1:-1]
     means = np.array([part.mean(axis=0) for part in parts if len(part)])
     return float(np.ptp(means, axis=0).max()) if len(means) == len(parts) else math.nan
 
 
 def _slipping(angles: np.ndarray) -> str:
-    """A sentence when a pendulum turns steadily relative to the rotor, otherwise empty."""
+    """Return a sentence if a pendulum turns steadily relative to the rotor, otherwise an empty text."""
     for name, column in zip("AB", angles.T, strict=True):
         steps = np.diff(column)
         half = len(steps) // 2
@@ -243,24 +271,24 @@ def _still_as_released(
         return False
     start = before.mean(axis=0)
     change = (now[1] - now[0]) - (start[1] - start[0])
-    return abs((change + np.pi) % (2 * np.pi) - np.pi) < _SAME_GAP
+    return abs((change + np.pi) % (2 * np.pi) - np.pi) < _SAME_GAP_RAD
 
 
 def _speed_change(mark_time: np.ndarray, mark_phase: np.ndarray, edges: np.ndarray) -> str:
-    """A sentence when the speed changes by more than 0.1 % over the windows, otherwise empty."""
+    """Return a sentence if the speed changes by more than 0.1 % over the windows, otherwise an empty text."""
     speeds = np.diff(np.interp(edges, mark_time, mark_phase)) / np.diff(edges)
     change = (speeds[-2:].mean() - speeds[:2].mean()) / speeds.mean()
     return f"the speed still changes, by {100 * change:+.2f} % over the last windows" if abs(change) > 1e-3 else ""
 
 
 def _reason(what: str, drift: float, to_come: Approach, tolerance: float, factor: float, unit: str) -> str:
-    """A sentence when more than the tolerance may be still to come, otherwise empty."""
+    """Return a sentence if the remaining change may exceed the tolerance, otherwise an empty text."""
     if math.isinf(to_come.remaining):
         return f"{what} drift by {drift * factor:.2g}{unit} per window and the drift does not shrink"
     if to_come.remaining > tolerance:
         more = _more(to_come, tolerance)
         return (
-            f"{what} may have {to_come.remaining * factor:.2g}{unit} to go, wanted below {tolerance * factor:.2g}{unit}"
-            + (f"; about {math.ceil(more)} s more" if math.isfinite(more) else "")
+            f"{what} may still change by {to_come.remaining * factor:.2g}{unit}, the limit is "
+            f"{tolerance * factor:.2g}{unit}" + (f"; about {math.ceil(more)} s more" if math.isfinite(more) else "")
         )
     return ""

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The type of a steady state by where the pendulums stand."""
+"""Type of a steady state from the positions of the pendulums."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 from typing import Protocol
 
 BALANCED_SHARE = 0.15
-"""Of S_P, a bow's moment included: below this rest the pendulums balance it (Type I)."""
+"""Share of S_P, including a bow's moment: a smaller residual means that the pendulums balance it (Type I)."""
 
 
 class _Pendulum(Protocol):
@@ -17,11 +17,11 @@ class _Pendulum(Protocol):
 
 
 class Moments(Protocol):
-    """The first mass moments of a rig: its imbalance's and its pendulums', kg m."""
+    """First mass moments of a rig: of its imbalance and of its pendulums, kg m."""
 
     @property
     def imbalance_moment_kg_m(self) -> float:
-        """S_P."""
+        """First moment of the imbalance, S_P, kg m."""
         ...
 
     @property
@@ -36,12 +36,12 @@ class Moments(Protocol):
 
 
 def state_type(theta_rad: tuple[float, float], moments: Moments, bow_kg_m: complex = 0j) -> str:
-    """Type by the angles: "I" when the pendulums balance S_P to 15 %, else "II" opposed or "III" together.
+    """Return the type: "I" if the pendulums balance S_P to 15 %, otherwise "II" (opposed) or "III" (together).
 
     Args:
         theta_rad: θ3 and θ4 from the imbalance's direction, rad.
-        moments: of the rig.
-        bow_kg_m: first moment that drives the rotor as a bent shaft does at this speed; balanced as S_P is.
+        moments: first moments of the rig.
+        bow_kg_m: first moment equivalent to a bent shaft at this speed; it is balanced together with S_P.
     """
     whole = moments.imbalance_moment_kg_m + bow_kg_m
     pendulums = zip((moments.a, moments.b), theta_rad, strict=True)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Means of a run's signals over windows of whole revolutions, each with how far it may be from the truth."""
+"""Means of a run's signals over windows of whole revolutions, each with its largest error."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from daq.signals.rounding import code_noise, half_width, rounding_terms
 
 Array = NDArray[np.float64]
 
-_DEVIATIONS = 3.5  # of a mean's noise that its width holds
-_RIPPLES = 0.5  # of a step: a code that wobbles by more visits several
-_STANDS = 0.25  # of a step from window to window: slower than that a pendulum's codes show the noise
+_DEVIATIONS = 3.5  # standard deviations of a mean's noise in its width
+_MIN_RIPPLE = 0.5  # of a step: a code with a larger ripple takes several values
+_MAX_CHANGE = 0.25  # of a step from window to window: for slower pendulums the codes show the noise
 _MEETING = 1e-6  # of a window's length
 _NO_STEP_RAD = 1e-9  # smaller changes of an angle are floating point noise
-_DEFAULT_STEP_RAD = 2 * math.pi / 4096  # of a code that never changes
+_DEFAULT_STEP_RAD = 2 * math.pi / 4096  # for a code that never changes
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,13 @@ class WindowMeans:
     Attributes:
         edges_s: start and end of each window that has enough samples, shape (n, 2), s.
         means: shape (n, 2): θ3 and θ4 in rad, or the order-1 amplitudes of x and y in m.
-        width: how far a mean may be from the truth, shape (2,).
+        width: largest error of a mean, shape (2,).
         noise: standard deviation of a mean's noise, shape (2,).
-        rounding: amplitudes of the rounding error's Fourier terms, rms over what is not known of them, shape (2, k),
-            unit of the means (daq.signals.rounding); empty where nothing is rounded.
-        step: of the code, unit of the means; 0 where nothing is rounded.
-        neighbours: correlation of the noise of two windows that meet, shape (2,); empty where there is none.
-        coloured: whether more than white noise was found.
+        rounding: amplitudes of the rounding error's Fourier terms, shape (2, k), unit of the means
+            (daq.signals.rounding): rms over their unknown part; empty if nothing is rounded.
+        step: step of the code, unit of the means; 0 if nothing is rounded.
+        neighbours: correlation of the noise of two adjacent windows, shape (2,); empty without correlation.
+        coloured: True if noise other than white noise was found.
     """
 
     edges_s: Array
@@ -49,20 +49,20 @@ class WindowMeans:
     coloured: bool = False
 
     def noise_covariance(self, least: float) -> Array:
-        """Of each quantity's means over the windows, rounding left out, shape (quantities, n, n).
+        """Covariance of each quantity's means over the windows without rounding, shape (quantities, n, n).
 
         Args:
-            least: standard deviation that a mean's noise is not taken smaller than.
+            least: lower limit of the standard deviation of a mean's noise.
         """
         meet = np.abs(self.edges_s[1:, 0] - self.edges_s[:-1, 1]) < _MEETING * np.diff(self.edges_s, axis=1)[1:, 0]
-        beside = np.diag(1.0 * meet, 1) + np.diag(1.0 * meet, -1)
+        adjacent = np.diag(1.0 * meet, 1) + np.diag(1.0 * meet, -1)
         shared = self.neighbours if len(self.neighbours) else np.zeros(len(self.noise))
         variance = np.maximum(self.noise, least) ** 2
-        return variance[:, None, None] * (np.eye(len(self.edges_s)) + shared[:, None, None] * beside)
+        return variance[:, None, None] * (np.eye(len(self.edges_s)) + shared[:, None, None] * adjacent)
 
 
 def whole_revolutions(mark_time_s: Array, mark_phase_rad: Array, window_s: float, most: int) -> Array:
-    """Edges of up to `most` windows of whole revolutions that end with the last mark, shape (n + 1,); n may be 0."""
+    """Edges of up to `most` windows of whole revolutions that end at the last mark, shape (n + 1,); n may be 0."""
     if len(mark_time_s) < 3:
         return np.empty(0)
     late = mark_time_s >= mark_time_s[-1] - window_s * 2
@@ -84,11 +84,11 @@ def angle_means(
     step_rad: float | None,
     newest: int,
 ) -> WindowMeans | None:
-    """Mean angles; None when too many samples are missing in the newest windows.
+    """Return the mean angles; None if too many samples are missing in the newest windows.
 
     Args:
-        step_rad: of the encoders' code; None: the smallest change in the samples.
-        newest: how many windows, counted from the end, must be good.
+        step_rad: step of the encoders' code; None: the smallest change in the samples.
+        newest: number of windows, counted from the end, that must have enough samples.
     """
     cut = cut_windows(time_s, angles_rad, mark_time_s, mark_phase_rad, edges, newest)
     if cut is None:
@@ -104,7 +104,7 @@ def angle_means(
     seen = code_noise(cut.mean(1.0 * (off < -0.5), kept), cut.mean(1.0 * (off > 0.5), kept), cut.counts[kept, None])
     means = np.asarray(fit[0, kept], np.float64)
     change = np.abs(np.diff(means, axis=0, prepend=means[:1], append=means[-1:]))
-    moving = np.maximum(change[1:], change[:-1]) > _STANDS * step  # what sweeps over codes is no noise
+    moving = np.maximum(change[1:], change[:-1]) > _MAX_CHANGE * step  # a sweep over codes is not noise
     seen = np.where(moving, np.nan, seen)
     half = np.array(
         [
@@ -122,23 +122,24 @@ def angle_means(
 
 
 def _usual(noise: Array) -> float:
-    """The noise that most windows show; 0 where too few show any."""
+    """Return the median of the noise estimates; 0 if too few windows have one."""
     known = noise[np.isfinite(noise)]
     return float(np.median(known)) if len(known) >= 3 else 0.0
 
 
 def _dither(seen: float, scatter: float, ripple: float, step: float) -> float:
-    """Noise before rounding, in steps: as the codes show it, or what a code that ripples over steps scatters more.
+    """Return the noise before rounding, in steps: from the codes, or from the scatter of a code with a large ripple.
 
-    Rounding itself scatters by 1/√12 of a step; without a ripple a code that flips on an edge would look like noise.
+    Rounding itself scatters by 1/√12 of a step. Without a ripple, a code that alternates on an edge would look like
+    noise.
 
     Args:
-        seen: noise that the codes show, in steps.
+        seen: noise estimated from the codes, in steps.
         scatter: standard deviation of a sample, unit of `step`.
-        ripple: largest amplitude of what repeats with the rotor, unit of `step`.
-        step: of the code; 0: nothing is rounded.
+        ripple: largest amplitude of the parts that repeat with the rotor, unit of `step`.
+        step: step of the code; 0 if nothing is rounded.
     """
-    rippling = step > 0 and ripple >= _RIPPLES * step
+    rippling = step > 0 and ripple >= _MIN_RIPPLE * step
     return math.sqrt(max(0.0, (scatter / step) ** 2 - 1 / 12)) if rippling else seen
 
 
@@ -152,7 +153,7 @@ def amplitude_means(
     edges: Array,
     newest: int,
 ) -> WindowMeans | None:
-    """Order-1 amplitudes of x and y in the windows in which both were seen; None when too many are missing."""
+    """Order-1 amplitudes of x and y in the windows with samples of both; None if too many samples are missing."""
     x = cut_windows(x_time_s, x_m, mark_time_s, mark_phase_rad, edges, newest)
     y = cut_windows(y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
     if x is None or y is None:
@@ -182,9 +183,9 @@ def orbit_means(
     edges: Array,
     newest: int,
 ) -> WindowMeans | None:
-    """Complex order-1 amplitudes of x and y in the windows in which both were seen; None when too many are missing.
+    """Complex order-1 amplitudes of x and y in the windows with samples of both; None if too many are missing.
 
-    The columns are Re X, Im X, Re Y, Im Y with x = Re(X e^{iψ}), y the same, m; `width` and `noise` have four places.
+    The columns are Re X, Im X, Re Y, Im Y in m, with x = Re(X e^{iψ}) and y alike; `width` and `noise` are of four.
     """
     x = cut_windows(x_time_s, x_m, mark_time_s, mark_phase_rad, edges, newest)
     y = cut_windows(y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
@@ -207,7 +208,7 @@ def orbit_means(
 def _orbit(
     edges_s: Array, columns: list[Array], noise: list[float], neighbours: list[float], beyond: list[OrderNoise]
 ) -> WindowMeans:
-    """Means of displacements, of which nothing is rounded."""
+    """Return the means of displacements, which are not rounded."""
     deviation = np.array(noise)
     return WindowMeans(
         edges_s,
@@ -221,7 +222,7 @@ def _orbit(
 
 
 def _step(angles: Array) -> float:
-    """The encoders' step as the samples show it."""
+    """Return the encoders' step as found in the samples."""
     changes = np.abs(np.diff(angles, axis=0))
     changes = changes[changes > _NO_STEP_RAD]  # comparisons with nan are False
     return float(changes.min()) if len(changes) else _DEFAULT_STEP_RAD

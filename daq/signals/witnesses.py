@@ -1,11 +1,11 @@
 # pyright: strict
-"""Two sensors of one displacement held against each other: what their gains' ratio is, and whether that can be.
+"""Comparison of two sensors of one displacement: ratio of their gains, and whether the ratio is plausible.
 
-Both give the disk centre's displacement along one axis, so the ratio of their readings is 1 within what calibration and
-lever leave uncertain. The ratio is a regression of one on the other. The clocks of both differ by a delay and a rate,
-which the regression finds too. The noise of the regressor would make the ratio too small: both are averaged over blocks
-short against the motion, and what noise is left there is taken out of the sums. Blocks and splines leave the ratio off
-by less than 1e-4, a tenth of an ordinary calibration.
+Both measure the disk centre's displacement along one axis, so the ratio of their readings is 1 within the uncertainty
+of calibration and lever. The ratio is a regression of one on the other. The clocks differ by a delay and a rate, which
+the regression estimates too. Noise of the regressor would reduce the ratio. Therefore both are averaged over blocks
+that are short compared with the motion, and the remaining noise is subtracted from the sums. Blocks and splines change
+the ratio by less than 1e-4, a tenth of the uncertainty of an ordinary calibration.
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]
+from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]  # scipy has no types
 
 Floats = NDArray[np.float64]
 Verdict = Literal["agree", "disagree", "too little motion"]
 
-_BLOCK_S = 4e-3  # an average over it takes 0.2 % off a motion of 20 Hz, off both sensors alike
-_FEWEST, _CLUSTERS = 400, 20
-_ENOUGH = 0.01  # a ratio known no better shows nothing
+_BLOCK_S = 4e-3  # averaging reduces a motion of 20 Hz by 0.2 %, equally for both sensors
+_MIN_SAMPLES, _CLUSTERS = 400, 20
+_MAX_RATIO_STD = 0.01  # a ratio with a larger uncertainty is not used
 _LIMIT = 2.576  # standard deviations: once in a hundred campaigns by chance
 _PASSES = 3
 
 
 @dataclass(frozen=True)
 class Witness:
-    """A further sensor along an axis, on the run's clock.
+    """An additional sensor along an axis, on the run's clock.
 
     Attributes:
-        device: whose it is.
+        device: name of its device.
         axis: "x" or "y".
-        beside: the device that measures along the axis for the rig; empty where none does.
-        time_s, value_m: its samples, shape (n,); NaN where invalid.
-        gain_std: relative standard uncertainty of the ratio of both gains by the rig file.
+        reference: device that measures along the axis for the rig; may be empty.
+        time_s, value_m: samples, shape (n,), s and m; NaN if invalid.
+        gain_std: relative standard uncertainty of the ratio of both gains, from the rig file.
     """
 
     device: str
     axis: str
-    beside: str
+    reference: str
     time_s: Floats
     value_m: Floats
     gain_std: float
@@ -50,19 +50,19 @@ class Witness:
 
 @dataclass(frozen=True)
 class Agreement:
-    """A witness against the sensor beside it.
+    """Comparison of a witness with its reference sensor.
 
     Attributes:
-        device, beside, axis: as in Witness.
-        ratio: the witness' displacement over the other's; NaN where there is too little motion.
-        ratio_std: its standard uncertainty by noise alone.
-        allowed_std: by noise, calibration and lever together.
-        delay_s: how much later the witness' samples are stamped.
-        verdict: "disagree" where the ratio is off by more than chance gives once in a hundred times.
+        device, reference, axis: as in Witness.
+        ratio: displacement of the witness over that of the reference; NaN if there is too little motion.
+        ratio_std: standard uncertainty of the ratio from noise alone.
+        allowed_std: standard uncertainty from noise, calibration and lever together.
+        delay_s: delay of the witness' time stamps, s.
+        verdict: "disagree" if the deviation of the ratio from 1 occurs by chance less than once in a hundred times.
     """
 
     device: str
-    beside: str
+    reference: str
     axis: str
     ratio: float
     ratio_std: float
@@ -72,47 +72,47 @@ class Agreement:
 
     @property
     def text(self) -> str:
-        """In words."""
-        pair = f"{self.device} and {self.beside} along {self.axis}"
+        """Result in words."""
+        pair = f"{self.device} and {self.reference} along {self.axis}"
         if self.verdict == "too little motion":
-            return f"{pair}: too little motion seen by both to compare them"
-        found = f"{pair}: {self.device} shows {self.ratio:.5f} ± {self.ratio_std:.1g} times what {self.beside} shows"
+            return f"{pair}: too little motion of both to compare them"
+        found = f"{pair}: {self.device} shows {self.ratio:.5f} ± {self.ratio_std:.1g} × {self.reference}"
         allowed = f"1 ± {self.allowed_std:.2g} by calibration, lever and noise"
         if self.verdict == "agree":
             return f"{found}, expected {allowed}"
         return (
-            f"{found}, expected {allowed}. One of the gains or levers (gain_std, lever_ratio) is not what the rig file "
-            f"states; which one, the two cannot show. {self.beside} is what is taken"
+            f"{found}, expected {allowed}. One of the gains or levers (gain_std, lever_ratio) differs from the rig "
+            f"file. Two sensors do not show which one; the readings of {self.reference} are used"
         )
 
 
 def agreement(witness: Witness, time_s: Floats, value_m: Floats) -> Agreement:
-    """Hold a witness against the sensor beside it.
+    """Compare a witness with its reference sensor.
 
     Args:
-        time_s, value_m: samples of that sensor on the same clock, shape (m,); NaN where invalid.
+        time_s, value_m: samples of the reference on the same clock, shape (m,), s and m; NaN if invalid.
     """
     pair = _blocks(time_s, value_m, witness.time_s, witness.value_m)
     found = None if pair is None else _ratio(pair)
-    if found is None or found[1] > _ENOUGH:
+    if found is None or found[1] > _MAX_RATIO_STD:
         nothing = math.nan if found is None else found[1]
         return Agreement(
-            witness.device, witness.beside, witness.axis, math.nan, nothing, math.nan, math.nan, "too little motion"
+            witness.device, witness.reference, witness.axis, math.nan, nothing, math.nan, math.nan, "too little motion"
         )
     ratio, std, delay = found
     allowed = math.hypot(std, witness.gain_std)
     verdict: Verdict = "agree" if abs(ratio - 1) <= _LIMIT * allowed else "disagree"
-    return Agreement(witness.device, witness.beside, witness.axis, ratio, std, allowed, delay, verdict)
+    return Agreement(witness.device, witness.reference, witness.axis, ratio, std, allowed, delay, verdict)
 
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Averages over the blocks where both sensors have samples.
+    """Averages over the blocks in which both sensors have samples.
 
     Attributes:
         time_s, a, b: shape (n,).
         noise: variance of a's noise in a block, m².
-        bend_s2: what b's averages have more of the second derivative than a's.
+        bend_s2: difference of the second-derivative terms of b's and a's averages, s².
     """
 
     time_s: Floats
@@ -123,19 +123,19 @@ class _Blocks:
 
 
 def _blocks(ta: Floats, a: Floats, tb: Floats, b: Floats) -> _Blocks | None:
-    if min(len(ta), len(tb)) < _FEWEST:
+    if min(len(ta), len(tb)) < _MIN_SAMPLES:
         return None
     step = max(_BLOCK_S, 2 * _spacing(ta), 2 * _spacing(tb))
     start, end = max(ta[0], tb[0]), min(ta[-1], tb[-1])
     count = int((end - start) / step)
-    if count < _FEWEST:
+    if count < _MIN_SAMPLES:
         return None
     (na, ca, ma), (nb, cb, mb) = (_averages(t, v, start, step, count) for t, v in ((ta, a), (tb, b)))
     usual_a, usual_b = (float(np.median(n[n > 0])) if n.any() else 0.0 for n in (na, nb))
     whole = (na > 0.7 * usual_a) & (nb > 0.7 * usual_b)
-    if np.count_nonzero(whole) < _FEWEST:
+    if np.count_nonzero(whole) < _MIN_SAMPLES:
         return None
-    # each average at its own samples' mean time; a's is moved to b's along its slope
+    # each average is at its own samples' mean time; a's is moved to b's along its slope
     slope = np.gradient(ma, step)
     fine = np.isfinite(slope)
     whole &= fine
@@ -150,7 +150,7 @@ def _spacing(time_s: Floats) -> float:
 
 
 def _averages(time_s: Floats, value: Floats, start: float, step: float, count: int) -> tuple[Floats, Floats, Floats]:
-    """Per block: how many valid samples, their mean time and their mean."""
+    """Return per block: number of valid samples, their mean time and their mean."""
     at = np.floor((time_s - start) / step).astype(np.int64)
     good = np.isfinite(value) & (at >= 0) & (at < count)
     at, time, seen = at[good], time_s[good], value[good]
@@ -169,13 +169,13 @@ def _white(value: Floats) -> float:
 
 
 def _ratio(blocks: _Blocks) -> tuple[float, float, float] | None:
-    """Ratio of b's motion to a's, its standard deviation, and b's delay in s; None where one does not move."""
+    """Return the ratio of b's motion to a's, its standard deviation, and b's delay in s; None if one does not move."""
     time, a, b = blocks.time_s, blocks.a, blocks.b
     if not np.ptp(a) > 0 or not np.ptp(b) > 0:
         return None
     smooth = CubicSpline(time, a)
     step = float(np.median(np.diff(time)))
-    apart = np.flatnonzero(np.diff(time) > 1.5 * step)  # a spline swings beside a gap
+    apart = np.flatnonzero(np.diff(time) > 1.5 * step)  # a spline oscillates next to a gap
     near = np.zeros(len(time), bool)
     for k in (-2, -1, 0, 1, 2, 3):
         near[np.clip(apart + k, 0, len(time) - 1)] = True
@@ -188,7 +188,7 @@ def _ratio(blocks: _Blocks) -> tuple[float, float, float] | None:
         seen, rate = smooth(at) + blocks.bend_s2 * smooth(at, 2), smooth(at, 1)
         design = np.column_stack([seen, -rate, -rate * middle / span, np.ones_like(time), middle / span])
         normal = design.T @ design
-        normal[0, 0] -= len(time) * blocks.noise  # what a's noise adds to the sum of its squares
+        normal[0, 0] -= len(time) * blocks.noise  # contribution of a's noise to the sum of squares
         if normal[0, 0] <= 0:
             return None
         theta, inverse = _solved(normal, design.T @ b)
@@ -199,7 +199,7 @@ def _ratio(blocks: _Blocks) -> tuple[float, float, float] | None:
 
 
 def _spread(design: Floats, left: Floats, inverse: Floats) -> float:
-    """Standard deviation of the first coefficient: by residuals that hang together over a twentieth of the motion."""
+    """Standard deviation of the first coefficient, for residuals correlated over a twentieth of the motion."""
     energy = np.cumsum((design[:, 0] - np.mean(design[:, 0])) ** 2)
     shares: Floats = energy[-1] * np.arange(1, _CLUSTERS) / _CLUSTERS
     bounds: list[int] = np.searchsorted(energy, shares).tolist()
@@ -209,7 +209,7 @@ def _spread(design: Floats, left: Floats, inverse: Floats) -> float:
 
 
 def _solved(normal: Floats, right: Floats) -> tuple[Floats, Floats]:
-    """Solution and inverse of the normal equations, columns scaled."""
+    """Return solution and inverse of the normal equations, with scaled columns."""
     scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal * np.outer(scale, scale), rcond=1e-12) * np.outer(scale, scale)
     return inverse @ right, inverse

@@ -58,7 +58,8 @@ def band(figure: Figure, row: int, number: int = 0) -> np.ndarray:
 
 
 def test_every_channel_of_a_whole_log(tmp_path: Path) -> None:
-    figure = drawn(write_small_log(tmp_path / "small.mcap", steps=60, opened_at=30, told=(0, 1)), "small $ log 転\x1b")
+    log = write_small_log(tmp_path / "small.mcap", steps=60, opened_at=30, reported=(0, 1))
+    figure = drawn(log, "small $ log 転\x1b")
     assert labels(figure) == ["x, mm", "y, mm", "pendulums, °", "speed, rpm"]
     assert "small $ log ??" in [text.get_text() for text in figure.texts]
     low, high = figure.axes[-1].get_xlim()

@@ -1,4 +1,4 @@
-"""A bench whose bytes go into a log, as a session leaves it: what trips live and in a replay can be compared."""
+"""A bench whose bytes are recorded as in a session, to compare its trips with those of a replay."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ class RecordedBench(Bench):
     """See Bench.
 
     Args:
-        path: of the log.
-        settings: laid over the virtual rig's file.
-        test: as the log names it.
-        facts: more facts of the run.
-        listened: nothing that goes to the drive is in the log, as for one who only listened to a line of its own.
-        raw: whether bytes are kept; otherwise samples and events alone.
+        path: path of the log.
+        settings: settings for the virtual rig's file.
+        test: name of the test in the log.
+        facts: further facts of the run.
+        listened: True: nothing sent to the drive is in the log, as in a session that only receives.
+        raw: True: bytes are recorded; False: samples and events only.
     """
 
     def __init__(
@@ -63,14 +63,14 @@ class RecordedBench(Bench):
                 self.log.event(item, self.now_ns)
 
     def beat(self) -> None:
-        """The host's heartbeat: a session that is open sends bytes to its drive all the time."""
+        """The host's heartbeat: an open session sends bytes to its drive continuously."""
         self._keep("drive", TX, slcan.encode(slcan.CanFrame(cia402.cob_heartbeat(1), b"\x05")))
 
     def note(self, event: Event) -> None:
-        """What a session leaves in its log."""
+        """Write the stop and the summary of a session."""
         self.log.event(event, self.now_ns)
 
     def finish(self, ended: str = "duration") -> Path:
-        """The log, whole."""
+        """The finished log."""
         self.log.flush()
         return self.log.finish({"losses": {}, "ended": ended})

@@ -1,4 +1,4 @@
-"""A log as a rig would have left it: reads cut anywhere, both directions, health, the host's events; deterministic."""
+"""A log as written by a rig: reads cut anywhere, both directions, health, the host's events; deterministic."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def _laser(rng: np.random.Generator, step: int, lost: set[int], restarts_at: int
 
 
 class _Node:
-    """Encoder blocks, and index marks: one a step, or as often as the rotor turns."""
+    """Encoder blocks, and index marks: one per step, or once per turn of the rotor."""
 
     def __init__(self, marks_turn: bool) -> None:
         self._marks_turn, self._seq, self._turns = marks_turn, 0, 0.0
 
-    def says(self, step: int, rpm: float) -> bytes:
+    def bytes_of(self, step: int, rpm: float) -> bytes:
         counts = np.column_stack([10 * step + np.arange(10), np.full(10, 2048)]).astype(np.int32)
         data = self._wire(rotorlink.EncoderBlock(1, self._seq, 10 * step, 10_000 * step, 1000, 96, counts))
         if not self._marks_turn:
@@ -77,13 +77,13 @@ def reads(
     restarts_at: int | None = None,
     rests_from: int | None = None,
 ) -> Iterator[Read]:
-    """What a host reads and writes in steps of 10 ms.
+    """Reads and writes of a host in steps of 10 ms.
 
     Args:
-        lost: steps whose samples of laser y never come.
-        restarts_at: step at which laser x begins its counters anew.
-        rests_from: step at which a rotor that runs down evenly, with an index mark a turn, stands; None: a speed of
-            no rotor, with a mark in every step.
+        lost: steps whose samples of laser y are missing.
+        restarts_at: step at which laser x starts its counters again.
+        rests_from: step at which a rotor that slows down evenly, with one index mark per turn, stops; None: a wrong
+                speed, with a mark in every step.
     """
     rng = np.random.default_rng(seed)
     kept: dict[str, bytes] = {}
@@ -106,7 +106,7 @@ def reads(
         came = {
             "laser_x": _laser(rng, step, set(), restarts_at),
             "laser_y": _laser(rng, step, set(lost), None),
-            "encoder": node.says(step, rpm),
+            "encoder": node.bytes_of(step, rpm),
             "drive": acknowledge + status,
         }
         for i, (device, new) in enumerate(came.items()):
@@ -121,7 +121,7 @@ Falsify = Callable[[int, Batch | Event, int], tuple[Batch | Event, "int | NDArra
 
 
 def as_it_is(number: int, item: Batch | Event, host_ns: int) -> tuple[Batch | Event, int]:
-    """Nothing falsified."""
+    """Return the item unchanged."""
     return item, host_ns
 
 
@@ -135,13 +135,13 @@ def write_log(
     flush_steps: int = 5,
     **what: Any,
 ) -> Path:
-    """Write it with the real pipelines; returns the file there is in the end.
+    """Write the log with the real pipelines; return the resulting file.
 
     Args:
-        falsify: given each item's number, the item and its host time; None leaves it out.
-        finish: otherwise it stays a .part.
-        unwritten_from: number of the read from which on raw bytes stand alone, their samples not written any more.
-        what: for `reads`.
+        falsify: called with each item's number, the item and its host time; None omits the item.
+        finish: False leaves a .part.
+        unwritten_from: number of the read from which on raw bytes are written without their samples.
+        what: arguments of `reads`.
     """
     rig = load_rig("virtual")
     attachments = {"rig.json": rig.snapshot_json(), "identities.json": json.dumps(IDENTITIES).encode()}

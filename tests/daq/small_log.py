@@ -18,8 +18,10 @@ from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
 
-def device_bytes(steps: int = 10, opened_at: int | None = None, told: tuple[int, ...] = ()) -> list[tuple[str, bytes]]:
-    """One read per device for each step of 10 ms; locks open at a step, the node tells of the pendulums in `told`."""
+def device_bytes(
+    steps: int = 10, opened_at: int | None = None, reported: tuple[int, ...] = ()
+) -> list[tuple[str, bytes]]:
+    """One read per device per step of 10 ms; locks open at a step, the node reports the pendulums in `reported`."""
     reads: list[tuple[str, bytes]] = []
     seq = 0
     for step in range(steps):
@@ -33,7 +35,7 @@ def device_bytes(steps: int = 10, opened_at: int | None = None, told: tuple[int,
         mark = rotorlink.IndexMark(1, seq + 1, 10_000 * step + 9_500, step)
         seq += 2
         events = b""
-        for pendulum in told if step == opened_at else ():
+        for pendulum in reported if step == opened_at else ():
             event = rotorlink.LockEvent(1, seq, 10_000 * step + 3_000, pendulum, 1, 7)
             events, seq = events + rotorlink.wire(event.pack()), seq + 1
         frame = slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237, 60 + step))
@@ -47,7 +49,7 @@ def device_bytes(steps: int = 10, opened_at: int | None = None, told: tuple[int,
 
 
 def write_small_log(path: Path, falsify: bool = False, **what: Any) -> Path:
-    """Write it; with `falsify` one decoded sample is not what the raw bytes say; `what` goes to device_bytes."""
+    """Write it; with `falsify` one decoded sample differs from the raw bytes; `what` goes to device_bytes."""
     rig = load_rig("virtual")
     pipelines = make_pipelines(rig.devices, {})
     attachments: dict[str, bytes] = {

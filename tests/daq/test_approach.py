@@ -1,4 +1,4 @@
-"""The bound on what is still to come: never below it for approaches, decaying swings, creep and growth."""
+"""The bound on the remaining change: never too small for approaches, decaying oscillations, creep and growth."""
 
 import math
 from itertools import pairwise
@@ -20,7 +20,7 @@ def windows(count: int) -> np.ndarray:
 
 
 def means(motion, edges: np.ndarray) -> np.ndarray:
-    """Of a motion with time counted back from the last window's end."""
+    """A motion with time counted back from the last window's end."""
     share = np.linspace(0, 1, 101)
     return motion(edges[:, :1] + np.diff(edges, axis=1) * share - edges[-1, 1]).mean(axis=1)
 
@@ -38,7 +38,7 @@ seeds = st.integers(0, 1000)
 @settings(deadline=None, max_examples=40)
 @given(sizes, st.floats(0.09, 1.5), widths, counts, seeds)
 def test_one_rate_is_bounded(left: float, rate: float, width: float, count: int, seed: int) -> None:
-    left = min(left, 2.9 * math.exp(-rate * 9 * WINDOW_S))  # nine windows back it was still on its way
+    left = min(left, 2.9 * math.exp(-rate * 9 * WINDOW_S))  # nine windows earlier it was still moving
     edges = windows(count)
     values = means(lambda t: np.minimum(left * np.exp(-rate * t), 3.0), edges) + errors(seed, count, width)
     found = bound(edges, values, width, 2.0)
@@ -55,7 +55,7 @@ def test_a_decaying_swing_is_bounded(
     values = means(lambda t: left * np.exp(-rate * t) * np.cos(turn * t + phase), edges) + errors(seed, count, width)
     after = np.linspace(0, 60, 3001)
     to_come = np.abs(left * np.exp(-rate * after) * np.cos(turn * after + phase)).max()
-    # a third less where the motion is at its crest just as the last window ends
+    # a third less if the motion is at its maximum at the end of the last window
     assert bound(edges, values, width, 2.0).remaining >= 0.6 * to_come - 2 * width
 
 
@@ -85,7 +85,7 @@ def test_the_longer_means_stand_the_less_can_be_to_come() -> None:
 
 
 def test_identical_means_leave_no_drift() -> None:
-    """Standing counts: their floating point noise is none of a drift."""
+    """Constant counts: their floating point noise is not treated as a drift."""
     edges = windows(12)
     values = 1.234 + 1e-15 * np.arange(12)
     assert bound(edges, values, 7.7e-4, 2.0).remaining < 1.5e-3
@@ -94,7 +94,7 @@ def test_identical_means_leave_no_drift() -> None:
 @settings(deadline=None, max_examples=100)
 @given(st.floats(0, 0.6), st.floats(-0.5, 0.5), st.integers(0, 100))
 def test_half_width_holds_the_mean_of_a_noisy_code(noise: float, offset: float, seed: int) -> None:
-    """Against the rounding itself, for any place within a count: on an edge a code flips without noise."""
+    """Compared with the rounding itself, for any position within a count: codes alternate on an edge without noise."""
     codes = np.round(offset + noise * np.random.default_rng(seed).standard_normal(20_000))
     shares = [np.array([np.mean(side)]) for side in (codes < np.median(codes), codes > np.median(codes))]
     seen = float(code_noise(*shares, np.array([len(codes)]))[0])

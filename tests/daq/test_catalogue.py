@@ -1,4 +1,4 @@
-"""The catalogue: facts of every kind of file, search, verdicts; a cache that may be anything and changes nothing."""
+"""The catalogue: facts of every kind of file, search, verdicts; any content of the cache gives the same results."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LATER_NS = 10**10
 
 
 def make_log(path: Path, marks: int = 3, losses: dict[str, Any] | None = None, cut: bool = False, **run: str) -> Path:
-    """A small log of tachometer marks, one a second."""
+    """A small log of tachometer marks, one per second."""
     with LogFile(path, run, {}, (), T0) as log:
         turns = np.arange(marks)
         columns = {"revolutions": turns, "node_time_us": 10**6 * turns}
@@ -45,7 +45,7 @@ def make_log(path: Path, marks: int = 3, losses: dict[str, Any] | None = None, c
 
 
 def settled_catalogue(folder: Path) -> Catalogue:
-    """One to whom every file is old enough to be remembered."""
+    """A catalogue whose clock is so late that every file may be cached."""
     return Catalogue(folder, lambda: time.time_ns() + LATER_NS)
 
 
@@ -188,14 +188,14 @@ def test_losses_that_say_something_else_are_unknown(tmp_path: Path, losses: str)
     assert (entry.rig, entry.state, entry.lost) == ("bench", "finished", None)
     assert (entry.outcome["nan"], entry.outcome["lone"]) == (None, "?")
     assert max(len(str(value)) for value in entry.outcome.values()) <= 2000
-    assert only(tmp_path) == entry  # also as the cache has it
+    assert only(tmp_path) == entry  # also from the cache
 
 
 def test_a_folder_is_needed(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="expected a folder"):
         Catalogue(tmp_path / "nowhere")
     assert Catalogue(tmp_path).search() == []
-    assert not list(tmp_path.iterdir())  # nothing to remember
+    assert not list(tmp_path.iterdir())  # an empty folder needs no cache
 
 
 # --- search ------------------------------------------------------------------------------------------------------
@@ -331,10 +331,10 @@ def test_other_words_are_no_instants(text: str) -> None:
 def test_a_verdict_is_of_one_log(tmp_path: Path) -> None:
     path = make_log(tmp_path / "run.mcap", note="one")
     assert verdict_of(path) is None
-    said = judged(path)
-    assert keep_verdict(path, said).name == "run.mcap.verdict.json"
-    assert verdict_of(path) == said
-    assert (only(tmp_path).verdict, only(tmp_path).judged) == ("pass", said)
+    verdict = judged(path)
+    assert keep_verdict(path, verdict).name == "run.mcap.verdict.json"
+    assert verdict_of(path) == verdict
+    assert (only(tmp_path).verdict, only(tmp_path).judged) == ("pass", verdict)
     keep_verdict(path, judged(path, "fail"))
     assert only(tmp_path).verdict == "fail"
     path.unlink()
@@ -366,7 +366,7 @@ def test_a_verdict_refuses_keys_it_does_not_know(tmp_path: Path) -> None:
 def test_a_verdict_that_cannot_be_kept_leaves_nothing_behind(tmp_path: Path) -> None:
     path = make_log(tmp_path / "run.mcap")
     (tmp_path / f"run.mcap{SUFFIX}").mkdir()
-    with pytest.raises(RecordingError, match="cannot be kept"):
+    with pytest.raises(RecordingError, match="cannot be written next to"):
         keep_verdict(path, judged(path))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run.mcap", f"run.mcap{SUFFIX}"]
     with pytest.raises(LogError, match="cannot be read"):
@@ -477,11 +477,11 @@ def test_what_a_killed_process_left_is_swept_up(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
     make_log(tmp_path / "run.mcap")
-    (tmp_path / NAME).mkdir()  # no file can be put there, whoever runs the test
+    (tmp_path / NAME).mkdir()  # a folder of this name cannot be replaced by a file, also for root
     found = settled_catalogue(tmp_path)
     first = found.search()
     assert [entry.messages for entry in first] == [3]
-    assert "cannot be remembered" in found.cache_trouble
+    assert "cannot be cached" in found.cache_trouble
     assert sorted(p.name for p in tmp_path.iterdir()) == [NAME, "run.mcap"]
     with read_nothing():
         assert found.search() == first
@@ -507,7 +507,7 @@ def test_a_recording_that_ends_during_a_look_is_found_under_its_name(tmp_path: P
 
 
 NAMES = st.sampled_from(["a.mcap", "b.mcap", "sub/c.mcap"])
-WHAT = st.sampled_from(["write", "cut", "remove", "judge", "flip", "forget", "spoil", "look"])
+WHAT = st.sampled_from(["write", "cut", "remove", "judge", "flip", "drop", "spoil", "look"])
 OPERATIONS = st.lists(st.tuples(WHAT, NAMES, st.integers(0, 9)), max_size=12)
 
 
@@ -536,14 +536,14 @@ def test_the_cache_changes_no_answer(
             data = bytearray(file.read_bytes())
             data[len(data) * number // 10] ^= 1
             file.write_bytes(data)
-        elif what == "forget":
+        elif what == "drop":
             (folder / NAME).unlink(missing_ok=True)
         elif what == "spoil" and (folder / NAME).exists():
             data = bytearray((folder / NAME).read_bytes())
             data[len(data) * number // 10] ^= 0x40
             (folder / NAME).write_bytes(data)
         if file.exists() and what in ("write", "flip"):
-            os.utime(file, ns=(T0 + step, T0 + step))  # the coarse clock of a file system goes on between two changes
+            os.utime(file, ns=(T0 + step, T0 + step))  # the coarse clock of a file system advances between two changes
         if what == "look":
             assert look.entries() == without_cache(folder)
     assert look.entries() == without_cache(folder)
@@ -587,7 +587,7 @@ def test_many_processes_search_while_logs_come_and_go_and_the_cache_is_spoilt(tm
             cache.write_bytes(b"SQLite format 3\0 no more")
     counts = [int(process.communicate()[0] or 0) for process in searchers]
     assert [process.returncode for process in searchers] == [0, 0, 0]
-    assert min(counts) > 12  # how many go while they are read is a matter of who is faster
+    assert min(counts) > 12  # the number of files that vanish while they are read depends on timing
     assert number > 22
     assert settled_catalogue(folder).entries() == without_cache(folder)
     assert len(without_cache(folder)) == 20
@@ -616,7 +616,7 @@ def test_a_cache_that_may_not_be_read_is_none(tmp_path: Path, monkeypatch: pytes
     assert cache.load(tmp_path) == {}
 
 
-def test_folders_that_may_not_be_read_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unreadable_folders_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_log(tmp_path / "run.mcap")
     make_log(tmp_path / "locked" / "run.mcap")
     scandir, faults = os.scandir, [PermissionError(13, "Permission denied"), FileNotFoundError(2, "gone")]
@@ -629,9 +629,9 @@ def test_folders_that_may_not_be_read_are_told(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(os, "scandir", refused)
     catalogue = settled_catalogue(tmp_path)
-    for told in (1, 0):  # one that was removed meanwhile is no trouble
+    for count in (1, 0):  # a folder that was removed meanwhile is not reported
         assert [entry.path for entry in catalogue.search()] == ["run.mcap"]
-        assert len(catalogue.unread_folders) == told
+        assert len(catalogue.unread_folders) == count
         assert all("locked: cannot be read (Permission denied)" in text for text in catalogue.unread_folders)
         faults.pop(0)
 

@@ -1,4 +1,4 @@
-"""A few hundred damaged logs of the campaign in benchmarks/damaged_logs.py, and what it once found, one by one."""
+"""A few hundred damaged logs of the campaign in benchmarks/damaged_logs.py, and its earlier findings one by one."""
 
 import struct
 import zlib
@@ -51,7 +51,7 @@ def test_a_damaged_chunk_is_told_from_the_index(path):
     data[end - 5] ^= 1
     path.write_bytes(data)
     with open_log(path) as log:
-        assert log.complete  # nothing was looked at yet
+        assert log.complete  # nothing has been read yet
         assert len(log["laser/x"]) == SMALL.laser - 25
         (place,) = log.missing
         assert (place.byte_start, place.byte_end) == (start, end)
@@ -65,7 +65,7 @@ def test_a_damaged_chunk_is_told_from_the_index(path):
 
 @pytest.mark.parametrize("shape", [s for s in SHAPES if " 25 samples a chunk" in s.name], ids=lambda shape: shape.name)
 def test_damage_across_the_end_of_a_chunk_is_one_place(path, shape):
-    """A bad sector takes a chunk's end and the beginning of its message indexes: one place, and counted once."""
+    """A bad sector destroys a chunk's end and the beginning of its message indexes: one place, counted once."""
     data = bytearray(shape.data)
     (start, end), (following, _) = chunk_places(data)[3:5]
     data[end - 8 : end + 9] = bytes(17)
@@ -107,7 +107,7 @@ def test_a_chunk_without_a_trace_is_told_from_its_neighbours(path):
 
 
 def test_swapped_chunks_are_found_where_they_stand(path):
-    """Their heads are not what the index says, so the file is walked, and nothing is lost."""
+    """Their heads differ from the index, so the file is walked, and nothing is lost."""
     data = bytearray(SMALL.data)
     (a, a_end), (b, b_end) = chunk_places(data)[2:4]
     assert a_end - a == b_end - b
@@ -126,11 +126,11 @@ def test_a_chunk_copied_over_another_counts_once(path):
     path.write_bytes(data)
     with open_log(path) as log:
         assert len(np.unique(log["laser/x"].code)) == len(log["laser/x"]) == SMALL.laser - 25
-        assert any("taken once" in str(place) and place.messages == 27 for place in log.missing)
+        assert any("used once" in str(place) and place.messages == 27 for place in log.missing)
 
 
 def alike_chunks(finished):
-    """A log whose chunks 1 and 2 are alike but for the samples in them: one log time, one size; where they stand."""
+    """A log whose chunks 1 and 2 differ in their samples only: same log time and size; and their positions."""
     shape = campaign.make_shape("none", finished, 1, 170, 1, 3250)
     (a, a_end), (b, b_end) = chunk_places(shape.data)[1:3]
     assert a_end - a == b_end - b
@@ -139,7 +139,7 @@ def alike_chunks(finished):
 
 
 def check_every_way(path, samples, lost):
-    """By the index, in a window, after a walk and in the recovered log; `lost` is how many messages are said to be."""
+    """Check by the index, in a window, after a walk and in the recovered log; `lost` is the expected number."""
     with open_log(path) as log:
         for _ in range(2):
             found = log["laser/x"].code
@@ -149,7 +149,7 @@ def check_every_way(path, samples, lost):
             part = log.between(*window)["laser/x"].code
             assert part.tolist() == [k for k in found.tolist() if 40 <= k < 120]
             assert lost is None or sum(place.messages for place in log.missing) == lost
-            assert any("taken once" in str(place) and place.messages != 0 for place in log.missing)
+            assert any("used once" in str(place) and place.messages != 0 for place in log.missing)
             log.verify()
     recover(path, path.with_name("out.mcap"))
     with open_log(path.with_name("out.mcap")) as log:
@@ -158,7 +158,7 @@ def check_every_way(path, samples, lost):
 
 @pytest.mark.parametrize("finished", [True, False])
 def test_a_chunk_copied_over_one_that_is_alike_counts_once(path, finished):
-    """Times, size and counts are what the index says of both places; only the CRC tells that it is the same chunk."""
+    """Times, size and counts match the index at both places; only the CRC shows that it is the same chunk."""
     shape, (a, a_end), (b, b_end) = alike_chunks(finished)
     data = bytearray(shape.data)
     data[b:b_end] = data[a:a_end]
@@ -167,21 +167,21 @@ def test_a_chunk_copied_over_one_that_is_alike_counts_once(path, finished):
 
 
 def test_a_chunk_copied_behind_the_head_of_another_counts_once(path):
-    """The times in the head are still those of the index; those of the messages are not."""
+    """The times in the head still match the index; those of the messages do not."""
     data = bytearray(SMALL.data)
     (a, a_end), (b, b_end) = chunk_places(data)[2:4]
     assert a_end - a == b_end - b
     data[b + 33 : b_end] = data[a + 33 : a_end]
     path.write_bytes(data)
     with open_log(path) as log:
-        part = log.between(campaign.T0 + 75 * 250_000, campaign.T0 + 100 * 250_000)  # what was there
+        part = log.between(campaign.T0 + 75 * 250_000, campaign.T0 + 100 * 250_000)  # its contents before the damage
         assert part.count("laser/x") == 0
         assert any(place.messages == 27 for place in part.missing)
     check_every_way(path, SMALL.laser - 25, 27)
 
 
 def test_a_chunk_copied_over_the_summary_counts_once(path):
-    """The CRC of the data is right, but it does not vouch for what stands behind the data, be it the CRC itself."""
+    """The CRC of the data is right, but it does not cover the bytes after the data, including the CRC itself."""
     data = bytearray(SMALL.data)
     a, a_end = chunk_places(data)[2]
     start, end = next((start, end) for opcode, start, end in campaign.record_spans(SMALL.data) if opcode == 0x0F)
@@ -218,7 +218,7 @@ def test_a_chunk_that_stands_at_the_place_of_another_is_not_lost_but_the_other_i
 
 @pytest.mark.parametrize("writer", ["ours", "library", "library with a CRC of the data"])
 def test_the_same_chunk_written_twice_is_there_twice(path, writer):
-    """Nothing is damaged: whoever repeats a message with its times, and in a chunk of its own, gets it twice."""
+    """Nothing is damaged: messages that are repeated with their times in another chunk are read twice."""
     message, times = ch.pack_raw(0, b"again"), (5, 5, 6)
     with path.open("wb") as stream:
         if writer == "ours":
@@ -255,7 +255,7 @@ def test_a_missing_crc_is_damage_in_our_own_files(path):
     with open_log(path) as log:
         assert len(log["laser/x"]) == SMALL.laser - 25
     header = SMALL.data.index(LIBRARY.encode())
-    data[header : header + 2] = b"xx"  # a damaged header switches nothing off
+    data[header : header + 2] = b"xx"  # a damaged header disables no check
     path.write_bytes(data)
     with open_log(path) as log:
         assert len(log["laser/x"]) == SMALL.laser - 25
@@ -263,7 +263,7 @@ def test_a_missing_crc_is_damage_in_our_own_files(path):
 
 @pytest.mark.parametrize("finished", ["finished", "unfinished"])
 def test_a_whole_chunk_behind_a_wrong_length_is_found(path, finished):
-    """A chunk's head copied over a shorter one swallows the next chunk; the search goes on inside."""
+    """A chunk's head copied over a shorter one covers the next chunk; the search continues inside."""
     shape = next(shape for shape in SHAPES if shape.name == f"{finished} zstd, 1000 samples a chunk")
     data = bytearray(shape.data)
     spans = chunk_places(data)
@@ -304,7 +304,7 @@ def test_swapped_chunks_of_an_unfinished_log_are_not_said_to_be_missing(path):
 
 
 def test_an_index_that_tells_of_a_swapped_chunk_claims_nothing(path):
-    """A damaged chunk, and behind it the message indexes of another one, which is there."""
+    """A damaged chunk, followed by the message indexes of another chunk, which is present."""
     shape = next(shape for shape in SHAPES if shape.name == "unfinished none, 25 samples a chunk")
     data = bytearray(shape.data)
     spans = chunk_places(data)
@@ -330,7 +330,7 @@ def test_metadata_under_a_damaged_name_is_left_out(path):
 
 
 def test_a_summary_without_its_channels_is_not_believed(path):
-    """Its CRC is right, and yet the channel of the samples has another id in it."""
+    """Its CRC is right, but the channel of the samples has another id in it."""
     data = bytearray(SMALL.data)
     footer = len(data) - len(MAGIC) - 29
     start = struct.unpack_from("<Q", data, footer + 9)[0]
@@ -344,7 +344,7 @@ def test_a_summary_without_its_channels_is_not_believed(path):
 
 
 def test_a_summary_that_defines_no_schema_hinders_no_recovery(path):
-    """Id 0 means that a channel has no schema; the CRC says that it is right."""
+    """Id 0 means that a channel has no schema; the CRC of the definition is right."""
     data = bytearray(SMALL.data)
     footer = len(data) - len(MAGIC) - 29
     start = struct.unpack_from("<Q", data, footer + 9)[0]
@@ -367,14 +367,14 @@ def test_what_was_read_from_a_foreign_file_without_crcs_is_said(path):
         writer.finish()
     with open_log(path) as log:
         assert log.complete
-        said = [str(place) for place in log.verify()]
+        sentences = [str(place) for place in log.verify()]
         assert log.complete
-        assert any("1 chunks without a CRC" in text for text in said)
+        assert any("1 chunks without a CRC" in text for text in sentences)
         assert log.count("note") == 1
 
 
 def test_a_summary_crc_is_not_enough(path):
-    """Statistics that count another number than the index are not believed, however right their CRC is."""
+    """Statistics that differ from the index are not used, even if their CRC is right."""
     data = bytearray(SMALL.data)
     footer = len(data) - len(MAGIC) - 29
     start = struct.unpack_from("<Q", data, footer + 9)[0]
@@ -389,7 +389,7 @@ def test_a_summary_crc_is_not_enough(path):
 
 @pytest.mark.parametrize("has_data_end", [True, False])
 def test_a_summary_as_long_as_memory_is_damage(path, has_data_end):
-    """The footer of a huge file points near its start; what it points at is looked at before room is made for it."""
+    """The footer of a huge file points near its start; the target is checked before memory is allocated for it."""
     path.write_bytes(SMALL.data)
     footer = struct.pack("<BQ", 2, 20)
 
@@ -403,6 +403,6 @@ def test_a_summary_as_long_as_memory_is_damage(path, has_data_end):
 
     file = Huge(path)
     file.size = 2**60
-    with pytest.raises(DamageError, match="longer than there is memory" if has_data_end else "no end of the data"):
+    with pytest.raises(DamageError, match="larger than the available memory" if has_data_end else "no end of the data"):
         read_summary(file, Header(LIBRARY, True))
     file.close()

@@ -1,4 +1,4 @@
-"""A log in other programs' formats: what an independent reader finds there is what the log holds."""
+"""A log in other programs' formats: an independent reader finds the contents of the log."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Tables = dict[str, dict[str, np.ndarray]]
 
 @pytest.fixture
 def log_path(tmp_path: Path) -> Path:
-    """Two channels with numbers that are easily bent, one that stays empty; an event and a report."""
+    """Two channels with numbers that are easily rounded, one empty channel; an event and a report."""
     path = tmp_path / "run.mcap"
     facts = {"rig": "mine", "test": "ring-down-x", "note": "µ “quoted”, with commas\nand lines", "started": "then"}
     attachments = {"rig.json": load_rig("virtual").snapshot_json(), "identities.json": b'{"laser_x": {"serial": "7"}}'}
@@ -132,7 +132,7 @@ def assert_same(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -
     for name, values in expected.items():
         got = found[name]
         if values.dtype.kind == "f":
-            got = got.astype(np.float64)  # a csv column may hold whole numbers only
+            got = got.astype(np.float64)  # a csv column may contain whole numbers only
             nan = np.isnan(values)
             assert np.array_equal(np.isnan(got), nan), name
             assert np.array_equal(got[~nan].view(np.uint64), values[~nan].view(np.uint64)), name
@@ -230,7 +230,7 @@ def test_one_channel_in_a_span_of_time(log_path: Path) -> None:
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_signals_are_those_of_load_run(tmp_path: Path, format: Any) -> None:
-    path = write_small_log(tmp_path / "small.mcap", steps=30, opened_at=10, told=(0, 1))
+    path = write_small_log(tmp_path / "small.mcap", steps=30, opened_at=10, reported=(0, 1))
     run = load_run(path)
     done = export_log(path, tmp_path / f"signals.{format}", format=format, signals=True)
     found = READERS[format](done.files, ["x", "y", "angles", "marks"])

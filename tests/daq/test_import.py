@@ -1,4 +1,4 @@
-"""Recordings made elsewhere: what is in the file comes out of the log, and what cannot be meant is refused."""
+"""Recordings of other programs: the log has the contents of the file, and implausible options are rejected."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_units_signs_and_scales(tmp_path: Path, column: str, factor: float) -> N
         (rows(",").replace("0.1,", "1_0,", 1), NUMBERS, "got '1_0'"),
         ("t,x\n0,1\n1,2\n", NAMES | {"x": "x:mm"}, "expected at least 20 samples, got 2"),
         ("hello\nworld\n", NUMBERS, "expected columns of numbers, found none"),
-        ("", NUMBERS, "the file holds nothing"),
+        ("", NUMBERS, "the file is empty"),
         ("a\0b", NUMBERS, "expected text, parquet, mat or hdf5"),
         (rows(","), {"x": "2:mm"}, "expected --time COLUMN:UNIT or --rate HZ"),
         (rows(","), {"x": "2:mm", "time": "1:s", "rate_Hz": 10}, "got both"),
@@ -224,10 +224,10 @@ def test_the_log_says_what_it_was_made_of(tmp_path: Path) -> None:
     assert made["options"]["x"] == "d:mm"
     assert [(r.pendulum, round(r.time_s, 9)) for r in run.releases] == [(0, 0.1), (1, 0.1)]
     assert run.angle_step_rad == 2 * np.pi / 1000
-    assert list(run.clock_rate_std.values()) == pytest.approx([30e-6] * 4)  # the rig file's word
+    assert list(run.clock_rate_std.values()) == pytest.approx([30e-6] * 4)  # from the rig file
     assert set(run.clocks.values()) == {"recorder"}
     assert facts["clock_tolerance_from"] == "rig file"
-    assert any("lacking laser/y, pendulums, tacho" in warning for warning in made["warnings"])
+    assert any("missing: laser/y, pendulums, tacho" in warning for warning in made["warnings"])
 
 
 def test_matlab_structs_matrices_and_times_of_their_own(tmp_path: Path) -> None:

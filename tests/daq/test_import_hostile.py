@@ -1,4 +1,4 @@
-"""Files that want to be more than numbers: none reads another file, runs code or fills the memory."""
+"""Hostile files: none reads another file, runs code or fills the memory."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_neither_are_those_put_together_of_other_datasets(tmp_path: Path) -> Non
         layout = h5py.VirtualLayout((50,), "f8")
         layout[:] = h5py.VirtualSource(str(tmp_path / "other.h5"), "data", (50,))
         file.create_virtual_dataset("x", layout)
-    refused(path, "x", "put together of other datasets")
+    refused(path, "x", "composed of other datasets")
 
 
 def test_links_out_of_the_file_are_no_columns(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_many_columns_count_together(tmp_path: Path) -> None:
             file.create_dataset(name, (2**23,), "f8", chunks=(2**20,), compression="gzip")
     recording = Hdf5Recording(path)
     assert recording.read(["a"])["a"].values.tolist()[:1] == [0.0]
-    with pytest.raises(ExchangeError, match="no recording shrinks to"):
+    with pytest.raises(ExchangeError, match="a ratio that no recording reaches"):
         recording.read(recording.names)
 
 
@@ -112,19 +112,19 @@ def mat_matrix(rows: int, data: bytes) -> bytes:
 @pytest.mark.parametrize("inside", ["numbers", "a claim"])
 def test_a_mat_bomb_is_refused(tmp_path: Path, inside: str) -> None:
     path = tmp_path / "run.mat"
-    if inside == "numbers":  # 400 MB of zeros, in a cell where no list of variables shows them
+    if inside == "numbers":  # 400 MB of zeros, in a cell that is not in the list of variables
         packer = zlib.compressobj(1)
         head = struct.pack("<IIII", 14, 400 * 2**20 + 8, 9, 400 * 2**20)
         packed = packer.compress(head) + b"".join(packer.compress(bytes(2**20)) for _ in range(400)) + packer.flush()
     else:
         packed = zlib.compress(mat_matrix(2**30, mat_element(9, bytes(64))))
     path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + mat_element(15, packed))
-    with pytest.raises(ExchangeError, match="no recording shrinks to" if inside == "numbers" else "expected"):
+    with pytest.raises(ExchangeError, match="a ratio that no recording reaches" if inside == "numbers" else "expected"):
         MatRecording(path)
 
 
 def cells_in_cells(depth: int) -> bytes:
-    """A MAT file's element: a cell in a cell in a cell …, `depth` of them."""
+    """A MAT file's element: `depth` nested cells."""
     head = mat_element(6, struct.pack("<II", 1, 0)) + mat_element(5, struct.pack("<ii", 1, 1)) + mat_element(1, b"")
     heads, size = [], 0
     for _ in range(depth):
@@ -141,14 +141,14 @@ def test_what_would_end_the_process_is_not_given_to_the_reader(tmp_path: Path, p
         content = mat_element(15, zlib.compress(element)) if packed else element
         path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + content)
 
-    write(cells_in_cells(200_000))  # scipy calls itself for each: a segmentation fault
-    with pytest.raises(ExchangeError, match="cells or structs in each other"):
+    write(cells_in_cells(200_000))  # scipy calls itself for each level: a segmentation fault
+    with pytest.raises(ExchangeError, match="nested cells or structs"):
         MatRecording(path)
     text = mat_element(6, struct.pack("<II", 4, 0)) + mat_element(5, struct.pack("<ii", 1, 3)) + mat_element(1, b"x")
-    write(mat_element(14, text + mat_element(255, b"abc")))  # scipy looks the type up beyond its table: another
+    write(mat_element(14, text + mat_element(255, b"abc")))  # a type beyond scipy's table: another one
     with pytest.raises(ExchangeError, match=r"damaged\?"):
         MatRecording(path)
-    inner = mat_matrix(2**30, mat_element(9, bytes(64)))  # a claim that no list of variables shows
+    inner = mat_matrix(2**30, mat_element(9, bytes(64)))  # a size that is not in the list of variables
     cell = mat_element(6, struct.pack("<II", 1, 0)) + mat_element(5, struct.pack("<ii", 1, 1)) + mat_element(1, b"x")
     write(mat_element(14, cell + inner))
     with pytest.raises(ExchangeError, match="at most 4 GB of numbers"):
@@ -179,7 +179,7 @@ def test_a_parquet_bomb_is_refused(tmp_path: Path) -> None:
     with pq.ParquetWriter(path, pa.schema([("x", pa.float64())]), compression="zstd") as writer:
         for _ in range(10):
             writer.write_table(pa.table({"x": column.dictionary_decode()}))
-    refused(path, "x", "no recording shrinks to")
+    refused(path, "x", "a ratio that no recording reaches")
 
 
 def test_only_columns_of_numbers_are_read_from_parquet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

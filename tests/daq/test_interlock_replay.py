@@ -1,5 +1,5 @@
-"""A log put through the interlocks again: the same trips as live, none in a sound run, other limits, and logs that lack
-something."""
+"""A log evaluated by the interlocks again: the same trips as in the session, none in a faultless run, other limits, and
+incomplete logs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from daq.log.file import LogFile
 from daq.log.snapshot import rig_of
 from daq.replay.arrivals import Arrivals, Hole, holes_of
 from daq.replay.interlocked import InterlockReplay, replay_interlocks
-from daq.replay.orders import Orders, standing_order, tell_hand
+from daq.replay.orders import Orders, report_hand_orders, standing_order
 from daq.replay.session_facts import clock_rate
 from daq.replay.stream import pipelines_of
 from rig_configs import RigFileError, load_rig
@@ -134,34 +134,34 @@ def motor(rpm: list[float], target: list[float] | None) -> Batch:
 
 
 def test_orders_are_told_once_and_in_their_order() -> None:
-    told: list[float] = []
-    orders = Orders(told.append, whole=True)
+    speeds: list[float] = []
+    orders = Orders(speeds.append, whole=True)
     orders.sent()
     orders.follow(motor([0, 0], [0, 0]))
     orders.follow(motor([0, 5, 9, 12], [0, 300, 300, 0]))
     orders.follow(motor([12, 12], [0, np.nan]))
-    assert (told, orders.rpm) == ([0, 300, 0], 0)
+    assert (speeds, orders.rpm) == ([0, 300, 0], 0)
 
 
 def test_an_order_that_the_log_does_not_hold_is_the_drive_s_own_word_until_the_next_one() -> None:
-    told: list[float] = []
-    orders = Orders(told.append, whole=True)
+    speeds: list[float] = []
+    orders = Orders(speeds.append, whole=True)
     orders.sent()
     orders.follow(motor([590, 600], [0, 0]))
-    assert (told, orders.rpm) == ([590, 600, 600], None)
+    assert (speeds, orders.rpm) == ([590, 600, 600], None)
     orders.follow(motor([600], [0]))
     assert orders.rpm is None
     orders.follow(motor([600, 601], [0, 700]))
-    assert (told[-1], orders.rpm) == (700, 700)
+    assert (speeds[-1], orders.rpm) == (700, 700)
 
 
 def test_behind_a_hole_a_rotor_at_rest_has_no_order_that_is_known() -> None:
-    told: list[float] = []
-    orders = Orders(told.append, whole=False)
+    speeds: list[float] = []
+    orders = Orders(speeds.append, whole=False)
     orders.sent()
     orders.follow(motor([0], [600]))
-    assert (orders.rpm, told) == (None, [0, 0, 0])
-    no_field = Orders(told.append, whole=True)
+    assert (orders.rpm, speeds) == (None, [0, 0, 0])
+    no_field = Orders(speeds.append, whole=True)
     no_field.sent()
     no_field.follow(motor([0], None))
     assert no_field.rpm is None
@@ -177,15 +177,15 @@ def test_a_test_that_begins_at_a_speed_names_the_order_that_stands() -> None:
         {},
     ):
         assert standing_order(facts) is None
-    told: list[float] = []
-    orders = Orders(told.append, whole=True, standing=600.0)
+    speeds: list[float] = []
+    orders = Orders(speeds.append, whole=True, standing=600.0)
     orders.follow(motor([600], [0]))
     orders.follow(motor([600], [300]))
-    assert told == [600, 300]
+    assert speeds == [600, 300]
 
 
 @pytest.mark.parametrize(
-    ("facts", "told"),
+    ("facts", "speeds"),
     [
         ({"test": "run-up", "top_rpm": "500"}, [500]),
         ({"test": "point-B"}, [1200]),
@@ -195,13 +195,13 @@ def test_a_test_that_begins_at_a_speed_names_the_order_that_stands() -> None:
         ({}, []),
     ],
 )
-def test_a_hand_is_told_what_its_test_is(facts: dict[str, str], told: list[float]) -> None:
+def test_the_orders_of_a_rotor_turned_by_hand_follow_from_its_test(facts: dict[str, str], speeds: list[float]) -> None:
     heard: list[float] = []
-    tell_hand(heard.append, facts, 1200.0)
-    assert heard == told
+    report_hand_orders(heard.append, facts, 1200.0)
+    assert heard == speeds
 
 
-# --- what else a session is to its interlocks ----------------------------------------------------------------------
+# --- other facts of a session ---------------------------------------------------------------------------------------
 
 
 def test_at_rest_only_what_the_test_needs_trips(tmp_path: Path) -> None:
@@ -219,7 +219,7 @@ def test_the_log_says_how_fast_its_clock_ran(text: str | None, rate: float) -> N
 
 
 def test_patience_is_that_of_the_log_s_own_clock(tmp_path: Path) -> None:
-    """At eight times the speed of life the host's own 0.3 s are 2.4 s of the rig."""
+    """At eight times real time the host's 0.3 s are 2.4 s of the rig."""
     waits = {}
     for rate in ("1.0", "8.0"):
         with RecordedBench(tmp_path / f"{rate}.mcap", facts={"clock_rate": rate}) as bench:
@@ -260,7 +260,7 @@ def test_a_stop_that_the_session_made_is_found_even_in_the_last_seconds(tmp_path
     assert found.stops[0]["text"] == bench.why()
 
 
-# --- logs that lack something --------------------------------------------------------------------------------------
+# --- incomplete logs -----------------------------------------------------------------------------------------------
 
 
 def test_stored_samples_stand_in_for_bytes_that_are_not_there(tmp_path: Path) -> None:
@@ -293,7 +293,7 @@ def test_a_device_s_events_count_where_its_driver_is_not_installed(
         bench.note(Event("fault", "drive", "the rotor does not follow"))
         bench.pass_time(1.0)
         path = bench.finish()
-    assert judged(path).trips == ()  # its bytes hold none
+    assert judged(path).trips == ()  # its bytes contain no orders
     left = {name: point for name, point in installed().items() if name != "cia402"}
     monkeypatch.setattr(snapshot, "installed", lambda: left)
     assert [trip.interlock for trip in judged(path).trips] == ["fault"]
@@ -317,7 +317,7 @@ def test_a_cut_log_is_judged_as_far_as_it_goes(tmp_path: Path) -> None:
 
 
 def with_a_hole(path: Path, seconds: float, order_in_it: bool = False) -> Path:
-    """A rotor at 300 rpm, then a damaged chunk of some seconds, then on."""
+    """A rotor at 300 rpm, then a damaged chunk of some seconds, then continued operation."""
     with RecordedBench(path) as bench:
         bench.beat()
         bench.turn(300)
@@ -401,7 +401,7 @@ def test_a_log_of_the_project_s_small_fixture_and_one_without_a_rig(tmp_path: Pa
 
 
 def test_reads_that_stand_the_wrong_way_round_are_put_in_order(tmp_path: Path) -> None:
-    """Threads leave what they read a little late: the file's order is nearly that of time, and not quite."""
+    """Threads write their reads a little late: the file's order is nearly, but not exactly, that of time."""
     path = write_log(tmp_path / "a.mcap")
     with open_log(path) as log:
         rig = rig_of(log)

@@ -1,4 +1,4 @@
-"""Wander and lines of a laser: found with their figures, and nothing found where there is nothing."""
+"""Wander and lines of a laser: found with their figures, and no false findings."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def white(seed: int) -> np.ndarray:
 
 
 def wandering(seed: int, power: float, below_1_Hz_m: float) -> np.ndarray:
-    """White noise and wander of a given rms between 0.02 and 1 Hz, cut out of a longer stretch."""
+    """White noise and wander of a given rms between 0.02 and 1 Hz, cut out of a longer record."""
     rng = np.random.default_rng([seed, 7])
     frequency = np.fft.rfftfreq(4 * len(TIME), 1 / RATE)
     shape = np.zeros(len(frequency))
@@ -42,7 +42,7 @@ def test_wander_is_found_with_its_size_and_slope(power: float, words: str) -> No
     assert all(each is not None for each in found)
     seen = [each for each in found if each is not None]
     assert np.median([each.slope for each in seen]) == pytest.approx(power, abs=0.4)
-    assert 3e-6 < np.median([each.rms_m for each in seen]) < 8e-6  # what is slower than the record is taken out
+    assert 3e-6 < np.median([each.rms_m for each in seen]) < 8e-6  # slower parts than the record are removed
     assert any(words in each.words for each in seen)
 
 

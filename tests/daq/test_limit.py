@@ -1,4 +1,4 @@
-"""Where an approach ends: limits whose intervals hold what they say, for approaches, standing codes and noise."""
+"""End of an approach: limits whose intervals have the stated coverage, for approaches, constant codes and noise."""
 
 import math
 from collections.abc import Callable
@@ -60,7 +60,7 @@ def standing(rng: np.random.Generator) -> list[Motion]:
 
 
 def drawn(kind: Callable[[np.random.Generator], list[Motion]], seed: int) -> tuple[Limit | None, np.ndarray]:
-    """One draw's limits of three quantities, and the true ones."""
+    """Limits of one draw for three quantities, and the true ones."""
     rng = np.random.default_rng([seed, 7])
     edges = windows(int(rng.integers(15, 31)))
     ends = 100 * rng.standard_normal(3)
@@ -72,7 +72,7 @@ def drawn(kind: Callable[[np.random.Generator], list[Motion]], seed: int) -> tup
 def test_intervals_of_95_percent_hold_the_limit(
     kind: Callable[[np.random.Generator], list[Motion]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without the share for approaches that are not exponential: here they all are."""
+    """Without the share for approaches that are not exponential: here all are exponential."""
     monkeypatch.setattr(limit_module, "MODEL_SHARE", 0.0)
     off, refused = [], 0
     for seed in range(70):
@@ -90,7 +90,7 @@ def test_intervals_of_95_percent_hold_the_limit(
 
 @pytest.mark.parametrize("noise_steps", [0.0, 0.1, 0.3])
 def test_intervals_hold_the_limit_of_a_rounded_angle(noise_steps: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The rounding error is common to windows in which the code stands: no mean over windows makes it smaller."""
+    """The rounding error is common to windows with a constant code: a mean over windows does not reduce it."""
     monkeypatch.setattr(limit_module, "MODEL_SHARE", 0.0)
     edges, off, claimed = windows(20), [], []
     for seed in range(100):
@@ -129,7 +129,7 @@ def test_a_standing_code_leaves_a_step_over_root_twelve_however_long_it_stands()
 @settings(max_examples=40)
 @given(st.floats(0, 0.5), st.floats(0, 3))
 def test_the_deviation_of_rounding_is_that_of_rounding_itself(noise: float, ripple: float) -> None:
-    """Over all places between two codes; the rms over ripples nearby, and never above the largest error."""
+    """Over all positions between two codes; the rms over neighbouring ripples, and never above the largest error."""
     terms = rounding_terms(1.0, noise, ripple)
     turn = ripple * np.cos(2 * np.pi * np.arange(200) / 200)
     spread = noise * np.sqrt(2) * np.array([float(x) for x in _normal_quantiles(101)])
@@ -174,15 +174,15 @@ def test_a_straight_line_and_growth_have_no_limit(growth: Motion, count: int) ->
 
 def test_means_that_wander_beyond_their_noise_are_refused_or_widened() -> None:
     edges, rng = windows(20), np.random.default_rng(2)
-    wild = rng.standard_normal((20, 2))
-    assert limit(edges, wild, white(20, 2, 0.1)) is None
-    wider = limit(edges, wild, white(20, 2, 0.5))
+    outliers = rng.standard_normal((20, 2))
+    assert limit(edges, outliers, white(20, 2, 0.1)) is None
+    wider = limit(edges, outliers, white(20, 2, 0.5))
     assert wider is not None
     assert np.all(wider.scatter > 1.5)
 
 
 def test_an_approach_that_is_extrapolated_costs_its_share() -> None:
-    """15 % of what is to come, for an approach is exponential only near its end."""
+    """15 % of the remaining change, since an approach is exponential only near its end."""
     edges = windows(20)
     seen = np.stack([means(lambda t: 50 * np.exp(-0.2 * t), edges)] * 2, axis=1)
     found = limit(edges, seen, white(20, 2, 0.1))
@@ -208,7 +208,7 @@ def test_slow_rotors_and_signals_without_noise_leave_finite_numbers(window_s: fl
 
 
 def test_what_moves_late_may_be_little() -> None:
-    """A slow part of a hundredth of the change, not seen for certain, is in the covariance of the limits."""
+    """A slow part of a hundredth of the change, which is not significant, is in the covariance of the limits."""
     rng, z = np.random.default_rng(21), list[float]()
     edges = np.arange(30.0)[:, None] + [0.0, 1.0]
     t = edges.mean(axis=1)
@@ -219,11 +219,11 @@ def test_what_moves_late_may_be_little() -> None:
         found = limit(edges, means, np.tile(4e-6 * np.eye(30), (4, 1, 1)))
         assert found is not None
         z += list(found.values / np.sqrt(np.diag(found.covariance)))
-    assert np.mean(np.square(z)) < 4.0  # 9 where a slow part is expected to be as large as all that was seen
+    assert np.mean(np.square(z)) < 4.0  # 9 if a slow part is expected to be as large as the whole motion
 
 
 def test_what_is_not_exponential_yet_does_not_pull_the_limit() -> None:
-    """θ' = −λ sin θ from 0.1 rad: the square of the approach hides in the χ² of 30 windows, and pulls the limit."""
+    """θ' = −λ sin θ from 0.1 rad: the square of the approach hardly changes χ² of 30 windows, but shifts the limit."""
     far = 0
     for seed in range(40):
         rng = np.random.default_rng([seed, 11])
@@ -244,7 +244,7 @@ def test_what_is_not_exponential_yet_does_not_pull_the_limit() -> None:
 
 
 def test_a_square_of_the_size_expected_does_not_pull_the_limit() -> None:
-    """m∞ + a u + b u², the same b each time as at a point: too little for χ², enough to pull the limit."""
+    """m∞ + a u + b u², the same b each time as at a point: too little for χ², enough to shift the limit."""
     edges, size, square = windows(30), np.array([400.0, 400.0, 30.0, 140.0]), np.array([1.0, 1.0, -5.0, 4.0])
 
     def expected(stretch: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""open_log: whole, unfinished, cut and damaged files; only whole and correct samples come out."""
+"""open_log: finished, unfinished, cut and damaged files; only complete and correct samples are returned."""
 
 import io
 import struct
@@ -22,7 +22,7 @@ BLOCKS, PER_BLOCK = 12, 25
 
 
 def laser(start, n):
-    """Samples that say by themselves which they are, so that a wrong one is seen."""
+    """Samples that identify themselves, so that a wrong one is detected."""
     k = np.arange(start, start + n)
     return {"displacement_m": k * 1e-6, "code": k, "counter": k % 2**18, "device_ticks": 25 * k.astype(np.uint64)}
 
@@ -71,7 +71,7 @@ def write(tmp_path, data, name="run.mcap"):
 
 
 def check_samples(log):
-    """What is handed out is whole and correct; returns how many laser samples there are."""
+    """Check that the returned data are complete and correct; return the number of laser samples."""
     if "laser/x" not in log:
         return 0
     x = log["laser/x"]
@@ -106,7 +106,7 @@ def test_a_finished_log(tmp_path, whole):
         x = log["laser/x"]
         assert x.time_s[1] - x.time_s[0] == pytest.approx(250e-6, abs=5e-7)
         assert (x.log_time_ns[::PER_BLOCK] == T0 + np.arange(BLOCKS) * 10**7).all()
-    assert len(x.displacement_m) == BLOCKS * PER_BLOCK  # samples outlive the log
+    assert len(x.displacement_m) == BLOCKS * PER_BLOCK  # samples remain valid after the log is closed
     with pytest.raises(LogError, match="closed"):
         log.raw("laser_x")
 
@@ -237,7 +237,7 @@ def test_missing_names_help(tmp_path, whole):
         with pytest.raises(ChannelMissing, match="displacement_m"):
             log["laser/x"]["displacement_mm"]
         with pytest.raises(AttributeError, match="displacement_m"):
-            log["laser/x"].displacement_mm  # noqa: B018
+            log["laser/x"].displacement_mm  # noqa: B018 (the access itself is tested)
         assert log.get("laser/z") is None
         assert "raw/laser_x" not in log
 
@@ -277,7 +277,7 @@ def test_a_schema_with_impossible_names(tmp_path, name):
 
 
 def test_a_log_of_the_layout_before_is_whole(tmp_path):
-    """It has every CRC of the format, none of ours in its metadata, and the package's name as its library."""
+    """It has every CRC of the format, no CRC in its metadata, and the package's name as its library."""
     stream = io.BytesIO()
     writer = mcap.writer.Writer(stream, compression=mcap.writer.CompressionType.ZSTD, enable_data_crcs=True)
     writer.start(library="pendulum-balancer-rig")

@@ -1,4 +1,4 @@
-"""What is in a log: found in pieces, the same as in one piece."""
+"""Contents of a log: the same in parts as in one piece."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
             now = T0 + second * S
             file.raw("laser_x", RX, b"1234", now)
             if second % 10 == 0:
-                file.raw("laser_x", TX, b"ask", now)
+                file.raw("laser_x", TX, b"query", now)
                 file.event(Event("gap", "laser_x", f"{second} samples lost", {"samples": second, "span_s": 0.25}), now)
                 file.event(Event("reply", "laser_x", "OK"), now)
             if 3 <= second < 33:

@@ -1,4 +1,4 @@
-"""A log's name is taken before anything else happens, by one recording only, and given back when it is not used."""
+"""A log's name is reserved before anything else, by one recording only, and released when it is not used."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def test_a_reserved_name_is_nobody_elses(tmp_path: Path) -> None:
             with pytest.raises(LogError, match="another recording is writing it, or it is the rest"):
                 ReservedName(path)
             log.finish({})
-    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]  # leaving a name that was used takes nothing away
-    with pytest.raises(LogError, match="never written over"):
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]  # leaving a name that was used removes nothing
+    with pytest.raises(LogError, match="never overwritten"):
         ReservedName(path)
     with open_log(path) as log:
         assert log.complete

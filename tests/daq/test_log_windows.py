@@ -1,4 +1,4 @@
-"""Parts of a log by time, what is read for them, and files that change or fail while they are open."""
+"""Parts of a log by time, the reads they need, and files that change or fail while they are open."""
 
 import io
 import os
@@ -23,7 +23,7 @@ def marks(numbers):
 
 
 def record(blocks, finish=True, compression="zstd"):
-    """A log of (log time, sample times) blocks in ms, a chunk each; raw bytes and an event beside each block."""
+    """A log of (log time, sample times) blocks in ms, a chunk each; raw bytes and an event with each block."""
     stream = io.BytesIO()
     writer = BlockWriter(stream, compression)
     writer.start()
@@ -62,7 +62,7 @@ TIMES = st.integers(0, 60)
     st.sampled_from(["zstd", "none"]),
 )
 def test_a_window_holds_exactly_what_lies_in_it(tmp_path_factory, blocks, low, high, finish, compression):
-    """However late or early the samples came: those of the whole log with the right times, in its order."""
+    """For any delay of the samples: those of the whole log within the window, in its order."""
     path = tmp_path_factory.mktemp("window") / "run.mcap"
     path.write_bytes(record(blocks, finish, compression))
     start, end = T0 + low * MS, T0 + high * MS
@@ -113,7 +113,7 @@ def test_what_a_log_knows_of_itself(path):
         assert log.verify() == []
         with part:
             pass
-        assert len(log["tacho"]) == 3  # a part leaves the log open
+        assert len(log["tacho"]) == 3  # closing a part leaves the log open
     for read in (lambda: log.events, lambda: part["tacho"], lambda: log.raw("encoder"), log.verify):
         with pytest.raises(LogError, match="closed"):
             read()
@@ -127,7 +127,7 @@ def test_an_empty_log(path):
 
 
 def big(n=60_000):
-    """A log of several MB, so that several threads read it, with samples that name themselves."""
+    """A log of several MB, so that several threads read it, with samples that identify themselves."""
     stream = io.BytesIO()
     writer = BlockWriter(stream, "none", chunk_bytes=50_000)
     writer.start()
@@ -190,7 +190,7 @@ def test_a_disk_that_refuses_a_sector(path, monkeypatch):
 
 
 def test_a_file_that_is_written_over_while_it_is_open(path):
-    """What was sound when it was looked at and is not any more is left out, however often one asks."""
+    """A part that was intact when it was read and is damaged now is excluded from then on."""
     path.write_bytes(record([(k, [k]) for k in range(30)], finish=False))
     with open_log(path) as log:
         with path.open("r+b") as stream:

@@ -1,4 +1,4 @@
-"""What a log says it lost, wherever it says so."""
+"""Losses of a log, from each of the places where they are stored."""
 
 import json
 
@@ -60,12 +60,12 @@ def test_a_cut_log_tells_by_its_last_health_report_or_by_its_events(tmp_path):
 
 
 def test_a_silence_counts_for_the_device_whose_channel_was_silent(tmp_path):
-    said = {"of": "encoder", "channel": "tacho"}
+    silence = {"of": "encoder", "channel": "tacho"}
     events = [
-        Event("silence", "host", "tacho: silent", {**said, "since_ns": START}),
-        Event("silence", "host", "tacho: came back", {**said, "tacho_silent_ms": 1500, "span_s": 1.5}),
-        Event("silence", "host", "tacho: silent", {**said, "since_ns": START}),
-        Event("silence", "host", "tacho: still silent", {**said, "tacho_silent_ms": 250, "span_s": 0.25}),
+        Event("silence", "host", "tacho: silent", {**silence, "since_ns": START}),
+        Event("silence", "host", "tacho: came back", {**silence, "tacho_silent_ms": 1500, "span_s": 1.5}),
+        Event("silence", "host", "tacho: silent", {**silence, "since_ns": START}),
+        Event("silence", "host", "tacho: still silent", {**silence, "tacho_silent_ms": 250, "span_s": 0.25}),
     ]
     with open_log(write(tmp_path / "a.mcap", None, (), events)) as log:
         assert losses_of(log).by_device == {"encoder": {"tacho_silent_ms": 1750}}

@@ -1,4 +1,4 @@
-"""A recovered log never passes as whole: what was lost before is in its `missing`, its losses, its run."""
+"""A recovered log is never treated as complete: earlier losses are in its `missing`, its losses, its run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from daq.log import lost_before as module
 from daq.log import open_log, opened, recover
 from daq.log.file import LogFile
 from daq.log.losses import losses_of
-from daq.log.lost_before import read_lost, tell_lost
+from daq.log.lost_before import read_lost, lost_metadata
 from daq.log.samples import Missing
 from daq.replay.checking import check_log
 from daq.signals.completeness import missing_warnings
@@ -34,13 +34,13 @@ app = App(name="rig")
 app.command(log_command)
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
+def run_command(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str]:
     code = app([str(a) for a in arguments], exit_on_error=False, print_error=True, result_action="return_value")
     return code, capsys.readouterr().out
 
 
 def in_three_chunks(path: Path) -> Path:
-    """A sound log of 0.6 s; made without the recorder, whose chunks end where its thread happened to be."""
+    """An intact log of 0.6 s; made without the recorder, whose chunks end at varying places."""
     rig = load_rig("virtual")
     pipelines = make_pipelines(rig.devices, {})
     attachments = {"rig.json": rig.snapshot_json(), "identities.json": b"{}"}
@@ -87,7 +87,7 @@ def test_opening_it_tells_what_is_missing(recovered: Path) -> None:
         assert place.messages == LOST
         assert "motor" in place.topics
         assert None not in (place.start_ns, place.end_ns)
-        assert log.verify() == []  # this file itself is sound
+        assert log.verify() == []  # this file itself is intact
         assert log.missing == [place]
 
 
@@ -125,7 +125,7 @@ def test_the_losses_and_the_run_count_it(recovered: Path) -> None:
     run = load_run(recovered)
     assert run.losses["log.missing_messages"] == LOST
     assert (run.metadata["missing"], run.metadata["complete"]) == (sentences, False)
-    assert missing_warnings([run]) == [f"good.mcap: the log is not whole: {sentences[0]}"]
+    assert missing_warnings([run]) == [f"good.mcap: the log is incomplete: {sentences[0]}"]
 
 
 def test_a_damaged_log_s_run_says_so_and_a_sound_one_s_does_not(tmp_path: Path) -> None:
@@ -141,18 +141,18 @@ def test_a_damaged_log_s_run_says_so_and_a_sound_one_s_does_not(tmp_path: Path) 
 def test_the_command_prints_it_and_finds_the_file_itself_sound(
     recovered: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, out = said(capsys, "log", recovered)
+    code, out = run_command(capsys, "log", recovered)
     assert code == 0
     assert "recovered, not whole; of what it holds every byte checked" in out
     assert "lost before it was recovered" in out
     assert f"log {LOST} missing messages" in out
-    code, out = said(capsys, "log", recovered, "--json")
-    told = json.loads(out)
-    assert (code, told["complete"], told["state"]) == (0, False, "recovered")
-    assert told["missing"] == told["lost_before"] != []
-    assert (told["unchecked"], told["losses"]["total"]) == ([], LOST)
+    code, out = run_command(capsys, "log", recovered, "--json")
+    found = json.loads(out)
+    assert (code, found["complete"], found["state"]) == (0, False, "recovered")
+    assert found["missing"] == found["lost_before"] != []
+    assert (found["unchecked"], found["losses"]["total"]) == ([], LOST)
     damage(recovered)
-    assert said(capsys, "log", recovered)[0] == 1
+    assert run_command(capsys, "log", recovered)[0] == 1
 
 
 def test_the_catalogue_lists_it_as_not_whole(recovered: Path) -> None:
@@ -172,7 +172,7 @@ def test_the_check_ends_where_the_recovered_log_lacks_something(
 ) -> None:
     with open_log(in_three_chunks(tmp_path / "run.mcap")) as log:
         hole = Missing("a chunk", 1, 2, log.start_ns + 3 * 10**8, log.start_ns + 4 * 10**8, ("raw/laser_x",), 5)
-        lost = {"recovered": tell_lost([hole], "run.mcap.part", [])}
+        lost = {"recovered": lost_metadata([hole], "run.mcap.part", [])}
         monkeypatch.setattr(opened, "read_lost", lambda _: read_lost(lost))
         found = check_log(log)
     assert found.until_ns == hole.start_ns
@@ -182,8 +182,8 @@ def test_the_check_ends_where_the_recovered_log_lacks_something(
 
 @pytest.mark.parametrize("places", ["[", "5", '[{"text": 3}]', "[" * 100_000, '[{"text": "t", "topics": 4}]'])
 def test_places_that_cannot_be_read_are_told_by_their_sentences(places: str) -> None:
-    told = {"recovered": {"places": places, "missing": "one\ntwo"}}
-    assert [str(place) for place in read_lost(told)] == [
+    found = {"recovered": {"places": places, "missing": "one\ntwo"}}
+    assert [str(place) for place in read_lost(found)] == [
         "lost before it was recovered: one",
         "lost before it was recovered: two",
     ]
@@ -194,11 +194,11 @@ def test_places_that_cannot_be_read_are_told_by_their_sentences(places: str) -> 
 def test_too_many_places_become_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_MOST_PLACES", 3)
     lost = [Missing("a chunk", k, k + 1, k, k + 5, ("b", "a")[k % 2 : k % 2 + 1], 2) for k in range(6)]
-    told = read_lost({"recovered": tell_lost(lost, "run.mcap", [])})
-    assert [place.messages for place in told] == [2, 2, 8]
-    assert (told[-1].start_ns, told[-1].end_ns, told[-1].topics) == (2, 10, ("a", "b"))
-    assert told[-1].text == "4 more places"
-    unknown = tell_lost([*lost, Missing("the end", 9)], "run.mcap", [])
+    found = read_lost({"recovered": lost_metadata(lost, "run.mcap", [])})
+    assert [place.messages for place in found] == [2, 2, 8]
+    assert (found[-1].start_ns, found[-1].end_ns, found[-1].topics) == (2, 10, ("a", "b"))
+    assert found[-1].text == "4 more places"
+    unknown = lost_metadata([*lost, Missing("the end", 9)], "run.mcap", [])
     assert read_lost({"recovered": unknown})[-1] == Missing("5 more places", topics=("a", "b"))
 
 
@@ -208,7 +208,7 @@ def test_a_recovered_file_of_another_program_counts_no_losses(
     path = tmp_path / "foreign.mcap"
     with path.open("wb") as stream:
         writer = library.Writer(stream, chunk_size=200)
-        writer.start(library="somebody")
+        writer.start(library="another program")
         channel = writer.register_channel("note", "json", 0)
         for number in range(40):
             writer.add_message(channel, number, b'{"number": %d}' % number, number)
@@ -217,6 +217,6 @@ def test_a_recovered_file_of_another_program_counts_no_losses(
     for name in (path.name, made.name):
         (entry,) = (entry for entry in Catalogue(tmp_path).search() if entry.path == name)
         assert (entry.state, entry.lost) == ("foreign", None)
-        code, out = said(capsys, "log", tmp_path / name)
+        code, out = run_command(capsys, "log", tmp_path / name)
         assert code == 0
         assert "unknown: it counts none" in out

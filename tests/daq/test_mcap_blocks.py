@@ -1,4 +1,4 @@
-"""BlockWriter: chunks copied from other files, what it notes about itself, and how it fails."""
+"""BlockWriter: chunks copied from other files, facts about itself, and failures."""
 
 import io
 import tracemalloc
@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, Writer
 
 from daq import channels as ch
 from daq.log import open_log
-from daq.mcap.writer import BlockWriter, metadata_crc
+from daq.mcap.writer import BlockWriter, CopiedChunk, metadata_crc
 from tests.daq.small_log import write_small_log
 
 T0 = 1_700_000_000_000_000_000
@@ -60,7 +60,7 @@ def unpacked(chunk):
 
 
 def check_message_indexes(data):
-    """Exactly one index per channel behind each chunk, ascending, and every entry points at its message."""
+    """Exactly one index per channel after each chunk, ascending, and every entry points at its message."""
     chunk, seen = None, {}
     for record in records_of(data):
         if isinstance(record, Chunk):
@@ -124,9 +124,8 @@ def copy_of(data, **options):
     for chunk in (record for record in records_of(data) if isinstance(record, Chunk)):
         places = message_places(chunk)
         ids, log, publish, offsets = zip(*places, strict=True) if places else ([], [], [], [])
-        writer.copy_chunk(
-            chunk.data, chunk.compression, chunk.uncompressed_size, chunk.uncompressed_crc, ids, log, publish, offsets
-        )
+        size, crc = chunk.uncompressed_size, chunk.uncompressed_crc
+        writer.copy_chunk(CopiedChunk(chunk.data, chunk.compression, size, crc, ids, log, publish, offsets))
     return stream, writer
 
 
@@ -164,7 +163,7 @@ def test_chunks_are_copied_byte_for_byte(compression):
     copy = stream.getvalue()
     assert messages_of(copy) == [*messages_of(source), ("late", T0 + 10_000, T0 + 10_000, 0, b"[]")]
     chunks = [[r for r in records_of(data) if isinstance(r, Chunk)] for data in (source, copy)]
-    assert chunks[1][1:-1] == chunks[0]  # before them the definitions, behind them the late channel
+    assert chunks[1][1:-1] == chunks[0]  # before them the definitions, after them the late channel
     assert metadata_of(copy, "times") == metadata_of(source, "times")
     check_message_indexes(copy)
     summaries = [make_reader(io.BytesIO(data), validate_crcs=True).get_summary() for data in (source, copy)]
@@ -241,7 +240,7 @@ def test_a_chunk_that_contradicts_itself_is_not_copied(ids, log, offsets, match)
     writer = fresh()
     writer.adopt([], [Channel(1, "a", "json", {}, 0)])
     with pytest.raises(ValueError, match=match):
-        writer.copy_chunk(b"x" * 100, "", 100, 0, ids, log, log, offsets)
+        writer.copy_chunk(CopiedChunk(b"x" * 100, "", 100, 0, ids, log, log, offsets))
 
 
 @given(st.dictionaries(st.text(st.characters(codec="utf-8")), st.text(st.characters(codec="utf-8"))))
@@ -321,7 +320,7 @@ def test_memory_does_not_grow_with_the_file(tmp_path):
 
 
 class FullDisk(io.BytesIO):
-    """Takes `room` bytes, then part of a write, then all again."""
+    """Accepts `room` bytes, then part of a write, then everything again."""
 
     room = 2000
 
@@ -370,7 +369,7 @@ def test_a_finished_file_takes_no_more():
 
 
 def re_encoded(data):
-    """A file made by the library's own writer from what its reader finds in ours."""
+    """A file made by the library's own writer from the contents that its reader finds in ours."""
     reader = make_reader(io.BytesIO(data), validate_crcs=True)
     stream = io.BytesIO()
     writer = Writer(stream, chunk_size=5000)
@@ -393,7 +392,7 @@ def re_encoded(data):
 
 
 def test_a_log_encoded_again_by_the_library_reads_the_same(tmp_path):
-    ours = write_small_log(tmp_path / "ours.mcap", steps=30, opened_at=10, told=(0, 1))
+    ours = write_small_log(tmp_path / "ours.mcap", steps=30, opened_at=10, reported=(0, 1))
     theirs = tmp_path / "theirs.mcap"
     theirs.write_bytes(re_encoded(ours.read_bytes()))
     assert messages_of(theirs.read_bytes()) == messages_of(ours.read_bytes())

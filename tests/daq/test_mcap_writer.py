@@ -99,7 +99,7 @@ def test_the_library_reads_what_was_written(steps, compression, chunk_bytes):
 
 
 def check_offsets(data, summary):
-    """Every offset in the summary points at what it says, each message index at its messages."""
+    """Every offset in the summary points at the right record, each message index at its messages."""
     for index in summary.chunk_indexes:
         assert data[index.chunk_start_offset] == 0x06
         record = data[index.chunk_start_offset : index.chunk_start_offset + index.chunk_length]
@@ -223,7 +223,7 @@ def test_wrong_use_is_refused_before_anything_is_written():
     with pytest.raises(ValueError, match="one integer or 4"):
         writer.add_block(cid, T0, np.arange(3), 0, tacho(4))
     with pytest.raises(ValueError, match="zstd"):
-        BlockWriter(io.BytesIO(), "lz4")  # type: ignore[arg-type]
+        BlockWriter(io.BytesIO(), "lz4")  # type: ignore[arg-type]  # an invalid compression
 
 
 def test_a_short_write_is_an_error():
@@ -240,7 +240,7 @@ def test_the_index_of_many_chunks_is_whole_and_in_order():
     writer = BlockWriter(stream)
     writer.start()
     cid = add_tacho(writer)
-    for number in range(700):  # more than one piece of the index as it is kept while writing
+    for number in range(700):  # more than one piece of the index kept while writing
         writer.add_block(cid, T0 + number, T0 + number, number, tacho(1))
         writer.flush()
     writer.finish()

@@ -1,4 +1,4 @@
-"""Noise of order-1 vectors by what stands beside the order: white, 1/f, hum, and orbits that still change."""
+"""Noise of order-1 vectors from the coefficients next to the order: white, 1/f, hum, and changing orbits."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def one_over_f(count: int, rng: np.random.Generator, power: float = 1.0) -> np.n
 
 
 def means(turn_Hz: float, more=lambda t, rng: 0.0, orbit=lambda t: 1e-3, seed: int = 0) -> WindowMeans:
-    """Windows of an orbit seen by two lasers that both show something more."""
+    """Windows of an orbit measured by two lasers with additional disturbances."""
     rng = np.random.default_rng(seed)
     t = np.arange(0, WINDOWS + 1.5, 1 / RATE)
     marks = np.arange(0.013, t[-1], 1 / turn_Hz)
@@ -45,7 +45,7 @@ def test_white_noise_is_left_as_it_is(turn_Hz: float) -> None:
 
 @pytest.mark.parametrize(("turn_Hz", "power"), [(2.5, 1.0), (7.8, 1.0), (17.4, 1.0), (4.8, 1.8)])
 def test_wander_widens_the_means_by_as_much_as_they_scatter(turn_Hz: float, power: float) -> None:
-    """The noise that is stated against the vectors' own scatter, which needs no spectrum."""
+    """The estimated noise compared with the vectors' own scatter, which needs no spectrum."""
     found = [means(turn_Hz, lambda t, rng: 2e-5 * one_over_f(len(t), rng, power), seed=seed) for seed in range(12)]
     assert all(each.coloured for each in found)
     scatter = np.mean([each.means.var(axis=0, ddof=1) for each in found], axis=0)
@@ -65,7 +65,7 @@ def test_hum_counts_by_what_leaks_into_the_order() -> None:
 
 @pytest.mark.parametrize("rate", [0.1, 0.2, 0.5])
 def test_an_orbit_that_still_changes_is_no_noise(rate: float) -> None:
-    """Tens of micrometres a second leak into all that stands beside the order."""
+    """A change of tens of micrometres per second leaks into all coefficients next to the order."""
     found = means(7.8, orbit=lambda t: 1e-3 + 2e-4 * np.exp(-rate * t))
     white = means(7.8)
     assert found.noise == pytest.approx(white.noise, rel=0.3)

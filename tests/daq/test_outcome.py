@@ -1,4 +1,4 @@
-"""What a test says of its end, in logs of today and of yesterday; and the numbers of logs in a folder."""
+"""Result of a test in logs of present and earlier versions; and the numbers of logs in a folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of a rotor phase that is read in steps, integrated from a noisy speed, or moves at rest."""
+"""Sentences on a rotor phase that is read in steps, integrated from a noisy speed, or moves at rest."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def number(sentence: str, before: str) -> float:
 def test_steps_of_an_encoder_are_named_with_their_size(step_deg: float, rpm: float, ramp: float, start: float) -> None:
     step = math.radians(step_deg)
     phase = turning(rpm, ramp)
-    uneven = phase + start + 0.02 * np.sin(phase)  # no rotor goes a whole number of steps from reading to reading
+    uneven = phase + start + 0.02 * np.sin(phase)  # a rotor does not turn by a whole number of steps between readings
     (sentence,) = phase_remarks(run_with(np.round(uneven / step) * step), turns=True)
     assert "steps" in sentence
     assert number(sentence, "°") == pytest.approx(step_deg, rel=0.06)

@@ -1,4 +1,4 @@
-"""Playing a log's bytes out: nothing dropped, nothing out of order, and recorded again they give the same samples."""
+"""Playback of a log's bytes: nothing is dropped or reordered, and a recording of it gives the same samples."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ KINDS = [pytest.param("pty", marks=needs_pty), "tcp"]
 
 
 class FakeOutlet:
-    """A reader that takes so many bytes at each offer, and goes away after some."""
+    """A reader that accepts a limited number of bytes per offer, and goes away after some."""
 
     port = "fake"
 
@@ -104,7 +104,7 @@ def test_a_bus_carries_the_frames_of_both_each_whole(log: Log) -> None:
     sent = frames_of(b"".join(chunk.data for chunk in log.raw("drive") if chunk.direction == TX))
     assert [f for f in found.frames if f.arbitration_id != cia402.cob_tpdo(1, 5)] == sent
     assert len(sent) > 10
-    assert "O" not in found.other_lines  # the host's words to its own adapter are not on the bus
+    assert "O" not in found.other_lines  # the host's commands to its own adapter are not on the bus
 
 
 @given(
@@ -185,11 +185,11 @@ def test_more_than_the_backlog_is_never_held() -> None:
 
 def test_a_reader_that_goes_away_is_told_and_the_others_are_served(log: Log) -> None:
     goes, stays = FakeOutlet(goes_after=2000), FakeOutlet()
-    told: set[str] = set()
+    reported: set[str] = set()
     playback = Playback({"laser_x": goes, "laser_y": stays}, played_devices(log), 4.0, FakeClock())
-    state = playback.play(log.raw_in_order(), lambda now: told.update(now.gone))
+    state = playback.play(log.raw_in_order(), lambda now: reported.update(now.gone))
     assert stays.got == from_device(log, "laser_y")
-    assert state.gone.keys() == told == {"laser_x"}
+    assert state.gone.keys() == reported == {"laser_x"}
     assert START_NS < state.gone["laser_x"] < log.end_ns
     assert state.delivered["laser_x"] + state.undelivered["laser_x"] == len(from_device(log, "laser_x"))
     assert state.delivered["laser_x"] == len(goes.got)
@@ -215,14 +215,14 @@ def test_it_begins_when_every_port_has_been_open_for_a_while() -> None:
     one, two = FakeOutlet(), FakeOutlet()
     one.open = two.open = False
     clock = FakeClock()
-    told: list[list[str]] = []
+    reported: list[list[str]] = []
     opened_ns = 0
 
     def opens() -> None:
         nonlocal opened_ns
         passed = clock.ns * 1e-9 - 5
         one.open = passed > 1
-        two.open = 2 < passed < 2.1 or passed > 3  # a look, and then for good
+        two.open = 2 < passed < 2.1 or passed > 3  # for a moment, and later for good
         opened_ns = opened_ns or (clock.ns if passed > 3 else 0)
 
     sleep = clock.sleep
@@ -231,10 +231,10 @@ def test_it_begins_when_every_port_has_been_open_for_a_while() -> None:
         sleep(seconds)
         opens()
 
-    clock.sleep = sleep_and_open  # type: ignore[method-assign]
+    clock.sleep = sleep_and_open  # type: ignore[method-assign]  # a hook of this test
     silent = {"laser_x": PlayedDevice(), "laser_y": PlayedDevice()}
-    Playback({"laser_x": one, "laser_y": two}, silent, 1.0, clock).wait_for_readers(told.append)
-    assert told == [["laser_x", "laser_y"], ["laser_y"], [], ["laser_y"], []]
+    Playback({"laser_x": one, "laser_y": two}, silent, 1.0, clock).wait_for_readers(reported.append)
+    assert reported == [["laser_x", "laser_y"], ["laser_y"], [], ["laser_y"], []]
     assert 0.27e9 < clock.ns - opened_ns < 0.4e9
 
 
@@ -247,11 +247,11 @@ def test_at_the_end_ports_are_held_until_their_readers_close_them() -> None:
         sleep(seconds)
         outlet.open = clock.ns < 8_000_000_000
 
-    clock.sleep = sleep_and_close  # type: ignore[method-assign]
+    clock.sleep = sleep_and_close  # type: ignore[method-assign]  # a hook of this test
     playback.hold()
     assert clock.ns == pytest.approx(8e9, abs=0.03e9)
     outlet.open = True
-    clock.sleep = sleep  # type: ignore[method-assign]
+    clock.sleep = sleep  # type: ignore[method-assign]  # a hook of this test
     playback.hold(linger_s=2.0)
     assert clock.ns == pytest.approx(10e9, abs=0.06e9)
 
@@ -270,7 +270,7 @@ def test_a_port_tells_whether_somebody_has_it_open(kind: str) -> None:
     assert wire.offer(b"abc") == 3
     assert link.read(2.0) == b"abc"
     while wire.offer(bytes(65536)):
-        pass  # full: nothing is taken, nothing is lost
+        pass  # full: nothing is accepted, nothing is lost
     assert wire.connected()
     link.close()
     eventually(lambda: wire.receive() == b"" and not wire.connected())
@@ -288,7 +288,7 @@ def eventually(condition: object) -> None:
 
 
 def record_what_comes(links: dict[str, Link], path: Path, enough: dict[str, int], slow_s: float) -> None:
-    """A recorder that configures nothing: it listens until it has so many bytes of each device."""
+    """A recorder that configures nothing: it receives a given number of bytes from each device."""
     rig = load_rig("virtual")
     pipelines = make_pipelines(rig.devices, IDENTITIES)
     clock = HostClock()

@@ -1,4 +1,4 @@
-"""What stands in for the devices of a log: bytes in whole blocks and lines, answers as the devices gave them."""
+"""Simulated devices of a log: bytes in whole blocks and lines, answers like those of the devices."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def blocks(count: int, words: int = 4) -> bytes:
 
 
 class Asking:
-    """A host's way to a device and back, through the decoder that reads it."""
+    """A host's line to a device and back, through the decoder that reads it."""
 
     def __init__(self, device: PlayedDevice) -> None:
         self.clock = HostClock()
@@ -96,7 +96,7 @@ def test_an_answer_never_falls_into_a_block(words: int, cuts: list[int], start: 
         rest = rest[cut:]
     assert played == stream
     assert np.array_equal(np.concatenate(rows), alone.values)
-    assert skipped <= alone.skipped_bytes  # the end of a block whose start is not there may look like text
+    assert skipped <= alone.skipped_bytes  # the end of a block whose start is missing may look like text
     assert skipped == 0 or start > 0
     assert text.count("->") == sum(answer.endswith(b"->") for answer in (answers * (number + 1))[: number + 1])
 
@@ -190,7 +190,7 @@ def test_a_node_lets_commands_pass_and_counts_them() -> None:
 
 
 class Bus:
-    """Our own drive control on a played drive, its answers brought back at once."""
+    """The package's own drive control with a simulated drive, whose answers are returned at once."""
 
     def __init__(self, drive: PlayedDrive) -> None:
         self.drive = drive
@@ -243,7 +243,7 @@ def test_it_reports_the_newest_values_of_the_log() -> None:
         for frame in slcan.LineDecoder().feed(drive.hear(request)).frames:
             network.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
 
-    network.send_message = answered  # type: ignore[method-assign]
+    network.send_message = answered  # type: ignore[method-assign]  # a hook of this test
     assert node.sdo.upload(cia402.STATUSWORD, 0) == struct.pack("<H", 0x237)
     assert node.sdo.upload(cia402.ACTUAL_VELOCITY, 0) == struct.pack("<h", -300)
     assert node.sdo.upload(cia402.MODE_DISPLAY, 0) == bytes([cia402.MODE_VELOCITY])
@@ -269,7 +269,7 @@ def test_any_bytes_of_a_host_are_handled(pieces: list[bytes]) -> None:
         assert device.rest() == b""
 
 
-# --- those of a log ----------------------------------------------------------------------------------------------
+# --- devices of a log --------------------------------------------------------------------------------------------
 
 
 def test_every_device_of_a_log_has_its_stand_in(log: Log) -> None:

@@ -1,4 +1,4 @@
-"""Playing to a host that configures its devices first: when it begins, when it ends, and what it says otherwise."""
+"""Playback to a host that configures its devices first: its start, its end, and its errors."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ STOP = slcan.encode(slcan.CanFrame(0, b"\x80\x05")) + b"C\r"
 
 
 class Host:
-    """One end of a port: what it says next, what it got."""
+    """One end of a port: bytes to send next, bytes received."""
 
     port = "fake"
 
     def __init__(self) -> None:
-        self.says, self.got, self.open = b"", b"", True
+        self.next_bytes, self.got, self.open = b"", b"", True
 
     def offer(self, data: bytes) -> int:
         if not self.open:
@@ -39,8 +39,8 @@ class Host:
         return len(data)
 
     def receive(self) -> bytes:
-        said, self.says = self.says, b""
-        return said
+        sent, self.next_bytes = self.next_bytes, b""
+        return sent
 
     def connected(self) -> bool:
         return self.open
@@ -53,7 +53,7 @@ class Host:
 
 
 class Scripted(FakeClock):
-    """A clock at whose turns a host does something."""
+    """A clock that lets a host act when it sleeps."""
 
     def __init__(self, does: Callable[[float], None]) -> None:
         super().__init__()
@@ -83,8 +83,8 @@ def set_up(hosts: dict[str, Host], log: Log, clock: FakeClock, speed: float = ma
     """A playback whose host has configured every device."""
     playback = Playback(hosts, played_devices(log), speed, clock)
     for name in ("laser_x", "laser_y"):
-        hosts[name].says = b"".join(LASERS)
-    hosts["drive"].says = START
+        hosts[name].next_bytes = b"".join(LASERS)
+    hosts["drive"].next_bytes = START
     playback.wait_for_readers()
     playback.wait_for_setup()
     return playback
@@ -97,13 +97,13 @@ def test_nothing_is_played_before_every_device_was_told_and_then_everything(log:
         for name, when_s, word in (("laser_x", 1, LASERS[2]), ("laser_y", 2, LASERS[2]), ("drive", 3, START)):
             if when_s <= at_s < when_s + 0.019:
                 assert hosts["encoder"].got == b""
-                hosts[name].says = word
+                hosts[name].next_bytes = word
 
     playback = Playback(hosts, played_devices(log), math.inf, clock := Scripted(does))
-    hosts["laser_x"].says = LASERS[0] + LASERS[1]
+    hosts["laser_x"].next_bytes = LASERS[0] + LASERS[1]
     playback.wait_for_readers()
     assert playback.configured
-    assert clock.ns == pytest.approx(5.0e9, abs=0.05e9)  # a command tells at once, nothing has to settle
+    assert clock.ns == pytest.approx(5.0e9, abs=0.05e9)  # a command is decisive at once, without the settling time
     playback.wait_for_setup(lambda waiting: waited.append(set(waiting)))
     assert waited == [{"laser_x", "laser_y", "drive"}, {"laser_y", "drive"}, {"drive"}, set()]
     assert clock.ns == pytest.approx(8.0e9, abs=0.1e9)
@@ -111,7 +111,7 @@ def test_nothing_is_played_before_every_device_was_told_and_then_everything(log:
     for name in ("laser_x", "laser_y"):
         _, _, stream = hosts[name].got.rpartition(b"OUTPUT RS422 ok\r\n->")
         assert stream == from_device(log, name)
-        assert state.delivered[name] == len(stream)  # answers are none of the log's bytes
+        assert state.delivered[name] == len(stream)  # answers are not part of the log's bytes
     assert b"Serial: 1\r\n" in hosts["laser_x"].got
     assert hosts["encoder"].got == from_device(log, "encoder")
     assert not any(state.withheld.values())
@@ -130,7 +130,7 @@ def test_who_says_nothing_is_a_listener(log: Log, hosts: dict[str, Host]) -> Non
 
 def test_who_opens_its_adapter_only_is_a_listener(log: Log, hosts: dict[str, Host]) -> None:
     playback = Playback(hosts, played_devices(log), math.inf, FakeClock())
-    hosts["drive"].says = b"C\rS6\rO\r"
+    hosts["drive"].next_bytes = b"C\rS6\rO\r"
     playback.wait_for_readers()
     assert not playback.configured
     assert hosts["drive"].got == b"\r\r\r"
@@ -140,7 +140,7 @@ def test_commands_of_somebody_who_left_before_all_ports_were_open_do_not_count(
     log: Log, hosts: dict[str, Host]
 ) -> None:
     hosts["encoder"].open = False
-    hosts["laser_x"].says = b"GETINFO\n"
+    hosts["laser_x"].next_bytes = b"GETINFO\n"
 
     def does(at_s: float) -> None:
         hosts["laser_x"].open = not 1 < at_s < 2
@@ -154,8 +154,8 @@ def test_commands_of_somebody_who_left_before_all_ports_were_open_do_not_count(
 
 def test_a_host_that_never_gets_that_far_is_told_what_was_expected(log: Log, hosts: dict[str, Host]) -> None:
     playback = Playback(hosts, played_devices(log), 1.0, clock := FakeClock())
-    hosts["laser_x"].says = LASERS[2]
-    hosts["drive"].says = START
+    hosts["laser_x"].next_bytes = LASERS[2]
+    hosts["drive"].next_bytes = START
     playback.wait_for_readers()
     with pytest.raises(DeviceError, match=r"60 s later still expected: OUTPUT RS422 at laser_y\. A program"):
         playback.wait_for_setup()
@@ -168,7 +168,7 @@ def test_a_host_that_leaves_before_is_told_at_once(log: Log, hosts: dict[str, Ho
             host.open = at_s < 1
 
     playback = Playback(hosts, played_devices(log), 1.0, clock := Scripted(does))
-    hosts["laser_x"].says = LASERS[0]
+    hosts["laser_x"].next_bytes = LASERS[0]
     playback.wait_for_readers()
     expected = "OUTPUT RS422 at laser_x, OUTPUT RS422 at laser_y"
     with pytest.raises(DeviceError, match=re.escape(expected)) as refused:
@@ -186,8 +186,8 @@ def leaving(hosts: dict[str, Host], at: float, politely: bool) -> Callable[[floa
         nonlocal stopped
         if not stopped and at_s >= at:
             stopped = True
-            hosts["laser_x"].says = hosts["laser_y"].says = LASERS[0]
-            hosts["drive"].says = STOP
+            hosts["laser_x"].next_bytes = hosts["laser_y"].next_bytes = LASERS[0]
+            hosts["drive"].next_bytes = STOP
         for host in hosts.values():
             host.open = at_s < at + 0.1
 
@@ -203,9 +203,9 @@ def test_a_host_that_leaves_ends_it_and_whether_it_stopped_its_devices_is_known(
     began_s = clock.ns * 1e-9 - 5
     script = leaving(hosts, began_s + 0.25, politely)
     sleep = clock.sleep
-    clock.sleep = lambda seconds: (sleep(seconds), script(clock.ns * 1e-9 - 5))[0]  # type: ignore[method-assign]
-    told: list[Played] = []
-    state = playback.play(log.raw_in_order(), told.append)
+    clock.sleep = lambda seconds: (sleep(seconds), script(clock.ns * 1e-9 - 5))[0]  # type: ignore[method-assign]  # a hook of this test
+    states: list[Played] = []
+    state = playback.play(log.raw_in_order(), states.append)
     assert state.cut_short
     assert state.stopped == politely
     assert state.gone.keys() == set(hosts)
@@ -228,8 +228,8 @@ def test_last_words_of_a_host_count_even_when_its_ports_are_closed_with_them(log
     def chunks() -> Iterator:
         for number, chunk in enumerate(log.raw_in_order()):
             if number == 100:
-                hosts["laser_x"].says = hosts["laser_y"].says = LASERS[0]
-                hosts["drive"].says = STOP
+                hosts["laser_x"].next_bytes = hosts["laser_y"].next_bytes = LASERS[0]
+                hosts["drive"].next_bytes = STOP
                 for host in hosts.values():
                     host.open = False
             yield chunk
@@ -244,11 +244,11 @@ def test_stopped_and_started_again_it_goes_on_where_the_log_is_by_then(log: Log,
     began_s = clock.ns * 1e-9
     words = [(0.2, LASERS[0]), (0.4, LASERS[2])]
 
-    def tell(_: Played) -> None:
+    def respond(_: Played) -> None:
         if words and clock.ns * 1e-9 - began_s >= words[0][0]:
-            hosts["laser_x"].says = words.pop(0)[1]
+            hosts["laser_x"].next_bytes = words.pop(0)[1]
 
-    state = playback.play(log.raw_in_order(), tell)
+    state = playback.play(log.raw_in_order(), respond)
     assert not state.stopped
     whole = from_device(log, "laser_x")
     stream = hosts["laser_x"].got.partition(b"OUTPUT RS422 ok\r\n->")[2]
@@ -263,12 +263,12 @@ def test_a_late_command_is_answered_between_two_blocks(log: Log, hosts: dict[str
     clock = FakeClock()
     playback = Playback(hosts, played_devices(log), 1.0, clock)
 
-    def tell(state: Played) -> None:
+    def respond(state: Played) -> None:
         if state.log_ns > log.start_ns + 200_000_000 and b"Serial" not in hosts["laser_y"].got:
-            hosts["laser_y"].says = LASERS[1]
+            hosts["laser_y"].next_bytes = LASERS[1]
 
     playback.wait_for_readers()
-    playback.play(log.raw_in_order(), tell)
+    playback.play(log.raw_in_order(), respond)
     before, name, _ = hosts["laser_y"].got.partition(b"Name: ")
     assert name
     assert len(before) % 12 == 0
@@ -280,7 +280,7 @@ def test_a_late_command_is_answered_between_two_blocks(log: Log, hosts: dict[str
 def test_what_a_log_cannot_do_is_counted(log: Log, hosts: dict[str, Host]) -> None:
     clock = FakeClock()
     playback = set_up(hosts, log, clock)
-    hosts["encoder"].says = rotorlink.wire(rotorlink.Command(1, 3, rotorlink.ACTIONS["release both"]).pack())
+    hosts["encoder"].next_bytes = rotorlink.wire(rotorlink.Command(1, 3, rotorlink.ACTIONS["release both"]).pack())
     state = playback.play(log.raw_in_order())
     assert state.unfollowed == {"laser_x": 0, "laser_y": 0, "encoder": 1, "drive": 0}
     assert hosts["encoder"].got == from_device(log, "encoder")
@@ -290,7 +290,7 @@ def test_questions_are_answered_while_the_ports_are_held_at_the_end(log: Log, ho
     clock = FakeClock()
     playback = set_up(hosts, log, clock)
     playback.play(log.raw_in_order())
-    hosts["laser_x"].says = LASERS[0]
+    hosts["laser_x"].next_bytes = LASERS[0]
     playback.hold(linger_s=0.1)
     assert hosts["laser_x"].got.endswith(b"OUTPUT NONE ok\r\n->")
 
@@ -302,9 +302,9 @@ def test_as_fast_as_it_is_read_commands_are_heard_all_the_same(log: Log, hosts: 
 
     def chunks() -> Iterator:
         for number, chunk in enumerate(log.raw_in_order()):
-            clock.ns += 3_000_000  # handing over takes time, too
+            clock.ns += 3_000_000  # handing over takes time too
             if number == 100:
-                hosts["laser_x"].says = LASERS[0]
+                hosts["laser_x"].next_bytes = LASERS[0]
             counted.append(len(hosts["laser_x"].got))
             yield chunk
 

@@ -195,7 +195,7 @@ def test_a_disk_that_fails_leaves_what_was_flushed(tmp_path, monkeypatch):
 def test_names_are_never_written_over(tmp_path):
     path = begin(tmp_path / "run.mcap").close({})
     before = path.read_bytes()
-    with pytest.raises(LogError, match="never written over"):
+    with pytest.raises(LogError, match="never overwritten"):
         begin(path)
     with pytest.raises(LogError, match=r"ends in \.mcap"):
         begin(tmp_path / "run.log")
@@ -252,7 +252,7 @@ def test_of_two_that_begin_at_once_the_later_sees_what_the_earlier_has_finished(
         path.write_bytes(b"finished")
 
     monkeypatch.setattr("daq.log.file.compile_writer", other_ends)
-    with pytest.raises(LogError, match="never written over"):
+    with pytest.raises(LogError, match="never overwritten"):
         begin(path)
     assert path.read_bytes() == b"finished"
     assert not path.with_name("run.mcap.part").exists()

@@ -1,4 +1,4 @@
-"""A recording's clock is as good as is known of it: never exact unless the operator says so, one for all of a file."""
+"""Clock of a recording: never exact unless the operator states it, and one clock for all columns of a file."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ K1, K2, ZETA1, ZETA2 = 2471.0, 41987.0, 0.0171, 0.0113
 
 
 def plucked(path: Path, rate_error: float, seed: int = 3) -> Path:
-    """A pluck in closed form: two decays, axes 1.3° apart, white noise; stamps of a clock that is off by rate_error."""
+    """A pluck in closed form: two decays, axes 1.3° apart, white noise; stamps of a clock with `rate_error`."""
     rng = np.random.default_rng(seed)
     t = np.arange(15_000) / 1000.0
 
@@ -98,8 +98,8 @@ def test_what_nothing_is_said_of_counts_50_ppm_and_is_said(tmp_path: Path) -> No
     assert run.clock_rate_std["x"] == pytest.approx(50e-6)
     assert rate_std_between(run, "x", "phase") == 0.0
     assert list(clock_errors(run, {"x": np.ones(1), "y": np.ones(1)})) == ["clock recorder"]
-    told = import_recording(path, tmp_path / "told.mcap", RIG, recipe)
-    assert not any("ppm" in warning for warning in told.warnings)
+    stated = import_recording(path, tmp_path / "stated.mcap", RIG, recipe)
+    assert not any("ppm" in warning for warning in stated.warnings)
 
 
 def test_what_one_log_has_read_of_a_rate_is_an_error_of_its_own(tmp_path: Path) -> None:
@@ -121,7 +121,7 @@ def test_what_one_log_has_read_of_a_rate_is_an_error_of_its_own(tmp_path: Path) 
     ("facts", "ppm"),
     [
         ({}, 50.0),
-        ({"clock_tolerance_ppm": "0.0"}, 50.0),  # imported before anyone was asked
+        ({"clock_tolerance_ppm": "0.0"}, 50.0),  # imported by a version without this option
         ({"clock_tolerance_ppm": "0.0", "clock_tolerance_from": "stated"}, 0.0),
         ({"clock_tolerance_ppm": "7"}, 7.0),
     ],

@@ -1,4 +1,4 @@
-"""rig recover: what is sound in a cut or damaged log, whole again; the old file untouched, nothing written over."""
+"""rig recover: a new complete log from the intact parts of a cut or damaged one; no file is modified or overwritten."""
 
 import io
 import json
@@ -52,7 +52,7 @@ def test_a_cut_log_becomes_whole(part):
         assert new.metadata["recovered"]["origin"] == part.name
         assert new.metadata["recovered"]["missing"].split("\n") == [str(place) for place in found.missing]
         assert found.messages == sum(new.count(topic) for topic in new.topics)
-        assert found.chunks == new.chunk_count - 1  # the definitions stand before the copied ones
+        assert found.chunks == new.chunk_count - 1  # the definitions precede the copied ones
         assert found.seconds == pytest.approx(29 * 0.01)
 
 
@@ -95,7 +95,7 @@ def test_the_last_reported_losses_become_the_summary(tmp_path):
     part.write_bytes(stream.getvalue())
     with open_log(recover(part).path) as log:
         assert json.loads(log.metadata["summary"]["losses"]) == losses
-    with open_log(recover(whole).path) as new, open_log(whole) as old:  # a finished log keeps its own
+    with open_log(recover(whole).path) as new, open_log(whole) as old:  # a finished log keeps its own summary
         assert new.path.name == "whole.recovered.mcap"
         assert new.metadata["summary"] == old.metadata["summary"]
 
@@ -123,7 +123,7 @@ def test_a_file_of_another_writer(tmp_path, chunked):
     path = tmp_path / "foreign.mcap"
     with path.open("wb") as stream:
         writer = library.Writer(stream, use_chunking=chunked, enable_crcs=False, chunk_size=200)
-        writer.start(library="somebody")
+        writer.start(library="another program")
         channel = writer.register_channel("note", "json", 0)
         for number in range(40):
             writer.add_message(channel, number, b'{"number": %d}' % number, number)
@@ -230,9 +230,9 @@ def test_the_folder_is_made_and_the_disk_is_only_full_when_it_is(part, tmp_path)
     out = tmp_path / "saved" / "today" / "run.mcap"
     assert recover(part, out).path == out
     (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(RecordingError, match="Give another place") as told:
+    with pytest.raises(RecordingError, match="Give another place") as found:
         recover(part, tmp_path / "file" / "run.mcap")
-    assert "full" not in str(told.value)
+    assert "full" not in str(found.value)
 
 
 def test_a_recovered_log_ends_in_mcap(part, tmp_path):
@@ -254,9 +254,9 @@ def test_without_hard_links_it_is_renamed(part, monkeypatch):
 
 def test_the_command_says_what_is_missing(part, capsys):
     assert command(part, json=True) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["messages"] == 30 * 52 + 8
-    assert "not finished or is cut" in told["missing"][0]["sentence"]
+    found = json.loads(capsys.readouterr().out)
+    assert found["messages"] == 30 * 52 + 8
+    assert "not finished or is cut" in found["missing"][0]["sentence"]
     os.remove(part.with_name("run.mcap"))
     assert command(part) == 0
     out = capsys.readouterr()

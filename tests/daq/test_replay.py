@@ -1,4 +1,4 @@
-"""Replay: bit for bit, at its pace, anew with corrected calibration; and honest about what cannot be compared."""
+"""Replay: bit for bit, at its pace, with corrected calibration; parts that cannot be compared are reported."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_what_was_recorded_is_decoded_again_bit_for_bit(tmp_path: Path, what: di
 def test_samples_come_in_the_order_of_the_file_where_their_times_step_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A clock mapped anew: sample times go back by 7 ms every 50, now and then across a window's end at 20 ms."""
+    """A clock mapped again: sample times step back by 7 ms every 50, sometimes across a window's end at 20 ms."""
     monkeypatch.setattr(stored, "_ROWS", 20)
     number = np.arange(400)
     time_ns = START_NS + 1_000_000 * (number - 7 * (number // 50))
@@ -74,7 +74,7 @@ def test_samples_come_in_the_order_of_the_file_where_their_times_step_back(
 
 
 def falsified(topic: str, number: int, change: Callable[[dict[str, Any], Batch], None]) -> Falsify:
-    """Changes one batch of a channel; `change` gets its arrays (as a dict that also has time_ns and sequence)."""
+    """Changes one batch of a channel; `change` receives its arrays (as a dict that also has time_ns and sequence)."""
     seen = [0]
 
     def falsify(_: int, item: Batch | Event, host_ns: int) -> tuple[Batch | Event, Any]:
@@ -143,7 +143,7 @@ def test_nan_is_the_same_nan_and_minus_zero_is_not_zero(tmp_path: Path) -> None:
     rows = check(write_log(tmp_path / "a.mcap", falsify=falsified("motor", 3, change)))
     row = next(row for row in rows if row.topic == "motor")
     assert row.differing == 1
-    assert row.fields["speed_rpm"].largest == 0.0  # nothing to measure, and still it differs
+    assert row.fields["speed_rpm"].largest == 0.0  # no measurable distance, but different bits
     before = np.array([0.0, math.nan, 1.0])
     assert compare._differing(before, np.array([-0.0, math.nan, 1.0])).tolist() == [True, False, False]
 
@@ -221,7 +221,7 @@ def test_what_a_whole_log_lacks_is_no_cut(tmp_path: Path) -> None:
 
 
 def damage_chunk_at(path: Path, share: float) -> None:
-    """Flip a byte in the middle of the chunk that stands at a share of the file."""
+    """Flip a byte in the middle of the chunk at a given share of the file."""
     from mcap.reader import make_reader
 
     with path.open("rb") as file:
@@ -279,7 +279,7 @@ def test_a_log_without_its_rig_file_says_so(tmp_path: Path) -> None:
 
 
 class FakeClock:
-    """Time that passes only when it is slept or told to."""
+    """A clock that advances only by sleeping or explicitly."""
 
     def __init__(self) -> None:
         self.ns = 5_000_000_000
@@ -297,11 +297,11 @@ class FakeClock:
 def test_everything_comes_at_its_time_whatever_the_waits_add_up_to(tmp_path: Path, speed: float) -> None:
     clock = FakeClock()
     clock_sleep = clock.sleep
-    clock.sleep = lambda seconds: clock_sleep(seconds + 3e-4)  # type: ignore[method-assign]  # every sleep is too long
+    clock.sleep = lambda seconds: clock_sleep(seconds + 3e-4)  # type: ignore[method-assign]  # type: ignore[method-assign]  # every sleep is too long
     with open_log(write_log(tmp_path / "a.mcap")) as log:
         started, reached = clock.ns, START_NS
         for _, chunk, _ in paced(log, speed, clock):
-            reached = max(reached, chunk.host_ns)  # devices' reads are not in strict order of time
+            reached = max(reached, chunk.host_ns)  # the devices' reads are not in strict order of time
             due = started + (reached - START_NS) / speed
             assert due - 2 <= clock.ns <= due + 3.1e5
     assert reached > START_NS + 59 * STEP_NS
@@ -337,7 +337,7 @@ def test_a_speed_that_is_none_is_refused(speed: float) -> None:
         Pace(speed, FakeClock())
 
 
-# --- anew --------------------------------------------------------------------------------------------------------
+# --- decoding into a new log -------------------------------------------------------------------------------------
 
 
 def calibration(tmp_path: Path, text: str) -> Calibration:
@@ -421,7 +421,7 @@ def test_a_cut_and_a_damaged_log_become_whole_ones_that_say_what_was_missing(tmp
     assert made.missing
     found = check(made.path)
     assert found.identical
-    assert next(iter(found)).live == 2400  # also the samples that were never written
+    assert next(iter(found)).live == 2400  # including the samples that were never written
     damaged = write_log(tmp_path / "c.mcap", steps=100)
     damage_chunk_at(damaged, 0.5)
     made = decode_anew(damaged, tmp_path / "d.mcap")

@@ -1,4 +1,4 @@
-"""What a log hands out to Python: arrays nobody can spoil for the next, names where names are looked for."""
+"""Contents returned to Python: arrays that cannot be modified, and helpful errors for wrong names."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_a_window_takes_any_whole_number(log: Log) -> None:
 
 def test_a_log_is_itself_only_and_always_there(log: Log, tmp_path: Path) -> None:
     window = log.between(0, 1)
-    assert log == log  # noqa: PLR0124
+    assert log == log  # noqa: PLR0124 (comparison with itself is tested)
     assert log != window
     assert len({log, window, log}) == 2
     with open_log(log.path) as other:

@@ -54,7 +54,7 @@ def test_wobble_of_a_periodic_orbit_does_not_matter(wobble_deg: float) -> None:
 
 @pytest.mark.parametrize("rate", [0.12, 0.2, 0.4, 1.0])
 def test_remaining_bounds_an_exponential_approach(rate: float) -> None:
-    """Never less than what is still to come; not much more where a slow approach cannot hide beside it."""
+    """Never less than the remaining change; not much more if a slow approach cannot be hidden."""
     for left_deg in (3.0, 1.0, 0.3):
         left = math.radians(left_deg)
         result = judge(lambda t, left=left: 1.0 + np.minimum(left * np.exp(-rate * (t - 30.0)), 2.5))
@@ -68,7 +68,7 @@ def test_remaining_bounds_an_exponential_approach(rate: float) -> None:
 @pytest.mark.parametrize("rate", [0.17, 0.25, 0.5, 1.0])
 @pytest.mark.parametrize("end_deg", [0.08, 0.3, 2.0])
 def test_leaving_an_unstable_balance_is_never_settled(rate: float, end_deg: float) -> None:
-    """At the end the pendulums are only end_deg off the saddle; the drift is below every tolerance, and grows."""
+    """At the end the pendulums are only end_deg from the saddle; the drift is below every tolerance, and grows."""
     for seed in range(8):
         result = judge(lambda t: 0.18 + math.radians(end_deg) * np.exp(rate * (t - 30.0)), seed=seed)
         assert not result.settled, (seed, result)
@@ -76,7 +76,7 @@ def test_leaving_an_unstable_balance_is_never_settled(rate: float, end_deg: floa
 
 
 def test_standing_as_released_is_not_settled_for_a_while() -> None:
-    """Nothing moves yet: only the time since release tells."""
+    """Nothing moves yet: only the time since release prevents acceptance."""
     data = signals(lambda t: np.where(t > 10.0, math.radians(1.0), 0.0), duration=30.0)
     assert not settled(*data, release_time_s=10.0).settled
     assert "unstable balance" in settled(*data, release_time_s=10.0).why
@@ -151,7 +151,7 @@ def coded(
 @pytest.mark.parametrize("counts", [4096, 65536])
 @pytest.mark.parametrize("noise", [0.0, 0.3, 2.0])
 def test_steady_pendulums_are_settled_whatever_the_encoder(counts: int, noise: float) -> None:
-    """Standing codes above all: the means differ by floating point noise alone."""
+    """Constant counts above all: the means differ by floating point noise only."""
     for seed in range(6):
         data = coded(lambda t: 0 * t, counts, noise, 14.0, ripple=(seed % 3) * 2e-3, seed=seed)
         result = settled(*data)
@@ -172,7 +172,7 @@ def test_a_coarse_encoder_that_stands_is_settled_once_it_has_stood_for_long() ->
 
 @pytest.mark.parametrize(("rate", "noise"), [(0.12, 0.3), (0.18, 0.0), (0.18, 0.3), (0.35, 0.0)])
 def test_settled_says_no_more_than_the_tolerance_is_to_come(rate: float, noise: float) -> None:
-    """The nearer the end the nearer the level of quantisation: asked again and again as the guided test does."""
+    """Close to the end quantisation dominates; evaluated repeatedly, as in the guided test."""
     for seed in range(1):
         data = coded(lambda t: 2.0 * np.exp(-rate * t), 4096, noise, 75.0, seed=seed)
         for end in np.arange(6.0 / rate, 75.0, 1.0):
@@ -186,11 +186,11 @@ def test_settled_says_no_more_than_the_tolerance_is_to_come(rate: float, noise: 
         assert result.settled, result.why
         assert left < 0.05
         again = settled(*(data[j][data[j - j % 2] <= end + 2.5] for j in range(8)), angle_step_rad=STEP)
-        assert again.settled, again.why  # what the test called steady is steady in the log, recorded on for 2.5 s
+        assert again.settled, again.why  # a state that the test accepted is steady in the log after another 2.5 s
 
 
 def test_two_rates_and_a_pause_are_not_mistaken_for_the_end() -> None:
-    """A slow approach beside a fast one, one that starts late, and a stop on the way."""
+    """A slow approach together with a fast one, one that starts late, and a pause."""
     for seed in range(4):
 
         def both(t):
@@ -230,7 +230,7 @@ def _wander(count: int, rate_Hz: float, seed: int) -> np.ndarray:
 
 
 def test_lasers_that_wander_are_no_motion() -> None:
-    """At 2.5 Hz an amplitude of a window scatters by 2 µm; pendulums that stand are settled all the same."""
+    """At 2.5 Hz an amplitude of a window scatters by 2 µm; pendulums at rest are settled nevertheless."""
     for duration in (18.0, 40.0):
         for seed in range(6):
             data = list(signals(lambda t: 1.0 + 0 * t, speed=5 * np.pi, duration=duration, seed=seed))

@@ -1,4 +1,4 @@
-"""A log keeps what its devices were to the rig: it is read where their drivers are not installed."""
+"""A log stores the roles of its devices, so that it can be read without their drivers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fits hold the linear algebra to one thread, and give the others back."""
+"""Fits limit the linear algebra to one thread, and restore the threads afterwards."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def blas_threads() -> set[int]:
 def test_blas_has_one_thread_inside_and_its_own_outside() -> None:
     with threadpool_limits(2, user_api="blas"):
         before = blas_threads()
-        assert on_one_thread(blas_threads)() <= {1}  # macOS has a BLAS that cannot be held
+        assert on_one_thread(blas_threads)() <= {1}  # the BLAS of macOS cannot be limited
         assert blas_threads() == before <= {2}
 
 

@@ -1,4 +1,4 @@
-"""A line of units is a line of units: however it is written, above or below the names, and it is held to."""
+"""Lines of units are recognised in any notation, above or below the names, and are compared with the options."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_another_unit_than_the_file_s_is_refused(tmp_path: Path, options: dict[s
     path = text(tmp_path / "a.csv", HEADS["as in the issue"][0] + table(";"))
     with pytest.raises(ExchangeError, match=words):
         bring_in(path, **({"time": "Zeit", "x": "Weg x"} | options))
-    run = bring_in(path, time="Zeit:ms", x="Weg x:-mm")  # the sign and a scale are the operator's own
+    run = bring_in(path, time="Zeit:ms", x="Weg x:-mm")  # the sign and a scale are given by the operator
     assert np.allclose(run.x_m, -1e-3 * np.round(X, 6))
     assert np.allclose(bring_in(path, time="Zeit", x="Weg x:0.002").x_m, 2e-3 * np.round(X, 6))
 

@@ -1,4 +1,4 @@
-"""Two sensors along one axis: which one measures, and what their readings' ratio shows."""
+"""Two sensors along one axis: selection of the measuring one, and the ratio of their readings."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def compared(
 def test_the_ratio_and_its_uncertainty_are_honest(rates: tuple[float, float], gain: float) -> None:
     found = [compared(seed, gain, rates=rates) for seed in range(40)]
     z = np.array([(one.ratio - gain) / one.ratio_std for one in found])
-    assert np.mean([one.ratio for one in found]) == pytest.approx(gain, abs=1e-4)  # a tenth of what calibration allows
+    assert np.mean([one.ratio for one in found]) == pytest.approx(gain, abs=1e-4)  # a tenth of the calibration's
     assert 0.6 < np.std(z) < 1.5
     assert max(one.ratio_std for one in found) < 4e-4
     assert np.mean([one.delay_s for one in found]) == pytest.approx(1.5e-3, abs=5e-5)
@@ -74,7 +74,7 @@ def test_what_calibration_allows_agrees_and_what_it_does_not_is_flagged() -> Non
     assert off.verdict == "disagree"
     assert off.ratio == pytest.approx(1.02, abs=2e-4)
     assert off.text.startswith(f"top and low along x: top shows {off.ratio:.5f} ± ")
-    assert "low is what is taken" in off.text
+    assert "the readings of low are used" in off.text
     assert compared(1, 1.02, gain_std=0.02).verdict == "agree"
 
 
@@ -95,20 +95,20 @@ def test_noise_of_the_sensor_beside_it_does_not_make_the_ratio_small() -> None:
     assert abs(np.mean(ratios) - 1) < 2e-3
 
 
-def test_a_log_s_witness_is_read_held_against_its_sensor_and_told(
+def test_a_log_s_witness_is_compared_with_its_sensor_and_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = witnessed_log(tmp_path / "a.mcap", gain=1.03)
     run = load_run(path)
     (witness,) = run.witnesses
-    assert (witness.device, witness.axis, witness.beside) == ("top", "x", "laser_x")
+    assert (witness.device, witness.axis, witness.reference) == ("top", "x", "laser_x")
     assert witness.gain_std == pytest.approx(np.hypot(0.001, 0.002))
     (found,) = run.agreements()
     assert found.verdict == "disagree"
     assert found.ratio == pytest.approx(1.03, abs=3e-4)
-    told = identify([run], load_rig("virtual"))
-    assert told.witnesses == [found]
-    assert f"a.mcap: {found.text}" in told.warnings
+    identified = identify([run], load_rig("virtual"))
+    assert identified.witnesses == [found]
+    assert f"a.mcap: {found.text}" in identified.warnings
     assert main(["log", str(path)]) == 0
     page = capsys.readouterr().out
     assert "laser_x: measures x" in page
@@ -131,7 +131,7 @@ lever_ratio = 1.3
 
 @pytest.mark.parametrize("driver", ["optoncdt", "riftek"])
 def test_a_built_in_sensor_is_a_witness_of_another_s_axis(driver: str, tmp_path: Path) -> None:
-    """Its own channel, its own lever, its own clock: the ratio of both shows that they see the same."""
+    """Its own channel, its own lever, its own clock: the ratio shows that both measure the same motion."""
     file = tmp_path / "rig.toml"
     file.write_text((resources.files("rig_configs") / "virtual.toml").read_text() + WITNESS.replace("DRIVER", driver))
     settings = ["virtual.seed=4", "virtual.sensors.axis_angle_deg=0"]
@@ -143,7 +143,7 @@ def test_a_built_in_sensor_is_a_witness_of_another_s_axis(driver: str, tmp_path:
     assert [row.topic for row in check(log) if row.difference] == []
     run = load_run(log)
     (found,) = run.agreements()
-    assert (found.device, found.beside, found.verdict) == ("top", "laser_x", "agree")
+    assert (found.device, found.reference, found.verdict) == ("top", "laser_x", "agree")
     assert found.ratio == pytest.approx(1.0, abs=4 * found.allowed_std)
 
 
@@ -156,12 +156,12 @@ def test_a_turned_pair_of_built_in_sensors_shows_a_motion_along_x_in_both(tmp_pa
         tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
         run = load_run(tests.run("ring-down-x").log)
     size_x, size_y = (np.ptp(np.asarray(value)) for value in (run.x_m, run.y_m))
-    assert size_x == pytest.approx(size_y, rel=0.1)  # a pull is not quite along x
+    assert size_x == pytest.approx(size_y, rel=0.1)  # a pull is not exactly along x
     assert size_x > 1e-3
 
 
 def witnessed_log(path: Path, gain: float) -> Path:
-    """A ring-down seen by laser x and by another laboratory's sensor above it, whose driver is not here."""
+    """A ring-down measured by laser x and by another laboratory's sensor above it, whose driver is not installed."""
     rig = load_rig("virtual")
     snapshot, roles = json.loads(rig.snapshot_json()), json.loads(rig.roles_json())
     snapshot["devices"]["top"] = {"driver": "acme", "port": "p"}

@@ -215,7 +215,7 @@ def test_export_says_what_it_wrote(capsys: pytest.CaptureFixture[str], tmp_path:
         (["--x", "d:m"], "did you mean"),
         (["--x", "dd:mm"], "'t', 'd', got 'dd'"),
         (["--x", "d:mm", "--release", "x"], "--release x: expected numbers"),
-        (["--x", "d:mm", "--point", "B"], "--point B: expected no --test beside it"),
+        (["--x", "d:mm", "--point", "B"], "--point B: expected no --test in addition"),
     ],
 )
 def test_bad_use_is_explained(

@@ -151,7 +151,7 @@ def test_a_folder_that_keeps_nothing_is_said_once(said: Any, shelf: Path) -> Non
     (shelf / ".rig-logs.sqlite").mkdir()
     code, _, err = said("logs", shelf)
     assert code == 0
-    assert err.count("cannot be remembered") == 1
+    assert err.count("cannot be cached") == 1
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 120, 200])
@@ -182,7 +182,7 @@ def test_the_table_fits(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 
 def test_a_log_as_json(said: Any, tmp_path: Path) -> None:
-    path = write_small_log(tmp_path / "small.mcap", steps=60, opened_at=30, told=(0, 1))
+    path = write_small_log(tmp_path / "small.mcap", steps=60, opened_at=30, reported=(0, 1))
     keep_verdict(path, Verdict(verdict="pass", judged_at="now", digest="sha256:" + "0" * 64))
     code, out, _ = said("log", path, "--json")
     found = json.loads(out)
@@ -213,7 +213,7 @@ def test_a_log_as_json(said: Any, tmp_path: Path) -> None:
 
 
 def test_a_log_in_words(said: Any, tmp_path: Path) -> None:
-    path = write_small_log(tmp_path / "small.mcap", steps=60, opened_at=30, told=(0, 1))
+    path = write_small_log(tmp_path / "small.mcap", steps=60, opened_at=30, reported=(0, 1))
     code, out, _ = said("log", path)
     assert code == 0
     for words in (

@@ -168,7 +168,7 @@ def test_ctrl_c_ends_watching_cleanly(
         (["--check", "--to", "tcp"], "one job at a time"),
         (["-o", "x.mcap", "--speed", "2"], "one job at a time"),
         (["--linger", "3"], "--to"),
-        (["--to", "laser_z=/dev/x"], "none of 'laser_z'"),
+        (["--to", "laser_z=/dev/x"], "not of 'laser_z'"),
     ],
 )
 def test_what_does_not_go_together_is_explained(
