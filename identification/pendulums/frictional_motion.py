@@ -10,18 +10,18 @@ torque that holds it, S n·(p̈ + g ŷ) − D α, is below M_i + F_i ω². Withi
 because a change of the parameters moves the instant by −S⁻[θ̇_i]/f⁻[θ̈_i]. Where a stick ends the rates do not jump.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
-
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from dynamics.equations.kernels import AA, C1, C2, CA, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
 from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
 from identification.pendulums.variational import WHOLE, follow, suspension
+
+Array = NDArray[np.float64]
 
 COLUMNS = 19
 """Columns of the derivatives: those of identification.pendulums.variational, then M_A, M_B, F_A, F_B."""
@@ -32,7 +32,9 @@ _MOST_SWITCHES = 40_000
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _rates(y, phase, p, torque, mode, f, own, whole):
+def _rates(
+    y: Array, phase: Array, p: Array, torque: Array, mode: NDArray[np.int64], f: Array, own: Array, whole: Array
+) -> None:
     """Rates into f (8,); what `_linearised` reads into own (2, 8) and whole (13,).
 
     own, by pendulum: cos φ, sin φ, S²/J, bare acceleration, turning rate, the bare one's derivative by the rate, e·p̈,
@@ -78,7 +80,9 @@ def _rates(y, phase, p, torque, mode, f, own, whole):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _linearised(y, phase, p, mode, own, whole, g, d):
+def _linearised(
+    y: Array, phase: Array, p: Array, mode: NDArray[np.int64], own: Array, whole: Array, g: Array, d: Array
+) -> None:
     """∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters, friction) into d (4, 19), from what `_rates` left; g (2, 19) is scratch."""
     alpha = phase[2]
     g[:] = 0.0
@@ -115,7 +119,23 @@ def _linearised(y, phase, p, mode, own, whole, g, d):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _step(y, t, h, segment, knots, coefficients, p, torque, mode, k, wy, phase, own, whole, out):
+def _step(
+    y: Array,
+    t: float,
+    h: float,
+    segment: int,
+    knots: Array,
+    coefficients: Array,
+    p: Array,
+    torque: Array,
+    mode: NDArray[np.int64],
+    k: Array,
+    wy: Array,
+    phase: Array,
+    own: Array,
+    whole: Array,
+    out: Array,
+) -> int:
     """One classical Runge–Kutta step of the state from its rates k[0] into out; returns the segment at its end."""
     segment = phase_at(t + 0.5 * h, segment, knots, coefficients, phase[1])
     segment = phase_at(t + h, segment, knots, coefficients, phase[2])
@@ -130,7 +150,9 @@ def _step(y, t, h, segment, knots, coefficients, p, torque, mode, k, wy, phase, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _over(y, phase, p, torque, mode, i, f, own, whole):
+def _over(
+    y: Array, phase: Array, p: Array, torque: Array, mode: NDArray[np.int64], i: int, f: Array, own: Array, whole: Array
+) -> tuple[float, float]:
     """The torque that holds pendulum i, and by how much it exceeds its friction (below 0 by what that still holds)."""
     mine = mode[i]
     mode[i] = 0
@@ -140,7 +162,17 @@ def _over(y, phase, p, torque, mode, i, f, own, whole):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _begun(y, phase, p, torque, mode, held, f, own, whole):
+def _begun(
+    y: Array,
+    phase: Array,
+    p: Array,
+    torque: Array,
+    mode: NDArray[np.int64],
+    held: Array,
+    f: Array,
+    own: Array,
+    whole: Array,
+) -> None:
     """How each pendulum begins into mode, what one at rest has too much for its friction into held, rates into f."""
     for i in range(2):
         mode[i] = 0 if abs(y[6 + i]) <= _ENOUGH else (1 if y[6 + i] > 0 else -1)
@@ -153,7 +185,7 @@ def _begun(y, phase, p, torque, mode, held, f, own, whole):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def frictional_rates(start, phase, p, torque):
+def frictional_rates(start: Array, phase: Array, p: Array, torque: Array) -> Array:
     """ẏ (8,) with which `frictional_motion` begins: of a pendulum that friction holds, of one that slides.
 
     Args:
@@ -166,7 +198,7 @@ def frictional_rates(start, phase, p, torque):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ending(y, out, mode, i, acceleration, h):
+def _ending(y: Array, out: Array, mode: NDArray[np.int64], i: int, acceleration: float, h: float) -> float:
     """The share of a step after which a slide ends, by the parabola through the rates; 2 where it does not."""
     r0, r1 = y[6 + i], out[6 + i]
     if mode[i] == 0 or not (mode[i] * r1 < -_ENOUGH and mode[i] * r0 > -_ENOUGH):
@@ -181,27 +213,27 @@ def _ending(y, out, mode, i, acceleration, h):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _half(
-    y,
-    slope,
-    end,
-    end_slope,
-    t,
-    h,
-    segment,
-    knots,
-    coefficients,
-    p,
-    torque,
-    mode,
-    wy,
-    phase,
-    f,
-    own,
-    whole,
-    g,
-    d,
-    wanted,
-):
+    y: Array,
+    slope: Array,
+    end: Array,
+    end_slope: Array,
+    t: float,
+    h: float,
+    segment: int,
+    knots: Array,
+    coefficients: Array,
+    p: Array,
+    torque: Array,
+    mode: NDArray[np.int64],
+    wy: Array,
+    phase: Array,
+    f: Array,
+    own: Array,
+    whole: Array,
+    g: Array,
+    d: Array,
+    wanted: bool,
+) -> int:
     """∂f/∂(y, p) half way along one step into d[1], by the cubic through its ends; d[2] has been its end's."""
     if not wanted:
         return segment
@@ -215,8 +247,16 @@ def _half(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides and sticks follow each other
-    start, start_s, times, step, knots, coefficients, p, torque, slopes=True
-):
+    start: Array,
+    start_s: float,
+    times: Array,
+    step: float,
+    knots: Array,
+    coefficients: Array,
+    p: Array,
+    torque: Array,
+    slopes: bool = True,
+) -> tuple[Array, Array]:
     """Both pendulums free from a state on, with dry friction.
 
     Two smooth steps of the motion make one of the derivatives (identification.pendulums.variational); a step that ends

@@ -6,9 +6,6 @@ y = Im(A h2), A = (S_P + S_A e^{iθ3} + S_B e^{iθ4})/M_S. A bow b adds b h_b, w
 the state's derivatives by them are products; those by stiffness and damping take h at neighbouring ω and ζ.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
-
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
@@ -16,10 +13,14 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.locked_motion import locked_orbit
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 _STEP_S = 2e-3
 _EQUIVALENT = 4  # steps to the suspension that a motion meets
@@ -168,7 +169,7 @@ def _part(axis: int, value: complex) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _oscillate(force, step, w2, g, h, rate):
+def _oscillate(force: Complex, step: float, w2: float, g: float, h: complex, rate: complex) -> tuple[complex, complex]:
     """h, ḣ after all of the force's steps (classical Runge–Kutta; force holds middles too)."""
     for i in range((len(force) - 1) // 2):
         u0, u1, u2 = force[2 * i], force[2 * i + 1], force[2 * i + 2]

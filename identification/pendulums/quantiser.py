@@ -10,17 +10,17 @@ one constant, and least squares that take it for noise promise too much. Two rem
   2010, 65–80). Nothing is linearised and nothing about s → 0, where the likelihood becomes a box, is assumed.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
-
 from __future__ import annotations
 
 import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from identification.pendulums.run_down import RunDown
+
+Array = NDArray[np.float64]
 
 _LEAST_JITTER, _MOST_JITTER = 0.02, 1.5  # in steps
 _STRETCH = 2.0
@@ -49,7 +49,7 @@ def rounding_errors(curves_rad: np.ndarray, step_rad: float, jitter_rad: float, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _log_posterior(theta, time, count, step, friction):
+def _log_posterior(theta: Array, time: Array, count: Array, step: float, friction: bool) -> float:
     """θ = (θ0, v0, ln λ, h, ln s); angles in rad, s in steps. Flat in all of them but for bounds."""
     share = theta[3] if friction else 0.0
     s = math.exp(theta[4])
@@ -70,7 +70,7 @@ def _log_posterior(theta, time, count, step, friction):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _walk(walkers, steps, time, count, step, friction, seed):
+def _walk(walkers: Array, steps: int, time: Array, count: Array, step: float, friction: bool, seed: int) -> Array:
     """Stretch moves; returns the positions after every sweep, shape (steps, walkers, 5)."""
     np.random.seed(seed)
     n, dimension = walkers.shape[0], (5 if friction else 4)

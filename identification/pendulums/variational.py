@@ -9,13 +9,11 @@ where a pendulum's angle enters as S_i (turn e − φ̇² n) + m_i ((n·p̈) e +
 S_i (2 φ̇ e + bare' n).
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
-
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from dynamics.equations.kernels import (
     AA,
@@ -43,6 +41,8 @@ from dynamics.equations.kernels import (
 from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
 
+Array = NDArray[np.float64]
+
 COLUMNS = 15
 WHOLE = 13
 PARAMETER_COLUMNS = (K1, K2, C1, C2, CA, CB, SP)
@@ -50,7 +50,7 @@ PARAMETER_COLUMNS = (K1, K2, C1, C2, CA, CB, SP)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def suspension(y, cos_r, sin_r, p, whole):
+def suspension(y: Array, cos_r: float, sin_r: float, p: Array, whole: Array) -> None:
     """What k1, k2, c1, c2 are multiplied with, and its derivatives by stretch and speed, into whole[5:13]."""
     ux, uy = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
     hx, hy, qx, qy = p[HX] * ux * ux, p[HY] * uy * uy, p[QX] * abs(y[4]), p[QY] * abs(y[5])
@@ -59,7 +59,9 @@ def suspension(y, cos_r, sin_r, p, whole):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _accelerations(y, psi, omega, alpha, p, f, own, whole):
+def _accelerations(
+    y: Array, psi: float, omega: float, alpha: float, p: Array, f: Array, own: Array, whole: Array
+) -> None:
     """Rates into f (8,); what their derivatives need into own (2, 8) and whole (13,).
 
     own, by pendulum: cos φ, sin φ (e = (cos, sin), n = (sin, −cos)), S, S²/J, bare acceleration, its derivative by the
@@ -101,7 +103,7 @@ def _accelerations(y, psi, omega, alpha, p, f, own, whole):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _linearised(y, omega, alpha, p, own, whole, g, d):
+def _linearised(y: Array, omega: float, alpha: float, p: Array, own: Array, whole: Array, g: Array, d: Array) -> None:
     """∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters) into d (4, 15), from what `_accelerations` left; g (2, 15) is scratch."""
     g[:] = 0.0
     g[0, 0], g[1, 1], g[0, 4], g[1, 5] = (-p[K1] * whole[9], -p[K2] * whole[10], -p[C1] * whole[11], -p[C2] * whole[12])
@@ -129,7 +131,7 @@ def _linearised(y, omega, alpha, p, own, whole, g, d):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _bent(d, u, v, out):
+def _bent(d: Array, u: Array, v: Array, out: Array) -> None:
     """Second derivatives of S by time (4, c) from ∂f/∂(y, p) in d (4, c), S's angles u and rates v (4, c)."""
     columns = d.shape[1]
     for i in range(4):
@@ -151,7 +153,7 @@ def _bent(d, u, v, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def follow(u, v, h, d, bent, rates, moved):
+def follow(u: Array, v: Array, h: float, d: Array, bent: Array, rates: Array, moved: Array) -> None:
     """One classical Runge–Kutta step of 2 h for S's angles u and rates v, in place.
 
     Args:
@@ -178,7 +180,16 @@ def follow(u, v, h, d, bent, rates, moved):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def free_motion(start, start_s, times, step, knots, coefficients, p, slopes=True):
+def free_motion(
+    start: Array,
+    start_s: float,
+    times: Array,
+    step: float,
+    knots: Array,
+    coefficients: Array,
+    p: Array,
+    slopes: bool = True,
+) -> tuple[Array, Array]:
     """Both pendulums free from a state on, with derivatives, by classical Runge–Kutta steps.
 
     The derivatives obey a linear equation whose coefficients the motion gives, so each of their steps spans two of the
