@@ -1,4 +1,4 @@
-"""The rows of the estimators' benchmark as cells of a table."""
+"""Rows of the estimators' benchmark as cells of a table."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LEGEND = (
 def page(
     rows: Sequence[Precision], targets: Sequence[Target], machine: Mapping[str, Any], notes: Sequence[str]
 ) -> Page:
-    """A whole run."""
+    """Return the page of a whole run."""
     return Page(
         "Work and precision of the identification",
         machine,
@@ -42,11 +42,11 @@ def page(
 
 
 def blocks(rows: Sequence[Precision]) -> list[tuple[str, list[tuple[str, ...]]]]:
-    """Rows by case, in order: (what the case is, cells under HEADER for each of its rows)."""
+    """Return the rows by case in order, as (description of the case, cells under HEADER for each of its rows)."""
     cases: dict[tuple[str, str], list[Precision]] = {}
     for row in rows:
         cases.setdefault((row.service, row.case), []).append(row)
-    found = []
+    found: list[tuple[str, list[tuple[str, ...]]]] = []
     for (service, case), members in cases.items():
         groups = next((" · ".join(r.rms) for r in members if r.rms), "no answers")
         runs = max(r.runs for r in members)
@@ -57,7 +57,7 @@ def blocks(rows: Sequence[Precision]) -> list[tuple[str, list[tuple[str, ...]]]]
 
 
 def failures(rows: Sequence[Precision]) -> list[str]:
-    """What this package's own estimators failed at, one line for all settings of a case."""
+    """Return the failures of this package's estimators, one line for all settings of a case."""
     cases: dict[tuple[str, str, str], list[Precision]] = {}
     for row in rows:
         if row.gross and not row.peer:

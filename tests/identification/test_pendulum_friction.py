@@ -281,7 +281,7 @@ def test_a_spin_down_whose_friction_nearly_settles_is_kept_and_wider(monkeypatch
     wider = fit_spin_down_run(run, known(campaign))
     assert all(wider.std[name] > 1.5 * std for name, std in settled.std.items())
     monkeypatch.setattr(TransientProblem, "part_way", lambda *_: None)
-    with pytest.raises(FitFailed, match="does not tell viscous damping from dry friction"):
+    with pytest.raises(FitFailed, match="does not separate viscous damping from dry friction"):
         fit_spin_down_run(run, known(campaign))
 
 
