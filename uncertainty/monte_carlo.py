@@ -49,16 +49,14 @@ def monte_carlo(
             zeros.
         sources: sources of error; a group occupies as many columns as it has members.
         seed: seed of the random numbers, at least 0.
-        trials: number of trials. None selects the adaptive procedure: batches of 10⁴ or, if that is more,
-            100/(1 − level) trials until the results are stable.
+        trials: number of trials; None: batches of 10⁴ or, if that is more, 100/(1 − level) until results are stable.
         digits: number of significant digits of the standard deviation that must be stable.
         level: coverage probability of the intervals.
         interval: kind of interval whose ends must be stable. Ends of the shortest interval need many more trials.
         names: names of the quantities; None selects their numbers from 0.
         progress: called after each call of the model with trials.
         most_trials: largest number of trials of the adaptive procedure, which then ends with `stabilised` False.
-        most_bytes: largest memory for the stored values, 8 bytes per trial and quantity. It limits the adaptive
-            procedure as well.
+        most_bytes: largest memory for the stored values, 8 bytes per trial and quantity; limits adaptive trials too.
         rows: largest number of trials in one call of the model.
 
     Raises:

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, cast
 
 import numpy as np
-from scipy.signal import lfilter
+from numpy.typing import NDArray
+from scipy import signal as scipy_signal
 
 from identification.bench.fisher import bound
 from identification.bench.trials import Trial
@@ -101,9 +103,10 @@ def _response(frequency_Hz: float, zeta: float, samples: int) -> np.ndarray:
     omega = 2 * np.pi * frequency_Hz
     force, share, weight = _force(samples)
     step = 1 / RATE_HZ
-    parts = []
+    parts: list[NDArray[np.complex128]] = []
     for sign in (1, -1):
         rate = omega * complex(-zeta, sign * np.sqrt(1 - zeta * zeta))
         inflow = force @ (step * weight * np.exp(rate * step * (1 - share)))
-        parts.append(np.r_[0, lfilter([1.0], [1.0, -np.exp(rate * step)], inflow)])
+        filtered = cast("Any", scipy_signal).lfilter([1.0], [1.0, -np.exp(rate * step)], inflow)  # scipy has no types
+        parts.append(np.r_[0, filtered])
     return (parts[0] - parts[1]) / (2j * omega * np.sqrt(1 - zeta * zeta))

@@ -14,10 +14,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, cast
 
 import numpy as np
 from numba import njit
-from scipy.integrate import solve_ivp
+from numpy.typing import NDArray
+from scipy import integrate
 
 from daq.signals.run import Release, Run
 from dynamics.equations.parameters import RotorParameters
@@ -137,8 +139,10 @@ def _motion(
     turned[1] *= -1j  # y is the imaginary part
     start = np.r_[turned.real, start_rad, (1j * w * turned).real, 0.0, 0.0]
     span = (delay_s, float(time[-1]))
-    found = solve_ivp(slope, span, start, "DOP853", time, args=(numbers,), rtol=_TOLERANCE, atol=1e-3 * _TOLERANCE)
-    return found.y.T
+    tolerances = {"rtol": _TOLERANCE, "atol": 1e-3 * _TOLERANCE}
+    untyped = cast("Any", integrate)  # scipy has no types
+    found: NDArray[np.float64] = untyped.solve_ivp(slope, span, start, "DOP853", time, args=(numbers,), **tolerances).y
+    return found.T
 
 
 def equation_numbers(
@@ -190,11 +194,11 @@ def _recorded(rng: np.random.Generator, drawn: _Drawn) -> Run:
     before = np.tile(drawn.angle_rad[0], (round(LOCKED_S * RATE_HZ) + 1, 1))
     angle = np.concatenate([before, drawn.angle_rad]) + ZERO_STD_RAD * rng.normal(size=2)
     time = np.arange(len(angle)) / RATE_HZ
-    counts = np.round(angle / step + _JITTER_STEPS * rng.normal(size=angle.shape))
+    counts: NDArray[np.float64] = np.rint(angle / step + _JITTER_STEPS * rng.normal(size=angle.shape))
     keep = rng.random(len(time)) >= _LOST
     phase_at_zero = drawn.phase_rad - SPEED_RAD_S * LOCKED_S
     whole = np.array([phase_at_zero, phase_at_zero + SPEED_RAD_S * time[-1]]) / (2 * np.pi)
-    turns = 2 * np.pi * np.arange(np.ceil(whole[0]), np.floor(whole[1]) + 1)
+    turns: NDArray[np.float64] = 2 * np.pi * np.arange(np.ceil(whole[0]), np.floor(whole[1]) + 1)
     at = LOCKED_S + time[: len(drawn.disk_m)] + 1 / RATE_HZ
     disk = drawn.disk_m + LASER_NOISE_M * rng.normal(size=drawn.disk_m.shape)
     stamp = LOCKED_S + _TIME_STD_S * rng.normal()

@@ -7,9 +7,11 @@ jitter together are nearly white noise of sqrt(1/12 + 0.09) steps, for which the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
-from scipy.optimize import curve_fit
+from numpy.typing import NDArray
+from scipy import optimize
 
 from identification.bench.fisher import bound
 from identification.bench.trials import Answer, Trial
@@ -49,7 +51,7 @@ def spin_down(rng: np.random.Generator, damping_Nms_per_rad: float) -> Trial:
 def log_speed_line(record: SpinRecord) -> Answer:
     """Estimate by the slope of the logarithm of differences over 40 ms, down to a tenth of the first speed."""
     time, angle = record.time_s, record.angle_rad
-    late = np.searchsorted(time, time[0] + _SPEED_S)
+    late = int(np.searchsorted(time, time[0] + _SPEED_S))
     speed = np.abs(angle[late:] - angle[:-late]) / (time[late:] - time[:-late])
     middle = 0.5 * (time[late:] + time[:-late])
     slow = np.flatnonzero(speed < 0.1 * speed[0])
@@ -63,7 +65,8 @@ def curve_fitting(record: SpinRecord) -> Answer:
     line = log_speed_line(record).values["c_Nms_per_rad"]
     time, angle = record.time_s, record.angle_rad
     speed = (angle[20] - angle[0]) / (time[20] - time[0])
-    found, covariance, *_ = curve_fit(_angle, time, angle, p0=[line, speed, angle[0]])
+    fitted = cast("Any", optimize).curve_fit(_angle, time, angle, p0=[line, speed, angle[0]])  # scipy has no types
+    found, covariance = cast("tuple[NDArray[np.float64], NDArray[np.float64]]", fitted[:2])
     std = float(np.sqrt(covariance[0, 0]))
     return Answer({"c_Nms_per_rad": float(found[0])}, {"c_Nms_per_rad": (found[0] - 1.96 * std, found[0] + 1.96 * std)})
 

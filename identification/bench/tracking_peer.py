@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numba import njit
@@ -34,7 +36,7 @@ def unscented_filter(record: ReleaseRecord) -> Answer:
     ticks = np.round(run.angle_time_s[after] * RATE_HZ).astype(int)
     readings = dict(zip(ticks.tolist(), run.angle_rad[after], strict=True))
     points = MerweScaledSigmaPoints(_STATES, alpha=1.0, beta=2.0, kappa=0.0)
-    own = UnscentedKalmanFilter(_STATES, _READINGS, step, lambda x: x[2:4], _carried, points)
+    own: Any = UnscentedKalmanFilter(_STATES, _READINGS, step, _read_angles, _carried, points)
     start = round(LOCKED_S * RATE_HZ)
     own.x = np.r_[0.0, 0.0, run.angle_rad[~after].mean(axis=0), np.zeros(4), np.log(damping)]
     own.P = np.diag(np.r_[1e-3, 1e-3, 0.002, 0.002, 0.05, 0.05, 0.1, 0.1, np.full(2, np.log(10.0))] ** 2)
@@ -48,6 +50,10 @@ def unscented_filter(record: ReleaseRecord) -> Answer:
     values = {n: float(np.exp(own.x[8 + i])) for i, n in enumerate(names)}
     reach = {n: float(np.exp(1.96 * std[8 + i])) for i, n in enumerate(names)}
     return Answer(values, {n: (v / reach[n], v * reach[n]) for n, v in values.items()})
+
+
+def _read_angles(state: np.ndarray) -> np.ndarray:
+    return state[2:4]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

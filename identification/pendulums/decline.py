@@ -6,8 +6,11 @@ weak damping.
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.typing import NDArray
+from scipy import ndimage
 
 from daq.signals.phase_noise import encoder_step
 from identification.errors import NotIdentifiable
@@ -67,7 +70,7 @@ def _valid(time_s: np.ndarray, angle_rad: np.ndarray) -> tuple[np.ndarray, np.nd
 
 def _on_track(angle: np.ndarray, limit: float) -> np.ndarray:
     """Return False for outliers: readings far from the running median, which a monotonic motion equals."""
-    usual = median_filter(angle, 5, mode="constant")
+    usual: NDArray[np.float64] = cast("Any", ndimage).median_filter(angle, 5, mode="constant")  # scipy has no types
     return np.abs(angle - usual) <= limit + np.abs(np.gradient(usual))
 
 

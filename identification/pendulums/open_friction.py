@@ -10,17 +10,20 @@ Source: docs/theory/pendulum_damping.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy import optimize
 
 from identification.errors import FitFailed
 from rig_configs.known import KnownSource
 
 Array = NDArray[np.float64]
+
+_nnls = cast("Callable[[Array, Array], tuple[Array, float]]", cast("Any", optimize).nnls)  # scipy has no types
 
 DAMPING, FRICTION = slice(0, 2), slice(2, 6)
 TORQUE_STD_Nm, CONTACT_STD_kg_m2 = 1e-2, 1e-4
@@ -236,14 +239,14 @@ def profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, f
 
     def excess(value: float) -> float:
         wanted = mean[1:] + slope * (value - mean[0])
-        return ((value - mean[0]) / spread) ** 2 + nnls(root, root @ wanted)[1] ** 2
+        return ((value - mean[0]) / spread) ** 2 + _nnls(root, root @ wanted)[1] ** 2
 
     whole = whitener(covariance)
     # a value of any sign is the difference of two values of at least 0
     design = whole if least else np.column_stack([whole, -whole[:, 0]])
-    found, left_over = nnls(design, whole @ mean)
+    found, left_over = _nnls(design, whole @ mean)
     best, lowest = float(found[0] - (0.0 if least else found[-1])), left_over**2
-    reach = []
+    reach: list[float] = []
     for side in (-1.0, 1.0):
         near, far = 0.0, spread
         while excess(best + side * far) - lowest < _INSIDE and far < _FURTHEST * spread:

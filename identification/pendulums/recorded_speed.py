@@ -17,9 +17,12 @@ phase is a cubic spline with as few pieces as the recording requires.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.interpolate import BSpline, PPoly, make_lsq_spline
+from numpy.typing import NDArray
+from scipy import interpolate
+from scipy.interpolate import BSpline, PPoly
 from scipy.special import fdtri
 
 from daq.signals.phase_noise import encoder_step, white_and_walk
@@ -27,6 +30,11 @@ from daq.signals.run import Run
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
 from identification.samples import correlation_inflation
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
+
+_untyped: Any = interpolate  # scipy has no types
 
 _FEWEST = 8
 _MARKS_PER_PIECE = 2.0
@@ -88,7 +96,7 @@ def speed_of_marks(time_s: np.ndarray, phase_rad: np.ndarray) -> SpeedHistory:
     least, used = np.inf, 0
     floor = (4 * np.finfo(float).eps * float(np.max(np.abs(phase_rad)))) ** 2 * n
     for pieces in _pieces(n / _MARKS_PER_PIECE):
-        spline = make_lsq_spline(time_s, rest, _knots(time_s, pieces), 3)
+        spline: BSpline = _untyped.make_lsq_spline(time_s, rest, _knots(time_s, pieces), 3)
         square = float(np.sum((spline(time_s) - rest) ** 2)) + floor
         more, left = pieces + 3 - used, n - pieces - 3
         if best is None or (left > 0 and (least / square - 1) * left / more > fdtri(more, left, 1 - _CHANCE)):
@@ -142,7 +150,7 @@ def _beats(phase: np.ndarray, rest: np.ndarray, step: float, first: np.ndarray, 
     total = 0.0
     for offset in np.arange(_OFFSETS) / _OFFSETS:
         moved = smooth / step + offset
-        error = (np.round(moved) - moved) * step
+        error: Array = (np.rint(moved) - moved) * step
         total += float(np.var(np.add.reduceat(error, first) / count))
     return total / _OFFSETS
 
@@ -152,10 +160,11 @@ def _fewest_pieces(
 ) -> RecordedSpeed:
     """Return the first spline whose residual is noise, by whitened least squares; else that of Akaike's criterion."""
     n, data = len(time_s), np.linalg.solve(root, value)
-    best, lowest = None, np.inf
+    best: tuple[Floats, Floats, Floats, Floats, Floats] | None = None
+    lowest = np.inf
     for pieces in _pieces(n / _MARKS_PER_PIECE):
         knots = _knots(time_s, pieces)
-        basis = BSpline.design_matrix(time_s, knots, 3).toarray()
+        basis: Array = _untyped.BSpline.design_matrix(time_s, knots, 3).toarray()
         design = np.linalg.solve(root, basis)
         found = np.linalg.lstsq(design, data, rcond=None)[0]
         residual = data - design @ found
@@ -166,10 +175,10 @@ def _fewest_pieces(
         if explained:
             break
     assert best is not None
-    knots, found, design, residual, basis = best
+    knots, found, design, residual, columns = best
     stretch = max(1.0, float(residual @ residual) / max(1, n - len(found))) * correlation_inflation(residual, 4) ** 2
     history = _history(BSpline(knots, found, 3), line)
-    return RecordedSpeed(history, _modes(knots, np.linalg.pinv(design) * np.sqrt(stretch), basis, time_s, history))
+    return RecordedSpeed(history, _modes(knots, np.linalg.pinv(design) * np.sqrt(stretch), columns, time_s, history))
 
 
 def _modes(
@@ -199,7 +208,7 @@ def _knots(time_s: np.ndarray, pieces: int) -> np.ndarray:
 
 def _cubics(spline: BSpline) -> np.ndarray:
     """Return the coefficients of the powers of time of each piece, shape (m, 4)."""
-    parts = PPoly.from_spline(spline)
+    parts: PPoly = _untyped.PPoly.from_spline(spline)
     return np.ascontiguousarray(parts.c[::-1, np.diff(parts.x) > 0].T)
 
 

@@ -327,7 +327,7 @@ class Release:
 
         They remain fixed if the phase has no reference, because the search requires the unknown angle as the last of θ.
         """
-        known = self.knowledge.number_std if self.run.phase_absolute else {}
+        known: Mapping[str, float] = self.knowledge.number_std if self.run.phase_absolute else {}
         return replace(self, number_std={name: known[name] for name in PENDULUMS if known.get(name)})
 
     def fixed(self, theta: np.ndarray) -> tuple[Release, np.ndarray]:
@@ -387,7 +387,7 @@ def _locked_start(run: Run, release_s: float) -> tuple[LockedStart, RecordedSpee
 
 def _readings(run: Run, begin_s: float, block_s: float) -> tuple[Readings, Readings]:
     keep = run.angle_time_s > begin_s
-    out = []
+    out: list[Readings] = []
     for i in range(2):
         good = keep & np.isfinite(run.angle_rad[:, i])
         time, angle = run.angle_time_s[good], run.angle_rad[good, i]

@@ -114,7 +114,7 @@ class Search:
     effort: Effort
     notify: Notify
     early: int = _EARLY
-    trials: list[Trial] = field(default_factory=list)
+    trials: list[Trial] = field(default_factory=list[Trial])
 
     def answers(self, starts: Iterable[tuple[np.ndarray, bool]], source: str) -> list[Minimum]:
         """Return the minima that explain the readings, the best first.

@@ -282,7 +282,7 @@ def _model_table(viscous: FittedRunDown, dry: FittedRunDown, p: float, friction:
 
 
 def _warnings(chosen: FittedRunDown, dry: FittedRunDown, friction: bool, p: float) -> list[str]:
-    warnings = []
+    warnings: list[str] = []
     if friction:
         warnings.append(
             f"the run-down is not purely viscous (p = {p:.1g}): dry friction takes {dry.theta[3]:.2g} ± "

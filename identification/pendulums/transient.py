@@ -329,7 +329,7 @@ class TransientProblem:
             table: compared models.
         """
         chi2, misfit = self.chi2_per_dof(minimum, end_s), self.misfit(minimum, end_s)
-        curves, at = [], 0
+        curves, at = list[Curve](), 0
         for name, channel in zip("AB", self.cut(end_s), strict=True):
             own = minimum.residual[at : at + len(channel.time_s)]
             at += len(own)
@@ -338,7 +338,7 @@ class TransientProblem:
         c = np.exp(minimum.theta[:2])
         covariance = self.covariance(minimum, end_s, setting)
         start = (float(minimum.theta[angles_at]), float(minimum.theta[angles_at + 1]))
-        warnings = []
+        warnings: list[str] = []
         if misfit > 1.3:
             warnings.append(
                 f"{label}: residuals exceed the encoder noise: χ²/dof {chi2:.3g}, {misfit:.3g} times that of noise and "

@@ -193,19 +193,16 @@ def free_motion(
 ) -> tuple[Array, Array]:
     """Integrate the motion of two free pendulums and its derivatives by classical Runge–Kutta steps.
 
-    The derivatives obey a linear equation with coefficients from the motion. Each of their steps spans two steps of the
-    motion, so their relative error of 2e-4 is about a hundred times that of the motion.
+    A step of the derivatives spans two of the motion; their relative error is 2e-4, a hundred times the motion's.
 
     Args:
-        start, start_s: state (8,) and its instant, not after times[0].
-        times: instants of the output, ascending, s, shape (n,).
+        start, start_s, times: state (8,), its instant, and later instants of the output, ascending, s, shape (n,).
         step: longest step of the motion, s.
         knots, coefficients: arrays of a SpeedHistory.
         p: packed parameters without dry friction that could make a pendulum stick.
         slopes: whether derivatives are computed. Without them the motion is identical to the last bit at half the cost.
     Returns:
-        States (n, 8) and derivatives (n, 8, 15) by the start state and PARAMETER_COLUMNS, or (0, 8, 15) without
-        derivatives.
+        States (n, 8) and derivatives (n, 8, 15), or (0, 8, 15) without, by the start state and PARAMETER_COLUMNS.
     """
     states, derivatives = np.empty((len(times), 8)), np.empty((len(times) if slopes else 0, 8, COLUMNS))
     y, u, v = start.copy(), np.zeros((4, COLUMNS)), np.zeros((4, COLUMNS))

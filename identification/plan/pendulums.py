@@ -6,6 +6,7 @@ The code is independent of the estimators: it has its own parameters and instant
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,8 @@ def spin_down(
     prior[7:11] = np.r_[_DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega]
     prior[11:] = _PRIOR_STD[:4]
     settings = {"flick_rad_per_s": speed_rad_s, "record_s": record_s}
-    return _experiment(test, "spin-down", physics, sensors, angles, theta, difference, prior, settings, record_s, used)
+    model = _Model(angles, theta, difference, prior)
+    return _experiment(test, "spin-down", physics, sensors, model, settings, record_s, used)
 
 
 def release(physics: RotorParameters, sensors: Sensors, test: str, speed_rad_s: float, record_s: float) -> Experiment:
@@ -115,9 +117,25 @@ def release(physics: RotorParameters, sensors: Sensors, test: str, speed_rad_s: 
         _PRIOR_STD,
     ]
     settings = {"speed_rpm": speed_rad_s * 30 / np.pi, "record_s": record_s}
-    return _experiment(
-        test, "release", physics, sensors, angles, theta, difference, prior, settings, record_s, record_s
-    )
+    model = _Model(angles, theta, difference, prior)
+    return _experiment(test, "release", physics, sensors, model, settings, record_s, record_s)
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Model of a test.
+
+    Attributes:
+        angles: maps θ to both pendulums' angles at the instants, rad.
+        theta: nominal θ, shape (p,).
+        difference: half-widths of the differences, shape (p,).
+        prior: prior standard deviations, shape (p,).
+    """
+
+    angles: Callable[[Array], Array]
+    theta: Array
+    difference: Array
+    prior: Array
 
 
 def _experiment(
@@ -125,18 +143,15 @@ def _experiment(
     method: Method,
     physics: RotorParameters,
     sensors: Sensors,
-    angles: Callable[[Array], Array],
-    theta: Array,
-    difference: Array,
-    prior: Array,
+    model: _Model,
     settings: dict[str, float],
     record_s: float,
     used_s: float,
 ) -> Experiment:
-    jacobian = derivatives(angles, theta, difference)
+    jacobian = derivatives(model.angles, model.theta, model.difference)
     weight = np.sqrt(sensors.encoder_rate_Hz * _INSTANT_S) / sensors.encoder_noise_rad
     values = np.array([physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad])
-    own = covariance(jacobian * weight, prior, 2) * np.outer(values, values)
+    own = covariance(jacobian * weight, model.prior, 2) * np.outer(values, values)
     shared = sensors.clock_error("angles", values * sensors.clock_rate_std("angles", record_s))
     remarks = ("the suspension is assumed to be known from ring-downs: k to 0.01 %, ζ and S_P to 0.1 %",)
     if used_s < record_s:

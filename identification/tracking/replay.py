@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -95,8 +95,7 @@ def track(
         imbalance_std: relative standard deviation of S_P.
         batch_s: duration of one batch of readings, s.
         lasers: whether to use the lasers. Their signals must have no offset, lie along the stiffness axes and have the
-            encoders' clock to a fraction of a millisecond: a delay of 2 ms turns the disk's orbit by six degrees, which
-            biases the damping.
+            encoders' clock to a fraction of a millisecond: 2 ms turn the orbit by six degrees and bias the damping.
         run_out_m: run-out of the surfaces that the lasers measure, as in `Tracker`.
         setting: "reference" adds smoothed estimates and computes the rows by filterpy.
         tell: called with the completed share, 0 … 1.
@@ -110,7 +109,7 @@ def track(
     if run.angle_rad.ndim != 2 or not np.isfinite(run.angle_rad).any(axis=0).all() or run.angle_rad.size == 0:
         raise NotIdentifiable(f"{run.source}: angles of both pendulums are needed to track their damping")
     reference = FilterpyFilter(run.source) if setting == "reference" else None
-    # a pendulum that is released during the run is locked before; in a spin-down both are free from the start
+    # a pendulum that is released later is locked before; in a spin-down both are free
     released = {r.pendulum for r in run.releases}
     tracker = Tracker(
         physics,
@@ -121,29 +120,45 @@ def track(
         run_out_m=run_out_m,
         filtering=reference or filter_readings,
     )
-    begin, end = float(run.angle_time_s[0]), float(run.angle_time_s[-1])
     for release in run.releases:
         tracker.release(release.pendulum, int(_ns(release.time_s)))
-    rows: list[Tracked] = []
-    phases: list[tuple[float, float]] = []
-    steps: list[int] = []
-    share, progress = _FILTERING if reference else 1.0, tell
+    batches, begin, end = _Batches(), float(run.angle_time_s[0]), float(run.angle_time_s[-1])
     for start in np.arange(begin, end, batch_s):
         _hand_over(tracker, run, (float(start), float(start + batch_s)), lasers)
-        now = tracker.estimate()
-        if now.time_ns is None or (rows and now.time_ns == rows[-1].time_ns):
-            continue  # the batch has no readings
-        rows.append(now)
-        phases.append(tracker.phase_at(now.time_ns))
-        steps.append(reference.steps - 1 if reference else 0)
-        if progress is not None:
-            progress(share * (start - begin) / (end - begin))
-    if not rows:
+        added = batches.add(tracker, reference.steps if reference else 0)
+        if added and tell is not None:
+            tell((_FILTERING if reference else 1.0) * (start - begin) / (end - begin))
+    if not batches.rows:
         raise NotIdentifiable(f"{run.source}: {end - begin:.2g} s of angles are too short to track; record longer")
-    forward = _rows(rows, phases)
+    forward = _rows(batches.rows, batches.phases)
     if reference is None:
         return forward
-    return _smoothed(forward, reference, np.array(steps), progress)
+    return _smoothed(forward, reference, np.array(batches.steps), tell)
+
+
+@dataclass
+class _Batches:
+    """Estimates after each batch of readings.
+
+    Attributes:
+        rows: estimates.
+        phases: rotor phase in rad and speed in rad/s at the estimates.
+        steps: index of the last step of the reference filter at the estimates; -1 for the fast setting.
+    """
+
+    rows: list[Tracked] = field(default_factory=list[Tracked])
+    phases: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+    steps: list[int] = field(default_factory=list[int])
+
+    def add(self, tracker: Tracker, steps: int) -> bool:
+        """Add the current estimate; return False if the last batch had no readings."""
+        now = tracker.estimate()
+        if now.time_ns is None or (self.rows and now.time_ns == self.rows[-1].time_ns):
+            return False
+        self.rows.append(now)
+        self.phases.append(tracker.phase_at(now.time_ns))
+        self.steps.append(steps - 1)
+        return True
 
 
 def _rows(rows: list[Tracked], phases: list[tuple[float, float]]) -> TrackedRun:
