@@ -12,16 +12,16 @@ from identification.bench.trials import AT_THE_BOUND, Precision
 
 HEADER = ("method", "setting", "time", "rms / bound", "bias / bound", "95 % covers", "gross", "ours / peer", "front")
 LEGEND = (
-    "Bound: the least standard deviation an unbiased estimate can have (Cramér–Rao), from the Fisher information of "
-    "each record's own model by numerical differences, everything else in it unknown too (amplitudes, phases, offsets, "
-    "axis angle; of a release suspension, zeros and start within what is known of them); of damaged records "
-    "that of the clean one. rms and bias (the one farthest from zero) are errors over it; 1 is the best there is. "
-    "Several values are set apart by dots as in the case's title. 95 % covers: share of the stated intervals that hold "
-    "the truth, in per cent, blank where none is stated. Gross: records without an answer or with a useless one, of "
-    "how many (slow methods get fewer); they are left out of the other figures, and a method with any is on no front. "
-    "Times are medians over the records. Front: ● nothing of ours is faster and as exact, ◉ nothing at all is, peers "
-    f"included; errors up to {AT_THE_BOUND:g} bounds count as equal. Ours / peer: time over that of the fastest peer "
-    "at least as exact."
+    "Bound: smallest standard deviation of an unbiased estimate (Cramér–Rao), from the Fisher information of each "
+    "record's model by numerical differences, with all other parameters unknown as well (amplitudes, phases, offsets, "
+    "axis angle; for a release suspension, zeros and start within their priors). Damaged records have the bound of the "
+    "clean one. rms and bias (the one farthest from zero) are errors over the bound; 1 is the optimum. Several values "
+    "are separated by dots as in the case's title. 95 % covers: share of the stated intervals that contain the truth, "
+    "in per cent, blank for methods without intervals. Gross: records without a result or with a gross error, and the "
+    "number of records (fewer for slow methods). These records are excluded from the other figures, and a method with "
+    "any is on no front. Times are medians over the records. Front: ● no method of this package is faster and as "
+    f"exact, ◉ no method at all, peers included; errors up to {AT_THE_BOUND:g} bounds count as equal. Ours / peer: "
+    "time over that of the fastest peer that is at least as exact."
 )
 
 

@@ -99,7 +99,7 @@ class OpenFriction:
             covariance -= np.outer(shift, shift)
         return replace(self, covariance=covariance)
 
-    def beside_drag(self) -> OpenFriction:
+    def without_contact_information(self) -> OpenFriction:
         """Return the result without information on F, for a spin-down whose F may be the air's drag."""
         covariance = self.covariance.copy()
         covariance[4:], covariance[:, 4:] = 0.0, 0.0
