@@ -81,7 +81,7 @@ def shown_beside_drag(fit: TransientFit) -> TransientFit:
     """Return a spin-down's fit without information on the share of friction in its torque with the square of speed."""
     found = fit.open_friction
     shown = fit.friction is not None and fit.friction.speed_rad_s == 0 and max(fit.friction.contact_std_kg_m2) > 0
-    return replace(fit, open_friction=found.beside_drag()) if shown and found is not None else fit
+    return replace(fit, open_friction=found.without_contact_information()) if shown and found is not None else fit
 
 
 def found_drag(fits: Sequence[TransientFit]) -> FoundDrag | None:
