@@ -192,8 +192,8 @@ def _recorded(rng: np.random.Generator, drawn: _Drawn) -> Run:
     """Return the readings of lasers, encoders and tachometer; the release is at LOCKED_S plus a stamp error."""
     step = 2 * np.pi / 4096
     before = np.tile(drawn.angle_rad[0], (round(LOCKED_S * RATE_HZ) + 1, 1))
-    angle = np.concatenate([before, drawn.angle_rad]) + ZERO_STD_RAD * rng.normal(size=2)
-    time = np.arange(len(angle)) / RATE_HZ
+    angle: NDArray[np.float64] = np.concatenate([before, drawn.angle_rad]) + ZERO_STD_RAD * rng.normal(size=2)
+    time: NDArray[np.floating] = np.arange(len(angle)) / RATE_HZ
     counts: NDArray[np.float64] = np.rint(angle / step + _JITTER_STEPS * rng.normal(size=angle.shape))
     keep = rng.random(len(time)) >= _LOST
     phase_at_zero = drawn.phase_rad - SPEED_RAD_S * LOCKED_S

@@ -7,15 +7,15 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh, hankel
-from scipy.optimize import least_squares
-from scipy.signal import butter, find_peaks, hilbert, sosfiltfilt
+from scipy import linalg, optimize
+from scipy import signal as scipy_signal
 
 from identification.bench.decays import Decay
 from identification.bench.trials import Answer
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 Complex = NDArray[np.complex128]
+_linalg, _optimize, _signal = cast("Any", linalg), cast("Any", optimize), cast("Any", scipy_signal)  # untyped in scipy
 Reading = Callable[[Array, Array], tuple[float, float]]
 """Maps times and values of one sensor to f in Hz and ζ."""
 
@@ -34,7 +34,8 @@ def careful_log_decrement(record: Decay) -> Answer:
     def channel(time: Array, value: Array) -> tuple[float, float]:
         step = time[1] - time[0]
         pole = 3 * _spectral_peak(value, step)
-        smooth = sosfiltfilt(butter(4, pole, fs=1 / step, output="sos"), value - np.mean(value[len(value) // 2 :]))
+        low_pass = _signal.butter(4, pole, fs=1 / step, output="sos")
+        smooth: Array = _signal.sosfiltfilt(low_pass, value - np.mean(value[len(value) // 2 :]))
         both = [_maxima(time, sign * smooth) for sign in (1, -1)]
         at, size = (np.concatenate(parts) for parts in zip(*both, strict=True))
         order = np.argsort(at)
@@ -69,8 +70,8 @@ def hilbert_envelope(record: Decay) -> Answer:
     def channel(time: Array, value: Array) -> tuple[float, float]:
         step = time[1] - time[0]
         frequency = _spectral_peak(value, step)
-        band = butter(2, [0.6 * frequency, 1.4 * frequency], "bandpass", fs=1 / step, output="sos")
-        analytic = np.asarray(hilbert(sosfiltfilt(band, value)))
+        band = _signal.butter(2, [0.6 * frequency, 1.4 * frequency], "bandpass", fs=1 / step, output="sos")
+        analytic = np.asarray(_signal.hilbert(_signal.sosfiltfilt(band, value)))
         size = np.abs(analytic)
         edge = round(1.0 / (frequency * step))
         first = edge
@@ -102,7 +103,7 @@ def nonlinear_least_squares(record: Decay) -> Answer:
         return (fitted - signals).ravel()
 
     def jacobian(theta: Array) -> Array:
-        waves, columns = _waves(theta[: len(start)], record.time_s), []
+        waves, columns = _waves(theta[: len(start)], record.time_s), list[Array]()
         coefficients = theta[len(start) :].reshape(-1, channels)
         for j in range(len(start)):
             moved = theta[: len(start)].copy()
@@ -112,10 +113,10 @@ def nonlinear_least_squares(record: Decay) -> Answer:
         return np.column_stack([*columns, np.kron(waves, np.eye(channels))])
 
     scale = np.concatenate([np.abs(start) * 1e-2, np.full(linear.size, 1e-4)])
-    first, slopes = np.concatenate([start, linear.ravel()]), cast("Any", jacobian)  # scipy's defaults hide its types
-    found = least_squares(residual, first, slopes, method="lm", x_scale=scale)
+    first = np.concatenate([start, linear.ravel()])
+    found = _optimize.least_squares(residual, first, jacobian, method="lm", x_scale=scale)
     covariance = np.linalg.inv(found.jac.T @ found.jac) * 2 * found.cost / (signals.size - len(found.x))
-    values = dict(zip(_names(len(modes)), found.x[: len(start)].tolist(), strict=True))
+    values: dict[str, float] = dict(zip(_names(len(modes)), found.x[: len(start)].tolist(), strict=True))
     std = np.sqrt(np.diag(covariance))
     spans = {n: (v - 1.96 * s, v + 1.96 * s) for (n, v), s in zip(values.items(), std, strict=False)}
     return Answer(values, spans)
@@ -146,9 +147,10 @@ def _poles(record: Decay) -> list[complex]:
     count, channels = means.shape
     rows = count // 3
     order = 2 * channels + 1  # a pair for each mode, one for the offset
-    space = np.concatenate([hankel(m[:rows], m[rows - 1 :]) for m in means.T])
+    space: Array = np.concatenate([_linalg.hankel(m[:rows], m[rows - 1 :]) for m in means.T])
     top = len(space) - 1
-    vectors = np.asarray(eigh(space @ space.T, subset_by_index=[top - order + 1, top])[1]).reshape(channels, rows, -1)
+    found: Array = _linalg.eigh(space @ space.T, subset_by_index=[top - order + 1, top])[1]
+    vectors = found.reshape(channels, rows, -1)
     early, late = vectors[:, :-1].reshape(-1, order), vectors[:, 1:].reshape(-1, order)
     poles = np.log(np.linalg.eigvals(np.linalg.lstsq(early, late, rcond=None)[0]).astype(complex)) / step
     return strongest(poles, channels)
@@ -197,7 +199,7 @@ def _maxima(time: Array, value: Array) -> tuple[Array, Array]:
     """Return times and heights of the maxima, at least 0.7 of a cycle apart."""
     step = time[1] - time[0]
     apart = max(1, round(0.7 / (_spectral_peak(value, step) * step)))
-    at = find_peaks(value, height=0, distance=apart)[0]
+    at: NDArray[np.int64] = _signal.find_peaks(value, height=0, distance=apart)[0]
     return time[at], value[at]
 
 

@@ -51,7 +51,7 @@ def spin_down(rng: np.random.Generator, damping_Nms_per_rad: float) -> Trial:
 def log_speed_line(record: SpinRecord) -> Answer:
     """Estimate by the slope of the logarithm of differences over 40 ms, down to a tenth of the first speed."""
     time, angle = record.time_s, record.angle_rad
-    late = int(np.searchsorted(time, time[0] + _SPEED_S))
+    late = int(np.searchsorted(time, float(time[0]) + _SPEED_S))
     speed = np.abs(angle[late:] - angle[:-late]) / (time[late:] - time[:-late])
     middle = 0.5 * (time[late:] + time[:-late])
     slow = np.flatnonzero(speed < 0.1 * speed[0])

@@ -91,7 +91,7 @@ def fit_release(
     if max(release.moved_rad) < _MIN_MOVED_RAD:
         a, b = np.degrees(release.moved_rad)
         raise NotIdentifiable(f"{run.source}: after the release A moves by {a:.2g}° and B by {b:.2g}°; {_HELD}")
-    horizons, effort, notify = release.horizons(setting), effort or Effort(), tell or (lambda _: None)
+    horizons, effort, notify = release.horizons(setting), effort or Effort(), tell or _ignore
     end = horizons[-1]
     with_friction = "friction" not in held_back(without)
     release, answers, shape, other = _searched(release, horizons, effort, notify, with_friction)
@@ -114,6 +114,10 @@ def fit_release(
     if not run.phase_absolute:
         return with_phase_warning(fit, answers, knowledge.physics)
     return covering(fit, answers, "from another start", "Another release decides")
+
+
+def _ignore(_: str) -> None:
+    """Drop a message."""
 
 
 def _not_shown(release: Release, fit: TransientFit, shape: Shape | None) -> str:
@@ -385,7 +389,7 @@ def _starts(release: Release, start: np.ndarray) -> Iterator[tuple[np.ndarray, b
 
 def _turned_starts(release: Release, start: np.ndarray) -> list[np.ndarray]:
     """Return start values of the filter for several angles of the rotor."""
-    nominal, out = laid_over(release.knowledge, start[:2], start[SUSPENSION]), []
+    nominal, out = laid_over(release.knowledge, start[:2], start[SUSPENSION]), list[np.ndarray]()
     zeros = np.zeros(len(release.speed.modes))
     for turn in angles_to_try(nominal):
         history = release.speed.moved(np.r_[zeros, turn])
