@@ -108,7 +108,7 @@ def plan(
         mass_std: relative standard uncertainty of the masses, a lower bound of that of k, c and S_P.
         notify: called with one line of text before each kind of test.
     Raises:
-        NotIdentifiable: there is no requirement, a parameter is required twice, or its nominal value is 0.
+        NotIdentifiable: `requirements` is empty, a parameter occurs twice, or its nominal value is 0.
     Source: docs/theory/planning.md.
     """
     sensors = sensors or Sensors.of(rig)
