@@ -1,7 +1,8 @@
 # pyright: strict
 """Uncertainty of measurement: budgets (JCGM 100), Monte Carlo (JCGM 101), several quantities (JCGM 102).
 
-Knows nothing of rotors: sources of error and a model go in, budgets, intervals and verdicts come out.
+The input is a set of error sources and a measurement model; the output is budgets, intervals and verdicts. The package
+is independent of rotors and of the rest of the project.
 """
 
 from uncertainty.budget import Budget, Contribution, GroupContribution

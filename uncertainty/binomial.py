@@ -1,5 +1,5 @@
 # pyright: strict
-"""How sure a share is that was counted."""
+"""Confidence interval of a share that was found by counting."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from scipy.special import betaincinv  # pyright: ignore[reportMissingTypeStubs]
 
 
 def binomial_interval(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:
-    """Clopper and Pearson's interval of a share.
+    """Return Clopper and Pearson's interval of a share.
 
     Args:
-        hits: of the trials, 0 … trials.
-        trials: at least 1.
-        level: of confidence, 0 … 1.
+        hits: number of trials with a hit, 0 … trials.
+        trials: number of trials, at least 1.
+        level: confidence level, 0 … 1.
     """
     tail = 0.5 * (1 - level)
     low = float(betaincinv(hits, trials - hits + 1, tail)) if hits else 0.0

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Uncertainty budget of one quantity: what each cause contributes, combined and expanded uncertainty."""
+"""Uncertainty budget of one quantity: contributions of its sources, combined and expanded uncertainty."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ REPORT_LEVEL = 0.95
 
 @dataclass(frozen=True)
 class Contribution:
-    """What one source contributes to a quantity.
+    """Contribution of one source to a quantity.
 
     Attributes:
-        source: the cause.
+        source: source of error.
         sensitivity: derivative of the quantity by the source, c, in the quantity's unit over the source's.
     """
 
@@ -37,26 +37,26 @@ class Contribution:
 
     @property
     def signed(self) -> float:
-        """c u, in the quantity's unit; its sign is that of the sensitivity."""
+        """Product c u, in the quantity's unit, with the sign of the sensitivity."""
         return self.sensitivity * self.source.std
 
     @property
     def std(self) -> float:
-        """|c| u, in the quantity's unit."""
+        """Standard uncertainty |c| u, in the quantity's unit."""
         return abs(self.signed)
 
     @property
     def degrees_of_freedom(self) -> float:
-        """Of the source."""
+        """Degrees of freedom of the source."""
         return self.source.degrees_of_freedom
 
 
 @dataclass(frozen=True)
 class GroupContribution:
-    """What correlated causes contribute to a quantity together: one term of the budget.
+    """Joint contribution of correlated sources to a quantity: one term of the budget.
 
     Attributes:
-        source: the group.
+        source: group of correlated sources.
         sensitivities: derivatives of the quantity by the members, each in the quantity's unit over the member's.
     """
 
@@ -70,12 +70,15 @@ class GroupContribution:
 
     @property
     def signed(self) -> NDArray[np.float64]:
-        """c u of each member, shape (members,), in the quantity's unit; correlated, so their squares do not add up."""
+        """Product c u of each member, shape (members,), in the quantity's unit.
+
+        The members are correlated, so the sum of the squares is not the variance of the group.
+        """
         return np.array(self.sensitivities) * self.source.std
 
     @property
     def std(self) -> float:
-        """sqrt(cᵀ V c), in the quantity's unit."""
+        """Standard uncertainty sqrt(cᵀ V c), in the quantity's unit."""
         return math.hypot(*(np.array(self.sensitivities) @ self.source.factor))
 
     @property
@@ -92,13 +95,13 @@ class Budget:
     """Uncertainty budget of one quantity by the law of propagation of uncertainty (JCGM 100, 5.1.2 and 5.2.2).
 
     Attributes:
-        name: of the quantity.
-        value: its estimate.
-        unit: of the quantity.
-        contributions: one for each source and one for each group of correlated sources; names are unique.
+        name: name of the quantity.
+        value: estimate of the quantity.
+        unit: unit of the quantity.
+        contributions: one for each source and one for each group of correlated sources, with unique names.
 
     Raises:
-        BadInput: two contributions of one name, a number that is not finite, or a group with the wrong number of
+        BadInput: two contributions have the same name, a number is not finite, or a group has the wrong number of
             sensitivities.
     """
 
@@ -127,7 +130,7 @@ class Budget:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Part of the variance by source or group, sum 1; all 0 where the variance is 0."""
+        """Share of the variance by source or group, sum 1; all shares are 0 if the variance is 0."""
         combined = self.std
         return {c.name: (c.std / combined) ** 2 if combined > 0 else 0.0 for c in self.contributions}
 
@@ -135,7 +138,7 @@ class Budget:
     def degrees_of_freedom(self) -> float:
         """Effective degrees of freedom by Welch and Satterthwaite; a group counts as one term.
 
-        Not rounded; infinite where no contribution has finite ones.
+        The value is not rounded. It is infinite if no contribution has finite degrees of freedom.
         Source: JCGM 100, G.4.1: u_c⁴/ν = Σ (c u)⁴/ν_i.
         """
         shares = self.shares
@@ -143,7 +146,7 @@ class Budget:
         return 1.0 / inverse if inverse > 0 else math.inf
 
     def coverage_factor(self, level: float = REPORT_LEVEL) -> float:
-        """Student's factor k for this coverage probability and the effective degrees of freedom.
+        """Return Student's factor k for a coverage probability and the effective degrees of freedom.
 
         Raises:
             BadInput: the level is not between 0 and 1.
@@ -151,7 +154,7 @@ class Budget:
         return coverage_factor(level, self.degrees_of_freedom)
 
     def expanded(self, level: float = REPORT_LEVEL) -> float:
-        """Expanded uncertainty U = k u_c, in the quantity's unit.
+        """Return the expanded uncertainty U = k u_c, in the quantity's unit.
 
         Raises:
             BadInput: the level is not between 0 and 1.
@@ -159,7 +162,7 @@ class Budget:
         return self.coverage_factor(level) * self.std
 
     def interval(self, level: float = REPORT_LEVEL) -> Interval:
-        """Coverage interval value ± U, in the quantity's unit.
+        """Return the coverage interval value ± U, in the quantity's unit.
 
         Raises:
             BadInput: the level is not between 0 and 1.
@@ -168,7 +171,7 @@ class Budget:
         return self.value - reach, self.value + reach
 
     def to_json(self) -> dict[str, object]:
-        """Plain finite values at 95 %, the largest contribution first; None stands for infinite degrees of freedom."""
+        """Return plain finite values at 95 %, largest contribution first; None for infinite degrees of freedom."""
         shares = self.shares
         ranked = sorted(self.contributions, key=lambda c: -c.std)
         return {
@@ -185,15 +188,17 @@ class Budget:
 
 
 def finite(number: float) -> float | None:
-    """The number, or None where JSON has none for it."""
+    """Return the number, or None if it is not finite, since JSON has no value for it."""
     return float(number) if math.isfinite(number) else None
 
 
 def check_names(inputs: Sequence[Input]) -> None:
-    """Every source and group has a name of its own: a cause given twice would count as two independent ones.
+    """Check that the names of sources and groups are unique.
+
+    A source that is given twice would count as two independent ones.
 
     Raises:
-        BadInput: it has not.
+        BadInput: a name occurs more than once.
     """
     names = [i.name for i in inputs]
     twice = sorted({n for n in names if names.count(n) > 1})
@@ -202,7 +207,7 @@ def check_names(inputs: Sequence[Input]) -> None:
 
 
 def _row(contribution: AnyContribution, share: float) -> dict[str, object]:
-    """One row of a budget in JSON."""
+    """Return one row of a budget as JSON values."""
     source = contribution.source
     row: dict[str, object] = {
         "source": contribution.name,

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Uncertainty budgets of several quantities that share sources: each budget, joint covariance and correlation."""
+"""Uncertainty budgets of several quantities with common sources: single budgets, joint covariance and correlation."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from uncertainty.source import Source
 
 @dataclass(frozen=True, eq=False)
 class Budgets:
-    """Several quantities by the law of propagation of uncertainty (JCGM 102, 6.2).
+    """Budgets of several quantities by the law of propagation of uncertainty (JCGM 102, 6.2).
 
-    Columns are the sources in their order; a group of n correlated sources takes n of them.
+    The columns are the sources in their order. A group of n correlated sources occupies n columns.
 
     Attributes:
-        names: of the quantities, unique.
+        names: unique names of the quantities.
         values: estimates, shape (quantities,).
-        units: of the quantities.
-        sources: the causes, with unique names.
+        units: units of the quantities.
+        sources: sources of error, with unique names.
         sensitivities: C, shape (quantities, columns), in the quantity's unit over the source's.
 
     Raises:
-        BadInput: shapes that do not match, names given twice, or numbers that are not finite.
+        BadInput: shapes do not match, a name occurs twice, or a number is not finite.
     """
 
     names: tuple[str, ...]
@@ -67,17 +67,17 @@ class Budgets:
         sources: Sequence[Input],
         contributions: ArrayLike,
     ) -> Budgets:
-        """From signed contributions c u instead of sensitivities.
+        """Create budgets from signed contributions c u instead of sensitivities.
 
         Args:
-            names: of the quantities.
-            values: shape (quantities,).
-            units: of the quantities.
-            sources: the causes.
+            names: names of the quantities.
+            values: estimates, shape (quantities,).
+            units: units of the quantities.
+            sources: sources of error.
             contributions: shape (quantities, columns), in the quantities' units.
 
         Raises:
-            BadInput: as the class, and a contribution from a source of standard uncertainty 0.
+            BadInput: as for the class, or a source of standard uncertainty 0 has a contribution.
         """
         table = np.asarray(contributions, dtype=np.float64)
         std = np.concatenate([np.atleast_1d(s.std) for s in sources]) if sources else np.zeros(0)
@@ -89,7 +89,7 @@ class Budgets:
         return cls(tuple(names), np.asarray(values), tuple(units), tuple(sources), sensitivities)
 
     def __getitem__(self, name: str) -> Budget:
-        """Budget of one quantity.
+        """Return the budget of one quantity.
 
         Raises:
             KeyError: no quantity has this name.
@@ -109,18 +109,18 @@ class Budgets:
 
     @property
     def budgets(self) -> tuple[Budget, ...]:
-        """Every budget, in the order of the quantities."""
+        """Budgets in the order of the quantities."""
         return tuple(self[name] for name in self.names)
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        """C V Cᵀ with V the sources' covariance, shape (quantities, quantities)."""
+        """Joint covariance C V Cᵀ, shape (quantities, quantities), where V is the covariance of the sources."""
         factor = self._factor()
         return factor @ factor.T
 
     @property
     def correlation(self) -> NDArray[np.float64]:
-        """Correlation matrix, shape (quantities, quantities); 0 beside the diagonal for a quantity without error."""
+        """Correlation matrix, shape (quantities, quantities); off-diagonal 0 for a quantity without error."""
         factor = self._factor()
         length = np.linalg.norm(factor, axis=1)
         unit = factor / np.where(length > 0, length, 1.0)[:, None]
@@ -129,16 +129,16 @@ class Budgets:
         return matrix
 
     def derived(self, names: Sequence[str], values: ArrayLike, units: Sequence[str], jacobian: ArrayLike) -> Budgets:
-        """Budgets of quantities that are computed from these, with the same sources.
+        """Return budgets of quantities that are computed from these, with the same sources.
 
         Args:
-            names: of the new quantities.
-            values: shape (new,).
-            units: of the new quantities.
+            names: names of the new quantities.
+            values: estimates of the new quantities, shape (new,).
+            units: units of the new quantities.
             jacobian: derivatives of the new quantities by these, shape (new, quantities).
 
         Raises:
-            BadInput: shapes that do not match, names given twice, or numbers that are not finite.
+            BadInput: shapes do not match, a name occurs twice, or a number is not finite.
         Source: chain rule, JCGM 102, 6.2.1.
         """
         table = np.asarray(jacobian, dtype=np.float64)
@@ -147,7 +147,7 @@ class Budgets:
         return Budgets(tuple(names), np.asarray(values), tuple(units), self.sources, table @ self.sensitivities)
 
     def to_json(self) -> dict[str, object]:
-        """Plain finite values: quantities by name, their order, covariance and correlation in that order."""
+        """Return plain finite values: quantities by name, their order, covariance and correlation in that order."""
         return {
             "names": list(self.names),
             "quantities": {b.name: b.to_json() for b in self.budgets},
@@ -156,7 +156,7 @@ class Budgets:
         }
 
     def _factor(self) -> NDArray[np.float64]:
-        """Factor of the joint covariance, shape (quantities, columns)."""
+        """Return a factor of the joint covariance, shape (quantities, columns)."""
         factor = np.zeros_like(self.sensitivities)
         column = 0
         for source in self.sources:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Coverage factors, coverage intervals of a sample, and the numerical tolerance of a number of digits."""
+"""Coverage factors, coverage intervals of a sample, and the numerical tolerance for a number of digits."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from uncertainty.errors import BadInput
 
 Interval = tuple[float, float]
 IntervalKind = Literal["symmetric", "shortest"]
-"""Probabilistically symmetric, with as much probability below as above; or the shortest of all."""
+"""Probabilistically symmetric (equal probability below and above), or shortest coverage interval."""
 
 
 def check_level(level: float) -> None:
-    """A coverage probability lies inside 0 … 1.
+    """Check that a coverage probability lies between 0 and 1.
 
     Raises:
-        BadInput: it does not.
+        BadInput: the level is 0 or less, or 1 or more.
     """
     if not 0.0 < level < 1.0:
         raise BadInput(f"the coverage probability is {level}; it must lie between 0 and 1, e.g. 0.95")
 
 
 def coverage_factor(level: float, degrees_of_freedom: float = math.inf) -> float:
-    """Factor k of the two-sided interval ± k u of a Student distribution; the normal one for infinite degrees.
+    """Return the factor k of the two-sided interval ± k u of a Student distribution.
 
-    Degrees of freedom need not be whole: the distribution is evaluated at them as they are (JCGM 100, G.4.1 allows
-    that beside rounding down).
+    Infinite degrees of freedom give the normal factor. Degrees of freedom that are not whole are used without rounding,
+    which JCGM 100, G.4.1 allows as an alternative to rounding down.
 
     Raises:
         BadInput: the level or the degrees of freedom are outside their domain.
@@ -47,7 +47,7 @@ def coverage_factor(level: float, degrees_of_freedom: float = math.inf) -> float
 
 
 def ellipsoid_factor(level: float, dimension: int) -> float:
-    """Factor k of the ellipsoid (y − y₀)ᵀ V⁻¹ (y − y₀) ≤ k² that holds a normal vector at this probability.
+    """Return the factor k of the ellipsoid (y − y₀)ᵀ V⁻¹ (y − y₀) ≤ k² that contains a normal vector at this level.
 
     Raises:
         BadInput: the level or the dimension is outside its domain.
@@ -60,29 +60,33 @@ def ellipsoid_factor(level: float, dimension: int) -> float:
 
 
 def numerical_tolerance(std: float, digits: int) -> float:
-    """Half a unit in the last of so many significant digits of a standard uncertainty, δ; 0 for 0.
+    """Return δ, half a unit in the last significant digit of a standard uncertainty; 0 for an uncertainty of 0.
+
+    Args:
+        std: standard uncertainty, at least 0.
+        digits: number of significant digits, at least 1.
 
     Raises:
-        BadInput: fewer digits than 1, or an uncertainty that is negative or not finite.
+        BadInput: `digits` is below 1, or `std` is negative or not finite.
     Source: JCGM 101, 7.9.2.
     """
     if digits < 1 or not (math.isfinite(std) and std >= 0):
         raise BadInput(f"digits is {digits} and std is {std}; at least 1 digit and a finite std ≥ 0 are needed")
     if std == 0:
         return 0.0
-    _, exponent = f"{std:.{digits - 1}e}".split("e")  # rounded first: 0.0996 with two digits is 0.10
+    _, exponent = f"{std:.{digits - 1}e}".split("e")  # the number is rounded first: 0.0996 with two digits is 0.10
     return 0.5 * 10.0 ** (int(exponent) - digits + 1)
 
 
 def symmetric_interval(ordered: NDArray[np.float64], level: float) -> Interval:
-    """Probabilistically symmetric coverage interval of a sample.
+    """Return the probabilistically symmetric coverage interval of a sample.
 
     Args:
-        ordered: shape (trials,), not decreasing.
+        ordered: values in ascending order, shape (trials,).
         level: coverage probability.
 
     Raises:
-        BadInput: too few values for this level.
+        BadInput: the sample has too few values for this level.
     Source: JCGM 101, 7.7.2.
     """
     covered = _covered(ordered, level)
@@ -91,14 +95,14 @@ def symmetric_interval(ordered: NDArray[np.float64], level: float) -> Interval:
 
 
 def shortest_interval(ordered: NDArray[np.float64], level: float) -> Interval:
-    """Shortest coverage interval of a sample; the first one of several that are equally short.
+    """Return the shortest coverage interval of a sample; the first one of several that are equally short.
 
     Args:
-        ordered: shape (trials,), not decreasing.
+        ordered: values in ascending order, shape (trials,).
         level: coverage probability.
 
     Raises:
-        BadInput: too few values for this level.
+        BadInput: the sample has too few values for this level.
     Source: JCGM 101, 7.7.3 and 5.3.4.
     """
     covered = _covered(ordered, level)
@@ -107,10 +111,11 @@ def shortest_interval(ordered: NDArray[np.float64], level: float) -> Interval:
 
 
 def end_errors(ordered: NDArray[np.float64], level: float) -> Interval:
-    """Numerical error of both ends of the symmetric interval that a finite sample leaves, two standard deviations.
+    """Return the numerical errors of both ends of the symmetric interval, two standard deviations each.
 
-    The rank of the value next to a quantile scatters like a binomial number, whatever the distribution; the values
-    two standard deviations of the rank away give the error. Infinite where the sample has no values so far out.
+    The rank of the value next to a quantile has a binomial distribution for any distribution of the values. The values
+    at two standard deviations of the rank give the error. The error is infinite if the sample has no values at these
+    ranks.
     """
     n = len(ordered)
     reach = 2.0 * math.sqrt(n * 0.25 * (1.0 - level) * (1.0 + level))
@@ -123,7 +128,7 @@ def end_errors(ordered: NDArray[np.float64], level: float) -> Interval:
 
 
 def _covered(ordered: NDArray[np.float64], level: float) -> int:
-    """How many steps between ordered values an interval has, q of JCGM 101, 7.7."""
+    """Return the number q of steps between ordered values in an interval (JCGM 101, 7.7)."""
     check_level(level)
     n = len(ordered)
     covered = math.floor(level * n + 0.5)

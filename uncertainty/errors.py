@@ -2,23 +2,23 @@
 """Errors of the uncertainty package.
 
 UncertaintyError
-├── BadInput       a source, a group or a number asked for is outside its domain (also a ValueError)
+├── BadInput       a source, a group or an argument is outside its domain (also a ValueError)
 ├── BadModel       the measurement model returned an array of the wrong shape or values that are not finite
-└── TooManyTrials  the values of so many trials exceed the memory allowed for them (also a ValueError)
+└── TooManyTrials  the values of the requested trials exceed the allowed memory (also a ValueError)
 """
 
 
 class UncertaintyError(Exception):
-    """Root of everything the uncertainty package raises on purpose."""
+    """Base class of all errors raised by the uncertainty package."""
 
 
 class BadInput(UncertaintyError, ValueError):
-    """A source, a group, a table or a number is outside its domain; the message names it, its value and the domain."""
+    """A source, a group, a table or a number is outside its domain. The message contains its name, value and domain."""
 
 
 class BadModel(UncertaintyError):
-    """The model returned a wrong shape or values that are not finite; the message gives the shape or the trial."""
+    """The model returned a wrong shape or values that are not finite. The message contains the shape or the trial."""
 
 
 class TooManyTrials(UncertaintyError, ValueError):
-    """The values of the trials asked for do not fit the memory allowed; the message gives the largest number."""
+    """The values of the requested trials exceed the allowed memory. The message contains the largest number."""

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Several correlated causes of error with one covariance matrix and joint degrees of freedom."""
+"""Group of correlated sources of error with one covariance matrix and joint degrees of freedom."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from uncertainty.source import Kind, Source, check_standing
 
 JointDistribution = Literal["normal", "t"]
 
-_ROUNDING = 1e-9  # of a correlation matrix: what asymmetry and a negative eigenvalue may be
+_ROUNDING = 1e-9  # largest asymmetry and negative eigenvalue of a correlation matrix that count as rounding
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Correlated errors with expectation zero, one cause in a budget.
+    """Correlated errors with expectation zero; one term of a budget.
 
     Attributes:
-        name: of the group, unique among the sources of a budget.
+        name: name of the group, unique among the sources of a budget.
         members: names of the n errors.
-        units: of the n errors, for a reader.
-        covariance: shape (n, n), units as the products of `units`; it may be singular.
+        units: units of the n errors, for display.
+        covariance: shape (n, n), in the products of `units`; a singular matrix is allowed.
         kind: "A" or "B".
         distribution: "normal" or multivariate "t", whose scale matrix is `covariance` (JCGM 102, 5.3.2).
-        degrees_of_freedom: of the covariance matrix as one estimate.
+        degrees_of_freedom: degrees of freedom of the covariance matrix as one estimate.
 
     Raises:
-        BadInput: shapes that do not match, or a matrix that is no covariance.
+        BadInput: shapes do not match, or `covariance` is not a covariance matrix.
     """
 
     name: str
@@ -63,16 +63,16 @@ class Group:
 
     @classmethod
     def of_observations(cls, name: str, members: Sequence[str], units: Sequence[str], observations: ArrayLike) -> Group:
-        """The means of quantities that were observed together, as type A.
+        """Create a type A group from the means of quantities that were observed together.
 
         Args:
-            name: of the group.
+            name: name of the group.
             members: names of the quantities.
-            units: of the quantities.
+            units: units of the quantities.
             observations: shape (n, quantities), n ≥ 2 simultaneous observations.
 
         Raises:
-            BadInput: fewer than two observations, shapes that do not match, or a value that is not finite.
+            BadInput: there are fewer than two observations, shapes do not match, or a value is not finite.
         Source: JCGM 100, 5.2.3: covariance of means s(q, r)/n, with n − 1 degrees of freedom.
         """
         values = np.asarray(observations, dtype=np.float64)
@@ -86,7 +86,7 @@ class Group:
 
     @property
     def width(self) -> int:
-        """Columns that this group takes in a table of errors."""
+        """Number of columns of this group in a table of errors."""
         return len(self.members)
 
     @property
@@ -100,9 +100,10 @@ class Group:
         return self.std[:, None] * correlation_factor(self.covariance, f"group {self.name!r}")
 
     def draw(self, generator: np.random.Generator, size: int) -> NDArray[np.float64]:
-        """Errors with expectation zero, shape (size, n), in the members' units.
+        """Return random errors with expectation zero, shape (size, n), in the members' units.
 
-        Draws of "t" share one chi-square each; their covariance is ν/(ν − 2) times that of the group.
+        All members of one draw of "t" use the same chi-square number. Their covariance is ν/(ν − 2) times that of the
+        group.
         """
         errors = generator.standard_normal((size, self.width)) @ self.factor.T
         if self.distribution == "t" and math.isfinite(self.degrees_of_freedom):
@@ -112,11 +113,11 @@ class Group:
 
 
 Input = Source | Group
-"""A cause of error: one column of a table of errors, or several that are correlated."""
+"""A source of error: one column of a table of errors, or several correlated columns."""
 
 
 def correlation_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Correlation matrix of a covariance matrix; 0 beside the diagonal for a constant."""
+    """Return the correlation matrix of a covariance matrix; off-diagonal 0 for a constant."""
     std = np.sqrt(np.diag(covariance))
     scale = np.where(std > 0, std, 1.0)
     matrix = np.clip(covariance / scale[:, None] / scale[None, :], -1.0, 1.0)
@@ -125,10 +126,14 @@ def correlation_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def correlation_factor(covariance: NDArray[np.float64], owner: str) -> NDArray[np.float64]:
-    """Factor F of the correlation matrix F Fᵀ of a covariance matrix, shape (n, n); it may be singular.
+    """Return the factor F of the correlation matrix F Fᵀ of a covariance matrix, shape (n, n), which may be singular.
+
+    Args:
+        covariance: shape (n, n).
+        owner: name of the covariance for error messages.
 
     Raises:
-        BadInput: not finite, not symmetric, or not positive semidefinite beyond rounding.
+        BadInput: the covariance is not finite, not symmetric, or not positive semidefinite within rounding.
     """
     if not bool(np.all(np.isfinite(covariance))) or bool(np.any(np.diag(covariance) < 0)):
         raise BadInput(f"{owner}: the covariance has values that are not finite or variances below 0")

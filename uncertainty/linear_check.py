@@ -1,5 +1,5 @@
 # pyright: strict
-"""Is the linear budget good enough: its interval held against the one of a Monte Carlo calculation."""
+"""Validation of a linear budget: comparison of its interval with that of a Monte Carlo calculation."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class LinearCheck:
         linear: interval of the budget.
         sampled: interval of the Monte Carlo calculation.
         level: coverage probability of both.
-        verdict: "agree" where both differences are within the tolerance; "undecided" where the numerical error could
-            turn that around, so more trials are needed.
+        verdict: "agree" if both differences are within the tolerance, "differ" if one is not. "undecided" if the
+            numerical error could change the verdict, so that more trials are needed.
     """
 
     low: float
@@ -39,7 +39,7 @@ class LinearCheck:
     verdict: Verdict
 
     def to_json(self) -> dict[str, object]:
-        """Plain finite values."""
+        """Return plain finite values."""
         return {
             "d_low": self.low,
             "d_high": self.high,
@@ -60,20 +60,21 @@ def check_linear(
     quantity: str | None = None,
     interval: IntervalKind = "symmetric",
 ) -> LinearCheck:
-    """The linear budget of a quantity against its Monte Carlo distribution.
+    """Compare the linear budget of a quantity with its Monte Carlo distribution.
 
-    JCGM 101, 8.2 wants the Monte Carlo interval five times as exact as δ; here its numerical error is part of the
-    verdict instead.
+    JCGM 101, 8.2 requires a Monte Carlo interval that is five times as exact as δ. Here the numerical error of the
+    interval is part of the verdict instead.
 
     Args:
-        budget: of the quantity, with its value on the scale of the model's values.
-        result: the Monte Carlo calculation.
-        digits: significant digits of the standard uncertainty that matter.
-        quantity: its name in the result; the budget's where None, or the only one there is.
-        interval: which of the Monte Carlo intervals.
+        budget: budget of the quantity, with its value on the scale of the model's values.
+        result: Monte Carlo calculation.
+        digits: number of relevant significant digits of the standard uncertainty.
+        quantity: name of the quantity in the result. None selects the only quantity of the result, or the quantity with
+            the budget's name if there are several.
+        interval: kind of the Monte Carlo interval.
 
     Raises:
-        BadInput: fewer digits than 1, or the result has no such quantity.
+        BadInput: `digits` is below 1, or the result has no such quantity.
     Source: JCGM 101, 8.1.3 and 8.2.
     """
     names = [q.name for q in result.quantities]

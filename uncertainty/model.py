@@ -1,5 +1,5 @@
 # pyright: strict
-"""The measurement model: errors of the sources in, values of the quantities out."""
+"""The measurement model: a function from errors of the sources to values of the quantities."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from uncertainty.errors import BadModel
 
 Model = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""Errors of shape (n, columns of the sources) to values of shape (n, quantities)."""
+"""Maps errors of shape (n, columns of the sources) to values of shape (n, quantities)."""
 
 
 def values_of(model: Model, errors: NDArray[np.float64], quantities: int | None = None) -> NDArray[np.float64]:
-    """The model's values for some errors, shape (n, quantities), all finite.
+    """Return the model's values for given errors, shape (n, quantities), all finite.
 
     Args:
-        model: the model.
+        model: measurement model.
         errors: shape (n, columns).
-        quantities: how many there were in an earlier call; None: at least one.
+        quantities: number of quantities in an earlier call; None if there was no call, then at least one is required.
 
     Raises:
         BadModel: the values have another shape or are not finite.
     """
-    values = np.array(model(errors), dtype=np.float64)  # a copy: the model may fill the same array again
+    values = np.array(model(errors), dtype=np.float64)  # a copy, because the model may reuse its array
     width = "quantities" if quantities is None else quantities
     fits = values.ndim == 2 and len(values) == len(errors) and values.shape[1] > 0
     if not fits or quantities not in (None, values.shape[1]):

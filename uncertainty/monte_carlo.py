@@ -1,5 +1,5 @@
 # pyright: strict
-"""Propagation of distributions by a Monte Carlo method, with fixed trials or until the numbers are stable."""
+"""Propagation of distributions by a Monte Carlo method, with a fixed or an adaptive number of trials."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from uncertainty.spread import MonteCarlo, quantity_names, summary
 from uncertainty.stable_numbers import Stability
 
 Progress = Callable[[int, int | None], None]
-"""Takes the trials done and the trials wanted; None while that number is open."""
+"""Called with the number of completed trials and the number of requested trials, None if that is not fixed."""
 
 BATCH = 10_000
+"""Smallest number of trials in a batch (JCGM 101, 7.9.4)."""
 
 
 def monte_carlo(
@@ -39,22 +40,23 @@ def monte_carlo(
     most_bytes: int = 512 * 2**20,
     rows: int = BATCH,
 ) -> MonteCarlo:
-    """The joint distribution of a model's quantities under the errors of its sources.
+    """Return the joint distribution of a model's quantities for the errors of its sources.
 
-    The errors that one seed gives to a source do not depend on `rows`, on `trials` or on the sources behind it.
+    The errors that a seed gives to a source are independent of `rows`, of `trials` and of the sources after it.
 
     Args:
-        model: errors (n, columns) in the sources' units to values (n, quantities); first called with one row of zeros.
-        sources: the causes; a group takes as many columns as it has members.
-        seed: at least 0.
-        trials: how many; None: batches of 10⁴ or, if that is more, 100/(1 − level), until stable.
-        digits: significant digits of the standard deviation that are to be stable.
+        model: maps errors (n, columns) in the sources' units to values (n, quantities). The first call has one row of
+            zeros.
+        sources: sources of error; a group occupies as many columns as it has members.
+        seed: seed of the random numbers, at least 0.
+        trials: number of trials; None: batches of 10⁴ or, if that is more, 100/(1 − level) until results are stable.
+        digits: number of significant digits of the standard deviation that must be stable.
         level: coverage probability of the intervals.
-        interval: whose ends are to be stable; those of the shortest one need many more trials.
-        names: of the quantities; their numbers from 0 where None.
+        interval: kind of interval whose ends must be stable. Ends of the shortest interval need many more trials.
+        names: names of the quantities; None selects their numbers from 0.
         progress: called after each call of the model with trials.
-        most_trials: where the adaptive procedure ends with `stabilised` False.
-        most_bytes: bound on the values kept, 8 bytes a trial and quantity; the adaptive procedure ends there too.
+        most_trials: largest number of trials of the adaptive procedure, which then ends with `stabilised` False.
+        most_bytes: largest memory for the stored values, 8 bytes per trial and quantity; limits adaptive trials too.
         rows: largest number of trials in one call of the model.
 
     Raises:
@@ -64,11 +66,11 @@ def monte_carlo(
     Source: JCGM 101, 7.2 … 7.9; JCGM 102, 7.
     """
     _check(sources, seed, digits, level, interval, rows)
-    wanted = _enough(most_trials if trials is None else trials, level)
+    wanted = _checked_trials(most_trials if trials is None else trials, level)
     size = max(BATCH, math.ceil(100.0 / (1.0 - level)))
     quantities = values_of(model, np.zeros((1, sum(s.width for s in sources)))).shape[1]
     given = quantity_names(names, quantities)
-    wanted = min(wanted, _room(quantities, min(size, wanted) if trials is None else trials, most_bytes))
+    wanted = min(wanted, _trials_in_memory(quantities, min(size, wanted) if trials is None else trials, most_bytes))
     batches: list[NDArray[np.float64]] = []
     stability, done, settled = Stability(digits, level, interval), 0, False
     while done < wanted and not (trials is None and settled):
@@ -85,11 +87,11 @@ def monte_carlo(
     return summary(batches, given, level, settled, digits)
 
 
-def _room(quantities: int, trials: int, most_bytes: int) -> int:
-    """Trials whose values fit the memory allowed.
+def _trials_in_memory(quantities: int, trials: int, most_bytes: int) -> int:
+    """Return the number of trials whose values fit the allowed memory.
 
     Raises:
-        TooManyTrials: fewer than are needed.
+        TooManyTrials: fewer than `trials` fit.
     """
     room = most_bytes // (8 * quantities)
     if trials > room:
@@ -98,7 +100,7 @@ def _room(quantities: int, trials: int, most_bytes: int) -> int:
 
 
 def _check(sources: Sequence[Input], seed: int, digits: int, level: float, interval: str, rows: int) -> None:
-    """What can be refused before the first trial.
+    """Check the arguments before the first trial.
 
     Raises:
         BadInput: a number or a name is outside its domain.
@@ -112,11 +114,11 @@ def _check(sources: Sequence[Input], seed: int, digits: int, level: float, inter
         raise BadInput(f"interval is {interval!r}; it must be one of {', '.join(get_args(IntervalKind))}")
 
 
-def _enough(trials: int, level: float) -> int:
-    """The trials, if they have values outside and inside an interval of this level.
+def _checked_trials(trials: int, level: float) -> int:
+    """Return the number of trials if it is large enough for values outside and inside an interval of this level.
 
     Raises:
-        BadInput: they have not.
+        BadInput: the number of trials is too small.
     """
     if not 0 < math.floor(level * trials + 0.5) < trials:
         raise BadInput(
@@ -127,7 +129,7 @@ def _enough(trials: int, level: float) -> int:
 
 
 def _errors(sources: Sequence[Input], stream: tuple[int, int], size: int) -> NDArray[np.float64]:
-    """Errors of a whole batch of trials, shape (size, columns); each source from a random stream of its own."""
+    """Return the errors of a batch of trials, shape (size, columns); each source has its own random stream."""
     drawn = [
         source.draw(np.random.default_rng([*stream, i]), size).reshape(size, source.width)
         for i, source in enumerate(sources)

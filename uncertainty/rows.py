@@ -1,5 +1,5 @@
 # pyright: strict
-"""A budget as the rows of a table: one per source, the largest first."""
+"""A budget as the rows of a table: one row per source, largest contribution first."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ class BudgetRow:
     """One source in the budget of one quantity.
 
     Attributes:
-        source: its name.
+        source: name of the source.
         kind: "A" or "B".
-        distribution: of the source.
+        distribution: distribution of the source.
         u: standard uncertainty, in `unit`.
-        unit: of the source; of the quantity for a group of correlated sources, which has none of its own.
+        unit: unit of the source. A group of correlated sources has the unit of the quantity.
         sensitivity: derivative of the quantity by the source; 1 for a group.
         contribution: sensitivity × u with its sign, in the quantity's unit.
-        share: part of the quantity's variance.
-        degrees_of_freedom: of the source; infinite where its standard uncertainty is taken as known.
+        share: share of the quantity's variance.
+        degrees_of_freedom: degrees of freedom of the source; infinite if its standard uncertainty is taken as exact.
     """
 
     source: str
@@ -35,7 +35,7 @@ class BudgetRow:
     degrees_of_freedom: float
 
     def to_json(self) -> dict[str, object]:
-        """Plain finite values; None stands for infinite degrees of freedom."""
+        """Return plain finite values; None stands for infinite degrees of freedom."""
         return {
             "source": self.source,
             "type": self.kind,
@@ -50,11 +50,11 @@ class BudgetRow:
 
 
 def budget_rows(budget: Budget, least_share: float = 0.0) -> list[BudgetRow]:
-    """The rows of a budget, the largest contribution first; sources that contribute nothing are left out.
+    """Return the rows of a budget, largest contribution first, without sources that contribute nothing.
 
     Args:
-        budget: of one quantity.
-        least_share: smallest part of the variance that gets a row.
+        budget: budget of one quantity.
+        least_share: smallest share of the variance that has a row.
     """
     shares = budget.shares
     ranked = sorted(budget.contributions, key=lambda c: -c.std)
@@ -62,7 +62,7 @@ def budget_rows(budget: Budget, least_share: float = 0.0) -> list[BudgetRow]:
 
 
 def budget_json(budget: Budget, level: float = REPORT_LEVEL) -> dict[str, object]:
-    """A budget with its rows as plain finite values; `U95` and `interval95` stand beside those of the level.
+    """Return a budget with its rows as plain finite values, expanded uncertainty and interval at 95 % and at the level.
 
     Raises:
         BadInput: the level is not between 0 and 1.

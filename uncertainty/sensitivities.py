@@ -18,17 +18,18 @@ from uncertainty.source import Source
 def linear_budgets(
     model: Model, sources: Sequence[Input], names: Sequence[str], units: Sequence[str], *, step: float = 1.0
 ) -> Budgets:
-    """Budgets of a model's quantities by central differences over ± step standard uncertainties of each source.
+    """Return budgets of a model's quantities by central differences over ± step standard uncertainties of each source.
 
     Args:
         model: as for `monte_carlo`; called once, with 2 × columns + 1 rows.
-        sources: the causes, each with a standard uncertainty above 0.
-        names: of the quantities.
-        units: of the quantities.
-        step: in standard uncertainties; 1 lets a mild curvature into the sensitivities as JCGM 100 does.
+        sources: sources of error, each with a standard uncertainty above 0.
+        names: names of the quantities.
+        units: units of the quantities.
+        step: half-width of the difference in standard uncertainties. With 1 the sensitivities include a mild curvature
+            of the model, as in JCGM 100.
 
     Raises:
-        BadInput: a standard uncertainty of 0, a step that is not positive, or names that do not match the quantities.
+        BadInput: a standard uncertainty is 0, the step is not positive, or the names do not match the quantities.
         BadModel: the model's values have another shape or are not finite.
     Source: JCGM 100, 5.1.3, note 2.
     """
@@ -43,18 +44,18 @@ def linear_budgets(
 
 
 def second_order_variance(model: Model, sources: Sequence[Source]) -> NDArray[np.float64]:
-    """What the next terms of the model's series add to the variances of its quantities, shape (quantities,).
+    """Return the second-order terms of the variances of a model's quantities, shape (quantities,).
 
-    Σ_i Σ_j [½ c_ij² + c_i c_ijj] u_i² u_j², derivatives by differences over one and two standard uncertainties. It
-    may be negative. The term c_ii is that of a normal distribution. With n sources the model is called once with
-    2 n (n + 1) + 1 rows.
+    The terms are Σ_i Σ_j [½ c_ij² + c_i c_ijj] u_i² u_j², with derivatives by differences over one and two standard
+    uncertainties. The sum may be negative. The term c_ii is that of a normal distribution. With n sources the model is
+    called once with 2 n (n + 1) + 1 rows.
 
     Args:
         model: as for `monte_carlo`.
-        sources: independent causes, each with a standard uncertainty above 0.
+        sources: independent sources of error, each with a standard uncertainty above 0.
 
     Raises:
-        BadInput: a standard uncertainty of 0.
+        BadInput: a standard uncertainty is 0.
         BadModel: the model's values have another shape or are not finite.
     Source: JCGM 100, 5.1.2, note.
     """
@@ -77,10 +78,10 @@ def second_order_variance(model: Model, sources: Sequence[Source]) -> NDArray[np
 
 
 def _steps(sources: Sequence[Input]) -> NDArray[np.float64]:
-    """Standard uncertainties of all columns, shape (columns,).
+    """Return the standard uncertainties of all columns, shape (columns,).
 
     Raises:
-        BadInput: no sources, or one of them is 0.
+        BadInput: there are no sources, or a standard uncertainty is 0.
     """
     for source in sources:
         if bool(np.any(np.asarray(source.std) == 0)):

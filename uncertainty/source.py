@@ -1,5 +1,5 @@
 # pyright: strict
-"""One independent cause of error: its standard uncertainty, distribution and degrees of freedom."""
+"""One independent source of error: its standard uncertainty, distribution and degrees of freedom."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ from numpy.typing import ArrayLike, NDArray
 from uncertainty.errors import BadInput
 
 Kind = Literal["A", "B"]
-"""How the standard uncertainty was found: by statistics of a series of observations, or by other means."""
+"""Evaluation of the standard uncertainty: by statistics of a series of observations (A), or by other means (B)."""
 Distribution = Literal["normal", "rectangular", "triangular", "arcsine", "t"]
 
 _HALF_WIDTH = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "arcsine": math.sqrt(2.0)}
-"""Half-width of a distribution over its standard deviation (JCGM 100, 4.3.7 and 4.3.9; JCGM 101, 6.4.6)."""
+"""Ratio of half-width to standard deviation of a distribution (JCGM 100, 4.3.7 and 4.3.9; JCGM 101, 6.4.6)."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """An independent cause of error with expectation zero.
+    """An independent source of error with expectation zero.
 
     Attributes:
-        name: unique among the sources of a budget.
+        name: name, unique among the sources of a budget.
         std: standard uncertainty in the unit of the source, at least 0.
-        unit: unit of the source, for a reader; nothing is converted.
-        kind: "A", from a series of observations, or "B", from other knowledge.
-        distribution: shape that `draw` takes. "t" has `std` as its scale, as JCGM 101, 6.4.9 assigns it to the mean of
-            readings: draws scatter by std × sqrt(ν/(ν − 2)), and without bound for ν ≤ 2.
-        degrees_of_freedom: of the estimate `std`, ν; infinite where `std` is taken as known.
+        unit: unit of the source, for display; values are not converted.
+        kind: "A" for a series of observations, "B" for other information.
+        distribution: distribution of the errors from `draw`. "t" has the scale `std`, as JCGM 101, 6.4.9 assigns it to
+            the mean of readings. Its draws have the standard deviation std × sqrt(ν/(ν − 2)), which is infinite for
+            ν ≤ 2.
+        degrees_of_freedom: degrees of freedom ν of the estimate `std`; infinite if `std` is taken as exact.
 
     Raises:
         BadInput: a field is outside its domain.
@@ -56,16 +57,16 @@ class Source:
 
     @classmethod
     def of_readings(cls, name: str, readings: ArrayLike, unit: str = "") -> Source:
-        """The mean of independent readings of one quantity, as type A: s/√n with n − 1 degrees of freedom.
+        """Create a type A source from the mean of independent readings: s/√n with n − 1 degrees of freedom.
 
         Args:
-            name: of the source.
-            readings: shape (n,), n ≥ 2, in the unit.
-            unit: of the readings.
+            name: name of the source.
+            readings: readings of one quantity, shape (n,), n ≥ 2, in `unit`.
+            unit: unit of the readings.
 
         Raises:
-            BadInput: fewer than two readings, or a reading that is not finite.
-        Source: JCGM 100, 4.2.3; its distribution by JCGM 101, 6.4.9.
+            BadInput: there are fewer than two readings, or a reading is not finite.
+        Source: JCGM 100, 4.2.3; the distribution by JCGM 101, 6.4.9.
         """
         values = np.asarray(readings, dtype=np.float64)
         if values.ndim != 1 or len(values) < 2 or not bool(np.all(np.isfinite(values))):
@@ -82,14 +83,14 @@ class Source:
         distribution: Distribution = "rectangular",
         degrees_of_freedom: float = math.inf,
     ) -> Source:
-        """A bounded error of known half-width, as type B.
+        """Create a type B source from a bounded error of known half-width.
 
         Args:
-            name: of the source.
-            half_width: largest magnitude of the error, in the unit.
-            unit: of the half-width.
+            name: name of the source.
+            half_width: largest magnitude of the error, in `unit`.
+            unit: unit of the half-width.
             distribution: "rectangular", "triangular" or "arcsine".
-            degrees_of_freedom: of the half-width as an estimate; see `reliability_degrees`.
+            degrees_of_freedom: degrees of freedom of the half-width as an estimate; see `reliability_degrees`.
 
         Raises:
             BadInput: the distribution has no half-width, or the half-width is negative or not finite.
@@ -104,18 +105,18 @@ class Source:
 
     @property
     def width(self) -> int:
-        """Columns that this source takes in a table of errors: 1."""
+        """Number of columns of this source in a table of errors: 1."""
         return 1
 
     @property
     def factor(self) -> NDArray[np.float64]:
-        """Factor F of the covariance F Fᵀ: shape (1, 1), the standard uncertainty."""
+        """Factor F of the covariance F Fᵀ, shape (1, 1): the standard uncertainty."""
         return np.array([[self.std]])
 
     def draw(self, generator: np.random.Generator, size: int) -> NDArray[np.float64]:
-        """Errors with expectation zero, shape (size,), in the unit of the source.
+        """Return random errors with expectation zero, shape (size,), in the unit of the source.
 
-        Their standard deviation is `std`; that of "t" is stated at the class.
+        Their standard deviation is `std`. For "t" see the class.
         """
         if self.distribution == "rectangular":
             shape = generator.uniform(-_HALF_WIDTH["rectangular"], _HALF_WIDTH["rectangular"], size)
@@ -131,13 +132,13 @@ class Source:
 
 
 def reliability_degrees(relative: float) -> float:
-    """Degrees of freedom of a standard uncertainty that is itself known to a relative standard uncertainty.
+    """Return the degrees of freedom of a standard uncertainty whose own relative standard uncertainty is given.
 
     Args:
-        relative: standard uncertainty of the standard uncertainty over itself; 0 stands for a value that is known.
+        relative: relative standard uncertainty of the standard uncertainty; 0 for an exact value.
 
     Raises:
-        BadInput: negative or not finite.
+        BadInput: `relative` is negative or not finite.
     Source: JCGM 100, G.4.2: ν = 1/(2 r²).
     """
     if not (math.isfinite(relative) and relative >= 0):
@@ -146,10 +147,10 @@ def reliability_degrees(relative: float) -> float:
 
 
 def check_standing(name: str, kind: str, degrees_of_freedom: float) -> None:
-    """What sources and groups have in common.
+    """Check the fields that sources and groups have in common.
 
     Raises:
-        BadInput: no name, an unknown kind, or degrees of freedom that are not positive.
+        BadInput: the name is empty, the kind is unknown, or the degrees of freedom are not positive.
     """
     if not name:
         raise BadInput("a source of error needs a name; it is empty")

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Joint distribution of quantities as trials gave it: means, covariance and coverage intervals."""
+"""Joint distribution of quantities from trials: means, covariance and coverage intervals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from uncertainty.errors import BadInput
 from uncertainty.group import correlation_of
 
 _SINGULAR = 1e-10
-"""Smallest over largest eigenvalue of a correlation matrix below which rounding decides on the smallest."""
+"""Ratio of smallest to largest eigenvalue of a correlation matrix below which the smallest is mere rounding."""
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,13 @@ class Spread:
     """Distribution of one quantity.
 
     Attributes:
-        name: of the quantity.
-        mean: in the quantity's unit, as all that follows.
+        name: name of the quantity.
+        mean: mean value. This and all following attributes are in the quantity's unit.
         std: standard deviation.
         symmetric: probabilistically symmetric coverage interval.
         shortest: shortest coverage interval.
-        end_errors: numerical errors of the symmetric interval's ends, two standard deviations each; infinite where
-            the trials are too few to see them.
+        end_errors: numerical errors of the symmetric interval's ends, two standard deviations each; infinite if the
+            trials are too few for an estimate.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Spread:
     end_errors: Interval
 
     def to_json(self) -> dict[str, object]:
-        """Plain finite values; None stands for an infinite numerical error."""
+        """Return plain finite values; None stands for an infinite numerical error."""
         return {
             "name": self.name,
             "mean": self.mean,
@@ -57,16 +57,16 @@ class MonteCarlo:
     """Joint distribution of the quantities.
 
     Attributes:
-        quantities: distribution of each.
+        quantities: distribution of each quantity.
         covariance: shape (quantities, quantities).
         level: coverage probability of the intervals.
-        trials: number used.
-        stabilised: at least ten batches of trials showed mean, standard deviation and interval ends to be stable to
-            `digits` significant digits of the standard deviation, or to the rounding of the values, and the largest
-            eigenvalue of the correlation matrix to as many of its own.
-        digits: those asked for.
-        ellipsoid_factor: k of the ellipsoid (y − ȳ)ᵀ V⁻¹ (y − ȳ) ≤ k² that holds this share of the trials, V the
-            covariance (JCGM 102, 7.7.2); None where V is singular.
+        trials: number of trials.
+        stabilised: whether at least ten batches of trials showed that the results are stable: mean, standard deviation
+            and interval ends to `digits` significant digits of the standard deviation or to the rounding of the values,
+            and the largest eigenvalue of the correlation matrix to `digits` significant digits of itself.
+        digits: requested number of significant digits.
+        ellipsoid_factor: k of the ellipsoid (y − ȳ)ᵀ V⁻¹ (y − ȳ) ≤ k² that contains the share `level` of the trials,
+            where V is the covariance (JCGM 102, 7.7.2); None if V is singular.
     """
 
     quantities: tuple[Spread, ...]
@@ -78,7 +78,7 @@ class MonteCarlo:
     ellipsoid_factor: float | None = None
 
     def __getitem__(self, name: str) -> Spread:
-        """Distribution of one quantity.
+        """Return the distribution of one quantity.
 
         Raises:
             KeyError: no quantity has this name.
@@ -90,11 +90,11 @@ class MonteCarlo:
 
     @property
     def correlation(self) -> NDArray[np.float64]:
-        """Correlation matrix, shape (quantities, quantities); 0 beside the diagonal for a constant quantity."""
+        """Correlation matrix, shape (quantities, quantities); off-diagonal 0 for a constant quantity."""
         return correlation_of(self.covariance)
 
     def to_json(self) -> dict[str, object]:
-        """Plain finite values."""
+        """Return plain finite values."""
         return {
             "quantities": {q.name: q.to_json() for q in self.quantities},
             "covariance": self.covariance.tolist(),
@@ -108,10 +108,10 @@ class MonteCarlo:
 
 
 def quantity_names(names: Sequence[str] | None, quantities: int) -> tuple[str, ...]:
-    """The names of so many quantities; their numbers from 0 where None.
+    """Return the names of the quantities; their numbers from 0 if `names` is None.
 
     Raises:
-        BadInput: the number of names is not that of the quantities, or they are not unique.
+        BadInput: the number of names differs from that of the quantities, or the names are not unique.
     """
     given = tuple(str(i) for i in range(quantities)) if names is None else tuple(names)
     if len(given) != quantities or len(set(given)) != quantities:
@@ -122,11 +122,11 @@ def quantity_names(names: Sequence[str] | None, quantities: int) -> tuple[str, .
 def summary(
     batches: Sequence[NDArray[np.float64]], names: Sequence[str], level: float, stabilised: bool, digits: int
 ) -> MonteCarlo:
-    """Summary of all trials.
+    """Summarise all trials.
 
     Args:
         batches: values, each of shape (trials, quantities).
-        names: of the quantities.
+        names: names of the quantities.
         level: coverage probability of the intervals.
         stabilised: as in the result.
         digits: as in the result.
@@ -136,7 +136,7 @@ def summary(
     Source: JCGM 101, 7.6 and 7.7; JCGM 102, 7.6.
     """
     width = batches[0].shape[1]
-    origin = batches[0][0]  # what is constant is then exactly 0
+    origin = batches[0][0]  # a constant quantity is then exactly 0
     trials = sum(len(b) for b in batches)
     mean = np.sum([np.sum(b - origin, axis=0) for b in batches], axis=0) / trials
     covariance = np.zeros((width, width))
@@ -155,7 +155,7 @@ def summary(
 def _ellipsoid_factor(
     batches: Sequence[NDArray[np.float64]], mean: NDArray[np.float64], covariance: NDArray[np.float64], level: float
 ) -> float | None:
-    """k of the ellipsoid that holds this share of the trials; None where the covariance is singular.
+    """Return k of the ellipsoid that contains the share `level` of the trials; None if the covariance is singular.
 
     Args:
         batches: values, each of shape (trials, quantities).

@@ -1,5 +1,5 @@
 # pyright: strict
-"""When the numbers of a Monte Carlo calculation are stable: their scatter between batches of trials."""
+"""Stability of the results of a Monte Carlo calculation, from their scatter between batches of trials."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from uncertainty.coverage import IntervalKind, numerical_tolerance, shortest_int
 from uncertainty.group import correlation_of
 
 LEAST_BATCHES = 10
-"""JCGM 101, 7.9.4 may end after two batches, whose two values leave one degree of freedom for their scatter."""
+"""Smallest number of batches. JCGM 101, 7.9.4 allows two, whose scatter has only one degree of freedom."""
 
 
 class Stability:
-    """Scatter between batches of what is to be stable.
+    """Test whether the results of successive batches are stable.
 
-    Watched are the mean, the standard deviation and the interval's ends of each quantity (JCGM 101, 7.9.4), and the
-    largest eigenvalue of the correlation matrix (JCGM 102, 7.8.3).
+    The tested results are the mean, the standard deviation and the interval's ends of each quantity (JCGM 101, 7.9.4),
+    and the largest eigenvalue of the correlation matrix (JCGM 102, 7.8.3).
 
     Args:
-        digits: significant digits of the standard deviation, and of the eigenvalue, that are to be stable.
+        digits: number of significant digits of the standard deviation, and of the eigenvalue, that must be stable.
         level: coverage probability of the interval.
-        interval: which of the intervals.
+        interval: kind of interval.
     """
 
     def __init__(self, digits: int, level: float, interval: IntervalKind) -> None:
@@ -34,8 +34,8 @@ class Stability:
         self.eigenvalues: list[float] = []
 
     def settled_with(self, values: NDArray[np.float64]) -> bool:
-        """Whether all is stable after one more batch, shape (batch, quantities)."""
-        origin = values[0]  # what is constant is then exactly 0
+        """Add one batch, shape (batch, quantities), and return whether all results are stable."""
+        origin = values[0]  # a constant quantity is then exactly 0
         shifted = values - origin
         ordered = np.sort(shifted, axis=0)
         ends = np.array([self.interval(column, self.level) for column in ordered.T])
@@ -46,7 +46,7 @@ class Stability:
         return self._settled()
 
     def _settled(self) -> bool:
-        """Twice the scatter of each mean over the batches is within the numerical tolerance."""
+        """Return whether twice the standard deviation of each mean over the batches is within its tolerance."""
         count = len(self.found)
         if count < LEAST_BATCHES:
             return False

@@ -1,1 +1,1 @@
-"""Work–precision of the estimators: time against error over the Fisher bound, with peers in the same run."""
+"""Work–precision benchmark of the estimators: time against error over the Fisher bound, with peers in the same run."""

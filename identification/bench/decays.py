@@ -1,7 +1,7 @@
-"""Made-up ring-downs, sample by sample from the closed form, and their bounds.
+"""Synthetic ring-downs, sample by sample from the closed form, and their bounds.
 
-y_i = Re(a e^{λ t_i}) + b + noise with λ = −ζω + iω sqrt(1 − ζ²). With two axes, sensor x sees x cos β + y sin β and
-sensor y sees −x sin β + y cos β, each with its own offset.
+y_i = Re(a e^{λ t_i}) + b + noise with λ = −ζω + iω sqrt(1 − ζ²). With two axes, sensor x measures x cos β + y sin β and
+sensor y measures −x sin β + y cos β, each with its own offset.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ _OFFSET_M = 0.3e-3
 
 @dataclass(frozen=True)
 class Decay:
-    """A ring-down as a method is given it.
+    """Record of a ring-down, the input of a method.
 
     Attributes:
-        time_s: shape (n,).
-        displacement_m: shape (n,), or (n, 2) for two sensors.
+        time_s: time, s, shape (n,).
+        displacement_m: displacement, m, shape (n,), or (n, 2) for two sensors.
     """
 
     time_s: np.ndarray
@@ -33,7 +33,7 @@ class Decay:
 def one_mode(
     rng: np.random.Generator, zeta: float, frequency_Hz: float = 3.0, amplitude_m: float = 1e-3, record_s: float = 20.0
 ) -> Trial:
-    """One mode in one sensor; phase and offset at random, frequency within 2 % so that it sits on no grid."""
+    """Draw one mode in one sensor with random phase and offset, and a frequency within 2 % that lies on no grid."""
     time = np.arange(round(record_s * RATE_HZ)) / RATE_HZ
     frequency = frequency_Hz * (1 + 0.02 * rng.uniform(-1, 1))
     start = amplitude_m * np.exp(2j * np.pi * rng.uniform())
@@ -51,7 +51,7 @@ def one_mode(
 def two_axes(
     rng: np.random.Generator, frequencies_Hz: tuple[float, float], zeta: float, axis_angle_deg: float, record_s: float
 ) -> Trial:
-    """Two modes of 1 mm seen by two sensors turned against them; phases at random."""
+    """Draw two modes of 1 mm in two sensors that are turned relative to them, with random phases."""
     time = np.arange(round(record_s * RATE_HZ)) / RATE_HZ
     common = 1 + 0.02 * rng.uniform(-1, 1)
     first, second = (common * f for f in frequencies_Hz)
@@ -74,7 +74,7 @@ def two_axes(
 
 
 def with_outliers(rng: np.random.Generator, trial: Trial, share: float, size_m: float) -> Trial:
-    """A share of the samples replaced by anything within ± size; the bound stays that of the clean record."""
+    """Replace a share of the samples by random values within ± size; the bound remains that of the clean record."""
     displacement = trial.record.displacement_m.copy()
     bad = rng.random(len(displacement)) < share
     displacement[bad] = size_m * rng.uniform(-1, 1, np.count_nonzero(bad))
@@ -82,7 +82,7 @@ def with_outliers(rng: np.random.Generator, trial: Trial, share: float, size_m: 
 
 
 def clipped_at(trial: Trial, rail_m: float) -> Trial:
-    """The record through a sensor that ends at ± rail; the bound stays that of the whole motion."""
+    """Clip the record at the sensor's range ± rail; the bound remains that of the whole motion."""
     displacement = np.clip(trial.record.displacement_m, -rail_m, rail_m)
     return replace(trial, record=replace(trial.record, displacement_m=displacement))
 

@@ -1,8 +1,8 @@
-"""The least standard deviation an unbiased estimate can have, from the record's own model by differences.
+"""Smallest standard deviation of an unbiased estimate, from the model of a record by numerical differences.
 
-For samples μ_i(θ) with independent normal noise σ the Fisher information is F_jk = Σ_i ∂_jμ_i ∂_kμ_i / σ², plus one
-over each prior's variance; the square roots of diag(F⁻¹) are the Cramér–Rao bound, every other entry of θ being unknown
-too.
+For samples μ_i(θ) with independent normal noise σ the Fisher information is F_jk = Σ_i ∂_jμ_i ∂_kμ_i / σ², plus the
+inverse variance of each prior. The square roots of diag(F⁻¹) are the Cramér–Rao bound, with all other entries of θ
+unknown as well.
 """
 
 from __future__ import annotations
@@ -10,23 +10,24 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-Mean = Callable[[np.ndarray], np.ndarray]
+Array = NDArray[np.float64]
+Mean = Callable[[Array], Array]
 
 
-def bound(
-    mean: Mean, theta: np.ndarray, step: np.ndarray, noise: float, prior_std: np.ndarray | None = None
-) -> np.ndarray:
-    """Cramér–Rao bound of every entry of θ, shape (p,).
+def bound(mean: Mean, theta: Array, step: Array, noise: float, prior_std: Array | None = None) -> Array:
+    """Return the Cramér–Rao bound of every entry of θ, shape (p,).
 
     Args:
-        mean: θ, shape (p,), to the samples without noise, any shape, in the noise's unit.
-        theta: the truth, shape (p,).
-        step: of the central differences, shape (p,); small against what bends the model, large against rounding.
+        mean: maps θ, shape (p,), to the samples without noise, any shape, in the noise's unit.
+        theta: true values, shape (p,).
+        step: half-widths of the central differences, shape (p,), small against the curvature of the model and large
+            against rounding.
         noise: standard deviation of one sample.
-        prior_std: what is known of each entry beforehand, shape (p,); inf for nothing.
+        prior_std: prior standard deviation of each entry, shape (p,); inf for no prior.
     """
-    columns = []
+    columns: list[Array] = []
     for j, h in enumerate(step):
         up, down = theta.copy(), theta.copy()
         up[j] += h

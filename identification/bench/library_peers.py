@@ -20,20 +20,21 @@ _BLOCK_ROWS = 30  # of the subspace identification
 
 
 def missing() -> list[str]:
-    """The libraries that are not installed."""
+    """Return the names of the libraries that are not installed."""
     return [name for name, module in (("pyOMA2", "pyoma2"), ("PyDMD", "pydmd")) if find_spec(module) is None]
 
 
 def subspace_identification(record: Decay) -> Answer:
-    """pyOMA2's covariance-driven SSI on block averages, with two states a mode."""
+    """Estimate by pyOMA2's covariance-driven SSI on block averages, with two states per mode."""
     algorithms, setups = import_module("pyoma2.algorithms"), import_module("pyoma2.setup")
-    logging.getLogger("pyoma2").setLevel(logging.WARNING)  # it tells every step
+    logging.getLogger("pyoma2").setLevel(logging.WARNING)  # without it pyOMA2 logs every step
     step, means = block_means(record)
     channels = means.shape[1]
     order = 2 * channels
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         setup = setups.SingleSetup(means - means.mean(axis=0), fs=1 / step)
-        limits = {"xi_max": 1.0, "mpc_lim": None, "mpd_lim": None, "CoV_max": None}  # its own drop a lone sensor
+        # the default limits reject a single sensor
+        limits = {"xi_max": 1.0, "mpc_lim": None, "mpd_lim": None, "CoV_max": None}
         setup.add_algorithms(algorithms.SSI(name="ssi", method="cov", br=_BLOCK_ROWS, ordmax=order, step=2, hc=limits))
         setup.run_by_name("ssi")
         poles = setup["ssi"].result.Lambds[:, order // 2]
@@ -41,7 +42,7 @@ def subspace_identification(record: Decay) -> Answer:
 
 
 def dynamic_mode_decomposition(record: Decay) -> Answer:
-    """PyDMD's BOPDMD without bagging on delayed block averages."""
+    """Estimate by PyDMD's BOPDMD without bagging on delayed block averages."""
     step, means = block_means(record)
     rows = len(means) - _DELAYS + 1
     centred = means - means.mean(axis=0)

@@ -1,4 +1,4 @@
-"""This package's estimators at their three settings, as the benchmark calls them."""
+"""This package's estimators at their three settings, as methods of the benchmark."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from identification.bench.trials import SETTINGS, Answer, Method
 from identification.setting import Setting
 from identification.tracking.replay import track
 
-_BEFORE_S = 0.5  # two marks, so that the tracker knows the phase
+_BEFORE_S = 0.5  # includes two marks, so that the tracker has a phase
 
 
 def methods(name: str, answer: Callable[..., Answer]) -> list[Method]:
-    """One method for every setting; the balanced one, which targets are for, sees every record."""
+    """Return one method for every setting; the balanced one, which has targets, is applied to every record."""
     return [
         Method(name, setting, partial(answer, setting=setting), every_record=setting == "balanced")
         for setting in SETTINGS
@@ -30,27 +30,27 @@ def methods(name: str, answer: Callable[..., Answer]) -> list[Method]:
 
 
 def ring_down(record: Decay, setting: Setting) -> Answer:
-    """fit_ring_down."""
+    """Estimate by `fit_ring_down`."""
     return _answer(fit_ring_down(record.time_s, record.displacement_m, setting=setting))
 
 
 def run_up(record: RampRecord, setting: Setting) -> Answer:
-    """fit_run_up."""
+    """Estimate by `fit_run_up`."""
     return _answer(fit_run_up(record.time_s, record.displacement_m, record.phase_rad, setting=setting))
 
 
 def spin_down(record: SpinRecord, setting: Setting) -> Answer:
-    """fit_spin_down."""
+    """Estimate by `fit_spin_down`."""
     return _answer(fit_spin_down(record.time_s, record.angle_rad, INERTIA_KG_M2, setting=setting))
 
 
 def release(record: ReleaseRecord, setting: Setting) -> Answer:
-    """fit_release."""
+    """Estimate by `fit_release`."""
     return _answer(fit_release(record.run, record.knowledge, ZERO_STD_RAD, setting=setting))
 
 
 def tracking(record: ReleaseRecord) -> Answer:
-    """The online tracker from shortly before the release on, its last word."""
+    """Return the last estimate of the online tracker, started shortly before the release."""
     keep = record.run.angle_time_s > LOCKED_S - _BEFORE_S
     run = replace(record.run, angle_time_s=record.run.angle_time_s[keep], angle_rad=record.run.angle_rad[keep])
     known = record.knowledge

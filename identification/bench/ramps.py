@@ -1,4 +1,4 @@
-"""Made-up run-ups: two oscillators driven by a rotating imbalance, exact at every sample, and their bounds.
+"""Synthetic run-ups: two oscillators driven by a rotating imbalance, exact at every sample, and their bounds.
 
     ḧ + 2ζω ḣ + ω² h = u,    u = (ψ̇² − iψ̈) e^{iψ},
 
@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, cast
 
 import numpy as np
-from scipy.signal import lfilter
+from numpy.typing import NDArray
+from scipy import signal as scipy_signal
 
 from identification.bench.fisher import bound
 from identification.bench.trials import Trial
@@ -27,12 +29,12 @@ _ECCENTRICITY_M = 50e-6
 
 @dataclass(frozen=True)
 class RampRecord:
-    """A run-up as a method is given it.
+    """Record of a run-up, the input of a method.
 
     Attributes:
-        time_s: shape (n,).
-        displacement_m: sensors x and y, shape (n, 2).
-        phase_rad: the rotor's phase at the same instants, shape (n,).
+        time_s: time, s, shape (n,).
+        displacement_m: displacements of sensors x and y, m, shape (n, 2).
+        phase_rad: rotor phase at the same instants, rad, shape (n,).
     """
 
     time_s: np.ndarray
@@ -43,7 +45,7 @@ class RampRecord:
 def passage(
     rng: np.random.Generator, zeta: float, record_s: float, frequencies_Hz: tuple[float, float], axis_angle_deg: float
 ) -> Trial:
-    """A run-up through both resonances; the imbalance's direction and the sensors' offsets at random."""
+    """Draw a run-up through both resonances, with random direction of the imbalance and offsets of the sensors."""
     samples = round(record_s * RATE_HZ)
     first, second = frequencies_Hz
     amplitude = _ECCENTRICITY_M * np.exp(2j * np.pi * rng.uniform())
@@ -73,7 +75,7 @@ def passage(
 
 
 def _phase(time: np.ndarray, record_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """ψ, ψ̇ and ψ̈ of a linear ramp with a ripple once a revolution."""
+    """Return ψ, ψ̇ and ψ̈ of a linear ramp with a ripple once per revolution."""
     ramp = 2 * np.pi * (_TO_HZ - _FROM_HZ) / record_s
     speed = 2 * np.pi * _FROM_HZ + ramp * time
     turn = 2 * np.pi * _FROM_HZ * time + 0.5 * ramp * time**2
@@ -87,7 +89,7 @@ def _phase(time: np.ndarray, record_s: float) -> tuple[np.ndarray, np.ndarray, n
 
 @lru_cache(maxsize=2)
 def _force(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """u at the Gauss points of every interval, shape (n − 1, 8), with the points' shares of it and weights."""
+    """Return u at the Gauss points of every interval, shape (n − 1, 8), with their relative places and weights."""
     nodes, weights = np.polynomial.legendre.leggauss(_GAUSS_POINTS)
     share = 0.5 * (nodes + 1)
     time = (np.arange(samples - 1)[:, None] + share) / RATE_HZ
@@ -95,15 +97,16 @@ def _force(samples: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return (speed**2 - 1j * acceleration) * np.exp(1j * phase), share, 0.5 * weights
 
 
-@lru_cache(maxsize=24)  # a case's records and their differences ask for the same few responses
+@lru_cache(maxsize=24)  # the records of a case and their differences use the same few responses
 def _response(frequency_Hz: float, zeta: float, samples: int) -> np.ndarray:
-    """h at the samples, complex, shape (n,)."""
+    """Return complex h at the samples, shape (n,)."""
     omega = 2 * np.pi * frequency_Hz
     force, share, weight = _force(samples)
     step = 1 / RATE_HZ
-    parts = []
+    parts: list[NDArray[np.complex128]] = []
     for sign in (1, -1):
         rate = omega * complex(-zeta, sign * np.sqrt(1 - zeta * zeta))
         inflow = force @ (step * weight * np.exp(rate * step * (1 - share)))
-        parts.append(np.r_[0, lfilter([1.0], [1.0, -np.exp(rate * step)], inflow)])
+        filtered = cast("Any", scipy_signal).lfilter([1.0], [1.0, -np.exp(rate * step)], inflow)  # scipy has no types
+        parts.append(np.r_[0, filtered])
     return (parts[0] - parts[1]) / (2j * omega * np.sqrt(1 - zeta * zeta))

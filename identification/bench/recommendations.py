@@ -1,10 +1,11 @@
 # pyright: strict
-"""Which setting of an estimator to take, derived from the rows of one run.
+"""Recommended setting of an estimator, derived from the rows of one run.
 
-Two settings of a case have rms errors over n and m records, whose logarithms scatter by about 1/√(2n) and 1/√(2m). A
-setting counts as more exact where its error, in a case or in the mean over the cases, is smaller by more than twice
-both together, over LEAST records a case or more, or where it fails grossly less often by as much. It counts as no more
-exact where the mean's gain and that scatter together stay below a factor NO_GAIN. Otherwise the rows do not decide.
+Two settings of a case have rms errors over n and m records, whose logarithms have standard deviations of about 1/√(2n)
+and 1/√(2m). A setting counts as more exact if its error, in a case or in the mean over the cases, is smaller by more
+than twice both together, over at least LEAST records per case, or if it has fewer gross failures by as much. It counts
+as equally exact if the mean gain and twice that standard deviation together are below a factor NO_GAIN. Otherwise the
+rows do not decide.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from dynamics.bench.wording import times
 from identification.bench.trials import SETTINGS, Precision
 
 NO_GAIN = 1.5
-"""A setting that cannot be this many times as exact is not worth its time."""
+"""Factor of the error that justifies a slower setting."""
 LEAST = 10
-"""Records below which an error's scatter is not known well enough to call a difference real."""
+"""Smallest number of records for a significant difference of errors."""
 _USUAL = "balanced"
 
 Verdict = Literal["better", "same", "undecided"]
@@ -30,14 +31,14 @@ Verdict = Literal["better", "same", "undecided"]
 
 @dataclass(frozen=True)
 class _Pair:
-    """A dearer setting held against a cheaper one, over all cases of a service.
+    """Comparison of a slower setting with a faster one over all cases of a service.
 
     Attributes:
-        verdict: of the dearer one: more exact somewhere, nowhere, or not to be told.
-        gain: the cheaper one's error over the dearer one's: least and largest of the cases.
-        fewer_failures: gross failures of the cheaper one that the dearer one does not have.
-        at_most: so many times as exact the dearer one may be in the mean over the cases, scatter included.
-        records: the least number in any case.
+        verdict: whether the slower setting is "better" in some case, the "same", or "undecided".
+        gain: error of the faster setting over that of the slower one, smallest and largest of the cases.
+        fewer_failures: number of gross failures that the slower setting avoids.
+        at_most: upper bound of the mean gain over the cases, scatter included.
+        records: smallest number of records in any case.
     """
 
     verdict: Verdict
@@ -48,7 +49,7 @@ class _Pair:
 
 
 def recommended_settings(rows: Sequence[Precision]) -> list[Recommendation]:
-    """One for each service whose estimator was measured at more than one setting."""
+    """Return one recommendation for each service whose estimator was measured at more than one setting."""
     found: list[Recommendation] = []
     for service in dict.fromkeys(row.service for row in rows):
         own = {s: {r.case: r for r in rows if r.service == service and not r.peer and r.setting == s} for s in SETTINGS}
@@ -64,12 +65,12 @@ def _of_service(service: str, own: dict[str, dict[str, Precision]]) -> Recommend
     figures = {s: _figures(own[s], own[usual], cases) for s in own}
     by_time = sorted(own, key=lambda s: figures[s]["time"])
     chosen, reasons, doubts = by_time[0], list[str](), list[str]()
-    for dearer in by_time[1:]:
-        pair = _compare(own[chosen], own[dearer], cases)
-        cost = f"{dearer} takes {times(figures[dearer]['time'] / figures[chosen]['time'])} the time of {chosen}"
+    for slower in by_time[1:]:
+        pair = _compare(own[chosen], own[slower], cases)
+        cost = f"{slower} takes {times(figures[slower]['time'] / figures[chosen]['time'])} the time of {chosen}"
         if pair.verdict == "better":
             reasons.append(f"{cost} and {_gained(pair)}")
-            chosen = dearer
+            chosen = slower
         elif pair.verdict == "same":
             measured = f"{len(cases)} case{'s' if len(cases) > 1 else ''} of {pair.records} records or more"
             reasons.append(f"{cost} and is at most {times(pair.at_most)} as exact ({measured})")
@@ -77,11 +78,11 @@ def _of_service(service: str, own: dict[str, dict[str, Precision]]) -> Recommend
             doubts.append(
                 f"{cost}, its errors, {_span(pair)} those of {chosen}, may be chance with {pair.records} records a case"
             )
-    said = "; ".join(reasons + doubts)
+    reasoning = "; ".join(reasons + doubts)
     if doubts:
         advice = f"no recommendation, more records decide (--quick takes few), {usual} is usual"
-        return Recommendation(service, None, f"{service}: {advice}; {said}", figures)
-    return Recommendation(service, chosen, f"{service}: take {chosen}; {said}", figures)
+        return Recommendation(service, None, f"{service}: {advice}; {reasoning}", figures)
+    return Recommendation(service, chosen, f"{service}: take {chosen}; {reasoning}", figures)
 
 
 def _span(pair: _Pair) -> str:
@@ -96,7 +97,7 @@ def _gained(pair: _Pair) -> str:
 
 
 def _figures(own: dict[str, Precision], usual: dict[str, Precision], cases: Sequence[str]) -> dict[str, Any]:
-    """Time and errors over those of the usual setting."""
+    """Return time and errors over those of the usual setting."""
     errors = [math.exp(log_ratio(_error(own[c]), _error(usual[c]))) for c in cases]
     return {
         "time": median(own[c].seconds / usual[c].seconds for c in cases),
@@ -106,31 +107,31 @@ def _figures(own: dict[str, Precision], usual: dict[str, Precision], cases: Sequ
 
 
 def _error(row: Precision) -> float:
-    """The largest rms error over bound, gross failures left out."""
+    """Return the largest rms error over bound, without gross failures."""
     return max(row.rms.values()) if row.rms else math.inf
 
 
-def _compare(cheaper: dict[str, Precision], dearer: dict[str, Precision], cases: Sequence[str]) -> _Pair:
+def _compare(faster: dict[str, Precision], slower: dict[str, Precision], cases: Sequence[str]) -> _Pair:
     gains: list[float] = []
     scatters: list[float] = []
     fewer, better = 0, False
-    enough = all(min(r.runs - r.gross for r in (cheaper[c], dearer[c])) >= LEAST for c in cases)
+    sufficient = all(min(r.runs - r.gross for r in (faster[c], slower[c])) >= LEAST for c in cases)
     for case in cases:
-        a, b = cheaper[case], dearer[case]
+        a, b = faster[case], slower[case]
         gains.append(log_ratio(_error(a), _error(b)))
         scatters.append(2 * math.sqrt(0.5 / max(1, a.runs - a.gross) + 0.5 / max(1, b.runs - b.gross)))
         failures = max(0, _failures(a, b))
         fewer += failures
-        better = better or failures > 0 or (enough and gains[-1] > scatters[-1])
+        better = better or failures > 0 or (sufficient and gains[-1] > scatters[-1])
     mean, scatter = sum(gains) / len(cases), math.sqrt(sum(one**2 for one in scatters)) / len(cases)
-    better = better or (enough and mean > scatter)
+    better = better or (sufficient and mean > scatter)
     verdict: Verdict = "better" if better else "same" if mean + scatter <= math.log(NO_GAIN) else "undecided"
-    least = min(min(cheaper[c].runs, dearer[c].runs) for c in cases)
+    least = min(min(faster[c].runs, slower[c].runs) for c in cases)
     return _Pair(verdict, (math.exp(min(gains)), math.exp(max(gains))), fewer, math.exp(mean + scatter), least)
 
 
 def _failures(a: Precision, b: Precision) -> int:
-    """How many more of its records a fails than b would of as many; 0 where that may be chance."""
+    """Return the number of failures of a in excess of those of b for as many records; 0 if it may be chance."""
     share = b.gross / b.runs
     more = a.gross - share * a.runs
     spread = math.sqrt(a.runs * (a.gross + b.gross + 1) / (a.runs + b.runs) * (1 + a.runs / b.runs))

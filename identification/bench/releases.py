@@ -1,12 +1,12 @@
-"""Made-up releases at speed: the coupled motion by scipy's DOP853 as an encoder reads it, and its bound.
+"""Synthetic releases at speed: the coupled motion by scipy's DOP853 with an encoder's readings, and its bound.
 
     M (ẍ + 2ζ1ω1 ẋ + ω1² x) = Re F,  M (ÿ + 2ζ2ω2 ẏ + ω2² y) = Im F,
     F = S_P Ω² e^{iψ} + Σ S_i [φ̇_i² − iφ̈_i] e^{iφ_i},    φ_i = ψ + θ_i,
     J_i θ̈_i + c_i θ̇_i = S_i (ẍ sin φ_i − ÿ cos φ_i),
 
-written down anew here. Before the release the disk runs on the locked pendulums' steady orbit. A method knows masses,
-lengths, speed and marks exactly; suspension and S_P within the given shares, the encoders' zeros within theirs; c3 and
-c4 it is told wrong.
+in a formulation independent of the dynamics package. Before the release the disk is on the steady orbit of the locked
+pendulums. The input of a method contains exact masses, lengths, speed and marks. Suspension, S_P and the encoders'
+zeros have the given uncertainties. The start values of c3 and c4 are wrong.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, cast
 
 import numpy as np
 from numba import njit
-from scipy.integrate import solve_ivp
+from numpy.typing import NDArray
+from scipy import integrate
 
 from daq.signals.run import Release, Run
 from dynamics.equations.parameters import RotorParameters
@@ -38,11 +40,11 @@ _DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
 @dataclass(frozen=True)
 class ReleaseRecord:
-    """A release as a method is given it.
+    """Record of a release, the input of a method.
 
     Attributes:
-        run: both encoders, the marks and the lasers, with the moment of release.
-        knowledge: what is known beforehand; c3 and c4 wrong by the case's factor.
+        run: readings of both encoders, marks and lasers, with the instant of release.
+        knowledge: prior knowledge, with c3 and c4 wrong by the factor of the case.
     """
 
     run: Run
@@ -52,27 +54,36 @@ class ReleaseRecord:
 def release(
     rng: np.random.Generator, physics: RotorParameters, wrong_start: float, record_s: float, truths: int
 ) -> Trial:
-    """A release at 8 Hz of a rig whose parameters lie around the given ones.
+    """Draw a release at 8 Hz of a rig whose parameters lie around the given ones.
 
     Args:
-        wrong_start: c3 is told this many times too large, c4 as many times too small, or the other way round.
-        record_s: length after the release.
-        truths: how many different motions there are; noise, losses and knowledge are every record's own. Each motion's
-            bound takes 25 integrations.
+        rng: random generator.
+        physics: parameters around which those of the rig are drawn.
+        wrong_start: factor by which the start value of c3 is too large and that of c4 too small, or vice versa.
+        record_s: length after the release, s.
+        truths: number of different motions; each record has its own noise, lost samples and prior knowledge. The bound
+            of each motion takes 25 integrations.
     """
     drawn = _drawn(physics, int(rng.integers(truths)), record_s)
     run = _recorded(rng, drawn)
     direction = rng.choice([-1.0, 1.0])
-    told = dict(zip(NAMES, drawn.suspension * np.exp(_KNOWN_SHARE * rng.normal(size=5)), strict=True))
-    told |= dict(zip(_DAMPING, drawn.damping * wrong_start ** np.array([direction, -direction]), strict=True))
-    knowledge = Knowledge(physics.with_values(**told), _KNOWN_SHARE)
+    given = dict(zip(NAMES, drawn.suspension * np.exp(_KNOWN_SHARE * rng.normal(size=5)), strict=True))
+    given |= dict(zip(_DAMPING, drawn.damping * wrong_start ** np.array([direction, -direction]), strict=True))
+    knowledge = Knowledge(physics.with_values(**given), _KNOWN_SHARE)
     truth, limit = ({n: float(v) for n, v in zip(_DAMPING, own, strict=True)} for own in (drawn.damping, drawn.bound))
     return Trial(ReleaseRecord(run, knowledge), truth, limit)
 
 
 @dataclass(frozen=True)
 class _Drawn:
-    """One motion: truth, angles at the encoder's samples (n, 2), disk (n, 2), and the bound of c3 and c4."""
+    """One motion.
+
+    Attributes:
+        damping, suspension, phase_rad: true parameters.
+        angle_rad: angles at the encoder's samples, rad, shape (n, 2).
+        disk_m: displacements of the disk, m, shape (n, 2).
+        bound: bound of c3 and c4, shape (2,).
+    """
 
     damping: np.ndarray
     suspension: np.ndarray
@@ -100,7 +111,7 @@ def _drawn(physics: RotorParameters, number: int, record_s: float) -> _Drawn:
     theta = np.r_[np.log(damping), np.log(suspension), angles, np.zeros(3)]
     step_rad = 2 * np.pi / 4096
     noise = step_rad * np.sqrt(1 / 12 + _JITTER_STEPS**2)
-    locked = noise / np.sqrt(LOCKED_S * RATE_HZ)  # the start angles' readings, as good as their mean
+    locked = noise / np.sqrt(LOCKED_S * RATE_HZ)  # standard deviation of the mean of the start angles' readings
     known = np.r_[np.full(2, np.inf), _KNOWN_SHARE, np.full(2, np.inf), np.full(2, ZERO_STD_RAD), _TIME_STD_S]
 
     def with_locked(at: np.ndarray) -> np.ndarray:
@@ -120,7 +131,7 @@ def _motion(
     delay_s: float,
     time: np.ndarray,
 ) -> np.ndarray:
-    """x, y, θ3, θ4 and their rates after a release at delay_s with the phase given at t = 0; shape (n, 8)."""
+    """Return x, y, θ3, θ4 and their rates after a release at delay_s, with the given phase at t = 0, shape (n, 8)."""
     numbers = equation_numbers(physics, damping, suspension, phase_rad)
     w, mass, moment, k, loss, s = numbers[1], numbers[2], numbers[3], numbers[4:6], numbers[6:8], numbers[8:10]
     whole = moment + np.sum(s * np.exp(1j * start_rad))
@@ -128,14 +139,16 @@ def _motion(
     turned[1] *= -1j  # y is the imaginary part
     start = np.r_[turned.real, start_rad, (1j * w * turned).real, 0.0, 0.0]
     span = (delay_s, float(time[-1]))
-    found = solve_ivp(slope, span, start, "DOP853", time, args=(numbers,), rtol=_TOLERANCE, atol=1e-3 * _TOLERANCE)
-    return found.y.T
+    tolerances = {"rtol": _TOLERANCE, "atol": 1e-3 * _TOLERANCE}
+    untyped = cast("Any", integrate)  # scipy has no types
+    found: NDArray[np.float64] = untyped.solve_ivp(slope, span, start, "DOP853", time, args=(numbers,), **tolerances).y
+    return found.T
 
 
 def equation_numbers(
     physics: RotorParameters, damping: np.ndarray, suspension: np.ndarray, phase_rad: float
 ) -> np.ndarray:
-    """What `slope` needs: ψ at t = 0, Ω, M, S_P and pairs of k, disk damping, S, J, c; shape (14,).
+    """Return the numbers for `slope`: ψ at t = 0, Ω, M, S_P and pairs of k, disk damping, S, J, c; shape (14,).
 
     Args:
         suspension: k1, k2, ζ1, ζ2, S_P.
@@ -149,7 +162,7 @@ def equation_numbers(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def slope(t: float, state: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Rates of (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4): θ̈ put into the disk's two equations, which are then solved."""
+    """Return the rates of (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4) by elimination of θ̈ from the disk's two equations."""
     phase, w, mass, moment = numbers[0], numbers[1], numbers[2], numbers[3]
     psi = phase + w * t
     fx = moment * w * w * math.cos(psi) - numbers[6] * state[4] - numbers[4] * state[0]
@@ -176,22 +189,22 @@ def slope(t: float, state: np.ndarray, numbers: np.ndarray) -> np.ndarray:
 
 
 def _recorded(rng: np.random.Generator, drawn: _Drawn) -> Run:
-    """The motion as lasers, encoders and tachometer give it, release at LOCKED_S + at most a millisecond's error."""
+    """Return the readings of lasers, encoders and tachometer; the release is at LOCKED_S plus a stamp error."""
     step = 2 * np.pi / 4096
     before = np.tile(drawn.angle_rad[0], (round(LOCKED_S * RATE_HZ) + 1, 1))
-    angle = np.concatenate([before, drawn.angle_rad]) + ZERO_STD_RAD * rng.normal(size=2)
-    time = np.arange(len(angle)) / RATE_HZ
-    counts = np.round(angle / step + _JITTER_STEPS * rng.normal(size=angle.shape))
+    angle: NDArray[np.float64] = np.concatenate([before, drawn.angle_rad]) + ZERO_STD_RAD * rng.normal(size=2)
+    time: NDArray[np.floating] = np.arange(len(angle)) / RATE_HZ
+    counts: NDArray[np.float64] = np.rint(angle / step + _JITTER_STEPS * rng.normal(size=angle.shape))
     keep = rng.random(len(time)) >= _LOST
     phase_at_zero = drawn.phase_rad - SPEED_RAD_S * LOCKED_S
     whole = np.array([phase_at_zero, phase_at_zero + SPEED_RAD_S * time[-1]]) / (2 * np.pi)
-    turns = 2 * np.pi * np.arange(np.ceil(whole[0]), np.floor(whole[1]) + 1)
+    turns: NDArray[np.float64] = 2 * np.pi * np.arange(np.ceil(whole[0]), np.floor(whole[1]) + 1)
     at = LOCKED_S + time[: len(drawn.disk_m)] + 1 / RATE_HZ
     disk = drawn.disk_m + LASER_NOISE_M * rng.normal(size=drawn.disk_m.shape)
     stamp = LOCKED_S + _TIME_STD_S * rng.normal()
     return Run(
         "point-8-Hz",
-        "made up",
+        "synthetic",
         0.0,
         at,
         disk[:, 0],

@@ -1,4 +1,4 @@
-"""What people do with a free decay, written plainly; none of it shares code with this package's estimators."""
+"""Common methods for a free decay in plain form; they share no code with this package's estimators."""
 
 from __future__ import annotations
 
@@ -6,32 +6,36 @@ from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import numpy as np
-from scipy.linalg import eigh, hankel
-from scipy.optimize import least_squares
-from scipy.signal import butter, find_peaks, hilbert, sosfiltfilt
+from numpy.typing import NDArray
+from scipy import linalg, optimize
+from scipy import signal as scipy_signal
 
 from identification.bench.decays import Decay
 from identification.bench.trials import Answer
 
-Reading = Callable[[np.ndarray, np.ndarray], tuple[float, float]]
-"""Times and values of one sensor to f in Hz and ζ."""
+Array = NDArray[np.floating]
+Complex = NDArray[np.complex128]
+_linalg, _optimize, _signal = cast("Any", linalg), cast("Any", optimize), cast("Any", scipy_signal)  # untyped in scipy
+Reading = Callable[[Array, Array], tuple[float, float]]
+"""Maps times and values of one sensor to f in Hz and ζ."""
 
-_FLOOR = 0.2  # share of the amplitude below which the careful readings stop
-_POLES_HZ = 50.0  # block averages the matrix pencil takes: 4 samples a cycle of the fastest mode
+_FLOOR = 0.2  # share of the amplitude at which the careful methods end
+_POLES_HZ = 50.0  # rate of the block averages for the matrix pencil: at least 4 samples per cycle of the fastest mode
 
 
 def log_decrement(record: Decay) -> Answer:
-    """The logarithm of every maximum against its number, as it is told in textbooks."""
+    """Fit a line to the logarithms of all maxima against their numbers, as in textbooks."""
     return _each_channel(record, lambda t, y: _log_line(t, y, *_maxima(t, y - np.mean(y))))
 
 
 def careful_log_decrement(record: Decay) -> Answer:
-    """The same after a low-pass, with minima too, down to a fifth of the amplitude, weighted by the amplitude."""
+    """Fit a line to low-passed maxima and minima down to a fifth of the amplitude, weighted by the amplitude."""
 
-    def channel(time: np.ndarray, value: np.ndarray) -> tuple[float, float]:
+    def channel(time: Array, value: Array) -> tuple[float, float]:
         step = time[1] - time[0]
         pole = 3 * _spectral_peak(value, step)
-        smooth = sosfiltfilt(butter(4, pole, fs=1 / step, output="sos"), value - np.mean(value[len(value) // 2 :]))
+        low_pass = _signal.butter(4, pole, fs=1 / step, output="sos")
+        smooth: Array = _signal.sosfiltfilt(low_pass, value - np.mean(value[len(value) // 2 :]))
         both = [_maxima(time, sign * smooth) for sign in (1, -1)]
         at, size = (np.concatenate(parts) for parts in zip(*both, strict=True))
         order = np.argsort(at)
@@ -44,9 +48,9 @@ def careful_log_decrement(record: Decay) -> Answer:
 
 
 def half_power(record: Decay) -> Answer:
-    """The peak of the spectrum and its width at 1/√2."""
+    """Estimate by the peak of the spectrum and its width at 1/√2."""
 
-    def channel(time: np.ndarray, value: np.ndarray) -> tuple[float, float]:
+    def channel(time: Array, value: Array) -> tuple[float, float]:
         step = time[1] - time[0]
         size = 8 * len(value)
         spectrum = np.abs(np.fft.rfft(value - np.mean(value), size))
@@ -61,13 +65,13 @@ def half_power(record: Decay) -> Answer:
 
 
 def hilbert_envelope(record: Decay) -> Answer:
-    """A band-pass, the analytic signal, and straight lines through its phase and logarithm."""
+    """Estimate by lines through phase and logarithm of the band-passed analytic signal."""
 
-    def channel(time: np.ndarray, value: np.ndarray) -> tuple[float, float]:
+    def channel(time: Array, value: Array) -> tuple[float, float]:
         step = time[1] - time[0]
         frequency = _spectral_peak(value, step)
-        band = butter(2, [0.6 * frequency, 1.4 * frequency], "bandpass", fs=1 / step, output="sos")
-        analytic = np.asarray(hilbert(sosfiltfilt(band, value)))
+        band = _signal.butter(2, [0.6 * frequency, 1.4 * frequency], "bandpass", fs=1 / step, output="sos")
+        analytic = np.asarray(_signal.hilbert(_signal.sosfiltfilt(band, value)))
         size = np.abs(analytic)
         edge = round(1.0 / (frequency * step))
         first = edge
@@ -82,24 +86,24 @@ def hilbert_envelope(record: Decay) -> Answer:
 
 
 def matrix_pencil(record: Decay) -> Answer:
-    """Poles from the shift of the signal space of a Hankel matrix of block averages (ERA, HTLS, matrix pencil)."""
+    """Estimate poles by the shift of the signal space of a Hankel matrix of block averages (ERA, HTLS)."""
     return answer_of_poles(_poles(record))
 
 
 def nonlinear_least_squares(record: Decay) -> Answer:
-    """scipy's least_squares on every sample, started by the matrix pencil, intervals from its Jacobian."""
+    """Estimate by scipy's least_squares on all samples, started by the matrix pencil, intervals from its Jacobian."""
     modes = [_of_rate(pole) for pole in _poles(record)]
     signals = record.displacement_m.reshape(len(record.time_s), -1)
     channels = signals.shape[1]
     start = np.array([part for mode in modes for part in mode])
     linear = np.linalg.lstsq(_waves(start, record.time_s), signals, rcond=None)[0]
 
-    def residual(theta: np.ndarray) -> np.ndarray:
+    def residual(theta: Array) -> Array:
         fitted = _waves(theta[: len(start)], record.time_s) @ theta[len(start) :].reshape(-1, channels)
         return (fitted - signals).ravel()
 
-    def jacobian(theta: np.ndarray) -> np.ndarray:
-        waves, columns = _waves(theta[: len(start)], record.time_s), []
+    def jacobian(theta: Array) -> Array:
+        waves, columns = _waves(theta[: len(start)], record.time_s), list[Array]()
         coefficients = theta[len(start) :].reshape(-1, channels)
         for j in range(len(start)):
             moved = theta[: len(start)].copy()
@@ -109,18 +113,18 @@ def nonlinear_least_squares(record: Decay) -> Answer:
         return np.column_stack([*columns, np.kron(waves, np.eye(channels))])
 
     scale = np.concatenate([np.abs(start) * 1e-2, np.full(linear.size, 1e-4)])
-    first, slopes = np.concatenate([start, linear.ravel()]), cast("Any", jacobian)  # scipy's defaults hide its types
-    found = least_squares(residual, first, slopes, method="lm", x_scale=scale)
+    first = np.concatenate([start, linear.ravel()])
+    found = _optimize.least_squares(residual, first, jacobian, method="lm", x_scale=scale)
     covariance = np.linalg.inv(found.jac.T @ found.jac) * 2 * found.cost / (signals.size - len(found.x))
-    values = dict(zip(_names(len(modes)), found.x[: len(start)].tolist(), strict=True))
+    values: dict[str, float] = dict(zip(_names(len(modes)), found.x[: len(start)].tolist(), strict=True))
     std = np.sqrt(np.diag(covariance))
     spans = {n: (v - 1.96 * s, v + 1.96 * s) for (n, v), s in zip(values.items(), std, strict=False)}
     return Answer(values, spans)
 
 
-def _waves(theta: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Cosine and sine part of every mode and a constant, shape (n, 2 m + 1)."""
-    columns = []
+def _waves(theta: Array, time: Array) -> Array:
+    """Return cosine and sine part of every mode and a constant, shape (n, 2 m + 1)."""
+    columns: list[Array] = []
     for frequency, zeta in theta.reshape(-1, 2):
         omega = 2 * np.pi * frequency
         wave = np.exp(omega * (-zeta + 1j * np.sqrt(1 - zeta * zeta + 0j)) * time)
@@ -128,8 +132,8 @@ def _waves(theta: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.column_stack([*columns, np.ones_like(time)])
 
 
-def block_means(record: Decay, rate_Hz: float = _POLES_HZ) -> tuple[float, np.ndarray]:
-    """The step and the means over blocks, shape (n, channels): poles keep their places, noise falls."""
+def block_means(record: Decay, rate_Hz: float = _POLES_HZ) -> tuple[float, Array]:
+    """Return the step and the means over blocks, shape (n, channels), which have the same poles and less noise."""
     step = float(record.time_s[1] - record.time_s[0])
     width = max(1, round(1 / (rate_Hz * step)))
     signals = record.displacement_m.reshape(len(record.time_s), -1)
@@ -138,33 +142,34 @@ def block_means(record: Decay, rate_Hz: float = _POLES_HZ) -> tuple[float, np.nd
 
 
 def _poles(record: Decay) -> list[complex]:
-    """Continuous poles with positive frequency, as many as channels, in order of frequency."""
+    """Return continuous poles with positive frequency, as many as channels, in order of frequency."""
     step, means = block_means(record)
     count, channels = means.shape
     rows = count // 3
     order = 2 * channels + 1  # a pair for each mode, one for the offset
-    space = np.concatenate([hankel(m[:rows], m[rows - 1 :]) for m in means.T])
+    space: Array = np.concatenate([_linalg.hankel(m[:rows], m[rows - 1 :]) for m in means.T])
     top = len(space) - 1
-    vectors = np.asarray(eigh(space @ space.T, subset_by_index=[top - order + 1, top])[1]).reshape(channels, rows, -1)
+    found: Array = _linalg.eigh(space @ space.T, subset_by_index=[top - order + 1, top])[1]
+    vectors = found.reshape(channels, rows, -1)
     early, late = vectors[:, :-1].reshape(-1, order), vectors[:, 1:].reshape(-1, order)
     poles = np.log(np.linalg.eigvals(np.linalg.lstsq(early, late, rcond=None)[0]).astype(complex)) / step
     return strongest(poles, channels)
 
 
-def strongest(poles: np.ndarray, wanted: int, lowest_Hz: float = 0.5) -> list[complex]:
-    """The wanted number of least damped poles above a frequency, in order of frequency.
+def strongest(poles: Array, wanted: int, lowest_Hz: float = 0.5) -> list[complex]:
+    """Return the wanted number of least damped poles above a frequency, in order of frequency.
 
     Raises:
-        ValueError: there are fewer.
+        ValueError: there are fewer such poles.
     """
     found = sorted((complex(p) for p in poles if p.imag > 2 * np.pi * lowest_Hz), key=lambda p: -p.real)[:wanted]
     if len(found) < wanted:
-        raise ValueError(f"{len(found)} oscillating poles found, {wanted} wanted")
+        raise ValueError(f"expected {wanted} oscillating poles above {lowest_Hz:g} Hz, found {len(found)}")
     return sorted(found, key=abs)
 
 
 def answer_of_poles(poles: Sequence[complex]) -> Answer:
-    """f and ζ of continuous poles, numbered in their order."""
+    """Return f and ζ of continuous poles, numbered in their order."""
     parts = [part for pole in poles for part in _of_rate(pole)]
     return Answer(dict(zip(_names(len(poles)), parts, strict=True)))
 
@@ -174,34 +179,32 @@ def _names(modes: int) -> list[str]:
 
 
 def _of_rate(pole: complex) -> tuple[float, float]:
-    """f in Hz and ζ of a continuous pole."""
+    """Return f in Hz and ζ of a continuous pole."""
     return abs(pole) / (2 * np.pi), -pole.real / abs(pole)
 
 
 def _each_channel(record: Decay, channel: Reading) -> Answer:
-    """A one-mode reading of each sensor on its own: sensor x is mode 1, sensor y mode 2."""
+    """Apply a one-mode method to each sensor separately: sensor x is mode 1, sensor y mode 2."""
     signals = record.displacement_m.reshape(len(record.time_s), -1)
     parts = [part for signal in signals.T for part in channel(record.time_s, signal)]
     return Answer(dict(zip(_names(signals.shape[1]), (float(p) for p in parts), strict=True)))
 
 
-def _spectral_peak(value: np.ndarray, step: float) -> float:
+def _spectral_peak(value: Array, step: float) -> float:
     spectrum = np.abs(np.fft.rfft(value - np.mean(value)))
     return float(np.argmax(spectrum) / (len(value) * step))
 
 
-def _maxima(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times and heights of the maxima, at least 0.7 of a cycle apart."""
+def _maxima(time: Array, value: Array) -> tuple[Array, Array]:
+    """Return times and heights of the maxima, at least 0.7 of a cycle apart."""
     step = time[1] - time[0]
     apart = max(1, round(0.7 / (_spectral_peak(value, step) * step)))
-    at = find_peaks(value, height=0, distance=apart)[0]
+    at: NDArray[np.int64] = _signal.find_peaks(value, height=0, distance=apart)[0]
     return time[at], value[at]
 
 
-def _log_line(
-    time: np.ndarray, value: np.ndarray, at: np.ndarray, size: np.ndarray, per_cycle: int = 1
-) -> tuple[float, float]:
-    """f and ζ from the line through the logarithms of extremes and through their times."""
+def _log_line(time: Array, value: Array, at: Array, size: Array, per_cycle: int = 1) -> tuple[float, float]:
+    """Return f and ζ from lines through the logarithms of the extremes and through their times."""
     weight = size if per_cycle > 1 else None
     number = np.arange(len(at))
     decay = -np.polyfit(at, np.log(size), 1, w=weight)[0]

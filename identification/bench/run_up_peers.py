@@ -1,4 +1,4 @@
-"""What people read off a run-up, each sensor for its own mode: the passage taken for a steady state."""
+"""Common methods for a run-up, each sensor for one mode, with the passage treated as a steady state."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ _BLOCK_S = 4e-3
 
 
 def half_power(record: RampRecord) -> Answer:
-    """The peak of the once-per-revolution amplitude over speed squared, and its width at 1/√2."""
+    """Estimate by the peak of the order-1 amplitude over speed squared, and its width at 1/√2."""
     channels, history = _prepared(record)
     return _answer([naive.half_power(channel, history) for channel in channels])
 
 
 def vold_kalman(record: RampRecord) -> Answer:
-    """A steady state's resonance curve through the amplitude a Vold–Kalman filter gives."""
+    """Fit the resonance curve of a steady state to the amplitude of a Vold–Kalman filter."""
     channels, history = _prepared(record)
     return _answer([naive.vold_kalman(channel, history) for channel in channels])
 

@@ -1,4 +1,4 @@
-"""Made-up spin-downs of one pendulum on a resting rotor, as an encoder reads them, what people read off, and bounds.
+"""Synthetic spin-downs of one pendulum on a resting rotor with an encoder's readings, common methods, and bounds.
 
 θ = θ0 + (v0/λ)(1 − e^{−λt}), λ = c/J. The encoder has 2000 steps a revolution and a jitter of 0.3 steps; reading and
 jitter together are nearly white noise of sqrt(1/12 + 0.09) steps, for which the bound is computed.
@@ -7,9 +7,11 @@ jitter together are nearly white noise of sqrt(1/12 + 0.09) steps, for which the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
-from scipy.optimize import curve_fit
+from numpy.typing import NDArray
+from scipy import optimize
 
 from identification.bench.fisher import bound
 from identification.bench.trials import Answer, Trial
@@ -25,14 +27,14 @@ _SPEED_S = 0.04
 
 @dataclass(frozen=True)
 class SpinRecord:
-    """A spin-down as a method is given it: times and angles, shape (n,)."""
+    """Record of a spin-down, the input of a method: times in s and angles in rad, shape (n,)."""
 
     time_s: np.ndarray
     angle_rad: np.ndarray
 
 
 def spin_down(rng: np.random.Generator, damping_Nms_per_rad: float) -> Trial:
-    """A spin-down from 5 revolutions a second with two per cent of the samples lost."""
+    """Draw a spin-down from 5 revolutions per second with two per cent of the samples lost."""
     rate = damping_Nms_per_rad / INERTIA_KG_M2
     time = np.arange(round(min(_LONGEST_S, _TIME_CONSTANTS / rate) * _RATE_HZ)) / _RATE_HZ
     time = time[rng.random(len(time)) >= _LOST]
@@ -47,9 +49,9 @@ def spin_down(rng: np.random.Generator, damping_Nms_per_rad: float) -> Trial:
 
 
 def log_speed_line(record: SpinRecord) -> Answer:
-    """The slope of the logarithm of differences over 40 ms, down to a tenth of the first speed."""
+    """Estimate by the slope of the logarithm of differences over 40 ms, down to a tenth of the first speed."""
     time, angle = record.time_s, record.angle_rad
-    late = np.searchsorted(time, time[0] + _SPEED_S)
+    late = int(np.searchsorted(time, float(time[0]) + _SPEED_S))
     speed = np.abs(angle[late:] - angle[:-late]) / (time[late:] - time[:-late])
     middle = 0.5 * (time[late:] + time[:-late])
     slow = np.flatnonzero(speed < 0.1 * speed[0])
@@ -59,11 +61,12 @@ def log_speed_line(record: SpinRecord) -> Answer:
 
 
 def curve_fitting(record: SpinRecord) -> Answer:
-    """scipy's curve_fit of the closed form to every sample, started by the line, intervals from its covariance."""
+    """Estimate by scipy's curve_fit of the closed form to all samples, started by the line, with its intervals."""
     line = log_speed_line(record).values["c_Nms_per_rad"]
     time, angle = record.time_s, record.angle_rad
     speed = (angle[20] - angle[0]) / (time[20] - time[0])
-    found, covariance, *_ = curve_fit(_angle, time, angle, p0=[line, speed, angle[0]])
+    fitted = cast("Any", optimize).curve_fit(_angle, time, angle, p0=[line, speed, angle[0]])  # scipy has no types
+    found, covariance = cast("tuple[NDArray[np.float64], NDArray[np.float64]]", fitted[:2])
     std = float(np.sqrt(covariance[0, 0]))
     return Answer({"c_Nms_per_rad": float(found[0])}, {"c_Nms_per_rad": (found[0] - 1.96 * std, found[0] + 1.96 * std)})
 

@@ -1,4 +1,4 @@
-"""The rows of the estimators' benchmark as cells of a table."""
+"""Rows of the estimators' benchmark as cells of a table."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from identification.bench.trials import AT_THE_BOUND, Precision
 
 HEADER = ("method", "setting", "time", "rms / bound", "bias / bound", "95 % covers", "gross", "ours / peer", "front")
 LEGEND = (
-    "Bound: the least standard deviation an unbiased estimate can have (Cramér–Rao), from the Fisher information of "
-    "each record's own model by numerical differences, everything else in it unknown too (amplitudes, phases, offsets, "
-    "axis angle; of a release suspension, zeros and start within what is known of them); of damaged records "
-    "that of the clean one. rms and bias (the one farthest from zero) are errors over it; 1 is the best there is. "
-    "Several values are set apart by dots as in the case's title. 95 % covers: share of the stated intervals that hold "
-    "the truth, in per cent, blank where none is stated. Gross: records without an answer or with a useless one, of "
-    "how many (slow methods get fewer); they are left out of the other figures, and a method with any is on no front. "
-    "Times are medians over the records. Front: ● nothing of ours is faster and as exact, ◉ nothing at all is, peers "
-    f"included; errors up to {AT_THE_BOUND:g} bounds count as equal. Ours / peer: time over that of the fastest peer "
-    "at least as exact."
+    "Bound: smallest standard deviation of an unbiased estimate (Cramér–Rao), from the Fisher information of each "
+    "record's model by numerical differences, with all other parameters unknown as well (amplitudes, phases, offsets, "
+    "axis angle; for a release suspension, zeros and start within their priors). Damaged records have the bound of the "
+    "clean one. rms and bias (the one farthest from zero) are errors over the bound; 1 is the optimum. Several values "
+    "are separated by dots as in the case's title. 95 % covers: share of the stated intervals that contain the truth, "
+    "in per cent, blank for methods without intervals. Gross: records without a result or with a gross error, and the "
+    "number of records (fewer for slow methods). These records are excluded from the other figures, and a method with "
+    "any is on no front. Times are medians over the records. Front: ● no method of this package is faster and as "
+    f"exact, ◉ no method at all, peers included; errors up to {AT_THE_BOUND:g} bounds count as equal. Ours / peer: "
+    "time over that of the fastest peer that is at least as exact."
 )
 
 
 def page(
     rows: Sequence[Precision], targets: Sequence[Target], machine: Mapping[str, Any], notes: Sequence[str]
 ) -> Page:
-    """A whole run."""
+    """Return the page of a whole run."""
     return Page(
         "Work and precision of the identification",
         machine,
@@ -42,11 +42,11 @@ def page(
 
 
 def blocks(rows: Sequence[Precision]) -> list[tuple[str, list[tuple[str, ...]]]]:
-    """Rows by case, in order: (what the case is, cells under HEADER for each of its rows)."""
+    """Return the rows by case in order, as (description of the case, cells under HEADER for each of its rows)."""
     cases: dict[tuple[str, str], list[Precision]] = {}
     for row in rows:
         cases.setdefault((row.service, row.case), []).append(row)
-    found = []
+    found: list[tuple[str, list[tuple[str, ...]]]] = []
     for (service, case), members in cases.items():
         groups = next((" · ".join(r.rms) for r in members if r.rms), "no answers")
         runs = max(r.runs for r in members)
@@ -57,7 +57,7 @@ def blocks(rows: Sequence[Precision]) -> list[tuple[str, list[tuple[str, ...]]]]
 
 
 def failures(rows: Sequence[Precision]) -> list[str]:
-    """What this package's own estimators failed at, one line for all settings of a case."""
+    """Return the failures of this package's estimators, one line for all settings of a case."""
     cases: dict[tuple[str, str, str], list[Precision]] = {}
     for row in rows:
         if row.gross and not row.peer:

@@ -1,6 +1,8 @@
-"""Tracking by filterpy's unscented Kalman filter around a compiled motion, from the encoders alone."""
+"""Tracking by filterpy's unscented Kalman filter with a compiled motion, from the encoders alone."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
@@ -11,30 +13,30 @@ from identification.bench.trials import Answer
 from identification.pendulums.suspension_knowledge import NAMES
 
 _STATES, _READINGS = 10, 2  # x, y, θ3, θ4, their rates, ln c3, ln c4
-_STEPS = 2  # Runge–Kutta steps a sample
-_WANDER = 3e-3  # of ln c per square root of a second
-_PUSH = np.array([0.05, 0.05, 1.0, 1.0])  # accelerations the model leaves out, m/s² and rad/s² per square root of a Hz
+_STEPS = 2  # Runge–Kutta steps per sample
+_WANDER = 3e-3  # random walk of ln c per square root of a second
+_PUSH = np.array([0.05, 0.05, 1.0, 1.0])  # unmodelled accelerations, m/s² and rad/s² per square root of a Hz
 
 
 def updates(record: ReleaseRecord) -> int:
-    """Predictions with readings: encoder samples after the release."""
+    """Return the number of predictions with readings: encoder samples after the release."""
     return int(np.count_nonzero(record.run.angle_time_s > LOCKED_S))
 
 
 def unscented_filter(record: ReleaseRecord) -> Answer:
-    """ln c3 and ln c4 as states nine and ten; their last estimate with 1.96 standard deviations."""
+    """Return the last estimate of ln c3 and ln c4, states nine and ten, with 1.96 standard deviations."""
     run, physics = record.run, record.knowledge.physics
     rate, phase = np.polyfit(run.mark_time_s, run.mark_phase_rad, 1)
-    told = physics.identified()
+    given = physics.identified()
     damping = np.array([physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad])
-    numbers = equation_numbers(physics, damping, np.array([told[n] for n in NAMES]), float(phase))
+    numbers = equation_numbers(physics, damping, np.array([given[n] for n in NAMES]), float(phase))
     numbers[1] = rate
     step = 1 / RATE_HZ
     after = run.angle_time_s > LOCKED_S
     ticks = np.round(run.angle_time_s[after] * RATE_HZ).astype(int)
     readings = dict(zip(ticks.tolist(), run.angle_rad[after], strict=True))
     points = MerweScaledSigmaPoints(_STATES, alpha=1.0, beta=2.0, kappa=0.0)
-    own = UnscentedKalmanFilter(_STATES, _READINGS, step, lambda x: x[2:4], _carried, points)
+    own: Any = UnscentedKalmanFilter(_STATES, _READINGS, step, _read_angles, _carried, points)
     start = round(LOCKED_S * RATE_HZ)
     own.x = np.r_[0.0, 0.0, run.angle_rad[~after].mean(axis=0), np.zeros(4), np.log(damping)]
     own.P = np.diag(np.r_[1e-3, 1e-3, 0.002, 0.002, 0.05, 0.05, 0.1, 0.1, np.full(2, np.log(10.0))] ** 2)
@@ -50,9 +52,13 @@ def unscented_filter(record: ReleaseRecord) -> Answer:
     return Answer(values, {n: (v / reach[n], v * reach[n]) for n, v in values.items()})
 
 
+def _read_angles(state: np.ndarray) -> np.ndarray:
+    return state[2:4]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _carried(state: np.ndarray, dt: float, t: float, numbers: np.ndarray) -> np.ndarray:
-    """A sigma point one sample on."""
+    """Return a sigma point after one sample."""
     own = numbers.copy()
     own[12:14] = np.exp(state[8:10])
     out = state.copy()

@@ -1,7 +1,8 @@
-"""One case measured: many records, every method on each of them, errors in units of the bound.
+"""Measurement of one case: every method on many records, with errors in units of the bound.
 
-A method fails grossly on a record when it raises, or gives something that is not finite, or is off by more than the
-case allows. Gross failures are counted and left out of rms, bias and coverage; a method that has any is on no front.
+A method has a gross failure on a record if it raises, if its result is not finite, or if its error exceeds that allowed
+by the case. Gross failures are counted and excluded from rms, bias and coverage. A method with a gross failure is on no
+front.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ from identification.setting import Setting
 
 SETTINGS: tuple[Setting, ...] = ("fast", "balanced", "reference")
 AT_THE_BOUND = 1.15
-"""Ratios of rms error to bound below this count as equal: a hundred runs scatter by 7 %."""
+"""Ratio of rms error to bound below which methods count as equal; that of a hundred runs has a scatter of 7 %."""
 _LEAST_RECORDS = 3
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A made-up record.
+    """A synthetic record.
 
     Attributes:
-        record: what a method is given; a type of the case's own.
-        truth: by name of the value.
+        record: input of a method; each case has its own type.
+        truth: true values by name.
         bound: Cramér–Rao bound by the same names, in the values' units.
     """
 
@@ -42,26 +43,26 @@ class Trial:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a method makes of a record.
+    """Result of a method on a record.
 
     Attributes:
-        values: by the names of the truth.
-        intervals: 95 % intervals by name; empty for a method that states none.
+        values: values by the names of the truth.
+        intervals: 95 % intervals by name; empty for a method without intervals.
     """
 
     values: Mapping[str, float]
-    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
 
 
 @dataclass(frozen=True)
 class Method:
-    """One way to find the values.
+    """A method of estimation.
 
     Attributes:
-        name, setting: for the table.
-        answer: from the record; whatever it raises is a gross failure.
-        peer: whether this is what somebody would do without this package.
-        every_record: take all records, whatever it costs.
+        name, setting: name and setting for the table.
+        answer: function from the record to the result; any exception is a gross failure.
+        peer: whether the method is independent of this package.
+        every_record: whether to apply the method to all records regardless of its time.
     """
 
     name: str
@@ -77,13 +78,14 @@ class Case:
 
     Attributes:
         service: "ring-down", "run-up", "spin-down", "release".
-        name: what kind of record.
-        draw: a record from a random generator.
+        name: kind of record.
+        draw: function from a random generator to a record.
         groups: columns of the table: symbol → names of the values in it.
         gross: relative error above which a value of a group is a gross failure.
-        methods: ours and peers.
-        unit: what the time in the table is of.
-        units: how many of them a record holds.
+        methods: this package's methods and peers.
+        unit: unit of work for the time in the table.
+        units: function from a record to its number of units.
+        seed: seed of the records; None derives it from service and name.
     """
 
     service: str
@@ -94,19 +96,20 @@ class Case:
     methods: Sequence[Method]
     unit: str = "record"
     units: Callable[[Any], int] = lambda record: 1
+    seed: int | None = None
 
 
 @dataclass(frozen=True)
 class Precision:
-    """One method in one case.
+    """Result of one method in one case.
 
     Attributes:
-        service, case, method, setting, peer: what was measured.
-        seconds, per: median time of one unit, and what that is ("record", "update").
-        runs, gross: records tried, gross failures among them.
+        service, case, method, setting, peer: case and method.
+        seconds, per: median time of one unit of work, s, and the unit ("record", "update").
+        runs, gross: number of records, and of gross failures among them.
         rms, bias: error over bound by group, over the group's values; the bias is the one farthest from zero.
-        coverage: share of the 95 % intervals that hold the truth by group; None where none is stated.
-        failure: the most frequent reason of gross failures.
+        coverage: share of the 95 % intervals that contain the truth by group; None without intervals.
+        failure: most frequent reason of gross failures.
         front, front_of_all, peer_ratio: as in dynamics.bench.records.Measurement.
     """
 
@@ -129,23 +132,24 @@ class Precision:
 
     @property
     def true_error(self) -> float:
-        """The largest rms error over bound; inf when the method fails in places."""
+        """Largest rms error over bound; inf if the method has gross failures."""
         return math.inf if self.gross or not self.rms else max(self.rms.values())
 
     def as_json(self) -> dict[str, Any]:
-        """The row under its field names."""
+        """Return the row by its field names."""
         return dataclasses.asdict(self)
 
 
 def measure(case: Case, runs: int, seed: int, most_s: float = math.inf) -> list[Precision]:
-    """Every method on the same records.
+    """Apply every method to the same records.
 
     Args:
-        runs: records.
-        seed: the same seed gives a case the same records, the first ones whatever their number.
-        most_s: a method that has taken longer than this over three records or more gets no further ones.
+        case: case to measure.
+        runs: number of records.
+        seed: seed of the records. The first records of a case are the same for any number of records.
+        most_s: total time over at least three records after which a method gets no further ones, s.
     """
-    own_seed = crc32(f"{case.service}: {case.name}".encode())
+    own_seed = crc32(f"{case.service}: {case.name}".encode()) if case.seed is None else case.seed
     outcomes: list[list[_Outcome]] = [[] for _ in case.methods]
     for number in range(1, runs + 1):
         trial = case.draw(np.random.default_rng([seed, own_seed, number]))
@@ -158,7 +162,7 @@ def measure(case: Case, runs: int, seed: int, most_s: float = math.inf) -> list[
 
 @dataclass(frozen=True)
 class _Outcome:
-    """One method on one record: time, errors over bound and hits of the intervals by name, or why it failed."""
+    """Outcome of one method on one record: time, errors over bound and hits of the intervals by name, or failure."""
 
     seconds: float
     units: int
@@ -173,7 +177,7 @@ def _answer(method: Method, case: Case, trial: Trial) -> _Outcome:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a peer's overflow shows in its figures
             found = method.answer(trial.record)
-    except Exception as error:  # a peer may raise anything; what it raised is told in the row
+    except Exception as error:  # a peer may raise any exception; the row contains it
         return _Outcome(time.perf_counter() - began, units, {}, {}, f"{type(error).__name__}: {error}")
     seconds = time.perf_counter() - began
     for group, names in case.groups.items():

@@ -1,10 +1,10 @@
-"""What in the rig file would explain a release that the model does not follow.
+"""Diagnosis of a release that the model does not follow: numbers of the rig file that would explain the misfit.
 
-Each candidate is one more unknown: a pendulum's mass or length, an encoder's counts per revolution, dry friction. How
-much of the misfit it takes away is judged by one linear step (the score test) at the horizon where the residuals first
-were more than noise, where that is a good guide. A mass or a length changes what the other tests have found, too: the
-frequencies and the locked rig's imbalance were measured, so k goes with the total mass, and S_P makes up for the
-pendulums' moments. Candidates that explain as much as the best one are named with it.
+Each candidate is one additional unknown: a pendulum's mass or length, or an encoder's counts per revolution. One linear
+step (score test) at the first horizon with residuals above noise gives the reduction of χ². A mass or a length also
+changes the results of other tests: frequencies and the imbalance of the locked rig were measured, so k is proportional
+to the total mass, and S_P compensates the change of the pendulums' moments. Candidates that explain as much as the best
+one are reported together with it.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from identification.least_squares import Minimum
 from identification.pendulums.friction import evidence
 from identification.pendulums.release_problem import SUSPENSION, Release
 
-_MOVED = 1e-4  # relative
-_EXPLAINS = 0.7  # share of the misfit
-_AS_GOOD = 0.9  # of the best one's share
-_SLIP = 0.05  # a change by more is no slip of a scale, a rule or an encoder's counts
-_LOCK_RAD = 0.02  # a locked pendulum that reads its angle so well has no wrong scale
+_RELATIVE_STEP = 1e-4  # step of a mass or length
+_MIN_EXPLAINED_SHARE = 0.7  # smallest share of the excess of χ² that a cause explains
+_COMPARABLE_SHARE = 0.9  # share of the best candidate's reduction of χ² above which another is reported with it
+_MAX_ERROR = 0.05  # largest relative error of a balance, a rule or an encoder's counts
+_LOCK_RAD = 0.02  # largest error of a locked pendulum's angle, which limits the error of its scale
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,8 @@ class Cause:
     """One number of the rig file that may be wrong.
 
     Attributes:
-        mended: drop of χ² if it were right.
-        text: which, and by how much.
+        mended: reduction of χ² by the corrected number.
+        text: name of the number and its correction.
     """
 
     mended: float
@@ -39,21 +39,22 @@ class Cause:
 
 
 def likely_causes(release: Release, minimum: Minimum, end_s: float) -> list[str]:
-    """What would explain most of a fit's misfit, in words, the best first; empty where no single number does.
+    """Return the numbers that would explain most of a fit's misfit, as text, the best first; empty without any.
 
     Args:
-        minimum, end_s: the first fit whose residuals are not noise, and its horizon.
+        release: release that the model does not follow.
+        minimum, end_s: first fit with residuals above noise, and its horizon.
     """
     n = sum(len(c.time_s) for c in release.problem().cut(end_s))
     excess = float(minimum.residual[:n] @ minimum.residual[:n]) - n
     causes = candidates(release, minimum, end_s)
-    if not causes or causes[0].mended < _EXPLAINS * excess:
+    if not causes or causes[0].mended < _MIN_EXPLAINED_SHARE * excess:
         return []
-    return [c.text for c in causes if c.mended > _AS_GOOD * causes[0].mended]
+    return [c.text for c in causes if c.mended > _COMPARABLE_SHARE * causes[0].mended]
 
 
 def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
-    """Every number that could be at fault and what of χ² it would mend, the most first."""
+    """Return all candidate numbers with their reductions of χ², the largest first."""
     problem = release.problem()
     cut = problem.cut(end_s)
     sizes = (len(cut[0].time_s), len(cut[1].time_s))
@@ -66,7 +67,7 @@ def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
         if not np.all(np.isfinite(column)) or not np.any(column):
             return
         found = evidence(minimum, (column * weight)[:, None], None, sizes)
-        if abs(found.step[0]) < min(_SLIP, most):
+        if abs(found.step[0]) < min(_MAX_ERROR, most):
             change = f"{100 * found.step[0]:+.2g} %"
             where = f" ({value * (1 + found.step[0]):.4g} {unit})" if value is not None else ""
             causes.append(Cause(found.mended, f"{text} {change}{where}"))
@@ -78,7 +79,7 @@ def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
             moved = _moved(release, minimum.theta, at, field)
             if moved is not None:
                 angle = moved[0].problem().angles(moved[1], end_s)
-                judge((angle - base) / _MOVED, f"pendulum {name}'s {what}", value, unit)
+                judge((angle - base) / _RELATIVE_STEP, f"pendulum {name}'s {what}", value, unit)
         scale, most = np.zeros(n), _LOCK_RAD / max(abs(float(release.locked_rad[at])), _LOCK_RAD)
         rows = slice(0, sizes[0]) if at == 0 else slice(sizes[0], n)
         scale[rows] = base[rows] - release.locked_rad[at]
@@ -87,10 +88,10 @@ def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
 
 
 def _moved(release: Release, theta: np.ndarray, at: int, field: str) -> tuple[Release, np.ndarray] | None:
-    """The release and θ with one pendulum's number moved and what other tests measured kept."""
+    """Return the release and θ with one pendulum's number changed and the measurements of other tests unchanged."""
     physics = release.knowledge.physics
     own: Pendulum = physics.a if at == 0 else physics.b
-    other = replace(own, **{field: getattr(own, field) * (1 + _MOVED)})
+    other = replace(own, **{field: getattr(own, field) * (1 + _RELATIVE_STEP)})
     now: RotorParameters = replace(physics, a=other) if at == 0 else replace(physics, b=other)
     grown = now.total_mass_kg / physics.total_mass_kg
     suspension = theta[SUSPENSION].copy()

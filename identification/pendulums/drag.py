@@ -1,8 +1,8 @@
 # pyright: strict
-"""A torque that grows with the square of the speed, as transients have found it beside the viscous one.
+"""A torque proportional to the square of the speed, found by transients in addition to the viscous one.
 
-A spin-down alone does not tell whether it is the air's drag or friction with the contact force (rig_configs.drag), so
-what it finds is kept as one thing. Source: docs/theory/pendulum_damping.md.
+A spin-down alone does not separate the air's drag from friction with the contact force (rig_configs.drag), so its
+result is stored as one quantity. Source: docs/theory/pendulum_damping.md.
 """
 
 from __future__ import annotations
@@ -25,21 +25,24 @@ _UNIT = np.array([1e-6, 1e-6, 1e-9, 1e-9])
 
 @dataclass(frozen=True)
 class FoundDrag:
-    """A drag and what its error does to the damping.
+    """Drag and its correlation with the damping.
 
     Attributes:
-        drag: of A and B.
-        correlation: of ln c3 and ln c4 with each independent part of the drag's error, shape (2, 2).
+        drag: drag of A and B.
+        correlation: correlation of ln c3 and ln c4 with each independent part of the drag's error, shape (2, 2).
     """
 
     drag: Drag
     correlation: Array
 
     def shifts(self, values: Mapping[str, float], std: Mapping[str, float]) -> dict[str, Array]:
-        """Shift of the values for one standard deviation of each part of the drag's error, by label, shape (n,).
+        """Return the shifts of the values for one standard deviation of each part of the drag's error.
 
         Args:
-            std: of the values, without the errors that tests share: no scale's error goes with a drag's.
+            values: parameters by name, n of them.
+            std: standard deviations of the values without shared errors, which are independent of the drag's error.
+        Returns:
+            Label → shift, shape (n,).
         """
         names = list(values)
         out = {label: np.zeros(len(names)) for label in LABELS}
@@ -51,10 +54,12 @@ class FoundDrag:
 
 
 def drag_by_spin_down(found: OpenFriction) -> FoundDrag:
-    """The most likely F ≥ 0 beside M ≥ 0 on a rotor at rest, as half of its 95 % interval's longer side reaches.
+    """Return the drag of a spin-down: the most likely F ≥ 0 with M ≥ 0 on a rotor at rest.
+
+    Its standard deviation is the longer side of the 95 % interval over 1.96.
 
     Args:
-        found: by the spin-down, with all friction open.
+        found: result of the spin-down with free friction.
     """
     values, std = np.zeros(2), np.zeros(2)
     for i in range(2):
@@ -65,7 +70,7 @@ def drag_by_spin_down(found: OpenFriction) -> FoundDrag:
     at = [*range(*DAMPING.indices(6)), 4, 5]
     spread = np.sqrt(np.diag(found.covariance)[at])
     together = found.covariance[np.ix_(at, at)] / np.outer(spread, spread)
-    # a heavier or longer pendulum that slows down alike is braked by so much more of every torque
+    # for the same deceleration a heavier or longer pendulum has a proportionally larger torque of every kind
     by_number = {name: values * by[DAMPING] for name, by in found.by_number.items()}
     drag = Drag(values, together[2:, 2:] * np.outer(std, std), True, by_number)
     # with LLᵀ the drag's covariance its independent errors are e = L⁻¹ δ, and corr(ln c, e) = corr(ln c, δ/s) (L/s)⁻ᵀ
@@ -73,20 +78,22 @@ def drag_by_spin_down(found: OpenFriction) -> FoundDrag:
 
 
 def shown_beside_drag(fit: TransientFit) -> TransientFit:
-    """A spin-down's fit that leaves open how much of what it finds with the square of the speed is friction."""
+    """Return a spin-down's fit without information on the share of friction in its torque with the square of speed."""
     found = fit.open_friction
     shown = fit.friction is not None and fit.friction.speed_rad_s == 0 and max(fit.friction.contact_std_kg_m2) > 0
-    return replace(fit, open_friction=found.beside_drag()) if shown and found is not None else fit
+    return replace(fit, open_friction=found.without_contact_information()) if shown and found is not None else fit
 
 
 def found_drag(fits: Sequence[TransientFit]) -> FoundDrag | None:
-    """What spin-downs find with the square of the speed; None where none finds any.
+    """Return the torque with the square of the speed from the spin-downs; None if no spin-down found one.
 
     Args:
-        fits: of all transients.
+        fits: fits of all transients.
     """
     for fit in fits:
-        rubs, opened = fit.friction, fit.open_friction
-        if rubs is not None and opened is not None and rubs.speed_rad_s == 0 and max(rubs.contact_std_kg_m2) > 0:
+        friction, opened = fit.friction, fit.open_friction
+        if friction is None or opened is None:
+            continue
+        if friction.speed_rad_s == 0 and max(friction.contact_std_kg_m2) > 0:
             return drag_by_spin_down(opened)
     return None

@@ -1,4 +1,4 @@
-"""What the encoders read while both pendulums swing freely, with derivatives, for least squares."""
+"""Encoder readings of two free pendulums and their derivatives, for least squares."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ from identification.pendulums.variational import PARAMETER_COLUMNS, free_motion
 from identification.samples import Averages
 
 _OUTPUT_S = 0.004
-_STEP_SHARE = 0.08  # of the fastest rate's inverse; the motion is then good to a few 1e-6 rad, derivatives to 2e-4
+_STEP_SHARE = 0.08  # step over the inverse of the fastest rate; errors: a few 1e-6 rad, 2e-4 of a derivative
 
 
 @dataclass(frozen=True)
 class FreeMotion:
-    """A free motion at evenly spaced instants.
+    """Free motion at equidistant instants.
 
     Attributes:
         time_s: shape (n,).
         states: shape (n, 8).
-        derivatives: by the start state (8) and by ln c3, ln c4, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P (7), (n, 8, 15);
-            with dry friction also by its torques M_A, M_B and contact parts F_A, F_B, (n, 8, 19); (n, 8, 0) without.
+        derivatives: derivatives by the start state (8) and by ln c3, ln c4, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P (7),
+            shape (n, 8, 15). With dry friction also by its torques M_A, M_B and contact parts F_A, F_B, shape
+            (n, 8, 19). Shape (n, 8, 0) if derivatives were not requested.
         start_rates: ẏ at the start, shape (8,).
     """
 
@@ -38,9 +39,9 @@ class FreeMotion:
     start_rates: np.ndarray
 
     def angle(self, pendulum: int, blocks: Averages) -> tuple[np.ndarray, np.ndarray]:
-        """Block means of one pendulum's angle (n,) and their derivatives (n, 15 or 19).
+        """Return block means of one pendulum's angle (n,) and their derivatives (n, 15 or 19).
 
-        Cubic Hermite interpolation, and half the samples' variance of time times the second derivative.
+        The means are cubic Hermite interpolations plus half the samples' variance of time times the second derivative.
         """
         step = self.time_s[1] - self.time_s[0]
         i = np.clip(((blocks.time_s - self.time_s[0]) / step).astype(np.int64), 0, len(self.time_s) - 2)
@@ -59,14 +60,14 @@ class FreeMotion:
 
 
 def laid_over(knowledge: Knowledge, damping: np.ndarray, suspension: np.ndarray) -> RotorParameters:
-    """Parameters from ln c3, ln c4 and the logarithms of k1, k2, ζ1, ζ2 and (if there) S_P."""
+    """Return the parameters with given ln c3, ln c4 and logarithms of k1, k2, ζ1, ζ2 and, if given, S_P."""
     values = dict(zip(NAMES, np.exp(suspension).tolist(), strict=False))
     c3, c4 = np.exp(damping).tolist()
     return knowledge.physics.with_values(c3_Nms_per_rad=c3, c4_Nms_per_rad=c4, **values)
 
 
 def log_suspension(physics: RotorParameters) -> np.ndarray:
-    """Logarithms of k1, k2, ζ1, ζ2, S_P, shape (5,)."""
+    """Return the logarithms of k1, k2, ζ1, ζ2, S_P, shape (5,)."""
     p = physics
     return np.log([p.k1_N_per_m, p.k2_N_per_m, p.zeta1, p.zeta2, p.imbalance_moment_kg_m])
 
@@ -81,21 +82,28 @@ def swing(
     dry: np.ndarray | None = None,
     slopes: bool = True,
 ) -> FreeMotion | None:
-    """Both pendulums free from a state (8,) at start_s; output from first_s (not before it) to past last_s.
+    """Integrate the motion of two free pendulums.
 
     Args:
-        dry: friction torques M_A, M_B (N m) and contact parts F_A, F_B (kg m²: torque per φ̇²); None for what the
-            parameters hold, without derivatives where they hold none.
-        slopes: whether derivatives are wanted.
-
-    None where the motion cannot be integrated: a trial far outside, which a minimiser refuses.
+        physics: parameters.
+        history: rotor phase.
+        start: state at `start_s`, shape (8,).
+        start_s: start of the integration, s.
+        first_s: first instant of the output, not before `start_s`, s.
+        last_s: the output ends after this instant, s.
+        dry: friction torques M_A, M_B (N m) and contact parts F_A, F_B (torque per φ̇², kg m²). None selects the
+            friction of the parameters; without any there are no derivatives by friction.
+        slopes: whether derivatives are computed.
+    Returns:
+        The motion, or None if it cannot be integrated, as for a distant trial of a minimiser.
     """
     if not start_s <= first_s or not np.all(np.isfinite(start)):
         return None
     speed = float(np.max(np.abs(history.phase(np.linspace(start_s, last_s, 16))[:, 1])))
     step = _STEP_SHARE / fastest_rate(physics, speed + float(np.max(np.abs(start[6:]))) * 0.5)
     step = max(step, (last_s - start_s) / 400_000)
-    times = first_s + _OUTPUT_S * np.arange(int(np.ceil((last_s - first_s) / _OUTPUT_S)) + 2)
+    count = int(np.ceil((last_s - first_s) / _OUTPUT_S)) + 2
+    times = np.asarray(first_s + _OUTPUT_S * np.arange(count), np.float64)
     packed = physics.packed()
     if dry is None and np.any(packed[[FA, FB]]):
         dry = np.r_[0.0, 0.0, packed[[FA, FB]]]
@@ -120,7 +128,7 @@ def swing(
 
 
 def _chain(physics: RotorParameters) -> np.ndarray:
-    """∂(packed parameters)/∂(ln c3, ln c4, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P), shape (7, 7)."""
+    """Return ∂(packed parameters)/∂(ln c3, ln c4, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P), shape (7, 7)."""
     by, values = packed_derivatives(physics), physics.identified()
     names = ("c3_Nms_per_rad", "c4_Nms_per_rad", *NAMES)
     columns = list(PARAMETER_COLUMNS)
@@ -134,12 +142,17 @@ def both_angles(
     log_by: np.ndarray,
     dry_by: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Both encoders' block means (n,) and derivatives (n, p) by a fit's own parameters, 0 of a motion without any.
+    """Return block means (n,) of both encoders and their derivatives (n, p) by the p parameters of a fit.
+
+    The derivatives are 0 for a motion without derivatives.
 
     Args:
-        start_by: derivative of the start state by them, shape (8, p).
-        log_by: derivative of (ln c3, ln c4, ln k1 …) by them, shape (7, p).
-        dry_by: derivative of (M_A, M_B, F_A, F_B) by them, shape (4, p), of a motion with dry friction; None for 0.
+        motion: free motion.
+        blocks: blocks of both encoders.
+        start_by: derivative of the start state by the parameters, shape (8, p).
+        log_by: derivative of (ln c3, ln c4, ln k1 …) by the parameters, shape (7, p).
+        dry_by: derivative of (M_A, M_B, F_A, F_B) by the parameters, shape (4, p), for a motion with dry friction; None
+            for 0.
     """
     columns = motion.derivatives.shape[2]
     chain = np.zeros((columns, start_by.shape[1]))

@@ -1,8 +1,8 @@
-"""Dry friction beside the viscous damping: what of it a fit shows, and whether more of it would explain the readings.
+"""Dry friction in addition to viscous damping: result of a fit, and score test for further friction terms.
 
-The torque against a pendulum's motion is c θ̇ + sign(θ̇) (M + F φ̇²). M is there at any speed; F φ̇² goes with the
-contact force M_i R φ̇². On a rotor at rest φ̇ = θ̇, so F shows as a drag that grows with the square of the speed; on a
-rotor that turns φ̇ ≈ ω, and M + F ω² is what a release shows. Source: docs/theory/pendulum_damping.md.
+The torque against a pendulum's motion is c θ̇ + sign(θ̇) (M + F φ̇²). M is independent of the speed; F φ̇² is proportional
+to the contact force M_i R φ̇². On a rotor at rest φ̇ = θ̇, so F acts as a drag proportional to the square of the speed. On
+a turning rotor φ̇ ≈ ω, and a release determines M + F ω². Source: docs/theory/pendulum_damping.md.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from identification.pendulums.open_friction import FRICTION, OpenFriction
 from identification.samples import correlation_inflation
 from rig_configs.known import KEPT_FRICTION
 
-CHANCE = 5e-4  # of friction being taken for real where there is none
+CHANCE = 5e-4  # probability of a false detection of friction
 _FEW_DRAWS = 40
-_BEYOND_DOUBT = 3.5  # standard deviations
+_SIGNIFICANT_STD = 3.5  # standard deviations above which friction counts as found
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Friction:
     """Dry friction of both pendulums.
 
     Attributes:
-        torque_Nm, torque_std_Nm: M of A and B.
-        contact_kg_m2, contact_std_kg_m2: F of A and B, the torque per φ̇².
-        speed_rad_s: of the rotor it was seen on.
+        torque_Nm, torque_std_Nm: M of A and B, and its standard deviation.
+        contact_kg_m2, contact_std_kg_m2: F of A and B, the torque per φ̇², and its standard deviation.
+        speed_rad_s: rotor speed in the test.
     """
 
     torque_Nm: tuple[float, float]
@@ -41,25 +41,25 @@ class Friction:
 
     @classmethod
     def sure(cls, found: OpenFriction) -> Friction | None:
-        """What tests with open friction show beyond doubt; None where that is nothing.
+        """Return the significant friction of tests with free friction; None if no friction is significant.
 
         Args:
-            found: with the uncertainty of the known numbers in its covariance.
+            found: result of the tests, with the uncertainty of the known numbers in its covariance.
         """
         values, std = found.values[2:], np.sqrt(np.diag(found.covariance)[2:])
-        if not np.any(values > _BEYOND_DOUBT * std):
+        if not np.any(values > _SIGNIFICANT_STD * std):
             return None
         (ma, mb, fa, fb), (sma, smb, sfa, sfb) = values.tolist(), std.tolist()
         return cls((ma, mb), (sma, smb), (fa, fb), (sfa, sfb))
 
     @property
     def values(self) -> dict[str, float]:
-        """By name, what is not zero: coulomb_a_Nm, coulomb_b_Nm, contact_a_kg_m2, contact_b_kg_m2."""
+        """Estimated values by name: coulomb_a_Nm, coulomb_b_Nm, contact_a_kg_m2, contact_b_kg_m2."""
         return {n: v for n, v, std in self._rows() if std > 0}
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviations of the values."""
+        """Standard deviations of the values by name."""
         return {n: std for n, _, std in self._rows() if std > 0}
 
     def _rows(self) -> list[tuple[str, float, float]]:
@@ -68,41 +68,46 @@ class Friction:
 
     @property
     def without_contact(self) -> Friction | None:
-        """The torque that is there at any speed; None where there is none."""
+        """Friction with the torque that is independent of the speed only; None if it has none."""
         found = replace(self, contact_kg_m2=(0.0, 0.0), contact_std_kg_m2=(0.0, 0.0))
         return found if found.values else None
 
     def torque_at(self, speed_rad_s: float) -> np.ndarray:
-        """M + F ω² of A and B on a rotor that turns at a speed, N m, shape (2,), not below 0."""
+        """Return M + F ω² of A and B at a rotor speed, at least 0, N m, shape (2,)."""
         return np.maximum(np.array(self.torque_Nm) + np.array(self.contact_kg_m2) * speed_rad_s**2, 0.0)
 
     def sure_torque_at(self, speed_rad_s: float) -> np.ndarray:
-        """The same of what is more than three standard deviations from 0, the rest as 0; N m, shape (2,)."""
+        """Return M + F ω² with terms of less than three standard deviations set to 0, N m, shape (2,)."""
         torque, contact = (
             np.where(np.array(v) > 3 * np.array(std), np.array(v), 0.0)
             for v, std in ((self.torque_Nm, self.torque_std_Nm), (self.contact_kg_m2, self.contact_std_kg_m2))
         )
         return torque + contact * speed_rad_s**2
 
-    def told(self, label: str) -> str:
-        """A sentence for a reader, with 95 % intervals."""
-        parts = []
+    def sentence(self, label: str) -> str:
+        """Return a sentence with the friction and its 95 % intervals.
+
+        Args:
+            label: name of the test.
+        """
+        parts: list[str] = []
         for name, unit, at in (("dry friction", "N m", 0), ("drag with the square of the speed", "kg m²", 2)):
             rows = self._rows()[at : at + 2]
             if any(std > 0 for _, _, std in rows):
                 each = " and ".join(f"{v:.3g} ± {1.96 * s:.2g}" for _, v, s in rows)
                 parts.append(f"{name} of {each} {unit} (A and B, 95 %)")
-        return f"{label}: {' and '.join(parts)} acts beside the viscous damping and is in the fit"
+        return f"{label}: {' and '.join(parts)} acts in addition to viscous damping and is in the fit"
 
 
 def kept_friction(found: Friction | None, whole: OpenFriction | None) -> dict[str, Any]:
-    """Dry friction for parameters.toml, by its key; nothing where none is found, 0 where that is no dry friction.
+    """Return dry friction for parameters.toml by its key; empty if none was found.
 
-    On a rotor at rest the air's drag looks like contact friction, which then says nothing of a turning one.
+    On a rotor at rest the air's drag has the same effect as contact friction. Contact friction from such a test is
+    therefore stored as 0.
 
     Args:
-        found: what tests show of it.
-        whole: all tests together, with the known numbers' uncertainty; None with fewer than two.
+        found: friction from the tests.
+        whole: joint result of all tests, with the known numbers' uncertainty; None for fewer than two tests.
     """
     if found is None:
         return {}
@@ -118,13 +123,13 @@ def kept_friction(found: Friction | None, whole: OpenFriction | None) -> dict[st
 
 @dataclass(frozen=True)
 class Evidence:
-    """How much χ² more parameters would mend, to first order.
+    """Reduction of χ² by additional parameters, to first order.
 
     Attributes:
-        gain: drop of χ² in units of what chance explains.
-        mended: drop of χ² itself.
-        step: their values, shape (k,).
-        limit: what chance exceeds once in 1/CHANCE.
+        gain: reduction of χ² over the mean reduction by chance per parameter.
+        mended: reduction of χ².
+        step: values of the parameters, shape (k,).
+        limit: gain that chance exceeds with the probability CHANCE.
     """
 
     gain: float
@@ -134,19 +139,19 @@ class Evidence:
 
     @property
     def found(self) -> bool:
-        """Whether chance does not explain it."""
+        """Whether the reduction exceeds that by chance."""
         return self.gain > self.limit
 
 
 def evidence(minimum: Minimum, columns: np.ndarray, rounding: np.ndarray | None, sizes: tuple[int, int]) -> Evidence:
-    """The score test for parameters that a fit went without.
+    """Apply the score test to parameters that a fit did not have.
 
     Args:
-        minimum: of the fit without them.
-        columns: derivative of the weighted data residual by them, shape (n, k).
-        rounding: errors that the encoders' rounding makes, in standard deviations, shape (draws, n): they follow one
-            another near standstill, and chance then mends more than χ² of k says.
-        sizes: blocks of each encoder, n in all.
+        minimum: minimum of the fit without the parameters.
+        columns: derivatives of the weighted data residual by the parameters, shape (n, k).
+        rounding: errors by the encoders' rounding, in standard deviations, shape (draws, n). They are correlated near
+            standstill, where chance reduces χ² by more than the χ² distribution with k degrees of freedom states.
+        sizes: number of blocks of each encoder, n in total.
     """
     n, k = columns.shape
     whole = np.zeros((len(minimum.residual), k))

@@ -1,42 +1,45 @@
-"""The free motion with dry friction and its derivatives: slides, sticks and the instants between them.
+"""Free motion with dry friction and its derivatives: sliding, sticking and the transitions between them.
 
-A pendulum that slides feels −sign(θ̇) (M_i + F_i φ̇_i²) besides its viscous torque: M_i is a torque that is there at any
-speed (a seal, a preload), F_i φ̇² one that goes with the contact force M R φ̇². One that sticks (θ̇ = 0) stays while the
-torque that holds it, S n·(p̈ + g ŷ) − D α, is below M_i + F_i ω². Within a mode the motion and the variational equation
-Ṡ = (∂f/∂y) S + ∂f/∂p are smooth. At an instant t* at which θ̇_i passes zero the rates jump from f⁻ to f⁺, and
+A sliding pendulum has the friction torque −sign(θ̇) (M_i + F_i φ̇_i²) in addition to its viscous torque. M_i is
+independent of the speed (a seal, a preload); F_i φ̇² is proportional to the contact force M R φ̇². A sticking pendulum
+(θ̇ = 0) remains at rest while the holding torque S n·(p̈ + g ŷ) − D α is below M_i + F_i ω². Within a mode the motion and
+the variational equation Ṡ = (∂f/∂y) S + ∂f/∂p are smooth. At an instant t* at which θ̇_i passes zero the rates jump from
+f⁻ to f⁺, and
 
     S⁺ = S⁻ + (f⁺ − f⁻) S⁻[θ̇_i] / f⁻[θ̈_i],
 
-because a change of the parameters moves the instant by −S⁻[θ̇_i]/f⁻[θ̈_i]. Where a stick ends the rates do not jump.
+because a change of the parameters moves the instant by −S⁻[θ̇_i]/f⁻[θ̈_i]. At the end of sticking the rates do not jump.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from dynamics.equations.kernels import AA, C1, C2, CA, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
 from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
 from identification.pendulums.variational import WHOLE, follow, suspension
 
+Array = NDArray[np.float64]
+
 COLUMNS = 19
-"""Columns of the derivatives: those of identification.pendulums.variational, then M_A, M_B, F_A, F_B."""
-_ENOUGH = 1e-9  # rad/s: a rate that is zero
+"""Number of columns of the derivatives: those of identification.pendulums.variational, then M_A, M_B, F_A, F_B."""
+_MAX_ZERO_RATE_RAD_S = 1e-9  # rates below count as zero
 _LEAST_SLIDE_S = 1e-9
-_PAST = 1e-3  # of a step: past the instant at which a stick can no longer hold
+_PAST = 1e-3  # extension of a step beyond the end of sticking, as a share of the step
 _MOST_SWITCHES = 40_000
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _rates(y, phase, p, torque, mode, f, own, whole):
-    """Rates into f (8,); what `_linearised` reads into own (2, 8) and whole (13,).
+def _rates(
+    y: Array, phase: Array, p: Array, torque: Array, mode: NDArray[np.int64], f: Array, own: Array, whole: Array
+) -> None:
+    """Write the rates into f (8,) and the input of `_linearised` into own (2, 8) and whole (13,).
 
-    own, by pendulum: cos φ, sin φ, S²/J, bare acceleration, turning rate, the bare one's derivative by the rate, e·p̈,
-    the torque that holds it. whole: the inverse of 𝐌 (xx, yy, xy), the imbalance's force over S_P, and `suspension`.
+    own, by pendulum: cos φ, sin φ, S²/J, bare acceleration, turning rate, derivative of the bare acceleration by the
+    rate, e·p̈, holding torque. whole: the inverse of 𝐌 (xx, yy, xy), the imbalance's force over S_P, and `suspension`.
     """
     psi, omega, alpha = phase[0], phase[1], phase[2]
     sin_r, cos_r = real_sine_cosine(psi)
@@ -78,8 +81,10 @@ def _rates(y, phase, p, torque, mode, f, own, whole):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _linearised(y, phase, p, mode, own, whole, g, d):
-    """∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters, friction) into d (4, 19), from what `_rates` left; g (2, 19) is scratch."""
+def _linearised(
+    y: Array, phase: Array, p: Array, mode: NDArray[np.int64], own: Array, whole: Array, g: Array, d: Array
+) -> None:
+    """Write ∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters, friction) into d (4, 19) from the output of `_rates`; g is scratch."""
     alpha = phase[2]
     g[:] = 0.0
     g[0, 0], g[1, 1], g[0, 4], g[1, 5] = (-p[K1] * whole[9], -p[K2] * whole[10], -p[C1] * whole[11], -p[C2] * whole[12])
@@ -115,8 +120,24 @@ def _linearised(y, phase, p, mode, own, whole, g, d):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _step(y, t, h, segment, knots, coefficients, p, torque, mode, k, wy, phase, own, whole, out):
-    """One classical Runge–Kutta step of the state from its rates k[0] into out; returns the segment at its end."""
+def _step(
+    y: Array,
+    t: float,
+    h: float,
+    segment: int,
+    knots: Array,
+    coefficients: Array,
+    p: Array,
+    torque: Array,
+    mode: NDArray[np.int64],
+    k: Array,
+    wy: Array,
+    phase: Array,
+    own: Array,
+    whole: Array,
+    out: Array,
+) -> int:
+    """Make one classical Runge–Kutta step of the state from its rates k[0] into out; return the segment at its end."""
     segment = phase_at(t + 0.5 * h, segment, knots, coefficients, phase[1])
     segment = phase_at(t + h, segment, knots, coefficients, phase[2])
     for stage in range(1, 4):
@@ -130,8 +151,10 @@ def _step(y, t, h, segment, knots, coefficients, p, torque, mode, k, wy, phase, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _over(y, phase, p, torque, mode, i, f, own, whole):
-    """The torque that holds pendulum i, and by how much it exceeds its friction (below 0 by what that still holds)."""
+def _over(
+    y: Array, phase: Array, p: Array, torque: Array, mode: NDArray[np.int64], i: int, f: Array, own: Array, whole: Array
+) -> tuple[float, float]:
+    """Return the holding torque of pendulum i, and its excess over the friction, which is negative while it sticks."""
     mine = mode[i]
     mode[i] = 0
     _rates(y, phase, p, torque, mode, f, own, whole)
@@ -140,24 +163,34 @@ def _over(y, phase, p, torque, mode, i, f, own, whole):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _begun(y, phase, p, torque, mode, held, f, own, whole):
-    """How each pendulum begins into mode, what one at rest has too much for its friction into held, rates into f."""
+def _begun(
+    y: Array,
+    phase: Array,
+    p: Array,
+    torque: Array,
+    mode: NDArray[np.int64],
+    held: Array,
+    f: Array,
+    own: Array,
+    whole: Array,
+) -> None:
+    """Write the initial mode of each pendulum into mode, the excess torque of those at rest into held, rates into f."""
     for i in range(2):
-        mode[i] = 0 if abs(y[6 + i]) <= _ENOUGH else (1 if y[6 + i] > 0 else -1)
-    for _ in range(4):  # one that begins to slide changes the torque that holds the other
+        mode[i] = 0 if abs(y[6 + i]) <= _MAX_ZERO_RATE_RAD_S else (1 if y[6 + i] > 0 else -1)
+    for _ in range(4):  # a pendulum that begins to slide changes the holding torque of the other
         for i in range(2):
-            if abs(y[6 + i]) <= _ENOUGH:
+            if abs(y[6 + i]) <= _MAX_ZERO_RATE_RAD_S:
                 needed, held[i] = _over(y, phase, p, torque, mode, i, f, own, whole)
                 mode[i] = 0 if held[i] <= 0.0 else (1 if needed > 0 else -1)
     _rates(y, phase, p, torque, mode, f, own, whole)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def frictional_rates(start, phase, p, torque):
-    """ẏ (8,) with which `frictional_motion` begins: of a pendulum that friction holds, of one that slides.
+def frictional_rates(start: Array, phase: Array, p: Array, torque: Array) -> Array:
+    """Return the initial ẏ (8,) of `frictional_motion`, with sticking or sliding pendulums.
 
     Args:
-        start, p, torque: as there.
+        start, p, torque: as for `frictional_motion`.
         phase: ψ, ω, α at the start.
     """
     f = np.empty(8)
@@ -166,10 +199,10 @@ def frictional_rates(start, phase, p, torque):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ending(y, out, mode, i, acceleration, h):
-    """The share of a step after which a slide ends, by the parabola through the rates; 2 where it does not."""
+def _ending(y: Array, out: Array, mode: NDArray[np.int64], i: int, acceleration: float, h: float) -> float:
+    """Return the share of a step after which sliding ends, by the parabola through the rates; 2 if it does not end."""
     r0, r1 = y[6 + i], out[6 + i]
-    if mode[i] == 0 or not (mode[i] * r1 < -_ENOUGH and mode[i] * r0 > -_ENOUGH):
+    if mode[i] == 0 or not (mode[i] * r1 < -_MAX_ZERO_RATE_RAD_S and mode[i] * r0 > -_MAX_ZERO_RATE_RAD_S):
         return 2.0
     a0 = acceleration * h
     root, part = a0 * a0 - 4.0 * (r1 - r0 - a0) * r0, r0 / (r0 - r1)
@@ -181,28 +214,28 @@ def _ending(y, out, mode, i, acceleration, h):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _half(
-    y,
-    slope,
-    end,
-    end_slope,
-    t,
-    h,
-    segment,
-    knots,
-    coefficients,
-    p,
-    torque,
-    mode,
-    wy,
-    phase,
-    f,
-    own,
-    whole,
-    g,
-    d,
-    wanted,
-):
-    """∂f/∂(y, p) half way along one step into d[1], by the cubic through its ends; d[2] has been its end's."""
+    y: Array,
+    slope: Array,
+    end: Array,
+    end_slope: Array,
+    t: float,
+    h: float,
+    segment: int,
+    knots: Array,
+    coefficients: Array,
+    p: Array,
+    torque: Array,
+    mode: NDArray[np.int64],
+    wy: Array,
+    phase: Array,
+    f: Array,
+    own: Array,
+    whole: Array,
+    g: Array,
+    d: Array,
+    wanted: bool,
+) -> int:
+    """Write ∂f/∂(y, p) at the middle of a step into d[1], by the cubic through its ends; d[2] is that at its end."""
     if not wanted:
         return segment
     segment = phase_at(t + 0.5 * h, segment, knots, coefficients, phase)
@@ -215,21 +248,29 @@ def _half(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides and sticks follow each other
-    start, start_s, times, step, knots, coefficients, p, torque, slopes=True
-):
-    """Both pendulums free from a state on, with dry friction.
+    start: Array,
+    start_s: float,
+    times: Array,
+    step: float,
+    knots: Array,
+    coefficients: Array,
+    p: Array,
+    torque: Array,
+    slopes: bool = True,
+) -> tuple[Array, Array]:
+    """Integrate the motion of two free pendulums with dry friction.
 
-    Two smooth steps of the motion make one of the derivatives (identification.pendulums.variational); a step that ends
-    a slide or a stick makes one of its own.
+    Two smooth steps of the motion are one step of the derivatives (identification.pendulums.variational). A step at the
+    end of sliding or sticking is a separate step of the derivatives.
 
     Args:
-        start, start_s, times, step, knots, coefficients, p: as for identification.pendulums.variational.free_motion;
-            p's friction counts, F_i of any sign (a fit's trial may pass below zero).
+        start, start_s, times, step, knots, coefficients, p: as for identification.pendulums.variational.free_motion.
+            The friction F_i in p may have any sign, since a fit's trial may be negative.
         torque: M_A, M_B, N m, shape (2,).
-        slopes: whether derivatives are wanted.
+        slopes: whether derivatives are computed.
     Returns:
-        States (n, 8) and derivatives (n, 8, 19), (0, 8, 19) where not wanted; NaN from where switches became too many
-        to follow.
+        States (n, 8) and derivatives (n, 8, 19), or (0, 8, 19) without derivatives. The rows after the largest number
+        of transitions are NaN.
     """
     n = len(times)
     states, derivatives = np.full((n, 8), np.nan), np.full((n if slopes else 0, 8, COLUMNS), np.nan)
@@ -240,7 +281,7 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
     own, whole, g, d = np.empty((2, 8)), np.empty(WHOLE), np.empty((2, COLUMNS)), np.empty((3, 4, COLUMNS))
     bent, rates, moved = np.empty((4, 4, COLUMNS)), np.empty((4, 4, COLUMNS)), np.empty((4, COLUMNS))
     f, before, jump = np.empty(8), np.empty(8), np.empty(COLUMNS)
-    last_y, last_f, waiting = np.empty(8), np.empty(8), 0.0  # the step that the derivatives have still to take, s
+    last_y, last_f, waiting = np.empty(8), np.empty(8), 0.0  # s; pending step of the derivatives
     mode, held, kept = np.zeros(2, np.int64), np.zeros(2), np.full(2, -np.inf)
     segment, t, switches = phase_at(start_s, 0, knots, coefficients, at), start_s, 0
     _begun(y, at, p, torque, mode, held, k[0], own, whole)
@@ -253,22 +294,22 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
             h = (times[row] - t) / steps
             segment = _step(y, t, h, segment, knots, coefficients, p, torque, mode, k, wy, phase, own, whole, out)
             ends, loose, share = -1, -1, 1.0
-            for i in range(2):  # the first slide to end
+            for i in range(2):  # the first end of sliding
                 part = _ending(y, out, mode, i, k[0, 6 + i], h)
                 if part < share:
                     ends, share = i, part
-            for i in range(2):  # the first stick to end, by the line through what it still holds
+            for i in range(2):  # the first end of sticking, by linear interpolation of the excess torque
                 if mode[i] == 0:
                     _, after = _over(out, phase[2], p, torque, mode, i, f, own, whole)
                     if after > 0.0 and held[i] < 0.0 and held[i] / (held[i] - after) < share:
                         loose, ends, share = i, -1, min(1.0, held[i] / (held[i] - after) + _PAST)
             if ends >= 0:
-                for _ in range(6):  # secant on the instant itself
+                for _ in range(6):  # secant iteration of the instant
                     segment = _step(
                         y, t, share * h, segment, knots, coefficients, p, torque, mode, k, wy, phase, own, whole, out
                     )
                     slope = k[3, 6 + ends]
-                    if abs(out[6 + ends]) <= _ENOUGH or slope == 0.0:
+                    if abs(out[6 + ends]) <= _MAX_ZERO_RATE_RAD_S or slope == 0.0:
                         break
                     share = min(1.0, max(0.0, share - out[6 + ends] / (slope * h)))
             elif loose >= 0:
@@ -276,7 +317,7 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                     y, t, share * h, segment, knots, coefficients, p, torque, mode, k, wy, phase, own, whole, out
                 )
             switching = ends >= 0 or loose >= 0
-            if waiting > 0.0 and (switching or abs(waiting - h) > 1e-6 * h):  # the step before, by itself
+            if waiting > 0.0 and (switching or abs(waiting - h) > 1e-6 * h):  # the pending step is made separately
                 segment = _half(
                     last_y,
                     last_f,
@@ -352,16 +393,14 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                 y[6 + ends] = 0.0
                 needed, over = _over(y, at, p, torque, mode, ends, f, own, whole)
                 grips = torque[ends] + p[FA + ends] * at[1] * at[1] > 0.0
-                if (
-                    grips and share * h <= _LEAST_SLIDE_S
-                ):  # it ends where it began, at a peak of the torque that just moves it
-                    kept[ends] = t + 0.5 * h  # so it sticks for a step
+                # a slide that ends where it began is at a peak of the torque that just moves it: it sticks for a step
+                if grips and share * h <= _LEAST_SLIDE_S:
+                    kept[ends] = t + 0.5 * h
                 mode[ends] = 0 if over <= 0.0 or t < kept[ends] else (1 if needed > 0 else -1)
+                # without friction, or with negative friction, the motion passes zero; else it only touches zero
                 if mode[ends] == came and not grips:
-                    mode[
-                        ends
-                    ] = -came  # without friction, or less, it goes on the way it went; else it has only touched
-                y[6 + ends] = mode[ends] * 2.0 * _ENOUGH
+                    mode[ends] = -came
+                y[6 + ends] = mode[ends] * 2.0 * _MAX_ZERO_RATE_RAD_S
                 _rates(y, at, p, torque, mode, k[0], own, whole)
                 if before[6 + ends] != 0.0:
                     jump[:] = v[2 + ends] / before[6 + ends]
@@ -375,7 +414,7 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                 if mode[i] == 0 and t >= kept[i]:
                     needed, held[i] = _over(y, at, p, torque, mode, i, f, own, whole)
                     if held[i] > 0.0:
-                        if waiting > 0.0:  # the derivatives come up to here in the old mode first
+                        if waiting > 0.0:  # the pending step of the derivatives is in the old mode
                             segment = _half(
                                 last_y,
                                 last_f,
@@ -402,7 +441,7 @@ def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides 
                                 follow(u, v, 0.5 * waiting, d, bent, rates, moved)
                             waiting = 0.0
                         mode[i], slides = 1 if needed > 0 else -1, True
-                        y[6 + i] = mode[i] * 2.0 * _ENOUGH
+                        y[6 + i] = mode[i] * 2.0 * _MAX_ZERO_RATE_RAD_S
             if ends >= 0 or slides:
                 _rates(y, at, p, torque, mode, k[0], own, whole)
                 _linearised(y, at, p, mode, own, whole, g, d[0])

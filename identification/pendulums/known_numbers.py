@@ -1,9 +1,9 @@
 # pyright: strict
-"""How a transient's answer goes with the masses, lengths and angles that its fit takes as known.
+"""Derivatives of a transient's result by the masses, lengths and angles that its fit takes as known.
 
-At a minimum of rᵀr the normal equations hold, Jᵀr = 0. A known number p that is assumed to be h larger changes r by
-(∂r/∂p) h, the knowledge of the suspension included, and moves the minimum by −(JᵀJ)⁻¹Jᵀ (∂r/∂p) h. Source:
-docs/theory/uncertainty.md.
+At a minimum of rᵀr the normal equations hold, Jᵀr = 0. A known number p that is assumed larger by h changes r,
+including the prior rows of the suspension, by (∂r/∂p) h. It moves the minimum by −(JᵀJ)⁻¹Jᵀ (∂r/∂p) h.
+Source: docs/theory/uncertainty.md.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from rig_configs.known import ZERO_A, ZERO_B, physical_numbers
 
 Array = NDArray[np.float64]
 
-_STEP = 1e-4  # of a number
-_STEP_SI = 1e-6  # of one that is 0
-_LEAST_OWN = 1e-6  # least eigenvalue of what is left, in units of the variances
+_STEP = 1e-4  # relative step of a number
+_STEP_SI = 1e-6  # step of a number that is 0, in its unit
+_LEAST_OWN = 1e-6  # smallest eigenvalue of the remaining covariance, in units of the variances
 
 
 def by_physical_numbers(
@@ -36,14 +36,15 @@ def by_physical_numbers(
     made: Callable[[Knowledge], TransientProblem],
     wanted: Sequence[int],
 ) -> dict[str, Array]:
-    """Derivatives of some of θ by each physical number.
+    """Return derivatives of components of θ by each physical number.
 
     Args:
-        problem: whose minimum it is.
-        minimum: at the last instant `end_s`.
-        knowledge: the problem's.
-        made: the same problem with other knowledge.
-        wanted: places in θ, m of them.
+        problem: least-squares problem.
+        minimum: minimum of the problem for data up to `end_s`.
+        end_s: last instant of the data, s.
+        knowledge: prior knowledge of the problem.
+        made: creates the same problem with other prior knowledge.
+        wanted: m indices in θ.
     Returns:
         Number → derivative, shape (m,), per unit of the number.
     """
@@ -61,24 +62,25 @@ def by_physical_numbers(
     with ThreadPoolExecutor(THREADS) as pool:
         found = {name: by for name, by in zip(once, pool.map(answer, once), strict=True) if by is not None}
     if "rotor.mass_kg" in found and "imbalance.mass_kg" in names:
-        found["imbalance.mass_kg"] = found["rotor.mass_kg"]  # S_P is found by itself: both act through the total mass
+        found["imbalance.mass_kg"] = found["rotor.mass_kg"]  # S_P is estimated: both masses act through the total mass
     return found
 
 
 def answer_to(minimum: Minimum, change: Array, wanted: Sequence[int]) -> Array:
-    """How some of θ answer to a change of the residual, shape (m,)."""
+    """Return the change of components of θ for a change of the residual, shape (m,)."""
     return -(minimum.covariance[list(wanted)] @ (minimum.jacobian.T @ change))
 
 
 def knowing(covariance: Array, by_number: Mapping[str, Array], std: Mapping[str, float]) -> Array:
-    """A covariance without what some known numbers have brought into it.
+    """Return a covariance without the part of some known numbers.
 
-    Where friction is bounded from below a fit's covariance may hold less of it than its slopes say; then it stays.
+    If friction is bounded from below, the covariance of a fit may contain less of that part than its derivatives give.
+    The covariance is then returned unchanged.
 
     Args:
-        covariance: shape (m, m), with these numbers' part.
-        by_number: derivatives by the known numbers, shape (m,) each.
-        std: standard uncertainty of each number whose part it holds, as the fit took it.
+        covariance: shape (m, m), with the part of the numbers.
+        by_number: number → derivative, shape (m,).
+        std: number → standard uncertainty in the fit, for the numbers whose part is removed.
     """
     own = covariance.copy()
     for name, deviation in std.items():
@@ -90,5 +92,5 @@ def knowing(covariance: Array, by_number: Mapping[str, Array], std: Mapping[str,
 
 
 def zeros_std(zero_std_rad: float) -> dict[str, float]:
-    """Standard uncertainty of both encoders' zeros, by number."""
+    """Return the standard uncertainty of both encoders' zeros by number, rad."""
     return {ZERO_A: zero_std_rad, ZERO_B: zero_std_rad}

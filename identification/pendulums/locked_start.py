@@ -1,13 +1,10 @@
-"""State of the rig at the release: both pendulums locked, the disk driven by the imbalance through the recorded speed.
+"""State of the rig at the release: both pendulums are locked, and the imbalance drives the disk at the recorded speed.
 
 The locked rig is two linear oscillators, ḧ + 2ζω ḣ + ω² h = (ψ̇² − iψ̈) e^{iψ} per direction, x = Re(A h1),
 y = Im(A h2), A = (S_P + S_A e^{iθ3} + S_B e^{iθ4})/M_S. A bow b adds b h_b, which follows from h
-(identification.run_up.slow_roll). h does not depend on the locked angles or the imbalance, so
-the state's derivatives by them are products; those by stiffness and damping take h at neighbouring ω and ζ.
+(identification.run_up.slow_roll). Since h is independent of the locked angles and the imbalance, the state's
+derivatives by them are products. Derivatives by stiffness and damping are differences of h at neighbouring ω and ζ.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
@@ -16,23 +13,28 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.locked_motion import locked_orbit
 
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
 _STEP_S = 2e-3
-_EQUIVALENT = 4  # steps to the suspension that a motion meets
-_DIFFERENCE = 1e-5  # of ln ω and ln ζ
+_EQUIVALENT = 4  # iterations of the equivalent linear suspension
+_DIFFERENCE = 1e-5  # step of ln ω and ln ζ
 
 
 @dataclass(frozen=True)
 class LockedStart:
-    """The drive of the locked rig up to a release.
+    """Drive of the locked rig up to a release.
 
     Attributes:
-        history: the recorded speed.
-        begin_s, release_s: from where on it is known, and the release as told.
+        history: recorded rotor phase.
+        begin_s: start of the recorded phase, s.
+        release_s: recorded instant of the release, s.
     """
 
     history: SpeedHistory
@@ -40,18 +42,18 @@ class LockedStart:
     release_s: float
 
     def along(self, history: SpeedHistory) -> LockedStart:
-        """The same with another phase."""
+        """Return the same with another rotor phase."""
         return LockedStart(history, self.begin_s, self.release_s)
 
     def at(
         self, physics: RotorParameters, theta3_rad: float, theta4_rad: float, shift_s: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """State at the release and its derivatives.
+        """Return the state at the release and its derivatives.
 
         Args:
-            physics: the rig; its suspension and imbalance count.
-            theta3_rad, theta4_rad: true locked angles.
-            shift_s: of the release against release_s.
+            physics: parameters, of which suspension and imbalance have an effect.
+            theta3_rad, theta4_rad: true locked angles, rad.
+            shift_s: instant of the release minus `release_s`, s.
         Returns:
             State (8,), and derivatives (8, 8) by θ3, θ4, shift, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P.
         """
@@ -77,11 +79,11 @@ class LockedStart:
         return state, derivatives
 
     def _equivalent(self, physics: RotorParameters, theta3_rad: float, theta4_rad: float) -> RotorParameters:
-        """The rig with the linear suspension that its own equals on the locked orbit at the release's speed.
+        """Return the parameters with the equivalent linear suspension on the locked orbit at the release's speed.
 
-        Of a spring k u (1 + H u²) that is k (1 + ¾ H a²) at the amplitude a, of a damper c v (1 + Q |v|) it is
-        c (1 + 8/(3π) Q a ω). What they leave, a third harmonic of H a²/32 and less, is far below what a release leaves
-        open of the disk's place.
+        A spring k u (1 + H u²) at the amplitude a is equivalent to k (1 + ¾ H a²), a damper c v (1 + Q |v|) to
+        c (1 + 8/(3π) Q a ω). The remaining third harmonic of at most H a²/32 is far below the uncertainty of the disk's
+        position in a release.
         """
         p = physics
         if p.suspension_is_linear:
@@ -89,7 +91,7 @@ class LockedStart:
         speed = float(self.history.phase(self.release_s)[0, 1])
         linear = replace(p, hardening_per_m2=(0.0, 0.0), damping_growth_s_per_m=(0.0, 0.0))
         found = linear
-        for _ in range(_EQUIVALENT):  # each is nearer by the share of stiffness and damping that the motion changes
+        for _ in range(_EQUIVALENT):  # each iteration reduces the error by the relative change of stiffness and damping
             x, y = locked_orbit(found, speed, theta3_rad, theta4_rad)
             stretch, going = (abs(x - p.bow_m), abs(y - p.bow_m)), (abs(x) * speed, abs(y) * speed)
             stiffer = [1 + 0.75 * h * a**2 for h, a in zip(p.hardening_per_m2, stretch, strict=True)]
@@ -110,7 +112,7 @@ class LockedStart:
         zeta: float,
         shift_s: float,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """b h_b, its rate and second rate, and the first two's derivatives by ln ω and ln ζ; zeros without a bow."""
+        """Return b h_b with its first two rates, and derivatives of the first two by ln ω and ln ζ; 0 without a bow."""
         if bow == 0:
             return np.zeros(3), np.zeros(2), np.zeros(2)
         h, by_omega, by_zeta = response
@@ -131,7 +133,7 @@ class LockedStart:
         return bow * np.array([answer, rate, bent]), bow * np.array(of_omega), bow * np.array(of_zeta)
 
     def _response(self, omega: float, zeta: float, shift_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """h, ḣ, ḧ at the release and the first two's derivatives by ln ω and ln ζ, complex."""
+        """Return complex h, ḣ, ḧ at the release, and derivatives of h, ḣ by ln ω and ln ζ."""
         base = self._march(omega, zeta, shift_s)
         more = np.exp(_DIFFERENCE)
         by_omega = (self._march(omega * more, zeta, shift_s) - base) / _DIFFERENCE
@@ -139,7 +141,7 @@ class LockedStart:
         return base, by_omega[:2], by_zeta[:2]
 
     def _march(self, omega: float, zeta: float, shift_s: float) -> np.ndarray:
-        """h, ḣ, ḧ at the release, from the steady orbit at the beginning."""
+        """Return h, ḣ, ḧ at the release, starting with the steady orbit at `begin_s`."""
         force, step = self._force
         psi, speed, _ = self.history.phase(self.begin_s)[0]
         g = 2 * zeta * omega
@@ -153,7 +155,7 @@ class LockedStart:
 
     @cached_property
     def _force(self) -> tuple[np.ndarray, float]:
-        """The drive on a grid of half steps, the same for every trial, and the step."""
+        """Drive on a grid of half steps, which is the same for every trial, and the step, s."""
         n = max(1, int(np.ceil((self.release_s - self.begin_s) / _STEP_S)))
         step = (self.release_s - self.begin_s) / n
         return self._drive(self.begin_s + 0.5 * step * np.arange(2 * n + 1)), step
@@ -168,8 +170,8 @@ def _part(axis: int, value: complex) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _oscillate(force, step, w2, g, h, rate):
-    """h, ḣ after all of the force's steps (classical Runge–Kutta; force holds middles too)."""
+def _oscillate(force: Complex, step: float, w2: float, g: float, h: complex, rate: complex) -> tuple[complex, complex]:
+    """Return h, ḣ after all steps of the force by classical Runge–Kutta; the force includes the mid-points."""
     for i in range((len(force) - 1) // 2):
         u0, u1, u2 = force[2 * i], force[2 * i + 1], force[2 * i + 2]
         a1 = u0 - g * rate - w2 * h

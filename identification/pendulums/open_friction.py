@@ -1,57 +1,60 @@
-"""A pendulum transient with its dry friction left open, and what several of them say of damping and friction together.
+"""Result of a pendulum transient with free dry friction, and joint estimate of damping and friction by several of them.
 
-A friction too small to be found biases c by many times the standard deviation of a fit that goes without. So every fit
-is asked once more at its end, with M_A, M_B (a torque at any speed) and F_A, F_B (with the contact force, F φ̇²) as
-unknowns beside ln c3, ln c4: one Gauss–Newton step from where it stands. Tests of one campaign have these four in
-common: a flick at rest shows M and hardly F, releases at several speeds show M + F ω². Together they leave c nearly as
-well known as without friction. A test that stands alone takes what M ≥ 0 and F ≥ 0 leave. Source:
-docs/theory/pendulum_damping.md.
+Friction that is too small to be found biases c by many times the standard deviation of a fit without friction.
+Therefore every fit is extended at its end by the unknowns M_A, M_B (torque independent of the speed) and F_A, F_B
+(torque F φ̇² by the contact force), with one Gauss–Newton step from its minimum. These four unknowns are common to the
+tests of a campaign: a flick at rest determines M but hardly F, releases at several speeds determine M + F ω². Together
+they determine c nearly as well as without friction. For a single test M ≥ 0 and F ≥ 0 are used as bounds.
+Source: docs/theory/pendulum_damping.md.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
+from scipy import optimize
 
 from identification.errors import FitFailed
 from rig_configs.known import KnownSource
 
 Array = NDArray[np.float64]
 
+_nnls = cast("Callable[[Array, Array], tuple[Array, float]]", cast("Any", optimize).nnls)  # scipy has no types
+
 DAMPING, FRICTION = slice(0, 2), slice(2, 6)
 TORQUE_STD_Nm, CONTACT_STD_kg_m2 = 1e-2, 1e-4
-"""Beyond any bearing: keeps directions finite that a test does not show."""
+"""Prior standard deviations larger than any bearing's friction, for finite variances of undetermined directions."""
 _UNIT = np.array([1.0, 1.0, 1e-6, 1e-6, 1e-9, 1e-9])
 _INSIDE = 1.96**2  # χ² of a 95 % interval
-_SOUND = 1e-12  # least eigenvalue of a correlation
-_SURELY = 20.0  # χ² of four frictions that chance exceeds once in 2000
-_FURTHEST = 40.0  # standard deviations of ln c with all friction open
+_MIN_EIGENVALUE = 1e-12  # smallest eigenvalue of a correlation matrix
+_SIGNIFICANT_CHI2 = 20.0  # χ² of four friction terms that chance exceeds once in 2000
+_FURTHEST = 40.0  # largest half-width of an interval in standard deviations of ln c with free friction
 
 
 def whitener(matrix: Array) -> Array:
-    """W with WᵀW the inverse of a positive matrix of any scales; directions that rounding has lost are kept finite."""
+    """Return W with WᵀW equal to the inverse of a positive definite matrix; directions lost by rounding stay finite."""
     unit = np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-200))
     sizes, turn = np.linalg.eigh(0.5 * (matrix + matrix.T) / np.outer(unit, unit))
-    return (turn / np.sqrt(np.maximum(sizes, _SOUND))).T / unit
+    return (turn / np.sqrt(np.maximum(sizes, _MIN_EIGENVALUE))).T / unit
 
 
 def inverse(matrix: Array) -> Array:
-    """Its inverse, symmetric."""
+    """Return the symmetric inverse of a positive definite matrix."""
     w = whitener(matrix)
     return w.T @ w
 
 
 @dataclass(frozen=True)
 class OpenFriction:
-    """What one transient says of damping and friction.
+    """Estimate of damping and friction by one transient.
 
     Attributes:
-        values: ln c3, ln c4, M_A, M_B (N m), F_A, F_B (kg m²), shape (6,); friction of any sign.
-        covariance: shape (6, 6).
+        values: ln c3, ln c4, M_A, M_B (N m), F_A, F_B (kg m²), shape (6,). Friction may have any sign.
+        covariance: covariance of the values, shape (6, 6).
         by_number: known number → derivative of the values by it, shape (6,).
     """
 
@@ -61,11 +64,11 @@ class OpenFriction:
 
     @classmethod
     def of_torque_at(cls, values: Array, covariance: Array, speed2: float) -> OpenFriction:
-        """Of a test that shows M + F ω² alone.
+        """Create the result of a test that determines only M + F ω².
 
         Args:
-            values: as above, of any split between M and F.
-            covariance: of ln c3, ln c4 and both torques at the speed, shape (4, 4).
+            values: as in the class, with any split between M and F.
+            covariance: covariance of ln c3, ln c4 and both torques at the speed, shape (4, 4).
             speed2: ω², (rad/s)².
         """
         design = np.zeros((4, 6))
@@ -81,14 +84,14 @@ class OpenFriction:
             raise FitFailed("damping and friction have no finite covariance; record the test again")
 
     def slope(self, number: str) -> Array:
-        """Derivative of the values by a known number, shape (6,); 0 where there is none."""
+        """Return the derivative of the values by a known number, shape (6,); 0 for an unknown name."""
         return self.by_number.get(number, np.zeros(6))
 
     def knowing(self, std: Mapping[str, float]) -> OpenFriction:
-        """The same without what the uncertainty of some known numbers has brought into its covariance.
+        """Return the result with a covariance without the part of some known numbers.
 
         Args:
-            std: standard uncertainty of each of these numbers, as the fit took it.
+            std: number → standard uncertainty in the fit.
         """
         covariance = self.covariance.copy()
         for number, deviation in std.items():
@@ -96,41 +99,45 @@ class OpenFriction:
             covariance -= np.outer(shift, shift)
         return replace(self, covariance=covariance)
 
-    def beside_drag(self) -> OpenFriction:
-        """What a spin-down says where F may as well be the air's drag: of F nothing, of the rest as much less."""
+    def without_contact_information(self) -> OpenFriction:
+        """Return the result without information on F, for a spin-down whose F may be the air's drag."""
         covariance = self.covariance.copy()
         covariance[4:], covariance[:, 4:] = 0.0, 0.0
         covariance[[4, 5], [4, 5]] = CONTACT_STD_kg_m2**2
         return replace(self, values=np.r_[self.values[:4], 0.0, 0.0], covariance=covariance)
 
     def covering(self, sources: Sequence[KnownSource]) -> OpenFriction:
-        """The same with the uncertainty of what is taken as known in its covariance."""
+        """Return the result with the uncertainty of known numbers added to its covariance."""
         covariance = self.covariance.copy()
         for shift in self._shifts(sources):
             covariance += np.outer(shift, shift)
         return replace(self, covariance=covariance)
 
     def _shifts(self, sources: Sequence[KnownSource]) -> Array:
-        """The values' shift for one standard deviation of each source, shape (k, 6)."""
+        """Return the shifts of the values for one standard deviation of each source, shape (k, 6)."""
         parts = [sum((self.slope(n) * step for n, step in s.effects.items()), np.zeros(6)) for s in sources]
         return np.array(parts).reshape(len(sources), 6)
 
     def loadings(self, sources: Sequence[KnownSource]) -> Array:
-        """The same in units of (1, 1, 1e-6 N m twice, 1e-9 kg m² twice), shape (6, k)."""
+        """Return the shifts of the values for one standard deviation of each of k sources.
+
+        Returns:
+            Shape (6, k), in units of (1, 1, 1e-6 N m twice, 1e-9 kg m² twice).
+        """
         return (self._shifts(sources) / _UNIT).T
 
     def widened(self, log_damping: Array) -> OpenFriction:
-        """The same with more covariance of ln c3, ln c4, shape (2, 2)."""
+        """Return the result with an additional covariance of ln c3, ln c4, shape (2, 2)."""
         covariance = self.covariance.copy()
         covariance[DAMPING, DAMPING] += log_damping
         return replace(self, covariance=covariance)
 
     def information(self) -> Array:
-        """Inverse covariance in units of (1, 1, 1e-6 N m twice, 1e-9 kg m² twice), shape (6, 6)."""
+        """Return the inverse covariance in units of (1, 1, 1e-6 N m twice, 1e-9 kg m² twice), shape (6, 6)."""
         return inverse(self.covariance / np.outer(_UNIT, _UNIT))
 
     def given(self, friction: Array) -> tuple[Array, Array]:
-        """ln c3, ln c4 (2,) and their covariance (2, 2) were M_A, M_B, F_A, F_B known, shape (4,)."""
+        """Return ln c3, ln c4 (2,) and their covariance (2, 2) for known M_A, M_B, F_A, F_B, shape (4,)."""
         information = self.information()
         own = inverse(information[DAMPING, DAMPING])
         away = (friction - self.values[FRICTION]) / _UNIT[FRICTION]
@@ -139,14 +146,14 @@ class OpenFriction:
 
 @dataclass(frozen=True)
 class Alone:
-    """Damping by one transient, friction not below zero.
+    """Damping by one transient with friction bounded from below by 0.
 
     Attributes:
-        log_damping: the most likely ln c3, ln c4, shape (2,).
-        below, above: how far their 95 % intervals reach, shape (2,).
-        covariance: Gaussian that reaches as far as the longer side, shape (2, 2).
-        known_std: what the standard deviations were if the friction were known, shape (2,).
-        torque_Nm, contact_kg_m2: of A and B, the 95 % limits from above, shape (2,).
+        log_damping: most likely ln c3, ln c4, shape (2,).
+        below, above: distances from them to the ends of the 95 % intervals, shape (2,).
+        covariance: covariance of a normal distribution with the longer side of the intervals, shape (2, 2).
+        known_std: standard deviations for known friction, shape (2,).
+        torque_Nm, contact_kg_m2: upper 95 % limits of the friction of A and B, shape (2,).
     """
 
     log_damping: Array
@@ -160,12 +167,13 @@ class Alone:
 
 @dataclass(frozen=True)
 class Together:
-    """What several transients say of the friction that they share.
+    """Joint estimate of the friction by several transients.
 
     Attributes:
-        friction, covariance: M_A, M_B, F_A, F_B, shapes (4,), (4, 4), with the known numbers' uncertainty.
-        log_damping: ln c3, ln c4 by each test with this friction, shape (2,) each.
-        own: their covariances were the friction known, shape (2, 2) each.
+        friction, covariance: M_A, M_B, F_A, F_B and their covariance with the known numbers' uncertainty, shapes (4,),
+            (4, 4).
+        log_damping: ln c3, ln c4 of each test with this friction, shape (2,) each.
+        own: covariance of these for known friction, shape (2, 2) each.
         shared: shifts of each test's ln c3, ln c4 for one standard deviation of each independent part of the friction's
             error, shape (2, 4) each.
         by_number: known number → derivative of each test's ln c3, ln c4 by it, shape (2,) each.
@@ -180,11 +188,11 @@ class Together:
 
 
 def alone(one: OpenFriction) -> Alone:
-    """The profile likelihood of c3 and of c4 over friction not below zero.
+    """Return damping and intervals by the profile likelihood of c3 and of c4 over friction of at least 0.
 
-    Where the readings ask for less friction than none, the interval is that of a fit without; where they ask for some,
-    or cannot exclude it, it reaches as far as that friction takes it. Beside a boundary a profile alone covers 90 %:
-    unless friction is surely there, the interval holds that of a fit without, too.
+    If the estimate of the friction is negative, the interval is that of a fit without friction. If it is positive or
+    cannot be excluded, the interval extends accordingly. Near a boundary a profile likelihood covers only 90 %.
+    Therefore the interval also contains that of a fit without friction, unless the friction is significant.
     """
     best, below, above = np.zeros(2), np.zeros(2), np.zeros(2)
     none, known = one.given(np.zeros(4))
@@ -192,7 +200,7 @@ def alone(one: OpenFriction) -> Alone:
         at = [k, 2, 3, 4, 5]
         unit = _UNIT[at]
         best[k], low, high = profile(one.values[at] / unit, one.covariance[np.ix_(at, at)] / np.outer(unit, unit), 0)
-        if not _excluded(one):
+        if not _is_significant(one):
             reach = 1.96 * np.sqrt(known[k, k])
             low, high = min(low, none[k] - reach), max(high, none[k] + reach)
         below[k], above[k] = best[k] - low, high - best[k]
@@ -208,19 +216,21 @@ def alone(one: OpenFriction) -> Alone:
     return Alone(best, below, above, correlation * np.outer(std, std), np.sqrt(np.diag(known)), limits[:2], limits[2:])
 
 
-def _excluded(one: OpenFriction) -> bool:
-    """Whether there surely is friction."""
+def _is_significant(one: OpenFriction) -> bool:
+    """Return whether the friction is significant."""
     unit = _UNIT[FRICTION]
     friction = one.values[FRICTION] / unit
     inner = one.covariance[FRICTION, FRICTION] / np.outer(unit, unit)
-    return bool(friction @ inverse(inner) @ friction > _SURELY)
+    return bool(friction @ inverse(inner) @ friction > _SIGNIFICANT_CHI2)
 
 
 def profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, float]:
-    """Most likely value of the first unknown and its 95 % interval, the others not below zero.
+    """Return the most likely value of the first unknown and its 95 % interval; the other unknowns are at least 0.
 
     Args:
-        least: 1 where the first one's own most likely value is not below zero either.
+        mean: estimates, shape (n,).
+        covariance: covariance of the estimates, shape (n, n).
+        least: 1 if the most likely value of the first unknown is also at least 0, else 0.
     """
     spread = np.sqrt(covariance[0, 0])
     slope = covariance[1:, 0] / covariance[0, 0]
@@ -229,14 +239,14 @@ def profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, f
 
     def excess(value: float) -> float:
         wanted = mean[1:] + slope * (value - mean[0])
-        return ((value - mean[0]) / spread) ** 2 + nnls(root, root @ wanted)[1] ** 2
+        return ((value - mean[0]) / spread) ** 2 + _nnls(root, root @ wanted)[1] ** 2
 
     whole = whitener(covariance)
-    # a value of any sign is the difference of two that are not below zero
+    # a value of any sign is the difference of two values of at least 0
     design = whole if least else np.column_stack([whole, -whole[:, 0]])
-    found, left_over = nnls(design, whole @ mean)
+    found, left_over = _nnls(design, whole @ mean)
     best, lowest = float(found[0] - (0.0 if least else found[-1])), left_over**2
-    reach = []
+    reach: list[float] = []
     for side in (-1.0, 1.0):
         near, far = 0.0, spread
         while excess(best + side * far) - lowest < _INSIDE and far < _FURTHEST * spread:
@@ -249,11 +259,13 @@ def profile(mean: Array, covariance: Array, least: int) -> tuple[float, float, f
 
 
 def pooled(tests: Sequence[OpenFriction], sources: Sequence[KnownSource] = ()) -> OpenFriction:
-    """Damping and friction by several tests, or stretches of one: generalised least squares.
+    """Return damping and friction by several tests, or by stretches of one, with generalised least squares.
 
     Args:
-        sources: of uncertainty in what all tests take as known. A test whose answer hangs on a mass weighs less, and
-            what tests disagree in because of a mass is no friction. The covariance is without them, as each test's is.
+        tests: results of the tests, whose covariances do not contain the sources.
+        sources: sources of uncertainty in the known numbers, common to all tests. They reduce the weight of a test
+            whose result depends on a mass, and prevent differences by a mass from counting as friction. The covariance
+            of the result does not contain them.
     """
     k = len(sources)
     whole, rows = np.zeros((6 + k, 6 + k)), list[Array]()
@@ -278,14 +290,15 @@ def pooled(tests: Sequence[OpenFriction], sources: Sequence[KnownSource] = ()) -
 def together(
     tests: Sequence[OpenFriction], trusted: Sequence[int] | None = None, sources: Sequence[KnownSource] = ()
 ) -> Together:
-    """All tests' friction as one, and each test's damping with it.
+    """Return the joint friction of all tests, and each test's damping with it.
+
+    Without sources, the sum of the dampings weighted by their own covariances, with the shared parts added, is exactly
+    the least-squares solution for damping and friction together.
 
     Args:
-        trusted: those that say what the friction is; all of them where it is not given.
-        sources: of uncertainty in what all tests take as known.
-
-    Without sources, weighted sums of the damping, each test by its own covariance, and the shared parts added, are
-    then exactly the least squares over damping and friction together.
+        tests: results of the tests.
+        trusted: indices of the tests that determine the friction; None for all.
+        sources: sources of uncertainty in the known numbers, common to all tests.
     """
     whole = pooled(tests if trusted is None else [tests[i] for i in trusted], sources)
     unit = _UNIT[FRICTION]
@@ -299,7 +312,7 @@ def together(
         out.own.append(own)
         out.log_damping.append(log_damping)
         out.shared.append(-own @ test.information()[DAMPING, FRICTION] @ parts)
-        # damping with the friction that all have found goes with a number directly and by that friction
+        # with the joint friction the damping depends on a number directly and through that friction
         moved = {n: replace(test, values=test.slope(n)).given(whole.slope(n)[FRICTION])[0] for n in whole.by_number}
         out.by_number.append(moved)
     return out

@@ -1,11 +1,11 @@
 # pyright: strict
-"""A transient with some known numbers left open within their standard uncertainties.
+"""A transient with free known numbers, such as masses and lengths, within their standard uncertainties.
 
-A release multiplies what its masses are off by: 0.05 % of a pendulum's mass, which a laboratory's balance leaves, moves
-its angles by tens of standard deviations. A fit that takes the mass as exact then finds friction that is not there, or
-does not follow. With θ extended by the numbers' errors, in standard deviations, each with its unit normal prior, the
-release finds them itself. What other tests have identified goes with a number (by_number of the knowledge); θ's
-suspension is that for the numbers as the rig file has them. Source: docs/theory/pendulum_damping.md.
+A release amplifies errors of its masses: 0.05 % of a pendulum's mass, the error of a laboratory balance, moves its
+angles by tens of standard deviations. A fit with an exact mass then finds friction that does not exist, or does not
+follow. Here θ is extended by the numbers' errors in standard deviations, each with a unit normal prior, so the release
+estimates them. Results of other tests change with a number (by_number of the prior knowledge). The suspension in θ is
+that for the numbers of the rig file. Source: docs/theory/pendulum_damping.md.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from identification.pendulums.transient import TransientProblem
 Array = NDArray[np.float64]
 
 PENDULUMS = ("pendulums.a.mass_kg", "pendulums.a.length_m", "pendulums.b.mass_kg", "pendulums.b.length_m")
-"""Numbers that a release shows. The rotor's mass acts as all of these together."""
-_FURTHEST = 12.0  # standard deviations of a number
-_STEP = 0.1  # of a number's standard uncertainty, for its column
+"""Numbers that a release determines. The rotor's mass has the same effect as all of these together."""
+_FURTHEST = 12.0  # largest error of a number in standard deviations
+_STEP = 0.1  # step of the differences in standard uncertainties
 
 
 def with_open_numbers(
@@ -36,14 +36,14 @@ def with_open_numbers(
     suspension: slice,
     made: Callable[[Knowledge], TransientProblem],
 ) -> TransientProblem:
-    """The problem with the numbers' errors as last unknowns.
+    """Return a problem with the numbers' errors as last unknowns.
 
     Args:
-        problem: without them, p unknowns.
-        knowledge: the problem's.
-        std: number → its standard uncertainty, in its unit, k of them.
-        suspension: where the logarithms of k1, k2, ζ1, ζ2, S_P stand in θ.
-        made: the same problem with other masses and lengths.
+        problem: problem without them, with p unknowns.
+        knowledge: prior knowledge of the problem.
+        std: number → its standard uncertainty, in its unit, for k numbers.
+        suspension: indices of the logarithms of k1, k2, ζ1, ζ2, S_P in θ.
+        made: creates the same problem with other masses and lengths.
     Returns:
         Problem of p + k unknowns.
     """
@@ -69,7 +69,7 @@ def with_open_numbers(
         def column(k: int) -> Array:
             return (angles(own, off + _STEP * np.eye(len(names))[k], end_s, False)[0] - angle) / _STEP
 
-        with ThreadPoolExecutor(THREADS) as pool:  # the motions leave the interpreter to others
+        with ThreadPoolExecutor(THREADS) as pool:  # the compiled motion releases the interpreter lock
             columns = list(pool.map(column, range(len(names))))
         return angle, np.column_stack([slope, *columns])
 

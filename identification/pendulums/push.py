@@ -1,4 +1,4 @@
-"""When each pendulum of a spin-down was pushed and how it then slows: what the coupled fit starts from."""
+"""Start values of the coupled fit of a spin-down: push and run-down of each pendulum."""
 
 from __future__ import annotations
 
@@ -15,19 +15,22 @@ from identification.pendulums.transient import Readings
 from identification.samples import block_averages, encoder_noise
 
 TIME_CONSTANTS = 4.5
+"""Length of the fitted run-down in time constants."""
 _BLOCK_S, _SPEED_S = 0.008, 0.04
 _FEWEST = 400
 
 
 @dataclass(frozen=True)
 class Decline:
-    """The stretch of a record in which a pendulum runs down, and when its push began.
+    """Stretch of a record in which a pendulum runs down.
 
     Attributes:
-        push_s, start_s, end_s: the push's begin, the fastest instant, four and a half time constants on.
-        rate_per_s, speed_rad_s: of the bare exponential.
-        friction_share, stop_s: dry friction's share of the first torque as the angle alone shows it, and when it stops
-            the pendulum; inf where it does not.
+        push_s: begin of the push, s.
+        start_s: instant of the largest speed, s.
+        end_s: end of the stretch, TIME_CONSTANTS time constants later, s.
+        rate_per_s, speed_rad_s: decay rate and initial speed of the fitted exponential.
+        friction_share: share of dry friction in the initial torque, from the angle alone.
+        stop_s: instant at which dry friction stops the pendulum, s; inf if it does not.
     """
 
     push_s: float
@@ -40,12 +43,12 @@ class Decline:
 
 
 def find_decline(time_s: np.ndarray, angle_rad: np.ndarray) -> Decline:
-    """The run-down after the last push.
+    """Find the run-down after the last push.
 
     Args:
         time_s, angle_rad: shape (n,).
     Raises:
-        NotIdentifiable: no motion worth the name, or the speed does not fall.
+        NotIdentifiable: the pendulum hardly moves, or its speed does not decrease.
     """
     data = decline_of(time_s, angle_rad)
     start = float(data.time_s[0])
@@ -58,7 +61,7 @@ def find_decline(time_s: np.ndarray, angle_rad: np.ndarray) -> Decline:
 
 
 def _push(time_s: np.ndarray, angle_rad: np.ndarray, start_s: float, speed_rad_s: float) -> float:
-    """The last instant before the start at which the pendulum hardly moved."""
+    """Return the last instant before the start at which the pendulum hardly moved, s."""
     before = np.isfinite(angle_rad) & (time_s < start_s)
     t, angle = time_s[before], angle_rad[before]
     if len(t) < 3:
@@ -69,10 +72,13 @@ def _push(time_s: np.ndarray, angle_rad: np.ndarray, start_s: float, speed_rad_s
 
 
 def spin_down_readings(time_s: np.ndarray, angle_rad: np.ndarray, rate_per_s: float) -> Readings:
-    """One encoder's samples with blocks short against the decay, and the noise where the pendulum moves.
+    """Return one encoder's samples with averages over blocks that are short compared with the decay.
 
+    Args:
+        time_s, angle_rad: samples, shape (n,).
+        rate_per_s: decay rate, 1/s.
     Raises:
-        NotIdentifiable: too few samples.
+        NotIdentifiable: there are too few samples.
     """
     good = np.isfinite(angle_rad)
     if np.count_nonzero(good) < _FEWEST:

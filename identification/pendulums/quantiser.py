@@ -1,17 +1,15 @@
-"""What an encoder's steps do to an estimate of a run-down.
+"""Effect of an encoder's quantisation on the estimate of a run-down.
 
-Readings are whole steps. While a pendulum crosses many steps the rounding is noise of step/√12; near standstill it is
-one constant, and least squares that take it for noise promise too much. Two remedies:
+Readings are integer multiples of a step. While a pendulum crosses many steps, the rounding error is noise of step/√12.
+Near standstill it is constant, and least squares with the assumption of noise underestimate the uncertainty. There are
+two methods:
 
-- `rounding_errors`: the curve just fitted is sent through a quantiser many times, from start angles spread over a
-  step, and the estimator's linear answer to each rounding error is what it will be wrong by.
-- `quantised_posterior`: the likelihood of whole steps itself, Φ((n + ½ − m)/s) − Φ((n − ½ − m)/s) with the angle m in
-  steps and the jitter s unknown, explored by an ensemble of walkers (Goodman and Weare, Comm. Appl. Math. Comp. Sci. 5,
-  2010, 65–80). Nothing is linearised and nothing about s → 0, where the likelihood becomes a box, is assumed.
+- `rounding_errors`: the fitted curve is quantised many times, with start angles spread over a step. The linear response
+  of the estimator to each rounding error is a sample of its error.
+- `quantised_posterior`: the likelihood of the integer readings, Φ((n + ½ − m)/s) − Φ((n − ½ − m)/s) with the angle m in
+  steps and unknown jitter s, is sampled by an ensemble of walkers (Goodman and Weare, Comm. Appl. Math. Comp. Sci. 5,
+  2010, 65–80). It is not linearised, and it holds also for s → 0, where the likelihood becomes a box.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
@@ -19,21 +17,26 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from identification.pendulums.run_down import RunDown
+
+Array = NDArray[np.float64]
 
 _LEAST_JITTER, _MOST_JITTER = 0.02, 1.5  # in steps
 _STRETCH = 2.0
 
 
 def rounding_errors(curves_rad: np.ndarray, step_rad: float, jitter_rad: float, seed: int) -> np.ndarray:
-    """Errors of an encoder's readings of some curves, their start angles spread evenly over a step.
+    """Return the errors of an encoder's readings of curves whose start angles are spread evenly over a step.
 
     Args:
         curves_rad: shape (draws, n).
-        jitter_rad: noise before the rounding.
+        step_rad: quantisation step, rad.
+        jitter_rad: standard deviation of the noise before the rounding, rad.
+        seed: seed of the random numbers.
     Returns:
-        shape (draws, n), rad.
+        Errors, rad, shape (draws, n).
     """
     rng, draws = np.random.default_rng(seed), len(curves_rad)
     shifted = curves_rad + (step_rad * (rng.permutation(draws) + 0.5) / draws)[:, None]
@@ -49,8 +52,8 @@ def rounding_errors(curves_rad: np.ndarray, step_rad: float, jitter_rad: float, 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _log_posterior(theta, time, count, step, friction):
-    """θ = (θ0, v0, ln λ, h, ln s); angles in rad, s in steps. Flat in all of them but for bounds."""
+def _log_posterior(theta: Array, time: Array, count: Array, step: float, friction: bool) -> float:
+    """Return the log posterior of θ = (θ0, v0, ln λ, h, ln s), angles in rad, s in steps, with a flat bounded prior."""
     share = theta[3] if friction else 0.0
     s = math.exp(theta[4])
     if s < _LEAST_JITTER or s > _MOST_JITTER or share < -0.5 or share > 1e3 or abs(theta[2]) > 20.0:
@@ -64,14 +67,14 @@ def _log_posterior(theta, time, count, step, friction):
         off = count[k] - (theta[0] + theta[1] * ((1.0 + share) * fallen - share * t)) / step
         low, high = (abs(off) - 0.5) * scale, (abs(off) + 0.5) * scale
         p = 0.5 * (math.erfc(low) - math.erfc(high))
-        # 1e-9 of all readings may be anything: one wild one does not decide
+        # an outlier share of 1e-9 limits the influence of a single outlier
         total += math.log(p + 1e-9)
     return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _walk(walkers, steps, time, count, step, friction, seed):
-    """Stretch moves; returns the positions after every sweep, shape (steps, walkers, 5)."""
+def _walk(walkers: Array, steps: int, time: Array, count: Array, step: float, friction: bool, seed: int) -> Array:
+    """Make stretch moves; return the positions after every sweep, shape (steps, walkers, 5)."""
     np.random.seed(seed)
     n, dimension = walkers.shape[0], (5 if friction else 4)
     kept = np.empty((steps, n, 5))
@@ -97,14 +100,16 @@ def _walk(walkers, steps, time, count, step, friction, seed):
 def quantised_posterior(
     data: RunDown, theta: np.ndarray, covariance: np.ndarray, sweeps: int, seed: int = 1, walkers: int = 32
 ) -> np.ndarray:
-    """Draws of (θ0, v0, ln λ, h) given whole steps; h is 0 throughout when theta has no friction.
+    """Return samples of (θ0, v0, ln λ, h) for integer readings; h is 0 if theta has no friction.
 
     Args:
-        data: a quantised run-down.
-        theta, covariance: where least squares ended, shapes (3 or 4,), (3 or 4, 3 or 4): the walkers start around it.
-        sweeps: moves of each walker that are kept; half as many come before.
+        data: quantised run-down.
+        theta, covariance: least-squares estimate, around which the walkers start, shapes (3 or 4,), (3 or 4, 3 or 4).
+        sweeps: number of stored moves of each walker, after half as many moves that are discarded.
+        seed: seed of the random numbers.
+        walkers: number of walkers.
     Returns:
-        shape (sweeps × walkers, 4).
+        Samples, shape (sweeps × walkers, 4).
     """
     rng = np.random.default_rng(seed)
     friction, size = len(theta) == 4, len(theta)

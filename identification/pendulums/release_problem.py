@@ -1,9 +1,9 @@
-"""What the encoders read of a release, as least squares: unknowns, knowledge, readings and derivatives.
+"""Least-squares problem of a release: unknowns, prior knowledge, encoder readings and derivatives.
 
 θ = (ln c3, ln c4, θ3, θ4 at release, two encoder zeros, shift of the release's time, the disk's deviation x, y, ẋ, ẏ
-from its locked orbit, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P), then with dry friction its torque on A and B at the rotor's
-speed (of both shapes: first one's, then the other's), then what the recorded phase leaves open, then the errors of the
-pendulums' masses and lengths where these are open.
+from its locked orbit, ln k1, ln k2, ln ζ1, ln ζ2, ln S_P). With dry friction follow its torques on A and B at the
+rotor's speed (for the shape "both" first those of "torque", then those of "contact"). Then follow the errors of the
+recorded phase, and the errors of the pendulums' masses and lengths if these are free.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from identification.setting import Setting
 from rig_configs.known import INDEX, ZERO_A, ZERO_B
 
 Shape = Literal["torque", "contact", "both"]
-"""How dry friction goes with the speed: a torque the same at any, one that goes with the contact force, or both."""
+"""Shape of dry friction: torque independent of the speed, torque proportional to the contact force, or both."""
 
 SUSPENSION, _BASE = slice(11, 16), 16
 _START, _ZEROS, _SHIFT, _DISK = slice(2, 4), slice(4, 6), 6, slice(7, 11)
-_VAGUE_S = 0.03  # a release whose instant is known no better would bias the damping
+_MAX_TIME_STD_S = 0.03  # standard uncertainty of the instant of release above which the damping would be biased
 _BLOCK_S = {"fast": 0.004, "balanced": 0.004, "reference": 0.001}
 _SHIFT_STD_S, _DISK_STD_M = 1e-3, 2e-5
-_EXACT_RAD, _TURN_RAD = 1e-7, 1e-5  # zeros taken as exact; a step of the index angle
+_EXACT_RAD, _TURN_RAD = 1e-7, 1e-5  # standard deviation of exact zeros; step of the index angle
 _LONGEST_S, _AFTER_SETTLING_S, _MEMORY_S = 25.0, 0.5, 12.0
-_DAMPING_STD = 2.5  # ln c: a start a hundred times wrong is within two of it
-_DAMPING_BESIDE_STD = 0.7  # beside dry friction, which could otherwise stand in for all of it
+_DAMPING_STD = 2.5  # prior of ln c: a start value wrong by a factor of 100 is within two standard deviations
+_DAMPING_WITH_FRICTION_STD = 0.7  # the same with dry friction, which could otherwise replace the viscous damping
 
 
 @dataclass(frozen=True)
@@ -52,16 +52,16 @@ class Release:
     """One recorded release.
 
     Attributes:
-        run: the recording.
-        knowledge: masses, lengths, suspension, and damping to start from.
-        rest: the locked rig up to it.
-        speed: the rotor's phase, and how far it may be otherwise.
-        begin_s: from where on readings are fitted.
-        release_std_s: how well its instant is known.
-        readings: both encoders from begin_s on.
-        locked_rad: their mean readings before, shape (2,).
-        zero_std_rad: of the encoders' zeros.
-        number_std: known number that is open → its standard uncertainty.
+        run: recording.
+        knowledge: masses, lengths, prior knowledge of the suspension, and start values of damping.
+        rest: locked rig before the release.
+        speed: rotor phase and its uncertainty.
+        begin_s: start of the fitted readings, s.
+        release_std_s: standard uncertainty of the instant of release, s.
+        readings: readings of both encoders from `begin_s` on.
+        locked_rad: mean readings of the locked pendulums, rad, shape (2,).
+        zero_std_rad: standard uncertainty of the encoders' zeros, rad.
+        number_std: free known number → its standard uncertainty.
     """
 
     run: Run
@@ -77,10 +77,10 @@ class Release:
 
     @classmethod
     def of(cls, run: Run, knowledge: Knowledge, zero_std_rad: float, setting: Setting) -> Release:
-        """What a run holds of a release.
+        """Create the release from a run.
 
         Raises:
-            NotIdentifiable: no releases, or too few marks or samples.
+            NotIdentifiable: there are no releases, or too few marks or samples.
         """
         go, go_std = _release_time(run)
         rest, speed = _locked_start(run, go)
@@ -94,38 +94,38 @@ class Release:
 
     @property
     def speed_rad_s(self) -> float:
-        """The rotor's speed at the release."""
+        """Rotor speed at the release, rad/s."""
         return float(self.rest.history.phase(self.rest.release_s)[0, 1])
 
     @property
     def moved_rad(self) -> np.ndarray:
-        """How far each pendulum goes after the release, without the encoders' flicker, shape (2,)."""
+        """Range of each pendulum's angle after the release, without the encoders' flicker, rad, shape (2,)."""
         ranges = [np.quantile(r.averages.value, [0.005, 0.995]) for r in self.readings]
         return np.array([float(high - low) for low, high in ranges])
 
     @property
     def start(self) -> np.ndarray:
-        """θ to begin with, without friction and phase, shape (16,)."""
+        """Start value of θ without friction and phase, shape (16,)."""
         physics = self.knowledge.physics
         damping = np.log([physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad])
         return np.r_[damping, self.locked_rad, np.zeros(7), log_suspension(physics)]
 
     @property
     def _zero_std(self) -> float:
-        """Of the encoders' zeros; of exact ones, so little that it hardly counts."""
+        """Standard deviation of the encoders' zeros, with a negligible value for exact ones, rad."""
         return max(self.zero_std_rad, _EXACT_RAD)
 
     @property
     def open_phase(self) -> int:
-        """How many unknowns the phase brings, the last of θ."""
+        """Number of unknowns of the phase in θ."""
         return len(self.speed.modes) + int(not self.run.phase_absolute)
 
     def problem(self, shape: Shape | None = None) -> TransientProblem:
-        """The least-squares problem, with dry friction of a shape or without."""
+        """Return the least-squares problem with dry friction of a shape, or without for None."""
         start, omega = self.start, self.knowledge.physics.natural_frequencies_rad_s[0]
-        # start angles are the locked ones less the zeros; the mean of quantised readings at rest is good to a step/√12
+        # start angles are locked angles minus zeros; the mean of quantised readings at rest has an error of step/√12
         angle_std = max(max(r.step_rad for r in self.readings) / np.sqrt(12), 1e-5)
-        damping_std = _DAMPING_STD if shape is None else _DAMPING_BESIDE_STD
+        damping_std = _DAMPING_STD if shape is None else _DAMPING_WITH_FRICTION_STD
         std = np.r_[
             damping_std,
             damping_std,
@@ -164,7 +164,7 @@ class Release:
         shape: Shape | None,
         slopes: bool = True,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Readings of both encoders and derivatives: θ's start angles are readings, the true ones less by the zeros."""
+        """Return readings of both encoders and derivatives; the true start angles are those of θ minus the zeros."""
         count, size = sum(len(c.time_s) for c in cut), len(theta)
         bad = np.full(count, np.nan), np.zeros((count, size))
         if not np.all(np.isfinite(theta)) or np.max(np.abs(theta[[0, 1, *range(11, 16)]])) > 40:
@@ -172,7 +172,7 @@ class Release:
         rest = self.rest.along(self.speed.moved(phase)) if np.any(phase) else self.rest
         try:
             now = laid_over(self.knowledge, theta[:2], theta[SUSPENSION])
-        except OutsideDomain:  # a trial that no rig can be
+        except OutsideDomain:  # a trial with impossible parameters
             return bad
         true, at = theta[_START] - theta[_ZEROS], theta[_SHIFT]
         state, by = rest.at(now, true[0], true[1], at)
@@ -195,7 +195,7 @@ class Release:
         return angle + theta[_ZEROS][zero], slope
 
     def _dry(self, theta: np.ndarray, shape: Shape | None) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """M_A, M_B, F_A, F_B and their derivatives by θ."""
+        """Return M_A, M_B, F_A, F_B and their derivatives by θ."""
         if shape is None:
             return None, None
         w2 = self.speed_rad_s**2
@@ -207,18 +207,18 @@ class Release:
         return unit @ theta[at], by
 
     def with_torque(self, theta: np.ndarray, torque_Nm: np.ndarray) -> np.ndarray:
-        """θ of a problem without friction as one with it."""
+        """Return θ of a problem with friction from that of a problem without."""
         return np.r_[theta[:_BASE], torque_Nm, theta[_BASE:]]
 
     def friction_evidence(self, minimum: Minimum, end_s: float) -> Evidence:
-        """Whether friction would mend a fit that goes without."""
+        """Return the score test for friction in a fit without friction."""
         plain = self.problem()
         first, second = plain.cut(end_s)
         columns, rounding = self.torque_columns(minimum, end_s), plain.rounding(minimum, end_s, 40)
         return evidence(minimum, columns, rounding, (len(first.time_s), len(second.time_s)))
 
     def torque_columns(self, minimum: Minimum, end_s: float) -> np.ndarray:
-        """Derivatives of the weighted readings by friction of A and B for a fit without, shape (n, 2), per N m."""
+        """Return derivatives of the weighted readings by friction of A and B per N m, for a fit without, (n, 2)."""
         problem = self.problem("torque")
         _, slope = problem.predict(self.with_torque(minimum.theta, np.zeros(2)), end_s)
         weight = np.concatenate([c.weight for c in problem.cut(end_s)])
@@ -227,9 +227,9 @@ class Release:
     def open_friction(
         self, shape: Shape | None, minimum: Minimum, end_s: float, setting: Setting
     ) -> OpenFriction | None:
-        """What a fit with friction of one shape says of damping and all friction; None where it cannot be followed.
+        """Return damping and free friction from a fit with friction of one shape; None if the fit fails.
 
-        Where that is too much for the readings, M + F ω² counts as what the fit's own shape made of it.
+        If the readings do not determine both M and F, the result is M + F ω² by the shape of the fit.
         """
         problem, w2 = self.problem("both"), self.speed_rad_s**2
         wanted = [0, 1, *range(_BASE, _BASE + 4)]
@@ -241,15 +241,15 @@ class Release:
             at = 2 if shape == "contact" else 0
             torque[at : at + 2] = minimum.theta[_BASE:after]
         found = problem.opened(np.r_[minimum.theta[:_BASE], torque, minimum.theta[after:]], end_s)
-        if found is None and shape is None:  # M and F that nearly cancel are far off along their valley
+        if found is None and shape is None:  # M and F that nearly cancel lie far away along a valley
             start = self.with_torque(minimum.theta, np.zeros(2))
             dry = self.problem("torque").opened(start, end_s)
             return None if dry is None else self._at_this_speed("torque", dry, end_s, setting)
         if found is None:
             return self._at_this_speed(shape or "torque", minimum, end_s, setting)
         unit = np.r_[1.0, 1.0, 1.0 / scale]
-        # M and F ω² are seen as nearly one: how c goes with each is known from the white noise's covariance, while a
-        # hundred draws of the rounding would blur it; they tell by how much all of it is longer
+        # M and F ω² have nearly the same effect. The dependence of c on each comes from the covariance of white noise,
+        # since the scatter of a hundred rounding draws would distort it. The draws only give the common stretch.
         white = found.covariance[np.ix_(wanted, wanted)]
         seen = np.zeros((4, 6))
         seen[[0, 1, 2, 3, 2, 3], range(6)] = 1.0
@@ -274,12 +274,14 @@ class Release:
     def by_number(
         self, problem: TransientProblem, minimum: Minimum, end_s: float, shape: Shape | None, wanted: Sequence[int]
     ) -> dict[str, np.ndarray]:
-        """How some of θ go with the known numbers: masses, lengths, both encoders' zeros and the index angle.
+        """Return derivatives of components of θ by masses, lengths, both encoders' zeros and the index angle.
 
         Args:
-            problem: of this release, with dry friction of the shape.
-            minimum: its, at the last instant.
-            wanted: places in θ, m of them.
+            problem: problem of this release with dry friction of the shape.
+            minimum: minimum of the problem for data up to `end_s`.
+            end_s: last instant of the data, s.
+            shape: shape of the dry friction.
+            wanted: m indices in θ.
         Returns:
             Number → derivative, shape (m,), per unit of the number.
         """
@@ -304,7 +306,13 @@ class Release:
         return found
 
     def friction(self, minimum: Minimum, covariance: np.ndarray, shape: Shape) -> Friction:
-        """The friction that a fit found; covariance of both torques, shape (2, 2)."""
+        """Return the friction of a fit.
+
+        Args:
+            minimum: minimum with dry friction.
+            covariance: covariance of both torques, shape (2, 2).
+            shape: shape of the dry friction.
+        """
         first, second = minimum.theta[_BASE : _BASE + 2].tolist()
         std = np.sqrt(np.diag(covariance))
         if shape == "torque":
@@ -315,15 +323,15 @@ class Release:
 
     @property
     def opened(self) -> Release:
-        """The same with the pendulums' masses and lengths open as far as their uncertainties are stated.
+        """The release with free masses and lengths of the pendulums, for those with a stated uncertainty.
 
-        Where the phase has no reference they stay: an unknown angle is searched for as the last of θ.
+        They remain fixed if the phase has no reference, because the search requires the unknown angle as the last of θ.
         """
-        known = self.knowledge.number_std if self.run.phase_absolute else {}
+        known: Mapping[str, float] = self.knowledge.number_std if self.run.phase_absolute else {}
         return replace(self, number_std={name: known[name] for name in PENDULUMS if known.get(name)})
 
     def fixed(self, theta: np.ndarray) -> tuple[Release, np.ndarray]:
-        """The release with the numbers that θ has found in place of open ones, and the rest of θ."""
+        """Return the release with the free numbers fixed at their values in θ, and the other components of θ."""
         if not self.number_std:
             return self, theta
         own, off = np.split(theta.copy(), [len(theta) - len(self.number_std)])
@@ -334,12 +342,12 @@ class Release:
         return replace(self, knowledge=moved, number_std={}), own
 
     def horizons(self, setting: Setting) -> list[float]:
-        """Last instants: 0.5 s on, then 1.6 times as long each time, up to where both angles have come to rest."""
+        """Return the last instants of the stretches: 0.5 s, growing by 1.6, up to the rest of both angles, s."""
         found = _horizons(self.readings)
         return found[: max(2, len(found) - 2)] if setting == "fast" else found
 
     def laid_over(self, physics_knowledge: Knowledge) -> Release:
-        """The same recording with other masses and lengths."""
+        """Return the same recording with other prior knowledge."""
         return replace(self, knowledge=physics_knowledge)
 
 
@@ -350,20 +358,22 @@ def _unknowns(shape: Shape | None) -> int:
 def _release_time(run: Run) -> tuple[float, float]:
     times = {r.pendulum: r.time_s for r in run.releases}
     if set(times) != {0, 1}:
-        raise NotIdentifiable(f"{run.source}: it holds no release of both pendulums")
+        raise NotIdentifiable(f"{run.source}: expected a release of both pendulums, found {len(times)} released")
     if abs(times[0] - times[1]) > 2e-3 + 3 * max(r.time_std_s for r in run.releases):
-        raise NotIdentifiable(f"{run.source}: pendulums released {abs(times[0] - times[1]):.3g} s apart")
-    worst = max(r.time_std_s for r in run.releases)
-    if worst >= _VAGUE_S:
         raise NotIdentifiable(
-            f"{run.source}: the instant of release is known to ± {worst:.2g} s only, as of one by hand: too "
-            f"little for their damping, wanted below {_VAGUE_S:g} s. Record a spin-down"
+            f"{run.source}: the pendulums were released {abs(times[0] - times[1]):.3g} s apart; release both at once"
+        )
+    worst = max(r.time_std_s for r in run.releases)
+    if worst >= _MAX_TIME_STD_S:
+        raise NotIdentifiable(
+            f"{run.source}: the standard uncertainty of the instant of release is {worst:.2g} s, as for a release by "
+            f"hand; below {_MAX_TIME_STD_S:g} s is needed for the damping. Record a spin-down"
         )
     return 0.5 * (times[0] + times[1]), max(_SHIFT_STD_S, *(r.time_std_s for r in run.releases))
 
 
 def _locked_start(run: Run, release_s: float) -> tuple[LockedStart, RecordedSpeed]:
-    """The speed over what the fit needs."""
+    """Return the locked rig before the release and the rotor phase over the stretch that the fit needs."""
     try:
         speed = recorded_speed(run, release_s - _MEMORY_S - 1.0)
     except OutsideDomain as error:
@@ -371,32 +381,32 @@ def _locked_start(run: Run, release_s: float) -> tuple[LockedStart, RecordedSpee
     history = speed.history
     earliest = max(float(history.knots_s[0]), release_s - _MEMORY_S)
     if earliest > release_s - 0.2:
-        raise NotIdentifiable(f"{run.source}: the speed before the release is not known")
+        raise NotIdentifiable(f"{run.source}: the speed is not recorded for 0.2 s before the release; record longer")
     return LockedStart(history, earliest, release_s), speed
 
 
 def _readings(run: Run, begin_s: float, block_s: float) -> tuple[Readings, Readings]:
     keep = run.angle_time_s > begin_s
-    out = []
+    out: list[Readings] = []
     for i in range(2):
         good = keep & np.isfinite(run.angle_rad[:, i])
         time, angle = run.angle_time_s[good], run.angle_rad[good, i]
         if len(angle) < 500:
             raise NotIdentifiable(f"{run.source}: {len(angle)} encoder samples after the release are too few")
-        step = encoder_step(angle)  # what the recording says of it may be wrong, or it is not quantised
+        step = encoder_step(angle)  # the step in the recording may be wrong, or the angle is not quantised
         noise = encoder_noise(angle, step) if step else encoder_noise(angle, 1e-6)
         out.append(Readings(time, angle, block_averages(time, angle, block_s, noise), step))
     return out[0], out[1]
 
 
 def _horizons(readings: tuple[Readings, Readings]) -> list[float]:
-    """Last instants: 0.5 s on, then 1.6 times as long each time, up to where both angles have come to rest."""
+    """Return the last instants of the stretches: 0.5 s, growing by 1.6, up to the rest of both angles, s."""
     blocks = [r.averages for r in readings]
     begin = last = blocks[0].time_s[0]
     for channel in blocks:
         tail = channel.value[channel.time_s > channel.time_s[-1] - 1.0]
         moving = np.abs(channel.value - tail.mean()) > 0.03 * np.ptp(channel.value) + 2 * np.ptp(tail)
-        if np.ptp(tail) > 0.2 * np.ptp(channel.value):  # it creeps, or swings on
+        if np.ptp(tail) > 0.2 * np.ptp(channel.value):  # it still creeps or swings
             last = channel.time_s[-1]
         elif moving.any():
             last = max(last, channel.time_s[np.flatnonzero(moving)[-1]])

@@ -1,9 +1,9 @@
-"""The search for what a release's readings say: growing horizons from several starts, and when to stop trying.
+"""Search for the minima of a release fit: growing horizons from several starts, and the criteria to stop.
 
-A release starts near an unstable equilibrium, so the fit proceeds over growing horizons, each from the one before.
-Where the start is at fault another start ends elsewhere. Where the model is at fault (masses, lengths, friction) starts
-far apart end at the same place with the same residual: three of them, and the search ends, with what it found kept for
-the question what would mend it. A search whose starts all end at different places is bounded by its effort.
+A release starts near an unstable equilibrium, so the fit proceeds over growing horizons, each from the minimum of the
+one before. If a start value is wrong, another start ends elsewhere. If the model is wrong (masses, lengths, friction),
+distant starts end at the same place with the same residual. After three of these the search ends, and its trials are
+kept for the diagnosis. A search whose starts all end at different places is limited by its effort.
 """
 
 from __future__ import annotations
@@ -18,26 +18,29 @@ from identification.least_squares import Minimum
 from identification.pendulums.answers import plausible_answers
 from identification.pendulums.transient import TransientProblem
 
-GOOD = 1.5  # χ²/dof
-_HELD_STD = 0.4  # ln c
-_EARLY, _LATE, _MORE = 8, 25, 60  # iterations: of a horizon, of the last one, and where that has nearly settled
-_ALIKE_C, _ALIKE_COST, _FAR_APART = 0.05, 1.1, 0.7  # ln c, ratio of costs, ln c between starts
-_SAME_END = 3
-_HOPELESS = 1e3  # χ²/dof of a start that led nowhere: it says nothing of the model
+GOOD = 1.5
+"""Largest misfit (χ²/dof over that of noise) of an accepted fit."""
+_HELD_STD = 0.4  # prior standard deviation of a held ln c
+_EARLY, _LATE, _MORE = 8, 25, 60  # iterations: of a horizon, of the last one, and of a last one that nearly converged
+_SAME_LOG_C, _SAME_COST_RATIO = 0.05, 1.1  # largest differences between fits that end at the same place
+_DISTANT_LOG_C = 0.7  # smallest difference between distant starts
+_SAME_ENDS = 3  # number of equal ends after which the model counts as wrong
+_MAX_MISFIT = 1e3  # larger misfits come from a wrong start and contain no information about the model
 
-Tell = Callable[[str], None]
+Notify = Callable[[str], None]
+"""Called with one line of text."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Where one start led.
+    """Result of one start.
 
     Attributes:
-        start: it.
-        minimum, end_s: the last fit and its horizon.
-        misfit: of that, 1 for a right model.
+        start: start value of θ.
+        minimum, end_s: last fit and its horizon.
+        misfit: misfit of that fit, 1 for a correct model.
         whole: whether that horizon is the last one.
-        doubtful: the first fit whose residuals are not noise, and its horizon; None where there is none.
+        doubtful: first fit with residuals above noise, and its horizon; None if all residuals are noise.
     """
 
     start: np.ndarray
@@ -49,29 +52,34 @@ class Trial:
 
     @property
     def good(self) -> bool:
-        """Whether it explains all the readings and has settled."""
+        """Whether the fit explains all readings and has converged."""
         return self.whole and self.misfit < GOOD and self.minimum.converged
 
     def ends_like(self, other: Trial) -> bool:
-        """Whether two fits ended at the same place."""
+        """Return whether two fits ended at the same place."""
         near = float(np.max(np.abs(self.minimum.theta[:2] - other.minimum.theta[:2])))
         costs = sorted((self.minimum.cost, other.minimum.cost))
-        return self.end_s == other.end_s and near < _ALIKE_C and costs[1] < _ALIKE_COST * costs[0]
+        return self.end_s == other.end_s and near < _SAME_LOG_C and costs[1] < _SAME_COST_RATIO * costs[0]
 
 
 @dataclass
 class Effort:
-    """How much may be spent on searches, in seconds of motion integrated; shared by a campaign's releases.
+    """Budget of the searches of a campaign's releases, in seconds of integrated motion.
 
     Attributes:
-        left: what remains; a search that finds it used up makes do with its first starts.
+        left: remaining budget, s. If it is used up, a search tries only its first starts.
     """
 
     left: float = 3000.0
 
 
 class NotFollowed(FitFailed):
-    """No start led to a fit of the whole; with what was found on the way."""
+    """No start led to a fit of the whole release.
+
+    Attributes:
+        trials: results of the starts.
+        structural: whether distant starts ended at the same place, so that the model counts as wrong.
+    """
 
     def __init__(self, message: str, trials: list[Trial], structural: bool) -> None:
         super().__init__(message)
@@ -79,7 +87,7 @@ class NotFollowed(FitFailed):
 
     @property
     def doubtful(self) -> tuple[Minimum, float] | None:
-        """The trial that followed longest, where its residuals first were more than noise."""
+        """First fit with residuals above noise and its horizon, of the trial with the longest horizon."""
         found = [t for t in self.trials if t.doubtful is not None]
         if not found:
             return None
@@ -88,42 +96,44 @@ class NotFollowed(FitFailed):
 
 @dataclass
 class Search:
-    """One release's search.
+    """Search for the minima of one release.
 
     Attributes:
-        problem, horizons: what is fitted, last instants.
-        fewest: starts tried in any case; after them the search ends as soon as one has led somewhere.
-        effort: shared with other searches.
-        tell: told what is tried, now and then.
-        early: iterations over each horizon but the last; a motion that sticks and slides needs more.
+        problem: least-squares problem of the release.
+        horizons: last instants of the growing stretches, s.
+        fewest: smallest number of starts. After these the search ends with the first good trial.
+        effort: budget shared with other searches.
+        notify: called with one line of text before each start after the first.
+        early: iterations over each horizon except the last. A motion with sticking needs more of them.
+        trials: results of the starts.
     """
 
     problem: TransientProblem
     horizons: list[float]
     fewest: int
     effort: Effort
-    tell: Tell
+    notify: Notify
     early: int = _EARLY
-    trials: list[Trial] = field(default_factory=list)
+    trials: list[Trial] = field(default_factory=list[Trial])
 
     def answers(self, starts: Iterable[tuple[np.ndarray, bool]], source: str) -> list[Minimum]:
-        """What the starts lead to that explains the readings, the best first.
+        """Return the minima that explain the readings, the best first.
 
         Args:
-            starts: (θ, whether the damping is kept near it over the first horizons).
-            source: named in the message.
+            starts: (θ, whether the damping is held near that of θ over the first horizons).
+            source: name of the log for the message.
         Raises:
-            NotFollowed: the model does not follow the angles from any of them.
+            NotFollowed: the model does not follow the angles from any start.
         """
         good: list[Minimum] = []
         for number, (start, held) in enumerate(starts, 1):
             if number > max(2, self.fewest) and (self.effort.left <= 0 or self.structural):
                 break
             if number > 1:
-                self.tell(f"start {number}")
+                self.notify(f"start {number}")
             try:
                 trial = self._grown(start, held)
-            except FitFailed:  # the motion from there is beyond all numbers
+            except FitFailed:  # the motion from this start is not finite
                 continue
             self.trials.append(trial)
             if trial.good:
@@ -132,25 +142,26 @@ class Search:
                 break
         if good:
             return plausible_answers(good)
-        raise NotFollowed(f"{source}: {self._happened()}", self.trials, self.structural)
+        raise NotFollowed(f"{source}: {self._failure_text()}", self.trials, self.structural)
 
     @property
     def structural(self) -> bool:
-        """Whether starts far apart have ended at the same place: another start will, too."""
+        """Whether distant starts have ended at the same place, so that other starts will as well."""
         for trial in self.trials:
-            alike = [t for t in self.trials if t.misfit < _HOPELESS and t.ends_like(trial)]
-            if len(alike) >= _SAME_END:
+            alike = [t for t in self.trials if t.misfit < _MAX_MISFIT and t.ends_like(trial)]
+            if len(alike) >= _SAME_ENDS:
                 starts = np.array([t.start[:2] for t in alike])
-                if float(np.max(np.ptp(starts, axis=0))) > _FAR_APART:
+                if float(np.max(np.ptp(starts, axis=0))) > _DISTANT_LOG_C:
                     return True
         return False
 
     def _grown(self, start: np.ndarray, held: bool) -> Trial:
-        """Least squares over growing horizons; it ends at an early one where the model fails.
+        """Fit over growing horizons; stop at an early one if the model fails.
 
         Args:
-            held: keep the damping near the start's for the first ones. Half a second says little about weak damping,
-                and what it says can lead to a side minimum.
+            start: start value of θ.
+            held: whether to hold the damping near that of the start for the first horizons. Half a second contains
+                little information on weak damping, which can lead to a side minimum.
         """
         early = holding(self.problem, start) if held else self.problem
         theta, doubtful = start, None
@@ -174,7 +185,7 @@ class Search:
         assert trial is not None
         return trial
 
-    def _happened(self) -> str:
+    def _failure_text(self) -> str:
         begin = float(self.problem.readings[0].averages.time_s[0])
         whole = [t for t in self.trials if t.whole and np.isfinite(t.misfit)]
         over = f"the model does not follow the released pendulums over {self.horizons[-1] - begin:.2g} s"
@@ -186,13 +197,13 @@ class Search:
             )
         if whole:
             least = min(t.misfit for t in whole)
-            return f"{over} (residuals {least:.3g} times what noise explains, expected below {GOOD:g})"
+            return f"{over} (residuals {least:.3g} times those explained by noise, expected below {GOOD:g})"
         furthest = max((t.end_s for t in self.trials), default=self.horizons[0]) - begin
-        return f"{over} (from no start value did it get past the first {furthest:.2g} s)"
+        return f"{over} (no start value led beyond the first {furthest:.2g} s)"
 
 
 def holding(problem: TransientProblem, start: np.ndarray) -> TransientProblem:
-    """The problem with the damping kept near the start's."""
+    """Return the problem with the damping held near that of a start."""
     prior, std = problem.prior.copy(), problem.prior_std.copy()
     prior[:2], std[:2] = start[:2], _HELD_STD
     return replace(problem, prior=prior, prior_std=std)

@@ -1,7 +1,7 @@
-"""Least squares on a run-down, with the covariance that the encoder's rounding and the model's misfit give them.
+"""Least squares on a run-down, with a covariance that includes the encoder's rounding and the model's misfit.
 
-The stretch is chosen: a longer one holds more information as long as rounding is noise, and less where it is not. The
-fitted curve, sent through a quantiser, tells which.
+The length of the stretch is selected. A longer one contains more information while rounding acts as noise, and less
+otherwise. The selection uses quantised copies of the fitted curve.
 """
 
 from __future__ import annotations
@@ -18,13 +18,22 @@ from identification.samples import correlation_inflation
 from identification.setting import Setting
 
 TIME_CONSTANTS = 5.0
-_STRETCHES = (4.5, 5.0, 5.5, 6.0, 7.0, 8.0)  # time constants; where rounding is no noise a longer one is worse
-_ROUNDED = {"fast": 0, "balanced": 1_500_000, "reference": 4_000_000}  # readings sent through the quantiser
+"""Default length of a stretch in time constants."""
+_STRETCHES = (4.5, 5.0, 5.5, 6.0, 7.0, 8.0)  # candidate lengths in time constants
+_ROUNDED = {"fast": 0, "balanced": 1_500_000, "reference": 4_000_000}  # number of readings for the quantiser
 
 
 @dataclass(frozen=True)
 class FittedRunDown:
-    """One model on one stretch: θ0, v0, ln λ (and h), their covariance with rounding and misfit in it."""
+    """Fit of one model on one stretch.
+
+    Attributes:
+        data: samples of the stretch.
+        theta: θ0, v0, ln λ and, with dry friction, h.
+        covariance: covariance of theta, including rounding and misfit.
+        chi2_per_dof: χ²/dof against the encoder's noise.
+        inflation: factor on the standard deviations by misfit.
+    """
 
     data: RunDown
     theta: np.ndarray
@@ -39,12 +48,12 @@ class FittedRunDown:
 
 
 def cut(data: RunDown, theta: np.ndarray, time_constants: float = TIME_CONSTANTS) -> RunDown:
-    """The stretch of so many time constants."""
+    """Return the stretch of the given number of time constants."""
     return data.until(time_constants * float(np.exp(-theta[2])))
 
 
 def rounded_fit(data: RunDown, start: np.ndarray, setting: Setting) -> FittedRunDown:
-    """Least squares on the stretch that knows the damping best, with the covariance rounding and misfit give them."""
+    """Fit the stretch with the smallest variance of the damping; its covariance includes rounding and misfit."""
     minimum = _converged(cut(data, start), start)
     first = cut(data, start)
     if not (data.step_rad and _ROUNDED[setting]):
@@ -68,7 +77,7 @@ def rounded_fit(data: RunDown, start: np.ndarray, setting: Setting) -> FittedRun
 
 
 def plain_fit(data: RunDown, start: np.ndarray) -> FittedRunDown:
-    """Least squares on all the samples given, rounding taken for noise; where a model is wrong, converged or not."""
+    """Fit all given samples with rounding as noise; a fit that has not converged is returned as well."""
     minimum = fit_run_down(data, start)
     return _with_misfit(data, minimum, minimum.covariance, 1.0)
 
@@ -77,32 +86,33 @@ def _converged(data: RunDown, start: np.ndarray) -> Minimum:
     minimum = fit_run_down(data, start)
     if not minimum.converged:
         raise FitFailed(
-            f"spin-down: no convergence in {minimum.iterations} steps, χ²/dof {minimum.cost / len(data.time_s):.3g}"
+            f"spin-down: the fit did not converge in {minimum.iterations} steps, χ²/dof "
+            f"{minimum.cost / len(data.time_s):.3g}; record again"
         )
     return minimum
 
 
 def _rounding(longest: RunDown, fitted: RunDown, minimum: Minimum, draws: int) -> np.ndarray:
-    """Rounding errors of curves like the fitted one, in noise standard deviations, shape (draws, n).
+    """Return rounding errors of curves near the fitted one, in noise standard deviations, shape (draws, n).
 
-    Jitter is what residuals hold beyond a step's rounding. Curves are drawn from the fit's own covariance: where in a
-    step the standstill lies is not known.
+    The jitter is the residual in excess of rounding. Curves are drawn from the fit's covariance, because the position
+    of the standstill within a step is unknown.
     """
     spread = minimum.cost / max(1, len(fitted.time_s) - len(minimum.theta)) * longest.noise_rad**2
     jitter = float(np.sqrt(np.clip(spread - longest.step_rad**2 / 12, 0.0, longest.noise_rad**2)))
     angle, jacobian = run_down_angle(longest.time_s, minimum.theta)
     none = np.zeros(len(minimum.theta))
-    # an inverse of squares: semidefinite but for rounding, which a direction without information makes large
+    # the covariance is semidefinite except for rounding errors, which are large in a direction without information
     moves = np.random.default_rng(2).multivariate_normal(none, minimum.covariance, draws, check_valid="ignore")
     curves = angle + moves @ jacobian[:, : len(minimum.theta)].T
     return rounding_errors(curves, longest.step_rad, jitter, 1) / longest.noise_rad
 
 
 def _through_the_quantiser(jacobian: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, float]:
-    """Covariance of the least-squares answer to such errors, and how much their own residuals hang together.
+    """Return the covariance of the least-squares estimate for such errors, and the correlation of their residuals.
 
-    Without jitter the answers are bounded and 95 % of them lie within less than 1.96 standard deviations; the
-    covariance is scaled so that 1.96 of its standard deviations hold 95 % of the rate's answers.
+    Without jitter the errors of the estimate are bounded, and 95 % of them lie within less than 1.96 standard
+    deviations. The covariance is scaled so that 1.96 of its standard deviations contain 95 % of the rate's errors.
     """
     wrong = errors @ (jacobian @ inverse_normal(jacobian))
     white = max(correlation_inflation(e - jacobian @ w) for e, w in zip(errors[:20], wrong, strict=False))
@@ -112,7 +122,7 @@ def _through_the_quantiser(jacobian: np.ndarray, errors: np.ndarray) -> tuple[np
 
 
 def _with_misfit(data: RunDown, minimum: Minimum, covariance: np.ndarray, white: float) -> FittedRunDown:
-    """Residuals that are larger or hang together more than rounding explains are a model that is not quite right."""
+    """Return the fit with its covariance stretched by residuals that are larger or more correlated than by rounding."""
     n = len(data.time_s)
     chi2 = minimum.cost / max(1, n - len(minimum.theta))
     together = max(1.0, correlation_inflation(minimum.residual) / white)

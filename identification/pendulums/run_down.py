@@ -1,10 +1,10 @@
-"""A pendulum running down on a rotor at rest: viscous and dry friction in closed form, fitted by least squares.
+"""Run-down of a pendulum on a rotor at rest: viscous damping and dry friction in closed form, fitted by least squares.
 
     J θ̈ = −c θ̇ − M_c sign θ̇,     λ = c/J,   h = M_c/(c v0)
     θ = θ0 + v0 (((1 + h)/λ)(1 − e^{−λt}) − h t)   until it stops at t = ln(1 + 1/h)/λ
 
-h is the share of dry friction in the first instant's torque. A negative h never stops and means nothing; it is kept in
-the model so that the estimate of h is not biased and a test of h > 0 is honest.
+h is the ratio of dry friction to viscous torque at the first instant. With a negative h, which has no physical meaning,
+the pendulum never stops. It is allowed in the model so that the estimate of h and the test of h > 0 are unbiased.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import numpy as np
 from identification.least_squares import Minimum, inverse_normal, minimise
 
 VISCOUS, WITH_FRICTION = 3, 4
-_STRAIGHT = 0.2  # share of dry friction up to which h and ln λ are good coordinates
-_SHORT = 1e-3  # of a time constant: below it a series is more exact
+_MAX_LINEAR_SHARE = 0.2  # share of dry friction up to which h and ln λ are the coordinates of the fit
+_SHORT = 1e-3  # time in time constants below which a series is more exact
 
 
 @dataclass(frozen=True)
 class RunDown:
-    """The samples of one decline.
+    """Samples of one run-down.
 
     Attributes:
-        time_s: since the decline's start, shape (n,).
-        angle_rad: shape (n,).
-        noise_rad: standard deviation of a sample.
-        step_rad: the encoder's step; 0 when the angle is not quantised.
+        time_s: time since the start of the run-down, s, shape (n,).
+        angle_rad: angle, rad, shape (n,).
+        noise_rad: standard deviation of a sample, rad.
+        step_rad: quantisation step of the encoder, rad; 0 if the angle is not quantised.
     """
 
     time_s: np.ndarray
@@ -37,33 +37,33 @@ class RunDown:
     step_rad: float
 
     def where(self, keep: np.ndarray) -> RunDown:
-        """The samples for which keep, shape (n,), is true."""
+        """Return the samples for which keep, shape (n,), is true."""
         return RunDown(self.time_s[keep], self.angle_rad[keep], self.noise_rad, self.step_rad)
 
     def until(self, end_s: float) -> RunDown:
-        """The samples up to an instant."""
+        """Return the samples up to an instant."""
         return self.where(self.time_s <= end_s)
 
 
 def stop_time(rate: float, share: float) -> float:
-    """When friction brings the pendulum to rest, s after the start; inf without friction."""
+    """Return the time from the start to the stop by friction, s; inf without friction."""
     return float(np.log1p(1 / share) / rate) if share > 0 else np.inf
 
 
 def run_down_angle(time_s: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The angle and its derivatives.
+    """Return the angle and its derivatives.
 
     Args:
-        time_s: shape (n,).
+        time_s: time since the start, s, shape (n,).
         theta: θ0, v0, ln λ and, if given, h.
     Returns:
         Angle (n,), derivatives by theta (n, 4).
     """
     start, speed, rate = theta[0], theta[1], float(np.exp(theta[2]))
     share = float(theta[3]) if len(theta) == WITH_FRICTION else 0.0
-    t = np.minimum(time_s, stop_time(rate, share))  # at the stop the speed is 0, so its instant's shift does not enter
+    t = np.minimum(time_s, stop_time(rate, share))  # the stop's derivative has no effect: the speed is 0
     x = rate * t
-    # 1 − (1 − e^{−x})/x, by its series where that cancels: beside much friction its product with the share counts
+    # 1 − (1 − e^{−x})/x, by its series for small x, because its product with a large friction share matters
     series, whole = x * (1 / 2 - x * (1 / 6 - x * (1 / 24 - x / 120))), np.maximum(x, _SHORT)
     lost = np.where(x < _SHORT, series, 1 + np.expm1(-whole) / whole)
     shape = t * (1 - lost) - share * t * lost
@@ -72,10 +72,10 @@ def run_down_angle(time_s: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, n
 
 
 def from_stop(data: RunDown) -> np.ndarray | None:
-    """θ0, v0, ln λ, h from when a pendulum stops; None where it is not seen to stop within the record.
+    """Return start values θ0, v0, ln λ, h from the instant of the stop; None if the record does not contain the stop.
 
-    With u = ln(1 + 1/h) the travel is v0 t_stop (1/u − h): from 0 with little dry friction to one half with nothing
-    else.
+    With u = ln(1 + 1/h) the travel over v0 t_stop is 1/u − h. It is between 0 for little dry friction and one half for
+    dry friction alone.
     """
     t, angle = data.time_s, data.angle_rad
     left, least = np.abs(angle - np.median(angle[-5:])), 3 * data.noise_rad + data.step_rad
@@ -95,18 +95,20 @@ def from_stop(data: RunDown) -> np.ndarray | None:
 
 
 def fit_run_down(data: RunDown, start: np.ndarray, iterations: int = 30) -> Minimum:
-    """Least squares on one decline.
+    """Fit one run-down by least squares.
 
     Args:
-        start: θ0, v0, ln λ and, for a fit with friction, h.
+        data: samples.
+        start: start values of θ0, v0, ln λ and, for a fit with friction, h.
+        iterations: largest number of iterations.
     """
 
     def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a step too far: not finite, not taken
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # a step that is too long is refused
             angle, jacobian = run_down_angle(data.time_s, theta)
             return (angle - data.angle_rad) / data.noise_rad, jacobian[:, : len(theta)] / data.noise_rad
 
-    if len(start) < WITH_FRICTION or start[3] < _STRAIGHT:
+    if len(start) < WITH_FRICTION or start[3] < _MAX_LINEAR_SHARE:
         return minimise(evaluate, start, iterations)
 
     def by_torque(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -121,7 +123,7 @@ def fit_run_down(data: RunDown, start: np.ndarray, iterations: int = 30) -> Mini
 
 
 def _from_torque(moved: np.ndarray) -> np.ndarray:
-    """θ0, v0, ln λ, h from θ0, v0, ln λ, ln λ(1 + h): where friction is large only that sum is well seen."""
+    """Return θ0, v0, ln λ, h from θ0, v0, ln λ, ln λ(1 + h); with large friction only the last is well determined."""
     return np.r_[moved[:3], np.expm1(np.clip(moved[3] - moved[2], -50.0, 50.0))]
 
 

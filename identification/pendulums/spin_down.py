@@ -1,10 +1,10 @@
-"""Spin-down on a rotor at rest: a pendulum's damping from the decay of its speed, dry friction tested and estimated.
+"""Spin-down on a rotor at rest: damping of a pendulum from the decay of its speed, with a test for dry friction.
 
-The model is closed (identification.pendulums.run_down). Least squares use the first five time constants: beyond them
-the encoder's rounding is one constant and no noise. What the rounding still does to the estimate is found by sending
-the fitted curve through a quantiser (identification.pendulums.quantiser), and where a decline is only a few dozen
-samples long, dry friction is looked for with the likelihood of whole steps over all of it. The disk's reaction is left
-out here: it enters in identification.pendulums.transient.
+The model is in closed form (identification.pendulums.run_down). Least squares use about the first five time constants,
+because the encoder's rounding is constant instead of noise after them. The effect of rounding on the estimate is found
+by quantising the fitted curve (identification.pendulums.quantiser). If a run-down has only a few dozen samples, the
+test for dry friction uses the likelihood of the integer readings over all of it. The reaction of the disk is neglected
+here; identification.pendulums.transient includes it.
 """
 
 from __future__ import annotations
@@ -24,32 +24,33 @@ from identification.pendulums.rounded_fit import FittedRunDown, cut, plain_fit, 
 from identification.pendulums.run_down import RunDown, fit_run_down, from_stop, run_down_angle, stop_time
 from identification.setting import ModelChoice, Setting, check_setting
 
-FRICTION_P = 5e-4  # a chance below it is friction
-_WHOLE = 9.0  # time constants: all that a decline shows
-_SHORT = {"fast": 0, "balanced": 450, "reference": 4000}  # samples up to which whole steps are worth their likelihood
+FRICTION_P = 5e-4
+"""Probability by chance below which dry friction counts as found."""
+_WHOLE = 9.0  # length of a complete run-down in time constants
+_SHORT = {"fast": 0, "balanced": 450, "reference": 4000}  # largest number of samples for the integer likelihood
 _SWEEPS = {"fast": 0, "balanced": 250, "reference": 1000}
-_MUCH = 0.5  # share of dry friction from which it rules the run-down
-_UNTOLD = 0.3  # ln λ, standard deviation
-_ENOUGH = 4.0  # time constants that hold nearly all a decline says of its rate
-_WRONG = 0.02  # residual over travel of a model that is none
+_DOMINANT_SHARE = 0.5  # share of dry friction above which it dominates the run-down
+_MAX_LOG_RATE_STD = 0.3  # standard deviation of ln λ above which the viscous damping is not determined
+_SUFFICIENT_TIME_CONSTANTS = 4.0  # length with nearly all information on the rate
+_MAX_RESIDUAL_RATIO = 0.02  # ratio of residual to travel above which a model is rejected
 
 
 @dataclass(frozen=True)
 class SpinDownFit:
-    """What one pendulum's spin-down says.
+    """Estimate of one pendulum's spin-down.
 
     Attributes:
-        values: rate_per_s (λ), start_speed_rad_s; with an inertia c_Nms_per_rad; where friction is found
+        values: rate_per_s (λ) and start_speed_rad_s; with an inertia c_Nms_per_rad; if friction is found
             coulomb_rad_per_s2 (M_c/J) and, with an inertia, coulomb_Nm (M_c).
-        covariance: shape (n, n), in the values' order.
-        intervals: 95 % by name.
-        friction_p: chance of friction this large without friction (one-sided).
-        model, model_table: the smallest adequate model in words; the criterion of both is friction_p's complement, see
+        covariance: covariance in the order of the values, shape (n, n).
+        intervals: 95 % intervals by name.
+        friction_p: one-sided probability of an estimate of friction this large without friction.
+        model, model_table: smallest adequate model, and the compared models. The criterion is friction_p, see
             docs/theory/pendulum_damping.md.
-        warnings: what a reader must know.
-        curve: the fitted stretch.
-        start_s, end_s: that stretch.
-        chi2_per_dof: residuals against the encoder's white noise.
+        warnings: limitations of the result, as sentences.
+        curve: measured and fitted angle of the stretch.
+        start_s, end_s: begin and end of the stretch, s.
+        chi2_per_dof: χ²/dof against the encoder's white noise.
     """
 
     values: dict[str, float]
@@ -71,7 +72,7 @@ class SpinDownFit:
 
     @property
     def curves(self) -> list[Curve]:
-        """The fitted stretch as a list, as every fit has it."""
+        """Fitted stretch as a list, as for every fit."""
         return [self.curve]
 
 
@@ -82,15 +83,16 @@ def fit_spin_down(
     """Fit one pendulum's run-down on a rotor at rest.
 
     Args:
-        time_s, angle_rad: shape (n,); angle relative to the rotor, wrapped or not; NaN is left out; samples out of
-            order are sorted by time. What comes before the fastest instant and after a second push is ignored.
-        inertia_kg_m2: J > 0; adds the damping c = λ J and the friction's torque.
-        setting: fast takes the rounding for white noise and stretches intervals where it is not; balanced sends the
-            curve through the quantiser; reference takes values and intervals from the likelihood of whole steps
-            wherever the decline has at most 4000 samples.
+        time_s, angle_rad: time and angle relative to the rotor, wrapped or unwrapped, shape (n,). NaN is left out, and
+            samples are sorted by time. Samples before the fastest instant and after a second push are ignored.
+        inertia_kg_m2: J > 0; adds the damping c = λ J and the friction torque to the values.
+        setting: fast assumes white rounding noise and stretches the intervals if it is not white. balanced quantises
+            the fitted curve. reference uses the likelihood of the integer readings for values and intervals if the
+            run-down has at most 4000 samples.
     Raises:
-        NotIdentifiable: the pendulum hardly moves, or stops within too few samples; the inertia is not positive.
-        FitFailed: no convergence, residuals far above the noise, or dry friction that hides the viscous damping.
+        NotIdentifiable: the pendulum hardly moves or stops within too few samples, or the inertia is not positive.
+        FitFailed: the fit does not converge, the residuals are far above the noise, or dry friction hides the viscous
+            damping.
     Source: docs/theory/pendulum_damping.md.
     """
     check_setting(setting)
@@ -99,13 +101,15 @@ def fit_spin_down(
     whole = decline_of(time_s, angle_rad)
     start_s, data, theta = _settled(whole)
     dry = _with_friction(data, theta, setting)
-    # beside much friction no more than a row of the table, on the same stretch
-    viscous = rounded_fit(data, theta[:3], setting) if dry.theta[3] < _MUCH else plain_fit(dry.data, theta[:3])
+    # with dominant friction the viscous fit is only a row of the table, on the same stretch
+    viscous = (
+        rounded_fit(data, theta[:3], setting) if dry.theta[3] < _DOMINANT_SHARE else plain_fit(dry.data, theta[:3])
+    )
     left, travel = np.sqrt(dry.chi2_per_dof) * data.noise_rad, float(np.ptp(data.angle_rad))
-    if left > _WRONG * travel:
+    if left > _MAX_RESIDUAL_RATIO * travel:
         raise FitFailed(
-            f"spin-down: a decay with dry friction leaves residuals of {left:.2g} rad of {travel:.3g} rad of travel, "
-            f"the noise is {data.noise_rad:.2g} rad; is the rotor held still?"
+            f"spin-down: a decay with dry friction leaves residuals of {left:.2g} rad for {travel:.3g} rad of travel, "
+            f"the noise is {data.noise_rad:.2g} rad; check that the rotor is held still"
         )
     p, draws = _friction(data, viscous, dry, setting)
     found = p < FRICTION_P
@@ -116,10 +120,10 @@ def fit_spin_down(
 
 
 def _with_friction(data: RunDown, theta: np.ndarray, setting: Setting) -> FittedRunDown:
-    """Both kinds of damping; refused where dry friction stops the pendulum before the viscous kind shows."""
+    """Fit viscous damping and dry friction; raise if friction stops the pendulum before viscous damping is visible."""
     part = cut(data, theta)
     first = fit_run_down(part, theta)
-    if theta[3] > _MUCH and not (first.converged and first.covariance[2, 2] < _UNTOLD**2):
+    if theta[3] > _DOMINANT_SHARE and not (first.converged and first.covariance[2, 2] < _MAX_LOG_RATE_STD**2):
         raise FitFailed(
             "spin-down: dry friction dominates: the pendulum stops before its viscous damping shows (χ²/dof "
             f"{first.cost / len(part.time_s):.3g}); clean or replace the bearing, or flick harder"
@@ -128,7 +132,7 @@ def _with_friction(data: RunDown, theta: np.ndarray, setting: Setting) -> Fitted
 
 
 def _settled(whole: RunDown) -> tuple[float, RunDown, np.ndarray]:
-    """The decline from where the hand has let go, and a first fit of it."""
+    """Return begin and samples of the run-down after the hand has released the pendulum, and a first fit of it."""
     begin, theta = 0, None
     for _ in range(60):
         data = RunDown(whole.time_s[begin:] - whole.time_s[begin], whole.angle_rad[begin:], *_noise(whole))
@@ -142,7 +146,10 @@ def _settled(whole: RunDown) -> tuple[float, RunDown, np.ndarray]:
         if level < (1 + 6 * np.sqrt(2 / m)) * max(1.0, later):
             return float(whole.time_s[begin]), data, theta
         begin += max(3, m // 2)
-    raise NotIdentifiable("no stretch of the record is a free run-down: the hand never lets go, or the rotor moves")
+    raise NotIdentifiable(
+        "no stretch of the record is a free run-down: the hand does not release the pendulum, or the rotor moves; "
+        "record again with a rotor that is held still"
+    )
 
 
 def _noise(data: RunDown) -> tuple[float, float]:
@@ -150,7 +157,7 @@ def _noise(data: RunDown) -> tuple[float, float]:
 
 
 def first_fit(data: RunDown) -> np.ndarray:
-    """θ0, v0, ln λ, h from nothing: the time in which the travel left falls to 1/e, then the fit on what that cuts."""
+    """Return θ0, v0, ln λ, h without start values: by the time of decay to 1/e, and fits over the resulting stretch."""
     t, angle = data.time_s, data.angle_rad
     left = np.abs(np.mean(angle[-5:]) - angle)
     tau = max(float(t[np.argmax(left < left[0] / np.e)]), 5 * float(np.median(np.diff(t))))
@@ -164,7 +171,7 @@ def first_fit(data: RunDown) -> np.ndarray:
             raise NotIdentifiable("the pendulum's speed does not fall; record longer")
     fits = [fit_run_down(cut(data, theta), np.r_[theta, 0.0])]
     stopped = from_stop(data)
-    if stopped is not None:  # much dry friction is out of the reach of a start without any
+    if stopped is not None:  # a start without friction does not converge to large friction
         fits.append(fit_run_down(cut(data, stopped), stopped))
     return min(fits, key=lambda m: m.cost / len(m.residual)).theta
 
@@ -172,7 +179,7 @@ def first_fit(data: RunDown) -> np.ndarray:
 def _friction(
     data: RunDown, viscous: FittedRunDown, dry: FittedRunDown, setting: Setting
 ) -> tuple[float, np.ndarray | None]:
-    """Chance of this much friction without friction, and draws from the likelihood of whole steps where it was used."""
+    """Return friction_p, and samples of the likelihood of the integer readings if it is used for the values."""
     share, spread = float(dry.theta[3]), float(np.sqrt(dry.covariance[3, 3]))
     p = float(ndtr(-share / spread))
     whole = data.until(_WHOLE * np.exp(-viscous.theta[2]))
@@ -188,7 +195,7 @@ def _friction(
 
 
 def _reported(inertia: float | None, friction: bool) -> tuple[list[str], Callable[[np.ndarray], np.ndarray]]:
-    """Names, and the map from (θ0, v0, ln λ, h) to their values."""
+    """Return the names of the values, and the function from (θ0, v0, ln λ, h) to the values."""
     names = ["rate_per_s", "start_speed_rad_s"]
     names += ["coulomb_rad_per_s2"] if friction else []
     names += (["c_Nms_per_rad"] + (["coulomb_Nm"] if friction else [])) if inertia is not None else []
@@ -250,17 +257,17 @@ def _result(
 
 
 def _cut_short(whole: RunDown, chosen: FittedRunDown, record_end_s: float) -> list[str]:
-    """A warning where the decline ends long before its motion does."""
+    """Return a warning if the record of the run-down ends long before the motion."""
     lasts, rate = float(chosen.data.time_s[-1]), float(np.exp(chosen.theta[2]))
     share = float(chosen.theta[3]) if len(chosen.theta) > 3 else 0.0
-    if lasts >= min(_ENOUGH / rate, stop_time(rate, share)):
+    if lasts >= min(_SUFFICIENT_TIME_CONSTANTS / rate, stop_time(rate, share)):
         return []
     end_s = float(whole.time_s[-1])
     pushed = record_end_s - end_s > 0.01 * (record_end_s - float(whole.time_s[0]))
     why = "a second push is seen there" if pushed else "the record ends there"
     return [
-        f"the free run-down ends at {end_s:.4g} s after {lasts * rate:.2g} time constants ({why}); {_ENOUGH:g} hold "
-        "nearly all it says: the intervals are wider than they need be"
+        f"the free run-down ends at {end_s:.4g} s after {lasts * rate:.2g} time constants ({why}); the intervals are "
+        f"wider than with {_SUFFICIENT_TIME_CONSTANTS:g} time constants, which contain nearly all information"
     ]
 
 
@@ -269,13 +276,13 @@ def _model_table(viscous: FittedRunDown, dry: FittedRunDown, p: float, friction:
     why = f"friction share {dry.theta[3]:.2g} of the first torque, below {limit:.2g} at 95 %; p = {p:.2g}"
     verdict = f"p {'<' if friction else '≥'} {FRICTION_P:g}"
     return [
-        ModelChoice("viscous damping", 3, viscous.cost + 2 * 3, not friction, f"{verdict} for friction beside it"),
+        ModelChoice("viscous damping", 3, viscous.cost + 2 * 3, not friction, f"{verdict} for additional friction"),
         ModelChoice("viscous damping and dry friction", 4, dry.cost + 2 * 4, friction, why),
     ]
 
 
 def _warnings(chosen: FittedRunDown, dry: FittedRunDown, friction: bool, p: float) -> list[str]:
-    warnings = []
+    warnings: list[str] = []
     if friction:
         warnings.append(
             f"the run-down is not purely viscous (p = {p:.1g}): dry friction takes {dry.theta[3]:.2g} ± "
@@ -283,7 +290,7 @@ def _warnings(chosen: FittedRunDown, dry: FittedRunDown, friction: bool, p: floa
         )
     if chosen.inflation > 1.3:
         warnings.append(
-            f"residuals exceed the encoder's noise or hang together (χ²/dof {chosen.chi2_per_dof:.3g}): the rotor may "
+            f"residuals exceed the encoder's noise or are correlated (χ²/dof {chosen.chi2_per_dof:.3g}): the rotor may "
             f"move; standard deviations are scaled up by {chosen.inflation:.2g}"
         )
     return warnings

@@ -1,6 +1,6 @@
-"""What the encoders read of a spin-down on a resting rotor, as least squares: unknowns, readings and derivatives.
+"""Least-squares problem of a spin-down on a resting rotor: unknowns, encoder readings and derivatives.
 
-θ as in identification.pendulums.spin_down_run, then for each kind of friction its value for A and B.
+θ is as in identification.pendulums.spin_down_run, followed by the values of each kind of friction for A and B.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from identification.setting import Setting
 
 Kind = Literal["torque", "contact"]
 Kinds = tuple[Kind, ...]
-"""Of friction: a torque that is the same at any speed, one that goes with its square (the contact force)."""
+"""Kinds of friction: a torque independent of the speed, and a torque with its square (by the contact force)."""
 BOTH: Kinds = ("torque", "contact")
 
 PSI, COUNT = 6, 15
 _ANGLES, _SPEEDS, _DISK, _SUSPENSION = slice(2, 4), slice(4, 6), slice(7, 11), slice(11, 15)
-_DAMPING_STD = 1.0  # ln c; a pendulum that does not move yet says nothing of its own
-_DISK_STD_M = 3e-4  # how far a flick may leave the disk shaking
+_DAMPING_STD = 1.0  # prior of ln c, for a pendulum that does not move yet
+_DISK_STD_M = 3e-4  # standard deviation of the disk's displacement after a flick
 _AFTER_STOP_S = 0.05
-_SURELY = 2.0  # standard deviations
+_MAX_NEGATIVE_STD = 2.0  # standard deviations below 0 up to which a friction value is accepted
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class SpinDown:
     """One stretch of a spin-down.
 
     Attributes:
-        whole: both encoders' readings.
-        declines: when each pendulum was pushed and how it slows.
-        begin_s, end_s: the stretch.
-        knowledge: masses, lengths and what is known of the suspension.
+        whole: readings of both encoders over the whole record.
+        declines: push and run-down of each pendulum.
+        begin_s, end_s: begin and end of the stretch, s.
+        knowledge: masses, lengths and prior knowledge of the suspension.
     """
 
     whole: list[Readings]
@@ -57,10 +57,10 @@ class SpinDown:
 
     @property
     def readings(self) -> tuple[Readings, Readings]:
-        """Of the stretch; each encoder's end after so many of its own time constants, or where friction has won.
+        """Readings of the stretch; each encoder's end after TIME_CONSTANTS of its pendulum or at the stop by friction.
 
         Raises:
-            NotIdentifiable: hardly anything is left.
+            NotIdentifiable: there are fewer than 12 blocks.
         """
         ends = [
             min(self.end_s, max(self.begin_s, d.start_s) + TIME_CONSTANTS / d.rate_per_s, d.stop_s + _AFTER_STOP_S)
@@ -74,7 +74,7 @@ class SpinDown:
         return first, second
 
     def problem(self, kinds: Kinds) -> TransientProblem:
-        """The least-squares problem with some kinds of friction."""
+        """Return the least-squares problem with the given kinds of friction."""
         size = COUNT + 2 * len(kinds)
         prior_std = np.full(size, np.inf)
         omega = np.array(self.knowledge.physics.natural_frequencies_rad_s)
@@ -90,7 +90,7 @@ class SpinDown:
         return problem
 
     def start(self, kinds: Kinds, psi: float) -> np.ndarray:
-        """θ from bare exponentials, the rotor standing at ψ, friction as the declines show it."""
+        """Return a start value of θ from exponentials, with the rotor at ψ and the friction of the run-downs."""
         physics, start = self.knowledge.physics, np.zeros(COUNT + 2 * len(kinds))
         inertias = (physics.a.inertia_kg_m2, physics.b.inertia_kg_m2)
         for i, (reading, decline) in enumerate(zip(self.readings, self.declines, strict=True)):
@@ -98,7 +98,7 @@ class SpinDown:
             t = channel.time_s - self.begin_s
             basis = np.column_stack([np.ones_like(t), np.exp(-rate * t)])
             rest, amplitude = np.linalg.lstsq(basis, channel.value, rcond=None)[0]
-            if self.begin_s < decline.push_s:  # not flicked yet
+            if self.begin_s < decline.push_s:  # not yet flicked
                 rest, amplitude = float(np.mean(channel.value)), 0.0
             start[i] = np.log(rate * inertias[i])
             start[2 + i], start[4 + i] = rest + amplitude, -rate * amplitude
@@ -110,7 +110,7 @@ class SpinDown:
         return start
 
     def extended(self, theta: np.ndarray, kinds: Kinds, more: Kinds, values: Mapping[Kind, np.ndarray]) -> np.ndarray:
-        """θ of a problem with some kinds as one with more of them, at given values, not below zero."""
+        """Return θ of a problem with more kinds of friction, whose values are the given ones, at least 0."""
         out = np.r_[theta[:COUNT], np.zeros(2 * len(more))]
         for i, kind in enumerate(more):
             at = COUNT + 2 * i
@@ -121,8 +121,8 @@ class SpinDown:
                 out[at : at + 2] = np.maximum(values[kind], 0.0)
         return out
 
-    def ask(self, kinds: Kinds, kind: Kind, minimum: Minimum) -> Evidence:
-        """How much another kind of friction would mend."""
+    def score(self, kinds: Kinds, kind: Kind, minimum: Minimum) -> Evidence:
+        """Return the score test for another kind of friction."""
         more: Kinds = (*kinds, kind)
         plain, problem = self.problem(kinds), self.problem(more)
         theta = self.extended(minimum.theta, kinds, more, {kind: np.zeros(2)})
@@ -134,15 +134,15 @@ class SpinDown:
         return evidence(minimum, columns, plain.rounding(minimum, self.end_s, 40), sizes)
 
     def open_friction(self, kinds: Kinds, minimum: Minimum, setting: Setting) -> OpenFriction | None:
-        """What a fit with some kinds of friction says of damping and all friction; None where it cannot be followed.
+        """Return damping and free friction from a fit with some kinds of friction; None if the fit fails.
 
-        Where it does not settle but nearly so, what is left of its way counts as a standard deviation.
+        If the iteration nearly converges, the remaining step is added as a standard deviation.
         """
         problem = self.problem(BOTH)
         for kind, std in (("torque", TORQUE_STD_Nm), ("contact", CONTACT_STD_kg_m2)):
             at = COUNT + 2 * BOTH.index(kind)
             problem.prior[at : at + 2], problem.prior_std[at : at + 2] = 0.0, std
-        problem.prior[PSI] = minimum.theta[PSI]  # as the fit had it
+        problem.prior[PSI] = minimum.theta[PSI]  # as in the fit
         none: dict[Kind, np.ndarray] = {kind: np.zeros(2) for kind in BOTH}
         start = self.extended(minimum.theta, kinds, BOTH, none)
         found, left = problem.opened(start, self.end_s), np.zeros(len(start))
@@ -159,12 +159,15 @@ class SpinDown:
     def by_number(
         self, problem: TransientProblem, minimum: Minimum, kinds: Kinds, wanted: Sequence[int]
     ) -> dict[str, np.ndarray]:
-        """How some of θ go with masses and lengths: number → derivative, shape (m,), per unit of the number.
+        """Return derivatives of components of θ by masses and lengths.
 
         Args:
-            problem: of this stretch, with the kinds of friction.
-            minimum: its.
-            wanted: places in θ, m of them.
+            problem: problem of this stretch with the kinds of friction.
+            minimum: minimum of the problem.
+            kinds: kinds of friction.
+            wanted: m indices in θ.
+        Returns:
+            Number → derivative, shape (m,), per unit of the number.
         """
 
         def made(knowledge: Knowledge) -> TransientProblem:
@@ -173,21 +176,21 @@ class SpinDown:
         return by_physical_numbers(problem, minimum, self.end_s, self.knowledge, made, wanted)
 
     def positive(self, minimum: Minimum, kinds: Kinds) -> bool:
-        """Whether no friction is surely below zero, which none is."""
+        """Return whether no friction value is significantly negative, which would be unphysical."""
         std = np.sqrt(np.diag(minimum.covariance))
-        return bool(np.all(minimum.theta[COUNT:] > -_SURELY * std[COUNT:])) if kinds else True
+        return bool(np.all(minimum.theta[COUNT:] > -_MAX_NEGATIVE_STD * std[COUNT:])) if kinds else True
 
     def _angles(
         self, theta: np.ndarray, cut: tuple[Averages, Averages], kinds: Kinds, slopes: bool
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Both encoders' angles and derivatives on a rotor that stands at ψ."""
+        """Return angles of both encoders and derivatives for a rotor at rest at ψ."""
         count, size = sum(len(c.time_s) for c in cut), len(theta)
         bad = np.full(count, np.nan), np.zeros((count, size))
         if np.max(np.abs(theta[:2])) > 40 or np.max(np.abs(theta[_SUSPENSION])) > 40:
             return bad
         try:
             now = laid_over(self.knowledge, theta[:2], theta[_SUSPENSION])
-        except OutsideDomain:  # a trial that no rig can be
+        except OutsideDomain:  # a trial with impossible parameters
             return bad
         state = np.r_[theta[7:9], theta[_ANGLES], theta[9:11], theta[_SPEEDS]]
         still = SpeedHistory.constant(0.0, float(theta[PSI]), self.begin_s)
@@ -199,7 +202,7 @@ class SpinDown:
             return bad
         start_by, log_by = np.zeros((8, size)), np.zeros((7, size))
         start_by[[0, 1, 2, 3, 4, 5, 6, 7], [7, 8, 2, 3, 9, 10, 4, 5]] = 1.0
-        start_by[[2, 3], PSI] = 1.0  # a turned rotor is two turned pendulums, read from a turned zero
+        start_by[[2, 3], PSI] = 1.0  # a rotation of the rotor rotates both pendulums and the zeros of the encoders
         log_by[0, 0] = log_by[1, 1] = 1.0
         log_by[2:6, _SUSPENSION] = np.eye(4)
         angle, slope = both_angles(motion, cut, start_by, log_by, dry_by)
@@ -208,7 +211,7 @@ class SpinDown:
 
     @staticmethod
     def _dry(theta: np.ndarray, kinds: Kinds) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """M_A, M_B, F_A, F_B and their derivatives by θ."""
+        """Return M_A, M_B, F_A, F_B and their derivatives by θ."""
         if not kinds:
             return None, None
         by = np.zeros((4, len(theta)))

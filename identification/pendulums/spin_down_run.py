@@ -1,11 +1,12 @@
-"""Spin-down of both pendulums together, with the disk's reaction.
+"""Spin-down of both pendulums together, with the reaction of the disk.
 
-θ = (ln c3, ln c4, θ3, θ4, θ̇3, θ̇4, ψ, x, y, ẋ, ẏ, ln k1, ln k2, ln ζ1, ln ζ2) at the stretch's start. The rotor stands
-at an angle ψ that nothing measures; it matters because the suspension differs between x and y. Turning everything by
-half a revolution changes nothing the encoders see, so ψ is searched over half a revolution from several starts.
+θ = (ln c3, ln c4, θ3, θ4, θ̇3, θ̇4, ψ, x, y, ẋ, ẏ, ln k1, ln k2, ln ζ1, ln ζ2) at the start of the stretch. The angle ψ
+of the resting rotor is not measured, but it has an effect because the suspension differs between x and y. A rotation of
+the whole rig by half a revolution does not change the encoders' readings, so ψ is searched over half a revolution from
+several starts.
 
-Dry friction (M_A, M_B) and a drag that goes with the square of the speed (F_A, F_B) follow in θ where the readings ask
-for them: one evaluation at the end of the fit without tells what they would mend.
+Dry friction (M_A, M_B) and a drag with the square of the speed (F_A, F_B) are added to θ if the readings require them.
+One evaluation at the end of the fit without them gives the reduction of χ² (score test).
 """
 
 from __future__ import annotations
@@ -29,7 +30,13 @@ from identification.pendulums.open_friction import pooled
 from identification.pendulums.push import TIME_CONSTANTS, Decline, find_decline, spin_down_readings
 from identification.pendulums.spin_down_problem import COUNT, PSI, Kind, Kinds, SpinDown
 from identification.pendulums.suspension_knowledge import Knowledge
-from identification.pendulums.transient import UNTOLD, Readings, TransientFit, TransientProblem, with_open_friction
+from identification.pendulums.transient import (
+    NOT_SEPARATED,
+    Readings,
+    TransientFit,
+    TransientProblem,
+    with_open_friction,
+)
 from identification.rungs import Rung, held_back
 from identification.setting import ModelChoice, Setting, check_setting
 
@@ -38,10 +45,12 @@ _ANGLES_TRIED = tuple((np.arange(6) * np.pi / 6).tolist())
 _KINDS: dict[Kind, str] = {"torque": "dry friction", "contact": "a drag with the square of the speed"}
 _RUNG: dict[Kind, Rung] = {"torque": "friction", "contact": "drag"}
 _ATTEMPTS = 8
-_FOLLOWED, _HOPELESS = 10.0, 50.0  # χ²/dof
-_WORTH = 8.0  # χ² that another kind of friction must mend when fitted
-_MOST_STEPS = 80  # the angle at which the rotor stands can be a long valley
-_BEFORE_PUSH_S, _WORTH_S = 0.03, 0.08
+_MAX_CHI2 = 10.0  # χ²/dof above which a fit is rejected
+_POOR_CHI2 = 50.0  # χ²/dof above which a later attempt uses a single angle of the rotor
+_MIN_GAIN_CHI2 = 8.0  # smallest reduction of χ² by the fit of another kind of friction
+_MOST_STEPS = 80  # iterations; χ² has a long valley along the angle of the rotor
+_BEFORE_PUSH_S = 0.03
+_MIN_STRETCH_S = 0.08
 _EARLY_S = 0.1
 
 
@@ -49,13 +58,16 @@ _EARLY_S = 0.1
 def fit_spin_down_run(
     run: Run, knowledge: Knowledge, *, setting: Setting = "balanced", without: Collection[str] = ()
 ) -> TransientFit:
-    """Both pendulums' damping from one spin-down.
+    """Estimate the damping of both pendulums from one spin-down.
 
     Args:
-        run: a "spin-down" run: rotor at rest, both pendulums flicked.
-        knowledge: masses, lengths and what is known of the suspension.
-        setting: fast takes the encoders' rounding for white noise, the others its own effect (reference more finely).
+        run: "spin-down" run: rotor at rest, both pendulums flicked.
+        knowledge: masses, lengths and prior knowledge of the suspension.
+        setting: fast assumes white rounding noise of the encoders. balanced and reference use its actual effect,
+            reference with more draws.
+        without: rungs of the ladder that are left out (identification.rungs.RUNGS).
     Raises:
+        ValueError: a rung is unknown.
         NotIdentifiable: a pendulum hardly moves.
         FitFailed: the model does not follow the angles.
     Source: docs/theory/pendulum_damping.md.
@@ -63,7 +75,7 @@ def fit_spin_down_run(
     check_setting(setting)
     held = held_back(without)
     if run.angle_rad.ndim != 2 or len(run.angle_time_s) < 400:
-        raise NotIdentifiable(f"{run.source}: {len(run.angle_time_s)} encoder samples are too few")
+        raise NotIdentifiable(f"{run.source}: {len(run.angle_time_s)} encoder samples are too few, 400 are needed")
     declines = [find_decline(run.angle_time_s, run.angle_rad[:, i]) for i in range(2)]
     fastest = max(d.rate_per_s for d in declines)
     whole = [spin_down_readings(run.angle_time_s, run.angle_rad[:, i], fastest) for i in range(2)]
@@ -71,8 +83,9 @@ def fit_spin_down_run(
     fits = [_fit_from(run, whole, declines, (last, np.inf), knowledge, setting, held)]
     first = int(np.argmin([d.start_s for d in declines]))
     push = declines[1 - first].push_s - _BEFORE_PUSH_S
-    if push - declines[first].start_s > _WORTH_S:  # one pendulum running down before the other is flicked
-        with contextlib.suppress(FitFailed, NotIdentifiable):  # a hand on the second: the stretch after it stands alone
+    if push - declines[first].start_s > _MIN_STRETCH_S:  # one pendulum runs down before the other is flicked
+        # if a hand touches the second pendulum, only the stretch after its flick is used
+        with contextlib.suppress(FitFailed, NotIdentifiable):
             fits.append(_fit_from(run, whole, declines, (declines[first].start_s, push), knowledge, setting, held))
     return _together(fits)
 
@@ -86,7 +99,7 @@ def _fit_from(
     setting: Setting,
     held: frozenset[Rung],
 ) -> TransientFit:
-    """One stretch; begins later while the residual right after its begin stands out."""
+    """Fit one stretch, whose begin is moved later while the residual right after it exceeds the later residual."""
     begin, limit = span
     slowest, fastest = min(d.rate_per_s for d in declines), max(d.rate_per_s for d in declines)
     angles: tuple[float, ...] = _ANGLES_TRIED
@@ -95,32 +108,33 @@ def _fit_from(
         case = SpinDown(whole, declines, begin, end, knowledge)
         kinds, answers, rows = _chosen(case, angles, held)
         minimum, problem = answers[0], case.problem(kinds)
-        if attempts_left and _early_excess(problem, minimum) and end - begin > _WORTH_S:
-            begin += min(0.04, 0.25 / fastest)  # the hand was still there
-            if problem.chi2_per_dof(minimum, end) > _HOPELESS:
+        if attempts_left and _early_excess(problem, minimum) and end - begin > _MIN_STRETCH_S:
+            begin += min(0.04, 0.25 / fastest)  # the hand still touched the pendulum
+            if problem.chi2_per_dof(minimum, end) > _POOR_CHI2:
                 angles = (float(minimum.theta[_PSI]),)
             continue
         table = _model_table(problem, minimum, declines, end, rows)
         fit = problem.result(minimum, end, "spin-down", 2, setting, table)
-        if minimum.converged and fit.chi2_per_dof < _FOLLOWED:
+        if minimum.converged and fit.chi2_per_dof < _MAX_CHI2:
             fit = _with_friction(case, fit, minimum, kinds, setting)
             if "friction" not in held:
                 found = case.open_friction(kinds, minimum, setting)
                 if found is None:
-                    raise FitFailed(UNTOLD.format(run.source, "spin-down", "flick faster, or clean the bearings"))
+                    advice = "flick faster, or clean the bearings"
+                    raise FitFailed(NOT_SEPARATED.format(run.source, "spin-down", advice))
                 fit = with_open_friction(fit, found, "spin-down")
             fit = replace(fit, by_number=case.by_number(problem, minimum, kinds, (0, 1)))
             return covering(fit, answers, "with the rotor standing at another angle", "A release at speed decides")
-        if fit.chi2_per_dof < _FOLLOWED:
+        if fit.chi2_per_dof < _MAX_CHI2:
             raise FitFailed(
                 f"{run.source}: the spin-down's fit had not settled after {minimum.iterations} iterations, although "
-                f"its residuals are small enough (χ²/dof {fit.chi2_per_dof:.3g}, allowed below {_FOLLOWED:g}); record "
+                f"its residuals are small enough (χ²/dof {fit.chi2_per_dof:.3g}, allowed below {_MAX_CHI2:g}); record "
                 "a longer run-down, or flick faster"
             )
         raise FitFailed(
             f"{run.source}: no model of the run-down follows the spin-down, with dry friction or without: χ²/dof "
-            f"{fit.chi2_per_dof:.3g}, expected below {_FOLLOWED:g}; did the rotor stand "
-            "still, and did nothing touch a pendulum after its flick?"
+            f"{fit.chi2_per_dof:.3g}, expected below {_MAX_CHI2:g}; check that the rotor is at rest and that nothing "
+            "touches a pendulum after its flick"
         )
     raise AssertionError("the last attempt returns or raises")
 
@@ -128,37 +142,43 @@ def _fit_from(
 def _chosen(
     case: SpinDown, angles: Sequence[float], held: frozenset[Rung]
 ) -> tuple[Kinds, list[Minimum], list[ModelChoice]]:
-    """The smallest adequate damping: viscous, and beside it dry friction, a drag with the square of the speed, both.
+    """Select the smallest adequate model: viscous damping, with dry friction, with a drag, or with both.
 
     Returns:
-        Its kinds of friction, the answers with it, and a row for each model that was asked for.
+        Kinds of friction of the model, its minima, and a row for each tested model.
     """
     kinds: Kinds = ()
     answers = _answers(case, kinds, [case.start(kinds, psi) for psi in angles])
     rows: list[ModelChoice] = []
     for _ in range(len(_KINDS)):
-        asks: dict[Kind, Evidence] = {kind: case.ask(kinds, kind, answers[0]) for kind in _KINDS if kind not in kinds}
+        scores: dict[Kind, Evidence] = {
+            kind: case.score(kinds, kind, answers[0]) for kind in _KINDS if kind not in kinds
+        }
         own = case.problem(kinds)
         chi2 = own.chi2_per_dof(answers[0], case.end_s)
-        for kind, ask in asks.items():
+        for kind, score in scores.items():
             name = " and ".join(["viscous damping", *(_KINDS[k] for k in (*kinds, kind))])
-            why = f"would mend χ² by {ask.mended:.3g}, {ask.gain:.3g} in units of chance (limit {ask.limit:.3g})"
-            cost = answers[0].cost - ask.mended + 2 * (len(answers[0].theta) + 2)
+            why = (
+                f"would reduce χ² by {score.mended:.3g}, {score.gain:.3g} in units of chance (limit {score.limit:.3g})"
+            )
+            cost = answers[0].cost - score.mended + 2 * (len(answers[0].theta) + 2)
             rows.append(ModelChoice(name, len(answers[0].theta) + 2, cost, False, why))
-        lost = chi2 > _FOLLOWED  # far from a minimum, what it asks for is a poor guide
+        lost = chi2 > _MAX_CHI2  # far from a minimum the score test is unreliable
         likely: list[Kind] = [
-            k for k, ask in asks.items() if (lost or (ask.found and ask.step.max() > 0)) and _RUNG[k] not in held
+            k
+            for k, score in scores.items()
+            if (lost or (score.found and score.step.max() > 0)) and _RUNG[k] not in held
         ]
         tried: list[tuple[float, Kinds, list[Minimum]]] = []
         for kind in likely:
             more: Kinds = tuple(k for k in _KINDS if k in (*kinds, kind))
-            starts = [case.extended(a.theta, kinds, more, {kind: asks[kind].step}) for a in answers[:1]]
+            starts = [case.extended(a.theta, kinds, more, {kind: scores[kind].step}) for a in answers[:1]]
             if lost:
                 starts += [case.start(more, psi) for psi in angles]
             found = _answers(case, more, starts)
             if case.positive(found[0], more):
                 tried.append((found[0].cost, more, found))
-        if not tried or min(t[0] for t in tried) > answers[0].cost - _WORTH:
+        if not tried or min(t[0] for t in tried) > answers[0].cost - _MIN_GAIN_CHI2:
             break
         _, kinds, answers = min(tried, key=lambda t: t[0])
     return kinds, answers, rows
@@ -176,11 +196,11 @@ def _with_friction(case: SpinDown, fit: TransientFit, minimum: Minimum, kinds: K
         values[kind] = float(minimum.theta[a]), float(minimum.theta[b])
         spread[kind] = float(std[2 * i]), float(std[2 * i + 1])
     friction = Friction(values["torque"], spread["torque"], values["contact"], spread["contact"])
-    return replace(fit, friction=friction, warnings=[*fit.warnings, friction.told("spin-down")])
+    return replace(fit, friction=friction, warnings=[*fit.warnings, friction.sentence("spin-down")])
 
 
 def _together(fits: list[TransientFit]) -> TransientFit:
-    """Stretches of one record, combined by their information."""
+    """Combine stretches of one record by their information."""
     if len(fits) == 1 or fits[1].chi2_per_dof > 2:
         return fits[0]
     opens = [f.open_friction for f in fits]
@@ -192,10 +212,13 @@ def _together(fits: list[TransientFit]) -> TransientFit:
 
 
 def damping_estimate(run: Run, fit: TransientFit, method: str, zero_std_rad: float = 0.0) -> Estimate:
-    """A transient in the joint estimate's form; c goes with the encoder's clock rate.
+    """Return a transient's result as an estimate for the joint fit; c is proportional to the encoder's clock rate.
 
     Args:
-        zero_std_rad: of the encoders' zeros, as the fit took it.
+        run: recording.
+        fit: fit of the transient.
+        method: name of the method.
+        zero_std_rad: standard uncertainty of the encoders' zeros in the fit, rad.
     """
     names = tuple(fit.values)
     values = np.array(list(fit.values.values()))
@@ -206,9 +229,9 @@ def damping_estimate(run: Run, fit: TransientFit, method: str, zero_std_rad: flo
 
 
 def _model_table(
-    problem: TransientProblem, minimum: Minimum, declines: list[Decline], end_s: float, asked: list[ModelChoice]
+    problem: TransientProblem, minimum: Minimum, declines: list[Decline], end_s: float, tested: list[ModelChoice]
 ) -> list[ModelChoice]:
-    """The coupled motion beside what each pendulum would do on a rotor that does not move, and kinds of friction."""
+    """Return the model table: exponentials on a fixed rotor, coupled motion, and tested kinds of friction."""
     bare, size = 0.0, 0
     for channel, decline in zip(problem.cut(end_s), declines, strict=True):
         t = channel.time_s - channel.time_s[0]
@@ -220,19 +243,19 @@ def _model_table(
     count = len(minimum.theta)
     needed = bare + 2 * 6 > coupled + 2 * count
     why = f"χ² {bare:.3g} against {coupled:.3g} for {size} blocks: " + (
-        "the disk's push on the pendulums shows" if needed else "the disk's push is below the noise"
+        "the disk's reaction on the pendulums is visible" if needed else "the disk's reaction is below the noise"
     )
     name = "coupled motion of disk and pendulums" + (" with friction" if count > _COUNT else "")
     return [
-        ModelChoice("bare exponentials, rotor held", 6, bare + 2 * 6, False, why),
-        # also where it is not needed: it contains the other, and its interval what the suspension leaves open
+        ModelChoice("exponentials, rotor held", 6, bare + 2 * 6, False, why),
+        # always chosen: it contains the other model, and its interval includes the uncertainty of the suspension
         ModelChoice(name, count, coupled + 2 * count, True, why),
-        *(row for row in asked if row.parameters != count),
+        *(row for row in tested if row.parameters != count),
     ]
 
 
 def _answers(case: SpinDown, kinds: Kinds, starts: Sequence[np.ndarray]) -> list[Minimum]:
-    """The minima reached from several starts, distinct ones, the best first; those far worse are left out."""
+    """Return the distinct minima from several starts, the best first, without those that are far worse."""
     problem, begin, end = case.problem(kinds), case.begin_s, case.end_s
     begin_s = problem.readings[0].averages.time_s[0]
     early = begin_s + 0.35 * (end - begin)
@@ -241,7 +264,7 @@ def _answers(case: SpinDown, kinds: Kinds, starts: Sequence[np.ndarray]) -> list
         problem.prior[_PSI] = start[_PSI]
         theta = problem.solve(start, early, 6).theta
         problem.prior[_PSI] = theta[_PSI]
-        found.append(problem.solve(theta, end, _MOST_STEPS, plateau=_FOLLOWED))
+        found.append(problem.solve(theta, end, _MOST_STEPS, plateau=_MAX_CHI2))
     return plausible_answers(found)
 
 

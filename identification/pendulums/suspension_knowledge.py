@@ -1,4 +1,4 @@
-"""What is known of the other parameters when the pendulums' transients are fitted."""
+"""Prior knowledge of the other parameters in the fits of the pendulums' transients."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from rig_configs.suspension_terms import TERMS, moved_term
 
 NAMES = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
 BOW = ("bow_x_m", "bow_y_m")
-"""Components of a bow, by their places in RotorParameters."""
-NOMINAL_SHARE = (0.15, 0.15, 0.7, 0.7, 0.05)  # what a rig file's numbers are worth
+"""Components of a bow by their field names in RotorParameters."""
+NOMINAL_SHARE = (0.15, 0.15, 0.7, 0.7, 0.05)
+"""Relative standard uncertainties of a rig file's k1, k2, ζ1, ζ2, S_P."""
 
 
 @dataclass(frozen=True)
@@ -23,14 +24,13 @@ class Knowledge:
     """Parameters with independent relative uncertainties.
 
     Attributes:
-        physics: the rig with the best values so far.
+        physics: best values so far.
         log_std: standard deviation of the logarithm of k1, k2, ζ1, ζ2, S_P, shape (5,).
-        friction: dry friction that a spin-down found; None where none is known of.
-        numbers: physical numbers whose effect on an answer is wanted.
-        by_number: number → derivative of the logarithms of k1, k2, ζ1, ζ2, S_P by it, shape (5,), as the tests so far
-            have found them with that number.
-        number_std: number → its standard uncertainty, in its unit, of those that a release may leave open.
-        terms: of the suspension's TERMS those whose effect on an answer is wanted.
+        friction: dry friction found by a spin-down; None if no friction is known.
+        numbers: physical numbers by which derivatives of a result are required.
+        by_number: number → derivative of the logarithms of k1, k2, ζ1, ζ2, S_P by it in the tests so far, shape (5,).
+        number_std: number that may be free in a release → its standard uncertainty, in its unit.
+        terms: names of TERMS of the suspension by which derivatives of a result are required.
     """
 
     physics: RotorParameters
@@ -43,16 +43,16 @@ class Knowledge:
 
     @classmethod
     def nominal(cls, physics: RotorParameters) -> Knowledge:
-        """A rig file's numbers, trusted as far as such numbers go."""
+        """Create prior knowledge from a rig file's numbers with the uncertainties NOMINAL_SHARE."""
         numbers = tuple(name for name, value in physical_numbers(physics).items() if value)
         return cls(physics, np.array(NOMINAL_SHARE), numbers=numbers)
 
     def moved(self, number: str, step: float) -> Knowledge:
-        """The same with one physical number larger by a step, and with it what the tests have found.
+        """Return the knowledge with one physical number larger by a step, and the test results that depend on it.
 
         Args:
-            number: or a component of BOW, or one of DRAG or TERMS.
-            step: in the number's unit.
+            number: physical number, component of BOW, or one of DRAG or TERMS.
+            step: change of the number, in its unit.
         """
         if number in BOW:
             return replace(self, physics=replace(self.physics, **{number: getattr(self.physics, number) + step}))
@@ -70,20 +70,20 @@ class Knowledge:
         return replace(self, physics=physics.with_values(**values))
 
     def with_found(self, values: dict[str, float], std: dict[str, float]) -> Knowledge:
-        """The same with measured values where there are any; damping of the pendulums is not touched."""
+        """Return the knowledge with measured values and their uncertainties; the pendulums' damping is not changed."""
         log_std = self.log_std.copy()
         for i, name in enumerate(NAMES):
             if name in values:
-                # no tighter than integration and model carry
+                # lower bound by the errors of integration and model
                 log_std[i] = max(std[name] / abs(values[name]), 1e-6)
         found = {n: values[n] for n in NAMES if n in values}
         return replace(self, physics=self.physics.with_values(**found), log_std=log_std)
 
     def with_slopes(self, values: Mapping[str, float], by_number: Mapping[str, Mapping[str, float]]) -> Knowledge:
-        """The same with how found values go with the known numbers.
+        """Return the knowledge with derivatives of measured values by the known numbers.
 
         Args:
-            values: what was found, by parameter.
+            values: measured values by parameter.
             by_number: number → parameter → derivative.
         """
         slopes = {

@@ -1,9 +1,8 @@
-"""Pendulum damping from the full coupled motion: after a flick on a resting rotor, after a release at speed.
+"""Pendulum damping from the full coupled motion after a flick on a resting rotor or after a release at speed.
 
-The pendulums shake the disk and the disk pushes back at the per cent level, so the encoder angles are fitted with the
-nonlinear model itself. What else the motion depends on (suspension, imbalance, start state, encoder zeros) is free
-within what is known of it; the quoted uncertainty contains it, and what the encoders' rounding does where a pendulum
-hardly moves.
+The pendulums excite the disk, and its reaction on them is of the order of one per cent. The encoder angles are
+therefore fitted with the nonlinear model. Suspension, imbalance, start state and encoder zeros are free within their
+prior uncertainties. The stated uncertainty includes these, and the effect of the encoders' rounding on slow pendulums.
 """
 
 from __future__ import annotations
@@ -25,54 +24,56 @@ from identification.setting import ModelChoice, Setting
 
 
 class Predict(Protocol):
-    """(θ, last instant, whether derivatives are wanted) ↦ both angles at every block up to it, and derivatives."""
+    """(θ, last instant, whether derivatives are computed) ↦ both angles at every block up to it, and derivatives."""
 
     def __call__(self, theta: np.ndarray, end_s: float, slopes: bool = True, /) -> tuple[np.ndarray, np.ndarray]:
-        """Shapes (n,), one encoder after the other, and (n, p); the second is of no use where it is not wanted."""
+        """Return shapes (n,), one encoder after the other, and (n, p), which is not valid without derivatives."""
         ...
 
 
 class _Evaluation(Protocol):
-    """(θ, whether the Jacobian is wanted) ↦ residual and Jacobian."""
+    """(θ, whether the Jacobian is computed) ↦ residual and Jacobian."""
 
     def __call__(self, theta: np.ndarray, slopes: bool = True, /) -> tuple[np.ndarray, np.ndarray]:
-        """Shapes (n,) and (n, p)."""
+        """Return shapes (n,) and (n, p)."""
         ...
 
 
-UNTOLD = "{}: the {} does not tell viscous damping from dry friction: with both the fit does not settle; {}"
-"""Refusal: log, test, what to do."""
+NOT_SEPARATED = (
+    "{}: the {} does not separate viscous damping from dry friction: with both the fit does not converge; {}"
+)
+"""Message with the fields log, test and advice."""
 _DRAWS = {"fast": 0, "balanced": 100, "reference": 400}
 _JITTERS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)  # steps
-_AS_FORESEEN = 1.0  # χ² above what a linear model foresees
-_NEAR = 4.0  # χ² above it of an iteration that goes on along a valley
-_OPENED = 8  # iterations
-_FAR = 25.0  # χ² that a step would still mend
-_WIDER = 1.5  # times as long intervals are worth a word
+_MAX_LINEAR_EXCESS = 1.0  # χ² above that of the linear model for which one step is sufficient
+_MAX_VALLEY_EXCESS = 4.0  # the same for an iteration that continues along a valley
+_OPENED = 8  # iterations with additional unknowns
+_MAX_REMAINING_CHI2 = 25.0  # largest reduction of χ² by the remaining step
+_WARNING_RATIO = 1.5  # ratio of standard deviations with and without friction that causes a warning
 _NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
 
 @dataclass(frozen=True)
 class TransientFit:
-    """What a pendulum transient says.
+    """Estimate of a pendulum transient.
 
     Attributes:
         values: c3_Nms_per_rad, c4_Nms_per_rad.
-        covariance: shape (2, 2).
-        intervals: 95 % by name, of ln c ± 1.96 standard deviations: never negative.
-        curves: both pendulums, measured and fitted.
-        chi2_per_dof: residuals against the encoder's white noise.
-        horizon_s: length of the fitted stretch.
-        start_angles_rad: θ3, θ4 at its beginning.
-        model, model_table: the smallest adequate model in words, and what it was compared with.
-        warnings: what a reader must know.
-        friction: dry friction beside the viscous damping, where the readings show it; it is in the fit.
-        settled: whether the iteration did; the values of one that did not are none to quote.
-        open_friction: damping and friction, all of it free; several tests share it
-            (identification.pendulums.open_friction). None where it was not asked for.
-        undecided: a warning that friction too small to be found has widened the intervals; "" where it has not.
+        covariance: covariance of the values, shape (2, 2).
+        intervals: 95 % intervals by name, from ln c ± 1.96 standard deviations and therefore positive.
+        curves: measured and fitted angles of both pendulums.
+        chi2_per_dof: χ²/dof against the encoder's white noise.
+        horizon_s: length of the fitted stretch, s.
+        start_angles_rad: θ3, θ4 at the begin of the stretch, rad.
+        model, model_table: smallest adequate model, and the compared models.
+        warnings: limitations of the result, as sentences.
+        friction: dry friction in the fit in addition to viscous damping; None if the readings do not show any.
+        settled: whether the iteration converged. Values of a fit that did not converge must not be quoted.
+        open_friction: damping and free friction for the joint estimate of several tests
+            (identification.pendulums.open_friction); None if friction was not considered.
+        undecided: warning that friction too small to be found has widened the intervals; "" if it has not.
         by_number: known number → derivative of ln c3, ln c4 by it, shape (2,).
-        number_std: known number that the fit left open → its standard uncertainty; its part is in the covariance.
+        number_std: known number that is free in the fit → its standard uncertainty, whose part is in the covariance.
     """
 
     values: dict[str, float]
@@ -94,7 +95,7 @@ class TransientFit:
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviations by name (clock not included)."""
+        """Standard deviations by name, without the error of the clock."""
         return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
@@ -106,12 +107,12 @@ class TransientFit:
 
 @dataclass(frozen=True)
 class Readings:
-    """One encoder's samples of a transient, and their block averages.
+    """One encoder's samples of a transient and their block averages.
 
     Attributes:
-        time_s, angle_rad: of each sample, shape (n,).
-        averages: over blocks of them.
-        step_rad: the encoder's step; 0 when the angle is not quantised.
+        time_s, angle_rad: time and angle of each sample, shape (n,).
+        averages: averages over blocks of samples.
+        step_rad: quantisation step of the encoder, rad; 0 if the angle is not quantised.
     """
 
     time_s: np.ndarray
@@ -120,7 +121,7 @@ class Readings:
     step_rad: float
 
     def between(self, start_s: float, end_s: float) -> Readings:
-        """The blocks that begin inside a span and have their mean time there, with their samples."""
+        """Return the blocks whose begin and mean time lie in a span, with their samples."""
         count = self.averages.count
         begins = self.time_s[np.r_[0, np.cumsum(count)[:-1]].astype(np.int64)]
         keep = (begins >= start_s) & (self.averages.time_s <= end_s)
@@ -128,15 +129,18 @@ class Readings:
         return Readings(self.time_s[inside], self.angle_rad[inside], self.averages.where(keep), self.step_rad)
 
     def rounding(self, curve_rad: np.ndarray, moves: np.ndarray, slopes_rad: np.ndarray, seed: int) -> np.ndarray:
-        """Errors of the block averages that reading curves makes, in their standard deviations; (draws, blocks).
+        """Return the errors of the block averages by quantisation of curves, in their standard deviations.
 
         Args:
-            curve_rad: at the blocks' mean times, shape (blocks,).
-            moves: each draw's parameters less the curve's, shape (draws, p).
+            curve_rad: curve at the blocks' mean times, shape (blocks,).
+            moves: parameters of each draw minus those of the curve, shape (draws, p).
             slopes_rad: derivatives of the curve by the parameters, shape (p, blocks).
+            seed: seed of the random numbers.
+        Returns:
+            Shape (draws, blocks).
         """
         blocks = self.averages
-        if len(moves) > len(slopes_rad) + 1:  # the spline of a sum is the sum of the splines: of each slope once
+        if len(moves) > len(slopes_rad) + 1:  # the spline of a sum is the sum of splines, so each slope has one
             each = CubicSpline(blocks.time_s, np.vstack([curve_rad, slopes_rad]), axis=1)(self.time_s)
             samples = moves @ each[1:]
             samples += each[0]
@@ -147,9 +151,10 @@ class Readings:
         return np.add.reduceat(errors, first, axis=1) / blocks.count * blocks.weight
 
     def _jitter(self, curve_rad: np.ndarray) -> float:
-        """Noise before the rounding, rad: that which makes readings of this curve flicker as the record's do.
+        """Return the noise before the rounding, rad, for which readings of this curve flicker like those of the record.
 
-        A pendulum that creeps through a step shows its jitter only there, so the noise of a moving encoder is no guide.
+        A pendulum that creeps through a step shows its jitter only there, so the noise of a moving encoder does not
+        represent it.
         """
         wanted = float(np.var(np.diff(self.angle_rad, 3)))
         unit = np.random.default_rng(5).standard_normal(len(curve_rad)) * self.step_rad
@@ -162,13 +167,14 @@ class Readings:
 
 @dataclass(frozen=True)
 class TransientProblem:
-    """One transient as nonlinear least squares; θ begins with ln c3, ln c4.
+    """Nonlinear least-squares problem of one transient; θ begins with ln c3, ln c4.
 
     Attributes:
-        readings: both encoders from the transient's start on.
+        readings: readings of both encoders from the transient's start on.
         predict: (θ, last instant) ↦ both angles at every block up to it, one array after the other, shape (n,), and
             their derivatives (n, p).
-        prior, prior_std: independent Gaussian knowledge of θ, shape (p,); std inf where there is none.
+        prior, prior_std: mean and standard deviation of independent Gaussian priors of θ, shape (p,); standard
+            deviation inf for no prior.
     """
 
     readings: tuple[Readings, Readings]
@@ -177,22 +183,25 @@ class TransientProblem:
     prior_std: np.ndarray
 
     def cut(self, end_s: float) -> tuple[Averages, Averages]:
-        """The data up to an instant."""
+        """Return the data up to an instant."""
         first, second = (r.averages.between(-np.inf, end_s) for r in self.readings)
         return first, second
 
     def solve(self, start: np.ndarray, end_s: float, iterations: int = 25, plateau: float | None = None) -> Minimum:
-        """Least squares on the data up to end_s.
+        """Minimise the residuals of the data up to `end_s`.
 
         Args:
-            plateau: χ² per reading above which steps that gain little end it: the model is at fault there.
+            start: start value of θ.
+            end_s: last instant of the data, s.
+            iterations: largest number of iterations.
+            plateau: χ² per reading above which the iteration ends at steps of little gain, because the model is wrong.
         """
         return minimise(self._evaluation(end_s), start, iterations, plateau)
 
     def opened(self, theta: np.ndarray, end_s: float) -> Minimum | None:
-        """The minimum near the one of a fit with fewer unknowns; None where there is none.
+        """Return the minimum near that of a fit with fewer unknowns; None if no minimum is found.
 
-        One Gauss–Newton step where the motion follows it, an iteration where it does not.
+        One Gauss–Newton step is used if the linear model predicts its result, otherwise an iteration.
         """
         evaluate = self._evaluation(end_s)
         residual, jacobian = evaluate(theta)
@@ -203,26 +212,26 @@ class TransientProblem:
         there = residual + jacobian @ step
         found = evaluate(theta + step)[0]
         unit = max(1.0, float(there @ there) / len(there))
-        if np.all(np.isfinite(found)) and found @ found < there @ there + _AS_FORESEEN * unit:
+        if np.all(np.isfinite(found)) and found @ found < there @ there + _MAX_LINEAR_EXCESS * unit:
             return Minimum(theta + step, covariance, found, jacobian, True, 1)
         minimum = self.solve(theta, end_s, _OPENED)
-        return minimum if minimum.converged or minimum.cost < there @ there + _NEAR * unit else None
+        return minimum if minimum.converged or minimum.cost < there @ there + _MAX_VALLEY_EXCESS * unit else None
 
     def part_way(self, theta: np.ndarray, end_s: float) -> tuple[Minimum, np.ndarray] | None:
-        """Where an iteration from θ has got to that did not settle, and the step that it would still make.
+        """Return the end of an iteration from θ that did not converge, and its remaining step.
 
-        Where a model is not smooth (a friction that stops a pendulum), it creeps along a valley whose end its own
-        linearisation foresees. None where that is far off, or where θ itself has no motion that can be followed.
+        For a model that is not smooth (friction that stops a pendulum) the iteration creeps along a valley, whose end
+        the linearisation predicts. None if that end is far away, or if the motion at θ is not finite.
         """
         if not np.all(np.isfinite(self.residual(theta, end_s))):
             return None
         minimum = self.solve(theta, end_s, _OPENED)
         step = -minimum.covariance @ (minimum.jacobian.T @ minimum.residual)
         moved = minimum.jacobian @ step
-        return (minimum, step) if np.all(np.isfinite(step)) and moved @ moved < _FAR else None
+        return (minimum, step) if np.all(np.isfinite(step)) and moved @ moved < _MAX_REMAINING_CHI2 else None
 
     def _evaluation(self, end_s: float) -> _Evaluation:
-        """θ to residual and Jacobian, knowledge last; infinite where the motion cannot be followed."""
+        """Return the function from θ to residual and Jacobian, prior rows last; inf if the motion is not finite."""
         data = self.cut(end_s)
         measured = np.concatenate([d.value for d in data])
         weight = np.concatenate([d.weight for d in data])
@@ -239,27 +248,31 @@ class TransientProblem:
         return evaluate
 
     def residual(self, theta: np.ndarray, end_s: float) -> np.ndarray:
-        """Residuals at θ in standard deviations, knowledge last; infinite where the motion cannot be followed."""
+        """Return residuals at θ in standard deviations, prior rows last; inf if the motion is not finite."""
         return self._evaluation(end_s)(theta, False)[0]
 
     def angles(self, theta: np.ndarray, end_s: float) -> np.ndarray:
-        """Both angles at every block up to an instant, shape (n,)."""
+        """Return both angles at every block up to an instant, rad, shape (n,)."""
         return self.predict(theta, end_s, False)[0]
 
     def chi2_per_dof(self, minimum: Minimum, end_s: float) -> float:
-        """Reduced χ² of the data alone."""
+        """Return χ²/dof of the data without the prior rows."""
         n = sum(len(d.time_s) for d in self.cut(end_s))
         data = minimum.residual[:n]
         return float(data @ data) / max(1, n - 6)
 
     def misfit(self, minimum: Minimum, end_s: float, draws: int = 12) -> float:
-        """χ²/dof over what noise and the encoders' rounding of this very curve make of it; 1 for a right model."""
+        """Return χ²/dof over that of noise and of the encoders' rounding of this curve; 1 for a correct model."""
         rounding = self.rounding(minimum, end_s, draws)
         level = 1.0 if rounding is None else max(1.0, float(np.mean(rounding**2)))
         return self.chi2_per_dof(minimum, end_s) / level
 
     def rounding(self, minimum: Minimum, end_s: float, draws: int) -> np.ndarray | None:
-        """Errors of all block averages, in their standard deviations, for curves like the fitted one; (draws, n)."""
+        """Return rounding errors of all block averages in their standard deviations, for curves near the fitted one.
+
+        Returns:
+            Shape (draws, n), or None if an encoder is not quantised or no draws are requested.
+        """
         parts = [r.between(-np.inf, end_s) for r in self.readings]
         if draws == 0 or not all(p.step_rad > 0 for p in parts):
             return None
@@ -276,7 +289,16 @@ class TransientProblem:
     def covariance(
         self, minimum: Minimum, end_s: float, setting: Setting, wanted: Sequence[int] = (0, 1)
     ) -> np.ndarray:
-        """Of some of θ, by default ln c3, ln c4, shape (m, m): of knowledge and rounding, stretched by misfit."""
+        """Return the covariance of components of θ by priors and rounding, stretched by the misfit.
+
+        Args:
+            minimum: minimum of the problem for data up to `end_s`.
+            end_s: last instant of the data, s.
+            setting: determines the number of rounding draws.
+            wanted: m indices in θ, by default those of ln c3, ln c4.
+        Returns:
+            Shape (m, m).
+        """
         own_columns = list(wanted)
         sizes = [len(c.time_s) for c in self.cut(end_s)]
         n = sum(sizes)
@@ -296,9 +318,18 @@ class TransientProblem:
     def result(
         self, minimum: Minimum, end_s: float, label: str, angles_at: int, setting: Setting, table: list[ModelChoice]
     ) -> TransientFit:
-        """A minimum as the numbers that are reported; angles_at is where θ3 and θ4 stand in θ."""
+        """Return the reported result of a minimum.
+
+        Args:
+            minimum: minimum of the problem for data up to `end_s`.
+            end_s: last instant of the data, s.
+            label: name of the test for curves and warnings.
+            angles_at: index of θ3 in θ, followed by θ4.
+            setting: determines the number of rounding draws.
+            table: compared models.
+        """
         chi2, misfit = self.chi2_per_dof(minimum, end_s), self.misfit(minimum, end_s)
-        curves, at = [], 0
+        curves, at = list[Curve](), 0
         for name, channel in zip("AB", self.cut(end_s), strict=True):
             own = minimum.residual[at : at + len(channel.time_s)]
             at += len(own)
@@ -307,11 +338,11 @@ class TransientProblem:
         c = np.exp(minimum.theta[:2])
         covariance = self.covariance(minimum, end_s, setting)
         start = (float(minimum.theta[angles_at]), float(minimum.theta[angles_at + 1]))
-        warnings = []
+        warnings: list[str] = []
         if misfit > 1.3:
             warnings.append(
-                f"{label}: residuals exceed the encoder noise: χ²/dof {chi2:.3g}, {misfit:.3g} times what noise and "
-                "rounding explain; standard deviations are scaled up"
+                f"{label}: residuals exceed the encoder noise: χ²/dof {chi2:.3g}, {misfit:.3g} times that of noise and "
+                "rounding; standard deviations are scaled up"
             )
         model = next((row.name for row in table if row.chosen), "coupled motion of disk and pendulums")
         return TransientFit(
@@ -330,22 +361,24 @@ class TransientProblem:
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
-    """A matrix whose square is the covariance, whatever its scales; unknown directions stay where they are."""
+    """Return R with R Rᵀ equal to a covariance of any scales; directions lost by rounding have no spread."""
     scale = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     return scale[:, None] * vectors * np.sqrt(np.clip(values, 0.0, None))
 
 
 def with_open_friction(fit: TransientFit, found: OpenFriction, label: str) -> TransientFit:
-    """A fit whose values and intervals leave friction open, as far as it is not below zero.
+    """Return a fit with values and intervals for free friction of at least 0.
 
     Args:
-        label: the test, for the warning.
+        fit: fit of the transient.
+        found: damping and free friction.
+        label: name of the test for the warning.
     """
     free: Alone = alone(found)
     c, low, high = (np.exp(free.log_damping + shift) for shift in (0.0, -free.below, free.above))
-    wider, told = float(np.max(np.sqrt(np.diag(free.covariance)) / free.known_std)), ""
-    if wider > _WIDER:
+    wider, warning = float(np.max(np.sqrt(np.diag(free.covariance)) / free.known_std)), ""
+    if wider > _WARNING_RATIO:
         limits = (
             f"{name} below {a:.2g} and {b:.2g} {unit}"
             for name, unit, (a, b) in (
@@ -353,7 +386,7 @@ def with_open_friction(fit: TransientFit, found: OpenFriction, label: str) -> Tr
                 ("with the contact force", "kg m²", free.contact_kg_m2),
             )
         )
-        told = (
+        warning = (
             f"{label}: by itself it does not exclude dry friction of A and B ({', '.join(limits)}, 95 %), which makes "
             f"c3 and c4 {wider:.2g} times less certain than viscous damping alone would be; a spin-down and releases "
             "at two speeds together decide"
@@ -363,13 +396,13 @@ def with_open_friction(fit: TransientFit, found: OpenFriction, label: str) -> Tr
         values=dict(zip(_NAMES, c.tolist(), strict=True)),
         covariance=free.covariance * np.outer(c, c),
         intervals={n: (float(a), float(b)) for n, a, b in zip(_NAMES, low, high, strict=True)},
-        warnings=[*fit.warnings, told] if told else fit.warnings,
+        warnings=[*fit.warnings, warning] if warning else fit.warnings,
         open_friction=found,
-        undecided=told,
+        undecided=warning,
     )
 
 
 def log_intervals(c: np.ndarray, covariance: np.ndarray) -> dict[str, tuple[float, float]]:
-    """95 % intervals of c3, c4 from their values and the covariance of their logarithms."""
+    """Return 95 % intervals of c3, c4 from their values and the covariance of their logarithms."""
     reach = np.exp(1.96 * np.sqrt(np.diag(covariance)))
     return {name: (float(v / r), float(v * r)) for name, v, r in zip(_NAMES, c, reach, strict=True)}

@@ -1,11 +1,12 @@
-"""A release on a rotor whose recorded phase is not exact: how far it may be otherwise is unknown, the last of θ.
+"""A release with an inexact recorded phase, whose errors are the last unknowns of θ.
 
-A phase without reference is wrong by a constant angle, a noisy one by the errors its smoothing leaves
+A phase without reference has a constant error; a noisy phase has the errors of its smoothing
 (identification.pendulums.recorded_speed).
 
-Where the suspension is stiffer one way than the other the motion depends on it. Turning everything by half a revolution
-changes nothing the encoders see unless gravity pulls in the disk's plane. From a wrong angle a fit may end in a side
-minimum, so several race over the first horizons and those that fall behind are dropped.
+The motion depends on the constant error if the suspension has different stiffnesses along x and y. A rotation of the
+whole rig by half a revolution does not change the encoders' readings, unless gravity acts in the plane of the disk. A
+fit with a wrong angle may end in a side minimum. Therefore several angles are tried over the first horizons, and those
+with a much larger χ² are dropped.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from identification.errors import FitFailed
@@ -22,39 +24,45 @@ from identification.least_squares import Minimum
 from identification.pendulums.answers import covering
 from identification.pendulums.transient import Predict, TransientFit, TransientProblem
 
-TURN_STD_RAD = np.pi
-_PER_HALF = 6
-_DIFFERENCE = 1e-5  # rad
-_MODE_DIFFERENCE = 1e-2  # standard deviations
-_FURTHEST = 7.5  # ln c: three standard deviations of what is known of a damping
+Array = NDArray[np.float64]
+
+TURN_STD_RAD = float(np.pi)
+"""Prior standard deviation of an unknown constant angle, rad."""
+_PER_HALF = 6  # number of trial angles per half revolution
+_DIFFERENCE = 1e-5  # step of the angle, rad
+_MODE_DIFFERENCE = 1e-2  # step of a mode in standard deviations
+_FURTHEST = 7.5  # largest change of ln c: three prior standard deviations
 _HORIZONS, _ITERATIONS = 3, 8
-_BEHIND = 50.0  # χ² above the leader's
-_SEEN_DEG = 30.0
-_ALIKE = 1.0  # squared standard deviations between runners that are one
+_MAX_CHI2_ABOVE_BEST = 50.0  # χ² above the best trial's for which a trial is dropped
+_MAX_DETERMINED_DEG = 30.0  # standard deviation of the angle below which the readings determine it
+_MAX_SAME_DISTANCE = 1.0  # squared standard deviations between trials that count as the same
 
-Hold = Callable[[TransientProblem, np.ndarray], TransientProblem]
-Phased = Callable[[np.ndarray, float, np.ndarray, bool], tuple[np.ndarray, np.ndarray]]
+Hold = Callable[[TransientProblem, Array], TransientProblem]
+"""(problem, start value) ↦ the problem with the damping held near that of the start value."""
+Phased = Callable[[Array, float, Array, bool], tuple[Array, Array]]
+"""(other unknowns, last instant, errors of the phase, whether derivatives are computed) ↦ readings, derivatives."""
 
 
-def angles_to_try(physics: RotorParameters) -> np.ndarray:
-    """Angles evenly over half a revolution, or over a whole one where gravity tells its halves apart, rad."""
+def angles_to_try(physics: RotorParameters) -> Array:
+    """Return trial angles over half a revolution, or over a whole one if gravity makes its halves different, rad."""
     halves = 2 if physics.gravity_m_per_s2 else 1
     return np.pi * (np.arange(halves * _PER_HALF) / _PER_HALF - 0.5 * halves)
 
 
-def with_phase(predict: Phased, damping: np.ndarray, modes: int, turn: bool) -> Predict:
-    """Readings and derivatives with the phase's errors as last parameters.
+def with_phase(predict: Phased, damping: Array, modes: int, turn: bool) -> Predict:
+    """Return a prediction with the phase's errors as last parameters.
 
     Args:
-        predict: (other parameters, last instant, standard deviations of each mode and a last angle, whether derivatives
-            are wanted) ↦ readings (n,) and derivatives (n, p), NaN for infinite ones.
-        damping: ln c3, ln c4 as given. From a wrong angle trials run off to dampings that take seconds to follow; they
+        predict: (other parameters, last instant, modes in standard deviations followed by an angle, whether derivatives
+            are computed) ↦ readings (n,) and derivatives (n, p), NaN for a motion that is not finite.
+        damping: prior ln c3, ln c4. Trials with a wrong angle diverge to dampings whose integration takes seconds; they
             are refused.
-        modes, turn: how many modes there are, and whether the angle is unknown.
+        modes: number of modes.
+        turn: whether the constant angle is unknown.
     """
     count, free = modes + 1, modes + int(turn)
 
-    def phased(theta: np.ndarray, end_s: float, slopes: bool = True, /) -> tuple[np.ndarray, np.ndarray]:
+    def phased(theta: Array, end_s: float, slopes: bool = True, /) -> tuple[Array, Array]:
         own, by = theta[: len(theta) - free], np.zeros(count)
         by[:free] = theta[len(theta) - free :]
         if turn and np.max(np.abs(theta[:2] - damping)) >= _FURTHEST:
@@ -72,50 +80,52 @@ def with_phase(predict: Phased, damping: np.ndarray, modes: int, turn: bool) -> 
     return phased
 
 
-def race(
-    problem: TransientProblem, trials: Sequence[np.ndarray], horizons: Sequence[float], hold: Hold
-) -> list[np.ndarray]:
-    """Where a few iterations over the first horizons lead: each place once, the best first, no stragglers.
+def screened_starts(
+    problem: TransientProblem, trials: Sequence[Array], horizons: Sequence[float], hold: Hold
+) -> list[Array]:
+    """Return the best start values after a few iterations over the first horizons, the best first, each place once.
 
     Args:
-        problem: its θ ends with the angle.
+        problem: problem whose θ ends with the angle.
         trials: start values.
-        horizons: last instants, ascending; the first few are used.
-        hold: keeps a problem's damping near a start's: from a wrong angle it could run off.
+        horizons: last instants, ascending, of which the first few are used, s.
+        hold: holds a problem's damping near that of a start, since it could diverge with a wrong angle.
     Raises:
-        FitFailed: the model gives no finite numbers from any of them.
+        FitFailed: the motion is not finite from any start.
     """
-    runners = list(trials)
+    starts = list(trials)
     for end_s in horizons[:_HORIZONS]:
         minima: list[Minimum] = []
-        for theta in runners:
-            with contextlib.suppress(FitFailed):  # the motion from there is beyond all numbers
+        for theta in starts:
+            with contextlib.suppress(FitFailed):  # the motion from this start is not finite
                 minima.append(hold(problem, theta).solve(theta, end_s, _ITERATIONS))
         if not minima:
-            raise FitFailed("from no angle of the rotor does the model give finite numbers; check masses and lengths")
+            raise FitFailed("the motion of the model is not finite at any angle of the rotor; check masses and lengths")
         minima.sort(key=lambda m: m.cost)
         best = minima[0].cost
-        limit = best + _BEHIND * max(1.0, best / len(minima[0].residual))
+        limit = best + _MAX_CHI2_ABOVE_BEST * max(1.0, best / len(minima[0].residual))
         ahead: list[Minimum] = []
         for minimum in minima:
-            if minimum.cost <= limit and all(_apart(minimum, other) > _ALIKE for other in ahead):
+            if minimum.cost <= limit and all(_apart(minimum, other) > _MAX_SAME_DISTANCE for other in ahead):
                 ahead.append(minimum)
-        runners = [minimum.theta for minimum in ahead]
-    return runners
+        starts = [minimum.theta for minimum in ahead]
+    return starts
 
 
 def _apart(one: Minimum, other: Minimum) -> float:
-    """Squared distance in ln c3, ln c4 and the angle up to half revolutions."""
+    """Return the squared distance of two minima in ln c3, ln c4 and the angle modulo half a revolution."""
     shift = (one.theta - other.theta)[[0, 1, -1]]
     shift[2] -= np.pi * np.round(shift[2] / np.pi)
     return float(shift @ np.linalg.inv(other.covariance[np.ix_([0, 1, -1], [0, 1, -1])]) @ shift)
 
 
-def told(fit: TransientFit, answers: Sequence[Minimum], physics: RotorParameters) -> TransientFit:
-    """A fit whose intervals reach other answers, with what a reader must know of the angle."""
+def with_phase_warning(fit: TransientFit, answers: Sequence[Minimum], physics: RotorParameters) -> TransientFit:
+    """Return a fit with intervals that contain other plausible minima, and with a warning about the fitted angle."""
     turn, std = (np.degrees(v) for v in (answers[0].theta[-1], np.sqrt(answers[0].covariance[-1, -1])))
     half = "" if physics.gravity_m_per_s2 else ", or half a revolution more"
-    seen = f"the phase lacks {turn:.1f}° ± {std:.1g}°{half}" if std < _SEEN_DEG else "the readings do not depend on it"
+    seen = "the readings do not depend on it"
+    if std < _MAX_DETERMINED_DEG:
+        seen = f"the phase lacks {turn:.1f}° ± {std:.1g}°{half}"
     warning = (
         "the recorded phase has no absolute reference, so the rotor's angle was fitted with the damping, whose "
         f"intervals contain it: {seen}"

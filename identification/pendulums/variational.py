@@ -1,21 +1,19 @@
-"""The free motion together with its derivatives, in one pass.
+"""Free motion together with its derivatives, in one pass.
 
 With the state y = (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4) and ẏ = f(y, p) the derivatives S = ∂y/∂(y0, p) obey
-Ṡ = (∂f/∂y) S + ∂f/∂p. Their sines and cosines are the motion's own and their steps longer, so fifteen columns cost as
-much as the motion and not fifteen times that as finite differences do.
+Ṡ = (∂f/∂y) S + ∂f/∂p. They use the sines and cosines of the motion and have longer steps. Fifteen columns therefore
+cost as much as the motion, while finite differences cost fifteen times that.
 
 In the notation of dynamics.equations.kernels: e' = −n, n' = e by the angle, and 𝐌(θ) q̈ = F(y) gives 𝐌 dq̈ = dF − d𝐌 q̈,
 where a pendulum's angle enters as S_i (turn e − φ̇² n) + m_i ((n·p̈) e + (e·p̈) n), m_i = S_i²/J_i, and its rate as
 S_i (2 φ̇ e + bare' n).
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
-
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from dynamics.equations.kernels import (
     AA,
@@ -43,15 +41,17 @@ from dynamics.equations.kernels import (
 from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
 
+Array = NDArray[np.float64]
+
 COLUMNS = 15
 WHOLE = 13
 PARAMETER_COLUMNS = (K1, K2, C1, C2, CA, CB, SP)
-"""Packed parameters (dynamics.equations.kernels) of columns 8 … 14; columns 0 … 7 are the start state's."""
+"""Packed parameters (dynamics.equations.kernels) of columns 8 … 14; columns 0 … 7 belong to the start state."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def suspension(y, cos_r, sin_r, p, whole):
-    """What k1, k2, c1, c2 are multiplied with, and its derivatives by stretch and speed, into whole[5:13]."""
+def suspension(y: Array, cos_r: float, sin_r: float, p: Array, whole: Array) -> None:
+    """Write the factors of k1, k2, c1, c2 and their derivatives by stretch and speed into whole[5:13]."""
     ux, uy = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
     hx, hy, qx, qy = p[HX] * ux * ux, p[HY] * uy * uy, p[QX] * abs(y[4]), p[QY] * abs(y[5])
     whole[5], whole[6], whole[7], whole[8] = ux * (1.0 + hx), uy * (1.0 + hy), y[4] * (1.0 + qx), y[5] * (1.0 + qy)
@@ -59,12 +59,14 @@ def suspension(y, cos_r, sin_r, p, whole):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _accelerations(y, psi, omega, alpha, p, f, own, whole):
-    """Rates into f (8,); what their derivatives need into own (2, 8) and whole (13,).
+def _accelerations(
+    y: Array, psi: float, omega: float, alpha: float, p: Array, f: Array, own: Array, whole: Array
+) -> None:
+    """Write the rates into f (8,) and the input of `_linearised` into own (2, 8) and whole (13,).
 
     own, by pendulum: cos φ, sin φ (e = (cos, sin), n = (sin, −cos)), S, S²/J, bare acceleration, its derivative by the
-    rate, n·p̈, e·p̈. whole: the inverse of 𝐌 (xx, yy, xy), the imbalance's force over S_P, what
-    k1, k2, c1, c2 are multiplied with, and the derivatives of these by the stretch and by the speed.
+    rate, n·p̈, e·p̈. whole: the inverse of 𝐌 (xx, yy, xy), the imbalance's force over S_P, the factors of k1, k2, c1, c2,
+    and the derivatives of these factors by the stretch and by the speed.
     """
     sin_r, cos_r = real_sine_cosine(psi)
     w2 = omega * omega
@@ -101,8 +103,8 @@ def _accelerations(y, psi, omega, alpha, p, f, own, whole):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _linearised(y, omega, alpha, p, own, whole, g, d):
-    """∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters) into d (4, 15), from what `_accelerations` left; g (2, 15) is scratch."""
+def _linearised(y: Array, omega: float, alpha: float, p: Array, own: Array, whole: Array, g: Array, d: Array) -> None:
+    """Write ∂(ẍ, ÿ, θ̈3, θ̈4)/∂(state, parameters) into d (4, 15) from the output of `_accelerations`; g is scratch."""
     g[:] = 0.0
     g[0, 0], g[1, 1], g[0, 4], g[1, 5] = (-p[K1] * whole[9], -p[K2] * whole[10], -p[C1] * whole[11], -p[C2] * whole[12])
     g[0, 8], g[1, 9], g[0, 10], g[1, 11] = -whole[5], -whole[6], -whole[7], -whole[8]
@@ -129,8 +131,8 @@ def _linearised(y, omega, alpha, p, own, whole, g, d):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _bent(d, u, v, out):
-    """Second derivatives of S by time (4, c) from ∂f/∂(y, p) in d (4, c), S's angles u and rates v (4, c)."""
+def _bent(d: Array, u: Array, v: Array, out: Array) -> None:
+    """Write the second time derivatives of S (4, c) into out, from ∂f/∂(y, p) in d (4, c), its angles u and rates v."""
     columns = d.shape[1]
     for i in range(4):
         row = out[i]
@@ -151,12 +153,13 @@ def _bent(d, u, v, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def follow(u, v, h, d, bent, rates, moved):
-    """One classical Runge–Kutta step of 2 h for S's angles u and rates v, in place.
+def follow(u: Array, v: Array, h: float, d: Array, bent: Array, rates: Array, moved: Array) -> None:
+    """Make one classical Runge–Kutta step of 2 h for the angles u and rates v of S, in place.
 
     Args:
-        u, v: shapes (4, c): by the start state (8 columns) and by parameters.
-        d: ∂f/∂(y, p) at its begin, middle and end, shape (3, 4, c).
+        u, v: shapes (4, c): derivatives by the start state (8 columns) and by parameters.
+        h: half of the step, s.
+        d: ∂f/∂(y, p) at the begin, middle and end of the step, shape (3, 4, c).
         bent, rates, moved: scratch, shapes (4, 4, c), (4, 4, c), (4, c).
     """
     columns = u.shape[1]
@@ -178,21 +181,28 @@ def follow(u, v, h, d, bent, rates, moved):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def free_motion(start, start_s, times, step, knots, coefficients, p, slopes=True):
-    """Both pendulums free from a state on, with derivatives, by classical Runge–Kutta steps.
+def free_motion(
+    start: Array,
+    start_s: float,
+    times: Array,
+    step: float,
+    knots: Array,
+    coefficients: Array,
+    p: Array,
+    slopes: bool = True,
+) -> tuple[Array, Array]:
+    """Integrate the motion of two free pendulums and its derivatives by classical Runge–Kutta steps.
 
-    The derivatives obey a linear equation whose coefficients the motion gives, so each of their steps spans two of the
-    motion's: they are then some hundred times less exact than it, and good to 2e-4.
+    A step of the derivatives spans two of the motion; their relative error is 2e-4, a hundred times the motion's.
 
     Args:
-        start, start_s: state (8,) and its instant, not after times[0].
-        times: shape (n,), ascending.
+        start, start_s, times: state (8,), its instant, and later instants of the output, ascending, s, shape (n,).
         step: longest step of the motion, s.
-        knots, coefficients: SpeedHistory.
-        p: packed parameters, without dry friction that could stick.
-        slopes: whether derivatives are wanted; without them the motion, the same to the last bit, costs half.
+        knots, coefficients: arrays of a SpeedHistory.
+        p: packed parameters without dry friction that could make a pendulum stick.
+        slopes: whether derivatives are computed. Without them the motion is identical to the last bit at half the cost.
     Returns:
-        States (n, 8) and derivatives (n, 8, 15) by the start state and PARAMETER_COLUMNS; (0, 8, 15) where not wanted.
+        States (n, 8) and derivatives (n, 8, 15), or (0, 8, 15) without, by the start state and PARAMETER_COLUMNS.
     """
     states, derivatives = np.empty((len(times), 8)), np.empty((len(times) if slopes else 0, 8, COLUMNS))
     y, u, v = start.copy(), np.zeros((4, COLUMNS)), np.zeros((4, COLUMNS))

@@ -1,4 +1,4 @@
-"""Which experiment, how long, at what amplitude and rate reaches a wanted uncertainty, by Fisher information."""
+"""Planning of experiments by Fisher information: test, duration, amplitude and rate for a required uncertainty."""
 
 from identification.plan.planning import Plan, plan
 from identification.plan.sensors import Sensors

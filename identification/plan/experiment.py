@@ -1,4 +1,4 @@
-"""One planned experiment: what to do, how long it takes, and what it would tell."""
+"""One planned experiment: its settings, its duration and its expected estimate."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from identification.joint.weighting import weighted
 from identification.methods import Method, given_by
 
 RESERVE = 1.2
-"""A plan counts on so many times the bound: estimators come close to it, and the rig is not quite as believed."""
+"""Factor on the bound in a plan: estimators only approach the bound, and the rig differs from its nominal values."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A test with its settings and the estimate to expect of it.
+    """A test with its settings and its expected estimate.
 
     Attributes:
-        test: as `rig test` and the logs call it.
-        method: the estimator that it is made for.
-        settings: what to do, name with unit → value.
-        record_s: length of the recording.
-        expected: names, values as they are believed, own covariance by the Fisher information, shared errors.
-        largest_m: largest displacement to expect of the disk, m.
-        remarks: what a reader must know.
+        test: name of the test, as in the logs.
+        method: estimator of the test.
+        settings: settings of the test, name with unit → value.
+        record_s: length of the recording, s.
+        expected: names, nominal values, own covariance by the Fisher information, and shared errors.
+        largest_m: largest expected displacement of the disk, m.
+        remarks: assumptions, as sentences.
     """
 
     test: str
@@ -39,16 +39,16 @@ class Experiment:
     remarks: tuple[str, ...] = ()
 
     def relative_std(self, name: str, runs: int = 1) -> float:
-        """Of one parameter after a number of runs: own errors average out, gains and clocks do not."""
+        """Return the relative standard deviation of a parameter after several runs; errors of gain and clock remain."""
         return float(np.hypot(self.noise(name) / np.sqrt(runs), self.floor(name)))
 
     def noise(self, name: str) -> float:
-        """What noise leaves of one run, relative, with the reserve."""
+        """Return the relative standard deviation of a parameter by noise in one run, times RESERVE."""
         i = self.expected.names.index(name)
         return RESERVE * float(np.sqrt(self.expected.covariance[i, i]) / abs(self.expected.values[i]))
 
     def floor(self, name: str) -> float:
-        """What is left after any number of runs: gains and clocks, relative."""
+        """Return the relative standard deviation that remains after any number of runs, by errors of gain and clock."""
         i = self.expected.names.index(name)
         return float(
             np.sqrt(sum(float(v[i]) ** 2 for v in self.expected.shared.values())) / abs(self.expected.values[i])
@@ -56,13 +56,17 @@ class Experiment:
 
 
 def limited(experiment: Experiment) -> Experiment | None:
-    """An experiment with what its test's row gives alone; None where that is nothing."""
+    """Return the experiment with only the parameters in its test's row; None if it has none of them."""
     names = [name for name in experiment.expected.names if name in given_by([experiment.test])]
     return replace(experiment, expected=reduced(experiment.expected, names)) if names else None
 
 
 def together(experiments: list[tuple[Experiment, int]]) -> dict[str, float]:
-    """Relative standard deviations after all experiments, each so many times."""
+    """Return the relative standard deviations by parameter after several experiments.
+
+    Args:
+        experiments: (experiment, number of runs).
+    """
     estimates = [replace(e.expected, covariance=RESERVE**2 / n * e.expected.covariance) for e, n in experiments]
     found = weighted(estimates)
     std = np.sqrt(np.diag(found.covariance))

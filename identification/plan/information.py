@@ -1,8 +1,9 @@
-"""Fisher information of a small model, numerically: what the best unbiased estimator could reach.
+"""Numerical Fisher information of a small model: the smallest covariance of an unbiased estimator.
 
-With white noise of σ per sample the information about θ is JᵀJ/σ², J the signal's derivatives; independent Gaussian
-knowledge of a nuisance adds 1/s². Signals are evaluated at fewer instants than the sensor samples, dense enough to
-follow them; a sample then stands for several and its noise is smaller by the square root.
+With white noise of σ per sample the information about θ is JᵀJ/σ², where J contains the derivatives of the signal.
+Independent Gaussian prior information on a nuisance parameter adds 1/s². Signals are evaluated at fewer instants than
+the sensor samples, but densely enough to resolve them. An instant then represents several samples, and its noise is
+smaller by the square root of their number.
 Source: docs/theory/planning.md.
 """
 
@@ -11,18 +12,21 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-Signal = Callable[[np.ndarray], np.ndarray]
+Array = NDArray[np.float64]
+Signal = Callable[[Array], Array]
 
 
-def derivatives(signal: Signal, theta: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Central differences of a signal, shape (n, p).
+def derivatives(signal: Signal, theta: Array, step: Array) -> Array:
+    """Return central differences of a signal, shape (n, p).
 
     Args:
-        signal: θ to samples, shape (n,).
-        theta, step: shape (p,).
+        signal: maps θ to samples, shape (n,).
+        theta: parameters, shape (p,).
+        step: half-widths of the differences, shape (p,).
     """
-    columns = []
+    columns: list[Array] = []
     for j, h in enumerate(step):
         ahead, behind = theta.copy(), theta.copy()
         ahead[j] += h
@@ -31,18 +35,19 @@ def derivatives(signal: Signal, theta: np.ndarray, step: np.ndarray) -> np.ndarr
     return np.column_stack(columns)
 
 
-def covariance(jacobian: np.ndarray, prior_std: np.ndarray, wanted: int) -> np.ndarray:
-    """Cramér–Rao bound of the first `wanted` parameters with all others unknown, shape (wanted, wanted).
+def covariance(jacobian: Array, prior_std: Array, wanted: int) -> Array:
+    """Return the Cramér–Rao bound of the first `wanted` parameters with all others unknown, shape (wanted, wanted).
 
     Args:
-        jacobian: in standard deviations of the samples, shape (n, p).
-        prior_std: independent knowledge, shape (p,); inf where there is none.
+        jacobian: derivatives of the samples over their standard deviation, shape (n, p).
+        prior_std: standard deviation of independent prior information, shape (p,); inf for no information.
+        wanted: number of parameters in the result.
     """
     rows = np.diag(np.where(np.isfinite(prior_std), 1 / np.maximum(prior_std, 1e-300), 0.0))
     whole = np.concatenate([jacobian, rows])
     scale = np.linalg.norm(whole, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)  # what nothing shows stays open and touches nothing else
-    # triangular factor instead of the normal matrix: half the digits survive
+    scale = np.where(scale > 0, scale, 1.0)  # a parameter without information does not affect the others
+    # the triangular factor keeps the digits that the normal matrix would lose: its condition number is squared
     triangle = np.linalg.qr(whole / scale, mode="r")
     size, vectors = np.linalg.svd(triangle)[1:]
     inverse = (vectors.T / np.maximum(size, 1e-14) ** 2) @ vectors
@@ -52,10 +57,10 @@ def covariance(jacobian: np.ndarray, prior_std: np.ndarray, wanted: int) -> np.n
 def ring_down_bound(
     amplitude_m: float, noise_m: float, rate_Hz: float, omega_rad_s: float, zeta: float, record_s: float
 ) -> tuple[float, float]:
-    """Closed form for one decaying mode: relative bounds of the natural frequency and of the damping ratio.
+    """Return the relative bounds of natural frequency and damping ratio for one decaying mode in closed form.
 
-    var(ω) = var(d) = 2σ²/(f_s a² T³ g(u)), u = dT, g = E2 − E1²/E0; offset known, phase of no importance. Exact for
-    light damping (0.5 % at ζ ≤ 0.01, 2 % at 0.05). Source: docs/theory/planning.md.
+    var(ω) = var(d) = 2σ²/(f_s a² T³ g(u)), u = dT, g = E2 − E1²/E0. The offset is known; the phase has no effect. The
+    formula holds for light damping (errors of 0.5 % at ζ ≤ 0.01, 2 % at 0.05). Source: docs/theory/planning.md.
     """
     decay = zeta * omega_rad_s
     u = decay * record_s
@@ -71,10 +76,10 @@ def ring_down_bound(
 def spin_down_bound(
     rate_per_s: float, start_speed_rad_s: float, noise_rad: float, rate_Hz: float, record_s: float = np.inf
 ) -> float:
-    """Closed form for a pendulum on an immovable rotor: relative bound of the decay rate.
+    """Return the relative bound of the decay rate of a pendulum on an immovable rotor.
 
-    θ = θ0 + A e^{−λt} recorded to rest (many times 1/λ): sd(λ)/λ = σ λ sqrt(8 λ/f_s)/v0; recorded over
-    4.5 time constants 1.65 times that. Source: docs/theory/planning.md.
+    For θ = θ0 + A e^{−λt}, recorded to rest (many times 1/λ), sd(λ)/λ = σ λ sqrt(8 λ/f_s)/v0. Over 4.5 time constants
+    the bound is 1.65 times that. Source: docs/theory/planning.md.
     """
     if np.isfinite(record_s):
         t = (np.arange(4000) + 0.5) * record_s / 4000

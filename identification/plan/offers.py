@@ -1,7 +1,7 @@
 # pyright: strict
-"""The experiments that a rig can do: for every test of the table a handful of settings, from short and gentle to long.
+"""Candidate experiments of a rig: a few settings for every test of the table, from short and gentle to long.
 
-The table of test kinds holds the tests and what they give; what an experiment shows comes from its model.
+The table of test kinds contains the tests and their parameters. The expected uncertainty comes from the test's model.
 """
 
 from __future__ import annotations
@@ -22,18 +22,26 @@ from identification.plan.sensors import Sensors
 from identification.plan.suspension import ring_down, run_up
 from rig_configs.schema import Rig
 
-_OF_LIMIT = 0.8  # a test goes so far towards what stops the rig
+_OF_LIMIT = 0.8  # share of the interlock limits that a test uses
 _PLUCKS_M = (0.5e-3, 1e-3, 2.5e-3)
-_FLICKS_RAD_S = (5.0, 10.0)  # below two turns a second, as the guided test asks for
+_FLICKS_RAD_S = (5.0, 10.0)  # below two turns a second, as the guided test requires
 _RAMPS_S = (20.0, 40.0, 60.0, 120.0, 300.0)
 _LONGEST_S = (20.0, 60.0, 180.0, 600.0)
 _RELEASES_S = (4.0, 10.0)
 
 
 def offers_for(
-    rig: Rig, sensors: Sensors, names: Sequence[str], tell: Callable[[str], None], remarks: list[str]
+    rig: Rig, sensors: Sensors, names: Sequence[str], notify: Callable[[str], None], remarks: list[str]
 ) -> Iterator[Experiment]:
-    """Every experiment on offer that shows any wanted parameter, of the tests whose signals the rig has."""
+    """Yield every candidate experiment that shows a required parameter and whose signals the rig has.
+
+    Args:
+        rig: rig file.
+        sensors: sensor properties.
+        names: required parameters.
+        notify: called with one line of text before each kind of test.
+        remarks: receives a sentence for each test that is left out.
+    """
     physics = rig.physics
     makers: dict[Method, Callable[[TestKind], Iterator[Experiment]]] = {
         "ring-down": partial(_ring_downs, rig, physics, sensors),
@@ -46,7 +54,7 @@ def offers_for(
             if without := lacking(kind, rig.roles):
                 remarks.append(f"no {kind.name}: the rig file has no device for {' and '.join(without)}")
                 continue
-            tell(f"{kind.name} …")
+            notify(f"{kind.name} …")
             yield from filter(None, map(limited, make(kind)))
 
 
@@ -61,7 +69,7 @@ def _ring_downs(rig: Rig, physics: RotorParameters, sensors: Sensors, kind: Test
 
 
 def _lengths(decay_per_s: float) -> list[float]:
-    """Up to 4.5 time constants: what comes later tells nothing. Very long ones may be cut short."""
+    """Return record lengths up to 4.5 time constants, s. The later decay contains almost no information."""
     whole = 4.5 / max(decay_per_s, 1e-9)
     return sorted({min(whole, longest) for longest in _LONGEST_S})
 
@@ -86,8 +94,8 @@ def _run_ups(
         yield experiment
     if refused:
         remarks.append(
-            f"{refused} of {len(_RAMPS_S)} ramps of {kind.name} left out: passing a resonance so slowly comes near "
-            f"the limit of {1e3 * rig.limits.amplitude_m:g} mm"
+            f"{refused} of {len(_RAMPS_S)} ramps of {kind.name} left out: they pass a resonance so slowly that the "
+            f"displacement approaches the limit of {1e3 * rig.limits.amplitude_m:g} mm"
         )
 
 

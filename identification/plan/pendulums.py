@@ -1,13 +1,15 @@
-"""Spin-down and release as a plan sees them: the nonlinear motion of disk and pendulums, encoders with zeros.
+"""Models of spin-down and release for planning: nonlinear motion of disk and pendulums, encoders with zeros.
 
-Written apart from the estimators: own parameters, own instants, central differences.
+The code is independent of the estimators: it has its own parameters and instants, and uses central differences.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.speed_history import SpeedHistory
@@ -18,25 +20,32 @@ from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives
 from identification.plan.sensors import Sensors
 
+Array = NDArray[np.float64]
+
 _NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
-_LOOK_S = 0.004  # between the instants looked at
-_KNOWN = np.array([1e-4, 1e-4, 1e-3, 1e-3, 1e-3])  # ln k1, k2, ζ1, ζ2, S_P: as ring-downs and a run-up leave them
-_SHAKEN_M = 3e-4  # how far a flick may leave the disk moving
-_LOCKED_M = 2e-5  # how far the disk may be from its locked orbit
+_INSTANT_S = 0.004  # interval between the evaluated instants
+# standard deviations of ln k1, k2, ζ1, ζ2, S_P after ring-downs and a run-up
+_PRIOR_STD: Array = np.array([1e-4, 1e-4, 1e-3, 1e-3, 1e-3])
+_DISK_STD_M = 3e-4  # standard deviation of the disk's displacement after a flick
+_LOCKED_STD_M = 2e-5  # standard deviation of the disk's deviation from its locked orbit
 _RELEASE_STD_S = 1e-3
-_LOCKED_RAD = np.radians([0.1, 179.85])  # a real lock has play: exactly at 0° and 180° a pendulum may stay
-_HAND_S = 0.05  # after a flick the hand is still there
-_ASTRAY = 0.7  # rotor phase of a spin-down, rad; between the axes, where both directions take part
+_LOCKED_RAD: Array = np.radians([0.1, 179.85])  # a lock has play; at exactly 0° and 180° a pendulum may stay at rest
+_HAND_S = 0.05  # time after a flick in which the hand still touches the pendulum
+_SPIN_DOWN_PHASE_RAD = 0.7  # rotor phase of a spin-down: between the axes, where both directions move
 
 
 def spin_down(
     physics: RotorParameters, sensors: Sensors, speed_rad_s: float, record_s: float, test: str = "spin-down"
 ) -> Experiment:
-    """Both pendulums flicked on a resting rotor, against each other.
+    """Return the spin-down of both pendulums, flicked in opposite directions on a resting rotor.
 
     Args:
-        speed_rad_s: right after the flick.
-        record_s: length after the flicks. Beyond 4.5 time constants nothing is used: at rest quantisation is no noise.
+        physics: nominal parameters.
+        sensors: sensor properties.
+        speed_rad_s: speed of the pendulums right after the flick, rad/s.
+        record_s: length after the flicks, s. Samples after 4.5 time constants are not used, because the quantisation of
+            a pendulum at rest is not white noise.
+        test: name of the test.
     """
     slowest = min(p.damping_Nms_per_rad / p.inertia_kg_m2 for p in (physics.a, physics.b))
     used = min(record_s, 4.5 / slowest)
@@ -47,48 +56,51 @@ def spin_down(
     step = 0.3 / fastest_rate(physics, 0.0)
     omega = np.array(physics.natural_frequencies_rad_s)
 
-    def angles(theta: np.ndarray) -> np.ndarray:
+    def angles(theta: Array) -> Array:
         now = _laid_over(physics, np.r_[theta[:2], theta[11:15], 0.0])
         history = SpeedHistory.constant(0.0, float(theta[6]))
         state = np.r_[theta[7:9], theta[2:4], theta[9:11], theta[4:6]]
         return _angles(integrate(state, grid, step, history.knots_s, history.coefficients, now.packed(), 1.0, 1.0))
 
-    theta = np.r_[0.0, 0.0, 0.0, np.pi, begin[0], -begin[1], _ASTRAY, np.zeros(8)]
+    theta = np.r_[0.0, 0.0, 0.0, np.pi, begin[0], -begin[1], _SPIN_DOWN_PHASE_RAD, np.zeros(8)]
     difference = np.r_[np.full(2, 1e-4), np.full(5, 1e-4), 1e-6, 1e-6, 1e-6 * omega, np.full(4, 1e-4)]
     prior = np.full(15, np.inf)
-    prior[7:11] = np.r_[_SHAKEN_M, _SHAKEN_M, _SHAKEN_M * omega]
-    prior[11:] = _KNOWN[:4]
+    prior[7:11] = np.r_[_DISK_STD_M, _DISK_STD_M, _DISK_STD_M * omega]
+    prior[11:] = _PRIOR_STD[:4]
     settings = {"flick_rad_per_s": speed_rad_s, "record_s": record_s}
-    return _experiment(test, "spin-down", physics, sensors, angles, theta, difference, prior, settings, record_s, used)
+    model = _Model(angles, theta, difference, prior)
+    return _experiment(test, "spin-down", physics, sensors, model, settings, record_s, used)
 
 
 def release(physics: RotorParameters, sensors: Sensors, test: str, speed_rad_s: float, record_s: float) -> Experiment:
-    """Both pendulums let go at constant speed.
+    """Return the release of both pendulums at constant speed.
 
     Args:
-        test: what the test is called, "point-E".
-        speed_rad_s: running speed.
-        record_s: length after the release.
+        physics: nominal parameters.
+        sensors: sensor properties.
+        test: name of the test, for example "point-E".
+        speed_rad_s: rotor speed, rad/s.
+        record_s: length after the release, s.
     """
     grid = _grid(record_s)
     step = 0.12 / fastest_rate(physics, speed_rad_s)
     history = SpeedHistory.constant(speed_rad_s)
     omega = physics.natural_frequencies_rad_s[0]
 
-    def angles(theta: np.ndarray) -> np.ndarray:
+    def angles(theta: Array) -> Array:
         now = _laid_over(physics, np.r_[theta[:2], theta[11:16]])
         true, late = theta[2:4] - theta[4:6], float(theta[6])
         start = locked_state(now, speed_rad_s, speed_rad_s * late, *true)
         start[[0, 1, 4, 5]] += theta[7:11]
         span = np.r_[late, late + grid[1:]]
         states = integrate(start, span, step, history.knots_s, history.coefficients, now.packed(), 1.0, 1.0)
-        # a shift of the release moves the motion against the instants looked at
+        # a shift of the release moves the motion relative to the evaluated instants
         moved = states[1:, 2:4] - late * states[1:, 6:8]
         return (moved + theta[4:6]).T.ravel()
 
     theta = np.r_[0.0, 0.0, _LOCKED_RAD, np.zeros(12)]
     difference = np.r_[np.full(6, 1e-6), 1e-6, 1e-8, 1e-8, 1e-8 * omega, 1e-8 * omega, np.full(5, 1e-6)]
-    quarter = 0.25 * sensors.encoder_step_rad  # what a mean of quantised readings of a locked pendulum leaves open
+    quarter = 0.25 * sensors.encoder_step_rad  # uncertainty of the mean of quantised readings of a locked pendulum
     zero = sensors.encoder_zero_std_rad
     prior = np.r_[
         np.inf,
@@ -98,16 +110,32 @@ def release(physics: RotorParameters, sensors: Sensors, test: str, speed_rad_s: 
         zero,
         zero,
         _RELEASE_STD_S,
-        _LOCKED_M,
-        _LOCKED_M,
-        _LOCKED_M * omega,
-        _LOCKED_M * omega,
-        _KNOWN,
+        _LOCKED_STD_M,
+        _LOCKED_STD_M,
+        _LOCKED_STD_M * omega,
+        _LOCKED_STD_M * omega,
+        _PRIOR_STD,
     ]
     settings = {"speed_rpm": speed_rad_s * 30 / np.pi, "record_s": record_s}
-    return _experiment(
-        test, "release", physics, sensors, angles, theta, difference, prior, settings, record_s, record_s
-    )
+    model = _Model(angles, theta, difference, prior)
+    return _experiment(test, "release", physics, sensors, model, settings, record_s, record_s)
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Model of a test.
+
+    Attributes:
+        angles: maps θ to both pendulums' angles at the instants, rad.
+        theta: nominal θ, shape (p,).
+        difference: half-widths of the differences, shape (p,).
+        prior: prior standard deviations, shape (p,).
+    """
+
+    angles: Callable[[Array], Array]
+    theta: Array
+    difference: Array
+    prior: Array
 
 
 def _experiment(
@@ -115,38 +143,35 @@ def _experiment(
     method: Method,
     physics: RotorParameters,
     sensors: Sensors,
-    angles: Callable[[np.ndarray], np.ndarray],
-    theta: np.ndarray,
-    difference: np.ndarray,
-    prior: np.ndarray,
+    model: _Model,
     settings: dict[str, float],
     record_s: float,
     used_s: float,
 ) -> Experiment:
-    jacobian = derivatives(angles, theta, difference)
-    weight = np.sqrt(sensors.encoder_rate_Hz * _LOOK_S) / sensors.encoder_noise_rad
+    jacobian = derivatives(model.angles, model.theta, model.difference)
+    weight = np.sqrt(sensors.encoder_rate_Hz * _INSTANT_S) / sensors.encoder_noise_rad
     values = np.array([physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad])
-    own = covariance(jacobian * weight, prior, 2) * np.outer(values, values)
+    own = covariance(jacobian * weight, model.prior, 2) * np.outer(values, values)
     shared = sensors.clock_error("angles", values * sensors.clock_rate_std("angles", record_s))
-    remarks = ("the suspension is taken as known from ring-downs: k to 0.01 %, ζ and S_P to 0.1 %",)
+    remarks = ("the suspension is assumed to be known from ring-downs: k to 0.01 %, ζ and S_P to 0.1 %",)
     if used_s < record_s:
-        remarks += (f"only the first {used_s:.2g} s tell: 4.5 time constants",)
+        remarks += (f"only the first {used_s:.2g} s (4.5 time constants) contain information",)
     expected = Estimate(test, "planned", _NAMES, values, own, shared, "Fisher information")
     return Experiment(test, method, settings, record_s, expected, remarks=remarks)
 
 
-def _grid(record_s: float) -> np.ndarray:
-    return np.arange(0.0, record_s, _LOOK_S)
+def _grid(record_s: float) -> Array:
+    return np.arange(0.0, record_s, _INSTANT_S)
 
 
-def _angles(states: np.ndarray) -> np.ndarray:
+def _angles(states: Array) -> Array:
     return states[1:, 2:4].T.ravel()
 
 
-def _laid_over(physics: RotorParameters, log_change: np.ndarray) -> RotorParameters:
-    """The rig with c3, c4, k1, k2, ζ1, ζ2, S_P changed by factors."""
+def _laid_over(physics: RotorParameters, log_change: Array) -> RotorParameters:
+    """Return the parameters with the logarithms of c3, c4, k1, k2, ζ1, ζ2, S_P changed."""
     names = (*_NAMES, "k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")
-    believed = physics.identified()
+    nominal = physics.identified()
     return physics.with_values(
-        **{n: believed[n] * float(np.exp(change)) for n, change in zip(names, log_change, strict=True)}
+        **{n: nominal[n] * float(np.exp(change)) for n, change in zip(names, log_change, strict=True)}
     )

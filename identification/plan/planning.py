@@ -1,8 +1,8 @@
-"""Which experiments, with which settings and how often, reach what is wanted, and whether these sensors can.
+"""Selection of the experiments, their settings and their number of runs that reach the required uncertainties.
 
-For each want the cheapest test on offer that reaches it is taken (recording time, with what a test takes beside its
-recording), tests already taken for another want first. What no number of runs reaches is stated with what stands in the
-way: gain, clock, mass.
+For each requirement the cheapest candidate experiment that reaches it is selected. The cost is the time of recording
+and preparation. Experiments that are already selected for another requirement are used first. If no number of runs
+reaches a requirement, the answer states the limiting error: gain, clock or mass.
 """
 
 from __future__ import annotations
@@ -21,13 +21,20 @@ from identification.plan.wants import Want
 from rig_configs.schema import Rig
 
 MOST_RUNS = 25
-_BESIDE_S: Mapping[Method, float] = {"ring-down": 10.0, "spin-down": 15.0, "passage": 20.0, "release": 60.0}
-"""Seconds that a test takes beside its recording."""
+"""Largest number of runs of one experiment in a plan."""
+_OVERHEAD_S: Mapping[Method, float] = {"ring-down": 10.0, "spin-down": 15.0, "passage": 20.0, "release": 60.0}
+"""Time of a test in addition to its recording, s."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """An experiment of the plan, done so many times, and which wants it is for."""
+    """An experiment of the plan.
+
+    Attributes:
+        experiment: test with its settings.
+        runs: number of runs.
+        wanted_for: names of the required parameters that the experiment was selected for.
+    """
 
     experiment: Experiment
     runs: int
@@ -36,15 +43,18 @@ class Step:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a plan says of one want.
+    """Result of a plan for one requirement.
 
     Attributes:
-        want, believed: what is wanted, and the parameter's value as believed.
-        wanted, reached: relative standard deviations; reached by the plan as a whole, masses included.
-        possible: whether these sensors can.
-        best: of every kind of test, the best single run: (test, relative standard deviation, its floor).
-        floor: the lowest that any number of runs gives, masses included, relative.
-        limited_by: what makes that floor, "gain", "clock", "mass", or "noise" where runs alone would help.
+        want: requirement.
+        believed: nominal value of the parameter, in its unit.
+        wanted: required relative standard deviation.
+        reached: relative standard deviation of the whole plan, errors of the masses included.
+        possible: whether the plan reaches the requirement with these sensors.
+        best: best single run of every kind of test, as (experiment, relative standard deviation).
+        floor: relative standard deviation after MOST_RUNS runs of the best experiment, errors of the masses included.
+        limited_by: largest part of that floor: "gain", "clock", "mass", or "noise" if more runs would help. "no test"
+            if no test of the rig shows the parameter.
     """
 
     want: Want
@@ -59,94 +69,102 @@ class Answer:
 
 @dataclass(frozen=True)
 class Plan:
-    """What to record.
+    """Experiments to record and their expected results.
 
     Attributes:
-        steps: in the order of doing them.
-        answers: one per want.
-        record_s: recording time of all steps.
-        sensors: what they were taken to be able to.
-        remarks: what a reader must know.
+        steps: experiments in the order of execution.
+        answers: one result per requirement.
+        record_s: recording time of all steps, s.
+        sensors: sensor properties that the plan is based on.
+        remarks: assumptions and omissions, as sentences.
     """
 
     steps: list[Step]
     answers: list[Answer]
     record_s: float
     sensors: Sensors
-    remarks: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list[str])
 
     @property
     def possible(self) -> bool:
-        """Whether every want can be met."""
+        """Whether every requirement is reached."""
         return all(a.possible for a in self.answers)
 
 
 @on_one_thread
 def plan(
     rig: Rig,
-    wants: Sequence[Want],
+    requirements: Sequence[Want],
     sensors: Sensors | None = None,
     mass_std: float = 0.0,
-    tell: Callable[[str], None] = lambda _: None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> Plan:
-    """Plan the experiments for some wants.
+    """Plan the experiments for the required uncertainties.
 
     Args:
-        rig: its k, ζ, c, S_P are what the parameters are believed to be; lay identified ones over it.
-        wants: what is to be known, each parameter once.
-        sensors: as measured in a log; None takes the rig file's.
-        mass_std: relative standard uncertainty of the masses; k, c and S_P can never be known better.
-        tell: told one line before each kind of test.
+        rig: rig file whose k, ζ, c and S_P are the nominal values. Identified values should be applied to it first.
+        requirements: required standard deviations, each parameter once.
+        sensors: sensor properties measured in a log; None selects those of the rig file.
+        mass_std: relative standard uncertainty of the masses, a lower bound of that of k, c and S_P.
+        notify: called with one line of text before each kind of test.
     Raises:
-        NotIdentifiable: no want, a parameter wanted twice, or one that is 0 by the rig file.
+        NotIdentifiable: `requirements` is empty, a parameter occurs twice, or its nominal value is 0.
     Source: docs/theory/planning.md.
     """
     sensors = sensors or Sensors.of(rig)
-    believed = rig.physics.identified()
-    names = [w.name for w in wants]
+    nominal = rig.physics.identified()
+    names = [w.name for w in requirements]
     if not names or len(set(names)) < len(names):
-        raise NotIdentifiable("expected each wanted parameter once, at least one; for example --want zeta1=1%")
-    nothing = [n for n in names if not believed[n] > 0]
-    if nothing:
-        raise NotIdentifiable(f"{', '.join(nothing)} is 0 by the rig file; give a guess of it with --set")
+        raise NotIdentifiable(
+            f"expected each required parameter once and at least one, got {', '.join(names) or 'none'}; for example "
+            "zeta1=1%"
+        )
+    absent = [n for n in names if not nominal[n] > 0]
+    if absent:
+        raise NotIdentifiable(f"{', '.join(absent)} is 0 in the rig file; set an estimate above 0")
     remarks: list[str] = []
-    offers = list(offers_for(rig, sensors, names, tell, remarks))
-    steps = _chosen(offers, wants, believed, mass_std)
+    offers = list(offers_for(rig, sensors, names, notify, remarks))
+    steps = _chosen(offers, requirements, nominal, mass_std)
     reached = together([(s.experiment, s.runs) for s in steps]) if steps else {}
-    answers = [_answer(w, believed[w.name], offers, reached, mass_std) for w in wants]
+    answers = [_answer(w, nominal[w.name], offers, reached, mass_std) for w in requirements]
     seconds = sum(s.runs * s.experiment.record_s for s in steps)
     remarks += list(dict.fromkeys(r for s in steps for r in s.experiment.remarks))
     return Plan(steps, answers, seconds, sensors, remarks)
 
 
 def _chosen(
-    offers: Sequence[Experiment], wants: Sequence[Want], believed: dict[str, float], mass_std: float
+    offers: Sequence[Experiment], requirements: Sequence[Want], nominal: dict[str, float], mass_std: float
 ) -> list[Step]:
-    """The cheapest experiments; the hardest wants choose first, what they choose counts for the others."""
+    """Select the cheapest experiments, the most expensive requirement first; each selection counts for the others."""
     steps: list[Step] = []
-    order = sorted(wants, key=lambda w: -_cheapest(offers, w, believed, mass_std)[2])
+    order = sorted(requirements, key=lambda w: -_cheapest(offers, w, nominal, mass_std)[2])
     for want in order:
-        target = _target(want, believed, mass_std)
+        target = _target(want, nominal, mass_std)
         reached = together([(s.experiment, s.runs) for s in steps]) if steps else {}
         if reached.get(want.name, math.inf) <= target:
             index = next(i for i, s in enumerate(steps) if want.name in s.experiment.expected.names)
             step = steps[index]
             steps[index] = Step(step.experiment, step.runs, (*step.wanted_for, want.name))
             continue
-        experiment, runs, _ = _cheapest(offers, want, believed, mass_std)
+        experiment, runs, _ = _cheapest(offers, want, nominal, mass_std)
         if experiment is None:
             continue
         steps.append(Step(experiment, runs, (want.name,)))
-    return sorted(_without_waste(steps, wants, believed, mass_std), key=lambda s: s.experiment.test)
+    needed = _without_redundant_steps(steps, requirements, nominal, mass_std)
+    return sorted(needed, key=lambda s: s.experiment.test)
 
 
-def _without_waste(steps: list[Step], wants: Sequence[Want], believed: dict[str, float], mass_std: float) -> list[Step]:
-    """Without experiments that a later choice has made unnecessary."""
+def _without_redundant_steps(
+    steps: list[Step], requirements: Sequence[Want], nominal: dict[str, float], mass_std: float
+) -> list[Step]:
+    """Return the steps without those that a later selection has made unnecessary."""
     for step in list(steps):
         rest = [s for s in steps if s is not step]
         reached = together([(s.experiment, s.runs) for s in rest]) if rest else {}
         if all(
-            reached.get(w.name, math.inf) <= _target(w, believed, mass_std) for w in wants if w.name in step.wanted_for
+            reached.get(w.name, math.inf) <= _target(w, nominal, mass_std)
+            for w in requirements
+            if w.name in step.wanted_for
         ):
             for name in step.wanted_for:
                 i = next(i for i, s in enumerate(rest) if name in s.experiment.expected.names)
@@ -155,36 +173,37 @@ def _without_waste(steps: list[Step], wants: Sequence[Want], believed: dict[str,
     return steps
 
 
-def _target(want: Want, believed: dict[str, float], mass_std: float) -> float:
-    """What is left for the sensors of a wanted relative standard deviation; 0 when the masses take it all."""
-    wanted = want.relative_std(believed[want.name])
+def _target(want: Want, nominal: dict[str, float], mass_std: float) -> float:
+    """Return the part of a required relative standard deviation that remains for the sensors; 0 if masses exceed it."""
+    wanted = want.relative_std(nominal[want.name])
     mass = 0.0 if want.name.startswith("zeta") else mass_std
     return math.sqrt(max(wanted**2 - mass**2, 0.0))
 
 
 def _cheapest(
-    offers: Sequence[Experiment], want: Want, believed: dict[str, float], mass_std: float
+    offers: Sequence[Experiment], want: Want, nominal: dict[str, float], mass_std: float
 ) -> tuple[Experiment | None, int, float]:
-    """The experiment, how often, and the seconds it takes; None and inf when none reaches it."""
-    target, best = _target(want, believed, mass_std), (None, 0, math.inf)
+    """Return the cheapest experiment, its number of runs and its time in s; None, 0 and inf if none is sufficient."""
+    target = _target(want, nominal, mass_std)
+    best: tuple[Experiment | None, int, float] = (None, 0, math.inf)
     for offer in offers:
         if want.name not in offer.expected.names or offer.floor(want.name) >= target:
             continue
         share = offer.noise(want.name) ** 2 / (target**2 - offer.floor(want.name) ** 2)
         runs = max(1, math.ceil(share * (1 - 1e-9)))
-        seconds = runs * (offer.record_s + _BESIDE_S[offer.method])
+        seconds = runs * (offer.record_s + _OVERHEAD_S[offer.method])
         if runs <= MOST_RUNS and seconds < best[2]:
             best = (offer, runs, seconds)
     return best
 
 
 def _answer(
-    want: Want, believed: float, offers: Sequence[Experiment], reached: dict[str, float], mass_std: float
+    want: Want, nominal: float, offers: Sequence[Experiment], reached: dict[str, float], mass_std: float
 ) -> Answer:
     having = [o for o in offers if want.name in o.expected.names]
     mass = 0.0 if want.name.startswith("zeta") else mass_std
-    wanted = want.relative_std(believed)
-    best = {}
+    wanted = want.relative_std(nominal)
+    best: dict[str, tuple[Experiment, float]] = {}
     for offer in having:
         kept = best.get(offer.test)
         if kept is None or offer.relative_std(want.name) < kept[1]:
@@ -194,7 +213,7 @@ def _answer(
     got = math.hypot(reached.get(want.name, math.inf), mass)
     return Answer(
         want,
-        believed,
+        nominal,
         wanted,
         got,
         got <= wanted * (1 + 1e-9),
@@ -205,7 +224,7 @@ def _answer(
 
 
 def _main_limit(experiment: Experiment, name: str, mass: float) -> str:
-    """The largest of what is left after the most runs."""
+    """Return the name of the largest part of the variance after MOST_RUNS runs."""
     i = experiment.expected.names.index(name)
     value = abs(float(experiment.expected.values[i]))
     parts = {"mass": mass**2, "noise": experiment.noise(name) ** 2 / MOST_RUNS}

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What the rig's sensors can do, as far as a plan needs it: noise, rate, gain, and how well their clocks get known."""
+"""Properties of the rig's sensors for planning: noise, rate, gain, and uncertainty of their clocks."""
 
 from __future__ import annotations
 
@@ -16,31 +16,32 @@ from identification.errors import NotIdentifiable
 from identification.samples import white_noise
 from rig_configs.schema import Rig
 
-# A rig file does not state these; usual values stand here, a log of the rig gives better ones.
+# A rig file does not contain these values. They are usual ones; a log of the rig gives better ones.
 _LASER_NOISE_M = 4e-6  # one unaveraged sample of a triangulation sensor on metal
 _ENCODER_NOISE_STEPS = 0.42  # quantisation (1/√12) and 0.3 steps of jitter
 _JITTER_S = {"x": 0.4e-3, "y": 0.4e-3, "angles": 2e-3, "phase": 2e-3}  # reads of a serial line; blocks over a radio
-_CLOCK_BINS = 20  # a log's clock line rests on so many least delayed reads (daq.clock)
-_FEWEST_SAMPLES = 1000  # that show a sensor's noise
+_CLOCK_BINS = 20  # number of least delayed reads that determine a log's clock line (daq.clock)
+_FEWEST_SAMPLES = 1000  # smallest number of samples for an estimate of a sensor's noise
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """The rig's sensors; what a rig lacks is endlessly noisy.
+    """Properties of the rig's sensors; a missing sensor has infinite noise.
 
     Attributes:
-        laser_noise_m: white noise of one sample of the displacements along x and y, m; inf where no sensor looks.
-        laser_rate_Hz: their sampling rates; 0 where no sensor looks.
-        gain_std: relative standard uncertainties of their gains.
+        laser_noise_m: white noise of one sample of the displacements along x and y, m; inf for a missing sensor.
+        laser_rate_Hz: sampling rates of the displacements, Hz; 0 for a missing sensor.
+        gain_std: relative standard uncertainties of the displacement gains.
         range_m: half of each measuring range, at the disk, m.
         encoder_noise_rad: white noise of one sample of an angle, quantisation included, rad.
-        encoder_rate_Hz: its sampling rate.
-        encoder_zero_std_rad: standard uncertainty of its zeros.
-        encoder_step_rad: its quantisation.
-        clock_tolerance: relative standard uncertainty of the rate of each signal's clock before anything is recorded:
-            "x", "y", "angles", "phase".
-        clock_jitter_s: scatter of the least delayed reads, by signal.
-        clocks: which clock stamps each signal: its device's. What shares a clock shares its error.
+        encoder_rate_Hz: sampling rate of the angles, Hz.
+        encoder_zero_std_rad: standard uncertainty of the encoders' zeros, rad.
+        encoder_step_rad: quantisation step of the angles, rad.
+        clock_tolerance: relative standard uncertainty of the rate of each signal's clock without a recording, for the
+            signals "x", "y", "angles" and "phase".
+        clock_jitter_s: scatter of the least delayed reads by signal, s.
+        clocks: name of the clock of each signal, which is that of its device. Signals with the same clock have the same
+            clock error.
         measured: whether noise and jitter were measured in a log of this rig.
     """
 
@@ -59,7 +60,7 @@ class Sensors:
 
     @classmethod
     def of(cls, rig: Rig) -> Sensors:
-        """What the rig's roles offer, with usual noise where the file does not state any."""
+        """Return the sensors of a rig file, with usual values for noise and jitter."""
         roles = rig.roles
         axes = [roles.along(axis) for axis in "xy"]
         signals = {"x": axes[0], "y": axes[1], "angles": roles.angles, "phase": roles.phase}
@@ -84,20 +85,20 @@ class Sensors:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Axes along which a sensor looks."""
+        """Axes that have a displacement sensor."""
         return tuple(axis for axis in "xy" if axis in self.clocks)
 
     def as_in(self, runs: Sequence[Run]) -> Sensors:
-        """The same with the displacements' noise, their rates and the clocks' jitter as recorded runs show them.
+        """Return the sensors with noise and rates of the displacements and jitter of the clocks from recorded runs.
 
         Raises:
-            NotIdentifiable: no run holds the displacements that the rig has.
+            NotIdentifiable: no run contains all displacements that the rig measures.
         """
         usable = [r for r in runs if all(len(_signal(r, axis)[0]) > _FEWEST_SAMPLES for axis in self.axes)]
         if not usable:
             raise NotIdentifiable(
-                f"no log with displacements along {' and '.join(self.axes)}: expected one of this rig to measure its "
-                "sensors' noise in"
+                f"expected a log of this rig with displacements along {' and '.join(self.axes)} for the sensors' "
+                f"noise, got {len(runs)} logs without them; add one"
             )
         noise, rate = list(self.laser_noise_m), list(self.laser_rate_Hz)
         for axis in self.axes:
@@ -114,7 +115,7 @@ class Sensors:
         )
 
     def _jitter(self, run: Run, signal: str) -> float:
-        """The jitter that explains how well a run knows the rate of a signal's clock."""
+        """Return the jitter that explains the uncertainty of a clock's rate in a run, s."""
         prior = self.clock_tolerance[signal]
         std = run.clock_rate_std.get(signal, prior)
         time_s = _signal(run, self.axes[0])[0]
@@ -123,13 +124,13 @@ class Sensors:
         return float(own) * span / math.sqrt(12 / _CLOCK_BINS) if std > 0 else 0.0
 
     def clock_rate_std(self, signal: str, record_s: float) -> float:
-        """How well a record of this length knows the rate of a signal's clock: clock line and tolerance together."""
+        """Return the relative standard uncertainty of a clock's rate in a record, from clock line and tolerance."""
         line = self.clock_jitter_s[signal] * math.sqrt(12 / _CLOCK_BINS) / record_s
         prior = self.clock_tolerance[signal]
         return line * prior / math.hypot(line, prior) if line > 0 else 0.0
 
     def clock_error(self, signal: str, shift: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        """A shared error of an estimate under the label that `identification.clocks` gives it in a recorded test."""
+        """Return a shared error under the label that `identification.clocks` gives it in a recorded test."""
         return {clock_label(self.clocks[signal]): shift}
 
 

@@ -1,14 +1,17 @@
-"""Ring-down and run-up as a plan sees them: two linear modes in two turned, offset, delayed sensors.
+# pyright: strict, reportMissingTypeStubs=false
+"""Models of ring-down and run-up for planning: two linear modes in two turned, offset, delayed sensors.
 
-Written apart from the estimators: signals at instants, no block averages, derivatives by differences.
+The code is independent of the estimators: signals at instants, no block averages, derivatives by differences.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
-from scipy.signal import lfilter
+from numpy.typing import NDArray
+from scipy.signal import lfilter  # pyright: ignore[reportUnknownVariableType]  # scipy has no types
 
 from dynamics.equations.parameters import RotorParameters
 from identification.estimate import Estimate
@@ -17,23 +20,28 @@ from identification.plan.information import covariance, derivatives
 from identification.plan.sensors import Sensors
 from rig_configs.known import gain_label
 
-_PER_CYCLE = 8  # instants at which a signal is looked at, per cycle of the fastest mode
-_SIDE = 0.05  # a pluck along one axis goes astray along the other by about this share
-_AXIS_STD = np.radians(3.0)  # how well sensors are mounted along the stiffness axes
-_DELAY_STD_S, _RUN_UP_DELAY_STD_S = 3e-3, 10e-3  # between the devices' clocks
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_PER_CYCLE = 8  # number of evaluated instants per cycle of the fastest mode
+_SIDE = 0.05  # share of a pluck along one axis that displaces the other axis
+_AXIS_STD = float(np.radians(3.0))  # standard uncertainty of the angle between sensors and stiffness axes, rad
+_DELAY_STD_S, _RUN_UP_DELAY_STD_S = 3e-3, 10e-3  # standard uncertainties of delays between the devices' clocks
 _FOUR = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")
 
 
 def ring_down(
     physics: RotorParameters, sensors: Sensors, axis: str, held_m: float, record_s: float, test: str = ""
 ) -> Experiment:
-    """A pluck along x or y and the free decay after it; what it shows of the other direction is not counted on.
+    """Return a ring-down: a pluck along x or y and the free decay after it. Only that direction is estimated.
 
     Args:
-        axis: with a sensor.
-        held_m: displacement from which the column is let go.
-        record_s: length after the release.
-        test: its name; "" for the axis' own.
+        physics: nominal parameters.
+        sensors: sensor properties.
+        axis: "x" or "y", an axis with a sensor.
+        held_m: displacement of the disk before the release, m.
+        record_s: length after the release, s.
+        test: name of the test; "" for that of the axis.
     """
     main = 0 if axis == "x" else 1
     held = np.where(np.arange(2) == main, 1.0, _SIDE) * held_m
@@ -44,11 +52,11 @@ def ring_down(
     waves = omegas * np.sqrt(1 - zetas**2)
     theta = np.r_[np.log(omegas), np.log(zetas), 0.0, 0.0, 0.0, held, held * zetas * omegas / waves]
 
-    def signal(at: np.ndarray) -> np.ndarray:
+    def signal(at: Array) -> Array:
         turn, ratio, delay = at[4], np.exp(at[5]), at[6]
         w, z = np.exp(at[:2]), np.exp(at[2:4])
 
-        def motion(time: np.ndarray) -> np.ndarray:
+        def motion(time: Array) -> Array:
             angle = np.outer(w * np.sqrt(1 - z * z), time)
             return np.exp(-np.outer(z * w, time)) * (at[7:9, None] * np.cos(angle) + at[9:11, None] * np.sin(angle))
 
@@ -64,7 +72,7 @@ def ring_down(
     prior = np.full(jacobian.shape[1], np.inf)
     prior[4:7] = _AXIS_STD, float(np.hypot(*sensors.gain_std)), _DELAY_STD_S
     own = covariance(jacobian, prior, 4)
-    clock = 2 * sensors.clock_rate_std(axis, record_s)  # k goes with the square of the clock's rate
+    clock = 2 * sensors.clock_rate_std(axis, record_s)  # k is proportional to the square of the clock's rate
     names, own = (_FOUR[main], _FOUR[2 + main]), own[main::2, main::2]
     shared = sensors.clock_error(axis, np.array([clock, 0.0]))
     settings = {"pluck_mm": 1e3 * held_m, "record_s": record_s}
@@ -76,12 +84,20 @@ def ring_down(
 def run_up(
     physics: RotorParameters, sensors: Sensors, top_rad_s: float, ramp_s: float, test: str = "run-up"
 ) -> Experiment:
-    """A ramp from rest through both resonances with locked pendulums; the rate is steady."""
+    """Return a run-up: a ramp of constant rate from rest through both resonances with locked pendulums.
+
+    Args:
+        physics: nominal parameters.
+        sensors: sensor properties.
+        top_rad_s: speed at the end of the ramp, rad/s.
+        ramp_s: duration of the ramp, s.
+        test: name of the test.
+    """
     model = _RunUp.of(physics, sensors, top_rad_s, ramp_s)
     jacobian, prior = model.jacobian()
     bound = covariance(jacobian, prior, 6)
     gains = np.array(sensors.gain_std)
-    # two amplitudes give one imbalance: weighted by their noise and gains together
+    # the imbalance is the mean of both amplitudes, weighted by their noise and gain errors together
     weights = np.linalg.solve(bound[4:, 4:] + np.diag(gains**2), np.ones(2))
     weights /= weights.sum()
     forced = physics.forcing_moment_kg_m + physics.a.first_moment_kg_m - physics.b.first_moment_kg_m
@@ -105,10 +121,10 @@ def _estimate(
     physics: RotorParameters,
     test: str,
     names: tuple[str, ...],
-    log_covariance: np.ndarray,
-    shared: dict[str, np.ndarray],
+    log_covariance: Array,
+    shared: dict[str, Array],
 ) -> Estimate:
-    """From relative (ln ω, ln ω, ln ζ, …) to the parameters' own units: k goes with ω²."""
+    """Return an estimate in the parameters' units from the covariance of ln ω, ln ω, ln ζ, …; k grows with ω²."""
     values = np.array([physics.identified()[n] for n in names])
     grow = np.array([2.0 if n.startswith("k") else 1.0 for n in names])
     shared = {label: shift * values for label, shift in shared.items()}
@@ -123,13 +139,13 @@ def _estimate(
     )
 
 
-def _instants(record_s: float, fastest_rad_s: float) -> np.ndarray:
+def _instants(record_s: float, fastest_rad_s: float) -> Array:
     n = int(np.ceil(record_s * fastest_rad_s / (2 * np.pi) * _PER_CYCLE)) + 1
     return (np.arange(n) + 0.5) * record_s / n
 
 
-def _weight(sensors: Sensors, t: np.ndarray, record_s: float) -> np.ndarray:
-    """1/σ of an instant: it stands for all samples between it and the next."""
+def _weight(sensors: Sensors, t: NDArray[np.floating], record_s: float) -> Array:
+    """Return 1/σ of each instant, which represents all samples up to the next one."""
     per = record_s / len(t)
     return np.concatenate(
         [
@@ -143,80 +159,99 @@ def _close_pair(physics: RotorParameters) -> tuple[str, ...]:
     f1, f2 = (w / (2 * np.pi) for w in physics.natural_frequencies_rad_s)
     half = max(f1 * physics.zeta1, f2 * physics.zeta2)
     if abs(f2 - f1) < 0.2 * half:
-        return (f"{f1:.4g} and {f2:.4g} Hz are closer than a tenth of their bandwidth: axes may not be resolved",)
+        return (f"{f1:.4g} and {f2:.4g} Hz differ by less than a tenth of their bandwidth: axes may not be resolved",)
     return ()
 
 
 @dataclass(frozen=True)
 class _RunUp:
-    """The forced response on a grid, and what to look at."""
+    """Forced response of a run-up on a grid.
+
+    Attributes:
+        physics: nominal parameters.
+        sensors: sensor properties.
+        ramp_s: duration of the ramp, s.
+        step_s: step of the grid, s.
+        force: (ψ̇² − iψ̈) e^{iψ} on the grid, shape (n,).
+        every: number of grid steps between the evaluated instants.
+    """
 
     physics: RotorParameters
     sensors: Sensors
     ramp_s: float
     step_s: float
-    force: np.ndarray  # (ψ̇² − iψ̈) e^{iψ} on the grid
-    every: int  # instants looked at, of the grid
+    force: Complex
+    every: int
 
     @classmethod
     def of(cls, physics: RotorParameters, sensors: Sensors, top_rad_s: float, ramp_s: float) -> _RunUp:
-        step = 2 * np.pi / top_rad_s / 32  # linear between the grid's instants: 3e-3 of the force
+        step = 2 * np.pi / top_rad_s / 32  # the linear interpolation between instants has an error of 3e-3 of the force
         t = np.arange(int(ramp_s / step)) * step
         rate = top_rad_s / ramp_s
-        force = ((rate * t) ** 2 - 1j * rate) * np.exp(0.5j * rate * t**2)
+        force = cast("Complex", ((rate * t) ** 2 - 1j * rate) * np.exp(0.5j * rate * t**2))
         fastest = max(top_rad_s, *physics.natural_frequencies_rad_s)
         return cls(physics, sensors, ramp_s, step, force, max(1, int(2 * np.pi / fastest / _PER_CYCLE / step)))
 
-    def response(self, omega: float, zeta: float) -> np.ndarray:
-        """h on the grid: ḧ + 2ζω ḣ + ω² h = u from rest, exact for a u linear between the grid's instants."""
-        root = np.sqrt(complex(zeta * zeta - 1))
-        out = np.zeros(len(self.force), complex)
+    def response(self, omega: float, zeta: float) -> Complex:
+        """Return h on the grid for ḧ + 2ζω ḣ + ω² h = u from rest, exact for u that is linear between the instants."""
+        root: complex = np.sqrt(complex(zeta * zeta - 1))
+        out: Complex = np.zeros(len(self.force), np.complex128)
         for sign in (1, -1):
             pole = omega * (-zeta + sign * root)
             z = pole * self.step_s
             grow = np.exp(z)
             first = (grow - 1 - z) / z**2 * self.step_s  # weight of the later instant
             last = (grow - 1) / z * self.step_s - first
-            out += sign * lfilter([first, last], [1, -grow], self.force) / (2 * omega * root)
+            filtered = cast("Complex", lfilter([first, last], [1, -grow], self.force))
+            out += sign * filtered / (2 * omega * root)
         return out
 
     @property
     def largest_m(self) -> float:
-        """Largest displacement along x or y."""
+        """Largest displacement along x or y, m."""
         p = self.physics
         pairs = zip(p.natural_frequencies_rad_s, (p.zeta1, p.zeta2), strict=True)
         forced = abs(p.forcing_moment_kg_m + p.a.first_moment_kg_m - p.b.first_moment_kg_m)
         return forced / p.total_mass_kg * max(float(np.abs(self.response(w, z)).max()) for w, z in pairs)
 
-    def jacobian(self) -> tuple[np.ndarray, np.ndarray]:
-        """In standard deviations, and prior knowledge: ln ω, ln ζ of both, ln amplitude of both, then nuisances."""
+    def jacobian(self) -> tuple[Array, Array]:
+        """Return the derivatives of the samples over their standard deviation, and the prior standard deviations.
+
+        The parameters are ln ω, ln ζ and ln amplitude, each of both modes, then the nuisance parameters.
+
+        Returns:
+            Derivatives, shape (2 n, 25), and prior standard deviations, shape (25,), inf for no information.
+        """
         p, cut = self.physics, slice(None, None, self.every)
         t = np.arange(len(self.force))[cut] * self.step_s
         eccentric = (p.forcing_moment_kg_m + p.a.first_moment_kg_m - p.b.first_moment_kg_m) / p.total_mass_kg
-        h, by_omega, by_zeta, rate = [], [], [], []
+        h, by_omega, by_zeta, rate = list[Complex](), list[Complex](), list[Complex](), list[Complex]()
         for w, z in zip(p.natural_frequencies_rad_s, (p.zeta1, p.zeta2), strict=True):
             h.append(self.response(w, z))
             by_omega.append((self.response(w * (1 + 1e-5), z) - self.response(w * (1 - 1e-5), z)) / 2e-5)
             by_zeta.append((self.response(w, z * (1 + 1e-4)) - self.response(w, z * (1 - 1e-4))) / 2e-4)
             rate.append(np.gradient(h[-1], self.step_s))
-        see = (np.real, np.imag)  # x of the first, y of the second oscillator
+
+        def part_of(sensor: int, value: Complex) -> Array:  # x of the first, y of the second oscillator
+            return value.imag if sensor else value.real
+
         n, count = len(t), 25
         out = np.zeros((2 * n, count))
         weight = _weight(self.sensors, t, self.ramp_s)
         for s in range(2):
             rows, o = slice(s * n, (s + 1) * n), 1 - s
-            own = eccentric * see[s](h[s])[cut]
-            out[rows, s] = eccentric * see[s](by_omega[s])[cut]
-            out[rows, 2 + s] = eccentric * see[s](by_zeta[s])[cut]
-            out[rows, 4 + s] = own  # ln amplitude as this sensor sees it
-            out[rows, 6 + s] = eccentric * see[s](1j * h[s])[cut]  # phase
-            out[rows, 8] = (1 if s == 0 else -1) * eccentric * see[o](h[o])[cut]  # axis angle
-            moving = eccentric * see[s](rate[s])[cut]
+            own = eccentric * part_of(s, h[s])[cut]
+            out[rows, s] = eccentric * part_of(s, by_omega[s])[cut]
+            out[rows, 2 + s] = eccentric * part_of(s, by_zeta[s])[cut]
+            out[rows, 4 + s] = own  # ln amplitude in this sensor
+            out[rows, 6 + s] = eccentric * part_of(s, 1j * h[s])[cut]  # phase
+            out[rows, 8] = (1 if s == 0 else -1) * eccentric * part_of(o, h[o])[cut]  # axis angle
+            moving = eccentric * part_of(s, rate[s])[cut]
             out[rows, 9 + s], out[rows, 11 + s] = -moving, -moving * (t - 0.5 * self.ramp_s)  # delay, drift
             out[rows, 13 + 6 * s] = 1.0
             out[rows, 14 + 6 * s] = t
             for k, (w, z) in enumerate(zip(p.natural_frequencies_rad_s, (p.zeta1, p.zeta2), strict=True)):
-                free = np.exp(w * (-z + 1j * np.sqrt(complex(1 - z * z))) * t)  # what was moving before
+                free = np.exp(w * (-z + 1j * np.sqrt(complex(1 - z * z))) * t)  # free motion from before the ramp
                 out[rows, 15 + 6 * s + 2 * k], out[rows, 16 + 6 * s + 2 * k] = free.real, free.imag
         prior = np.full(count, np.inf)
         prior[8], prior[9:11] = _AXIS_STD, _RUN_UP_DELAY_STD_S

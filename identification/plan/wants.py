@@ -1,4 +1,4 @@
-"""What somebody wants to know, and how well: `zeta1=1%`, `k1=5 N/m`."""
+"""Required uncertainty of a parameter as text: `zeta1=1%`, `k1=5 N/m`."""
 
 from __future__ import annotations
 
@@ -11,57 +11,62 @@ from rig_configs.errors import RigFileError
 from rig_configs.parameters_file import PARAMETER_UNITS
 
 SHORT: Mapping[str, str] = {n.partition("_")[0]: n for n in PARAMETER_UNITS}
-"""k1, k2, zeta1, zeta2, c3, c4, SP → their names in parameters.toml."""
+"""Short names k1, k2, zeta1, zeta2, c3, c4, SP → names in parameters.toml."""
 
 _FORM = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]+)?)\s*(.*?)\s*")
 
 
 @dataclass(frozen=True)
 class Want:
-    """One parameter with the standard deviation wanted.
+    """Required standard deviation of one parameter.
 
     Attributes:
-        name: as in parameters.toml.
-        value: of the standard deviation: relative, or in the parameter's unit.
-        relative: which of them.
+        name: name of the parameter in parameters.toml.
+        value: standard deviation, relative or in the parameter's unit.
+        relative: whether `value` is relative.
     """
 
     name: str
     value: float
     relative: bool
 
-    def relative_std(self, believed: float) -> float:
-        """The wanted relative standard deviation, given what the parameter is believed to be."""
-        return self.value if self.relative else self.value / abs(believed)
+    def relative_std(self, nominal: float) -> float:
+        """Return the required relative standard deviation for a nominal value of the parameter."""
+        return self.value if self.relative else self.value / abs(nominal)
 
 
 def parse_want(text: str) -> Want:
-    """One want from the command line.
+    """Parse one required uncertainty.
 
     Args:
-        text: NAME=VALUE; the name short (k1, zeta2, c3, SP) or as in parameters.toml; the value in per cent, or in the
-            parameter's unit, which is written after it.
+        text: NAME=VALUE. The name is short (k1, zeta2, c3, SP) or as in parameters.toml. The value is in per cent, or
+            in the parameter's unit, which follows it.
     Raises:
-        RigFileError: says what was expected, and the nearest known name.
+        RigFileError: the text has another form. The message contains the expected form and the nearest known name.
     """
     name, sign, amount = (part.strip() for part in text.partition("="))
     if not sign:
-        raise RigFileError(f"--want {text!r}: expected NAME=VALUE, for example zeta1=1% or k1=5N/m")
+        raise RigFileError(f"required uncertainty {text!r}: expected NAME=VALUE, for example zeta1=1% or k1=5N/m")
     full = SHORT.get(name, name)
     if full not in PARAMETER_UNITS:
         near = difflib.get_close_matches(name, [*SHORT, *PARAMETER_UNITS], n=1, cutoff=0.3)
         hint = f", did you mean {near[0]}?" if near else "."
-        raise RigFileError(f"--want {text!r}: unknown parameter {name!r}{hint} Known: {', '.join(SHORT)}")
+        known = ", ".join(SHORT)
+        raise RigFileError(f"required uncertainty {text!r}: unknown parameter {name!r}{hint} Known: {known}")
     unit = PARAMETER_UNITS[full]
     match = _FORM.fullmatch(amount)
     given = re.sub(r"[\s·*]+", "", match[2]) if match else ""
     wanted = "" if unit == "1" else unit.replace(" ", "")
     if match is None or given not in ("%", wanted):
         also = f" or in {unit} with the unit written out" if wanted else " or as a plain number"
-        raise RigFileError(f"--want {text!r}: expected a value above 0 in per cent (1%){also}, got {amount!r}")
+        raise RigFileError(
+            f"required uncertainty {text!r}: expected a value above 0 in per cent (1%){also}, got {amount!r}"
+        )
     value = float(match[1]) / (100.0 if given == "%" else 1.0)
     if not 0 < value < float("inf"):
-        raise RigFileError(f"--want {text!r}: expected a value above 0, got {amount!r}")
-    if (value > 1 and given == "%") or (value >= 1 and not given):  # a bare number is of a parameter without unit
-        raise RigFileError(f"--want {text!r}: {amount} is no accuracy; did you mean {name}=1%?")
+        raise RigFileError(f"required uncertainty {text!r}: expected a value above 0, got {amount!r}")
+    if (value > 1 and given == "%") or (value >= 1 and not given):  # a bare number is for a parameter without unit
+        raise RigFileError(
+            f"required uncertainty {text!r}: expected a relative value below 1, got {amount}; did you mean {name}=1%?"
+        )
     return Want(full, value, given == "%")

@@ -1,4 +1,4 @@
-"""Whether the model with the identified parameters also follows what happened right after each release, and run-ups."""
+"""Validation of the identified model by the transients after releases and by further run-ups."""
 
 from identification.release_check.check import ReleaseRows, check_releases
 from identification.release_check.run_ups import check_run_ups

@@ -1,9 +1,9 @@
 # pyright: strict
-"""One release fitted with everything open, and which attempts are made before it counts as not followed.
+"""Fit of one release with all parameters free, and the sequence of attempts before it counts as not followed.
 
-The fit starts from what was identified. Beside that a rig may have other pendulums or dry friction. Where one release
-needs friction that no test has found, all of a rig's releases have it: those that others follow without it do so at
-parameters that are many standard deviations off.
+The fit starts at the identified parameters. The rig may also have other masses and lengths of the pendulums, or dry
+friction. If one release requires friction that no test has found, all releases of the rig are fitted with it: a fit of
+the others without friction ends at parameters that are many standard deviations off.
 """
 
 from __future__ import annotations
@@ -26,38 +26,39 @@ from identification.pendulums.release_problem import SUSPENSION, Release, Shape
 from identification.pendulums.release_search import Effort, Search, holding
 from identification.pendulums.suspension_knowledge import NAMES, NOMINAL_SHARE
 from identification.pendulums.transient import TransientProblem
-from identification.pendulums.unknown_phase import angles_to_try, race
+from identification.pendulums.unknown_phase import angles_to_try, screened_starts
 from identification.release_check.model import TORQUES, Fitted, fitted_with_numbers, opened
 from rig_configs.parameters_file import IdentifiedParameters
 
 Array = NDArray[np.float64]
 
-WIDE, _LEAST_SHARE = 10.0, 0.01  # standard deviations, and a share, to which a parameter is opened
+WIDE, _LEAST_SHARE = 10.0, 0.01  # widened prior of a parameter: factor on its standard deviation, and smallest share
 DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 FLICK_RAD_S = 12.0
 _LONGEST_S = 8.0
-_EXACT = 1e-7  # std of a logarithm that was set
+_EXACT = 1e-7  # standard deviation of the logarithm of a parameter that was set
 _NOMINAL: Mapping[str, float] = {**dict(zip(NAMES, NOMINAL_SHARE, strict=True)), **dict.fromkeys(DAMPING, 2.5)}
-_FRICTION_SHARES = (0.003, 0.01, 0.03)  # of a flick's largest viscous torque: friction to start from
-_SURELY = 2.0  # standard deviations
+_FRICTION_SHARES = (0.003, 0.01, 0.03)  # start values of friction as shares of a flick's largest viscous torque
+_MAX_NEGATIVE_STD = 2.0  # standard deviations below 0 up to which a friction torque is accepted
 
 
 @dataclass(frozen=True)
 class Attempts:
-    """What releases are fitted from.
+    """Start of the fits of releases.
 
     Attributes:
         identified: parameters with covariance.
-        exact: parameters that were set.
+        exact: names of parameters that were set.
     """
 
     identified: IdentifiedParameters
     exact: frozenset[str]
 
     def fitted(self, release: Release) -> Fitted:
-        """The release with everything open: from near what was identified, from far, with what a rig may have beside.
+        """Fit a release with all parameters free.
 
-        That is other pendulums or dry friction, whichever leaves less.
+        The attempts in order: narrow prior, wide prior, then other masses and lengths of the pendulums or dry friction,
+        whichever leaves the smaller residual.
 
         Raises:
             FitFailed: the model does not follow the angles.
@@ -68,44 +69,48 @@ class Attempts:
                 return self._opened(release, self.std(wide), False)
             except FitFailed as error:
                 last = last or error
-        found = self._beside(release)
+        found = self._alternatives(release)
         if not found:
             assert last is not None
             raise last
         return min(found, key=lambda fitted: fitted.minimum.cost)
 
-    def _beside(self, release: Release) -> list[Fitted]:
-        """A release that the identified model does not follow, with other pendulums and with dry friction."""
+    def _alternatives(self, release: Release) -> list[Fitted]:
+        """Fit a release that the identified model does not follow with other pendulums and with dry friction."""
         found = list[Fitted]()
         with contextlib.suppress(FitFailed):
             found.append(self._opened(release, self.std(WIDE), True))
         if not self.known_friction:
             torques = (share * self.flick_Nm for share in _FRICTION_SHARES)
-            found += [rubbing] if (rubbing := next(self.rubbing(release, torques), None)) else []
+            found += [first] if (first := next(self.with_friction(release, torques), None)) else []
         return found
 
-    def rubbing(self, release: Release, torques_Nm: Iterable[Array]) -> Iterator[Fitted]:
-        """The release with dry friction open; what asks for less friction than none is left out.
+    def with_friction(self, release: Release, torques_Nm: Iterable[Array]) -> Iterator[Fitted]:
+        """Yield fits of a release with free dry friction; fits with negative friction are left out.
 
         Args:
-            torques_Nm: of A and B, to start from, shape (2,) each.
+            release: release to fit.
+            torques_Nm: start values of the friction torques of A and B, shape (2,) each.
         """
         for torque in torques_Nm:
             with contextlib.suppress(FitFailed):
                 fitted = self._opened(release, self.std(WIDE), False, torque)
                 at, minimum = list(TORQUES), fitted.minimum
-                if np.all(minimum.theta[at] > -_SURELY * np.sqrt(np.diag(minimum.covariance)[at])):
+                if np.all(minimum.theta[at] > -_MAX_NEGATIVE_STD * np.sqrt(np.diag(minimum.covariance)[at])):
                     yield fitted
 
     def _opened(
-        self, release: Release, std: Mapping[str, float], numbers: bool, rubbing: Array | None = None
+        self, release: Release, std: Mapping[str, float], numbers: bool, torque_Nm: Array | None = None
     ) -> Fitted:
-        """One attempt.
+        """Make one attempt.
 
         Args:
-            rubbing: torques of A and B that dry friction is to start from, N m; None for what was identified of it.
+            release: release to fit.
+            std: prior standard deviation of the logarithm of each parameter.
+            numbers: whether masses and lengths of the pendulums are free.
+            torque_Nm: start values of the friction torques of A and B, N m; None for the identified friction.
         """
-        shape, torque = self._friction(release) if rubbing is None else ("torque", rubbing)
+        shape, torque = self._friction(release) if torque_Nm is None else ("torque", torque_Nm)
         problem = opened(release.problem(shape), std)
         start = problem.prior.copy()
         if shape is not None:
@@ -115,7 +120,7 @@ class Attempts:
         if not release.run.phase_absolute:
             turns = angles_to_try(laid_over(release.knowledge, start[:2], start[SUSPENSION]))
             trials = [np.r_[start[:-1], turn] for turn in turns]
-            starts = race(problem, trials, horizons[:-1], holding)
+            starts = screened_starts(problem, trials, horizons[:-1], holding)
 
         def solve(problem: TransientProblem, *from_places: Array) -> Minimum:
             search = Search(problem, horizons, len(from_places), Effort(), lambda _: None)
@@ -126,7 +131,11 @@ class Attempts:
         return Fitted(release, problem, shape, solve(problem, *starts), horizons)
 
     def std(self, wide: float) -> dict[str, float]:
-        """How far each parameter's logarithm is opened, standard deviations of it; at most to what a file is worth."""
+        """Return the prior standard deviation of each parameter's logarithm, at most that of a rig file's value.
+
+        Args:
+            wide: factor on the identified standard deviation; inf for that of a rig file's value.
+        """
         std, found = self.identified.std, dict[str, float]()
         for name, nominal in _NOMINAL.items():
             if name in self.exact:
@@ -140,7 +149,7 @@ class Attempts:
 
     @property
     def known_friction(self) -> Mapping[str, float]:
-        """What the identification found of dry friction; empty where it found none."""
+        """Identified dry friction by name; empty if none was found."""
         kept: list[Any] = self.identified.provenance.get("tests", [])
         found: list[Mapping[str, float]] = [test["friction"] for test in kept if test.get("friction")]
         if whole := self.identified.provenance.get("friction"):
@@ -149,11 +158,11 @@ class Attempts:
 
     @property
     def flick_Nm(self) -> Array:
-        """The largest viscous torques of a flick, shape (2,)."""
+        """Largest viscous torques of a flick on A and B, N m, shape (2,)."""
         return FLICK_RAD_S * np.array([self.identified.values.get(name, 0.0) for name in DAMPING])
 
     def _friction(self, release: Release) -> tuple[Shape | None, Array]:
-        """Dry friction to open, and its torque to start from, where the identification found some."""
+        """Return the shape of the free dry friction, None if none was identified, and its start value, N m."""
         values = self.known_friction
         if not values:
             return None, np.zeros(2)
@@ -163,11 +172,12 @@ class Attempts:
         return "torque", Friction(torque, none, contact, none).torque_at(release.speed_rad_s)
 
 
-def rubbing_alike(attempts: Attempts, fits: Sequence[Fitted], pool: Executor) -> list[Fitted]:
-    """All releases with dry friction where one needs some of which none is known; as they are elsewhere.
+def with_common_friction(attempts: Attempts, fits: Sequence[Fitted], pool: Executor) -> list[Fitted]:
+    """Return all releases with dry friction if one of them requires friction that was not identified.
 
-    The others start from the torque that those which need it have found: the same at any speed, and by the square of
-    their speeds. Where neither is followed a release stays as it is.
+    The others start from the torque of those that require it: independent of the speed, and proportional to its square.
+    If neither start leads to a fit, the release keeps its fit without friction. If no release requires friction, or
+    friction was identified, the fits are returned unchanged.
     """
     need = [fit for fit in fits if fit.shape is not None]
     if attempts.known_friction or not need:
@@ -180,14 +190,14 @@ def rubbing_alike(attempts: Attempts, fits: Sequence[Fitted], pool: Executor) ->
         if fit.shape is not None:
             return fit
         starts = (by_square * fit.release.speed_rad_s**2, same)
-        found = attempts.rubbing(fit.release, starts)
+        found = attempts.with_friction(fit.release, starts)
         return min(found, key=lambda each: each.minimum.cost, default=fit)
 
     return list(pool.map(alike, fits))
 
 
 def _horizons(release: Release) -> list[float]:
-    """Last instants over the first seconds, every other one of a release's."""
+    """Return the ends of the growing stretches over the first seconds: every other horizon of the release, s."""
     end = release.begin_s + _LONGEST_S
     every = release.horizons("balanced")
     last = min(every[-1], end)

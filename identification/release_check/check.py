@@ -1,8 +1,9 @@
 # pyright: strict
-"""What happened right after each release, against the model with the identified parameters, as rows for a validation.
+"""Comparison of the transient after each release with the identified model, as rows for a validation.
 
-Steady states hardly depend on the pendulums' damping; the first seconds after a release do. The release is fitted with
-everything open, from what was identified on, so that the rows hold also where that is many standard deviations off.
+Steady states hardly depend on the pendulums' damping, but the first seconds after a release do. The release is fitted
+with all parameters free, starting at the identified ones, so that the rows are valid even if these are many standard
+deviations off.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from identification.errors import FitFailed, NotIdentifiable
 from identification.pendulums.release_problem import Release
 from identification.pendulums.release_search import NotFollowed
 from identification.pendulums.suspension_knowledge import BOW, Knowledge
-from identification.release_check.attempts import DAMPING, FLICK_RAD_S, WIDE, Attempts, rubbing_alike
+from identification.release_check.attempts import DAMPING, FLICK_RAD_S, WIDE, Attempts, with_common_friction
 from identification.release_check.model import Condensed, Fitted, condensed
 from identification.release_check.together import agreed, fitted_at
 from rig_configs.drag import LABELS, Drag, Reading, read_as
@@ -36,37 +37,40 @@ from rig_configs.suspension_terms import TERMS
 
 Array = NDArray[np.float64]
 
-_ZERO_WIDE = 3.0
-_NUMBER_SHARE = 1e-3  # of a number: an error worth seeing
-_FRICTION_RAD_S = 0.03  # times the damping: friction worth seeing
-_NO_MOTION = 1e3  # standard deviations of a release along which the model has no finite motion
-_NOT_FOLLOWED = "release"  # the one row of such a release
+_ZERO_WIDE = 3.0  # factor on the standard uncertainty of zeros and other known numbers
+_NUMBER_SHARE = 1e-3  # smallest relevant relative error of a number
+_FRICTION_RAD_S = 0.03  # smallest relevant friction torque over the damping
+_NO_MOTION = 1e3  # standard deviations stated for a release for which the model has no finite motion
+_NOT_FOLLOWED = "release"  # name of the single row of a release that is not followed
 _THREADS = 2
-_PASSES, _STANDS = 8, 0.01  # over the place where all releases are met best; of what is worth seeing
+_PASSES = 8  # largest number of passes of the common linearisation point
+_SETTLED_SHARE = 0.01  # change of that point, as a share of the smallest relevant error, below which the passes end
 BOW_CAUSES = ("bow along", "bow across")
-"""How a validation names the components of BOW: along the imbalance, and a quarter turn ahead."""
+"""Names of the components of BOW in a validation: along the imbalance, and a quarter turn ahead."""
 
 
 @dataclass(frozen=True)
 class ReleaseRows:
-    """What one release says of the model.
+    """Comparison of one release with the model.
 
     Attributes:
-        point: the point's name, "A (2)" for its second recording.
-        rows: names of the rows, m of them.
+        point: name of the point; "A (2)" for its second recording.
+        rows: names of the m rows.
         values: measured − predicted in standard deviations of the release's own errors, shape (m,).
         own: covariance of these errors, shape (m, m).
         by_parameter: derivatives of the values by the identified parameters, shape (m, n).
-        parameters: names of these, n of them.
-        by_number: number of the rig file, or a pendulum's dry friction or drag that was taken as 0 → derivative of the
-            values by it, shape (m,).
-        shared: label → shift of the values for one standard deviation of an error that others share, shape (m,).
-        used_for: parameters that this very release has helped to identify: their errors are not independent of its own.
-        chi2_per_dof: of the readings with everything open.
-        sentence: in words; why there are no rows, or that the motion is not followed.
-        by_slow_roll: of BOW_CAUSES → change of the values per metre of a bow beyond what was taken, shape (m,).
-        reading: what a torque that grows with the square of the speed was taken for, where a spin-down has found one
-            and no release has told before: the air's "drag" or friction with the "contact" force; "" elsewhere.
+        parameters: names of the n parameters.
+        by_number: number of the rig file, or a pendulum's dry friction or drag that is assumed to be 0 → derivative of
+            the values by it, shape (m,).
+        shared: label → shift of the values for one standard deviation of an error that other tests share, shape (m,).
+        used_for: parameters whose identification used this release, so that their errors are not independent of its
+            own errors.
+        chi2_per_dof: χ²/dof of the readings with all parameters free.
+        sentence: result in words: followed, not followed, or the reason why there are no rows.
+        by_slow_roll: of BOW_CAUSES → change of the values per metre of bow in addition to the identified bow,
+            shape (m,).
+        reading: interpretation of a torque that a spin-down found to grow with the square of the speed, if no earlier
+            release has decided it: "drag" of the air, or friction with the "contact" force; "" otherwise.
     """
 
     point: str
@@ -85,12 +89,12 @@ class ReleaseRows:
 
     @property
     def remark(self) -> str:
-        """That the release shows dry friction which no test has found, in words; empty where it does not."""
+        """Sentence that the release shows dry friction which no test has found; empty if it does not."""
         return f"{self.point} release: {self.sentence}" if "dry friction" in self.sentence and self.followed else ""
 
     @property
     def followed(self) -> bool:
-        """Whether the release was compared and some rig near the identified one moves like it."""
+        """Whether the release was compared, and a model near the identified one follows it."""
         return bool(self.rows) and self.rows != (_NOT_FOLLOWED,)
 
 
@@ -102,16 +106,16 @@ def check_releases(
     progress: Callable[[str], None] | None = None,
     exact: Collection[str] = (),
 ) -> list[ReleaseRows]:
-    """Every release at a point against the model with the identified parameters.
+    """Compare every release at a point with the model with the identified parameters.
 
     Args:
-        runs: recorded tests; those at points that hold a release are taken.
+        runs: recorded tests, of which those at points with a release are used.
         rig: known numbers and their uncertainties.
-        identified: parameters with covariance. What is absent from them is left open.
-        progress: told one line before each release.
-        exact: parameters that were set, to be taken as they stand in the rig.
+        identified: parameters with covariance. Parameters that are missing in it are free.
+        progress: called with one line of text before each release.
+        exact: names of parameters that were set, whose values are those of the rig.
     Returns:
-        One per release, by point and time; without rows where a release holds nothing to compare.
+        One result per release, sorted by point and time. A release that cannot be compared has no rows.
     Source: docs/theory/validation.md.
     """
     taken, named = dict[str, int](), list[tuple[str, Run]]()
@@ -125,12 +129,12 @@ def check_releases(
         reading: Reading = "drag" if drag is not None and drag.undecided else ""
         case, first = _first(_Case(rig, Attempts(identified, frozenset(exact)), reading), released, pool, progress)
         if reading and any(_needs_friction(each) for each in first):
-            rubs = replace(identified, provenance=read_as(identified.provenance, "contact"))
-            contact = replace(case, attempts=replace(case.attempts, identified=rubs), reading="contact")
+            by_contact = replace(identified, provenance=read_as(identified.provenance, "contact"))
+            contact = replace(case, attempts=replace(case.attempts, identified=by_contact), reading="contact")
             other = _first(contact, released, pool, progress)
             case, first = min((case, first), other, key=lambda tried: _left(tried[1]))
         fits = [each for each in first if isinstance(each, Fitted)]
-        fits = case.settled(rubbing_alike(case.attempts, fits, pool), pool)
+        fits = case.settled(with_common_friction(case.attempts, fits, pool), pool)
     followed = iter(fits)
     return [
         replace(each, reading=case.reading)
@@ -143,30 +147,36 @@ def check_releases(
 def _first(
     case: _Case, released: Sequence[tuple[str, Run]], pool: ThreadPoolExecutor, progress: Callable[[str], None] | None
 ) -> tuple[_Case, list[ReleaseRows | Fitted]]:
-    """Each release's fit with everything open, and what it was held against."""
+    """Return the case and the fit of each release with all parameters free."""
 
     def opened(each: tuple[str, Run]) -> ReleaseRows | Fitted:
         if progress is not None:
-            progress(f"{each[1].test}: the release against the model")
+            progress(f"{each[1].test}: comparing the release with the model")
         return case.opened(*each)
 
     return case, list(pool.map(opened, released))
 
 
 def _needs_friction(each: ReleaseRows | Fitted) -> bool:
-    """Whether a release is followed with dry friction only, or not at all."""
+    """Return whether a release is followed only with dry friction, or not at all."""
     return each.shape is not None if isinstance(each, Fitted) else bool(each.rows)
 
 
 def _left(first: Sequence[ReleaseRows | Fitted]) -> tuple[int, float]:
-    """How many releases are not followed, and what the others leave."""
+    """Return the number of releases that are not followed, and the sum of the costs of the others."""
     fits = [each for each in first if isinstance(each, Fitted)]
     return len(first) - len(fits), sum(each.minimum.cost for each in fits)
 
 
 @dataclass(frozen=True)
 class _Case:
-    """What all releases are held against."""
+    """Model and rig that all releases are compared with.
+
+    Attributes:
+        rig: known numbers and their uncertainties.
+        attempts: start of the fits.
+        reading: as in `ReleaseRows`.
+    """
 
     rig: Rig
     attempts: Attempts
@@ -178,12 +188,12 @@ class _Case:
         return self.attempts.identified
 
     def opened(self, point: str, run: Run) -> ReleaseRows | Fitted:
-        """One release's fit with everything open; rows that say why where there is none."""
+        """Return the fit of one release with all parameters free, or rows with the reason why it has none."""
         names = tuple(self.identified.values)
         empty = ReleaseRows(point, (), np.empty(0), np.empty((0, 0)), np.empty((0, len(names))), names)
         zero_std = math.radians(self.rig.roles.zero_std_deg)
         if wrong := [name for name, value in self.identified.values.items() if value <= 0]:
-            return replace(empty, sentence=f"{run.source}: not compared, {', '.join(wrong)} is not above 0")
+            return replace(empty, sentence=f"{run.source}: not compared, {', '.join(wrong)} must be above 0")
         known = Knowledge.nominal(self.identified.applied_to(self.rig.physics))
         known = replace(known, terms=tuple(self._term_std))
         try:
@@ -194,7 +204,7 @@ class _Case:
             return self.attempts.fitted(release)
         except FitFailed as error:
             z, chi2 = _off(error, release)
-            why = f"{error}: no rig near the identified one moves like this"
+            why = f"{error}: no model near the identified one follows it"
             none = np.zeros((1, len(names)))
             return replace(
                 empty,
@@ -207,34 +217,34 @@ class _Case:
             )
 
     def settled(self, fits: Sequence[Fitted], pool: ThreadPoolExecutor) -> list[Condensed]:
-        """What the releases say, linear about the place where all of them are met best."""
+        """Return the results of the releases, linearised at the parameters that fit all of them best."""
         if not fits:
             return []
-        worth, assumed = self._worth(), self._assumed
-        found = [condensed(fitted, assumed, worth) for fitted in fits]
+        relevant, assumed = self._relevant_errors(), self._assumed
+        found = [condensed(fitted, assumed, relevant) for fitted in fits]
         before, there = dict[str, float](), found
         for _ in range(_PASSES):
-            shared = {name: size for name, size in worth.items() if name not in (*FRICTION, *DRAG)}
+            shared = {name: size for name, size in relevant.items() if name not in (*FRICTION, *DRAG)}
             place = {name: assumed.get(name, 0.0) + off for name, off in agreed(there, shared).items()}
-            if before and all(abs(place[name] - before[name]) < _STANDS * worth[name] for name in place):
+            if before and all(abs(place[name] - before[name]) < _SETTLED_SHARE * relevant[name] for name in place):
                 break
             moved = list(pool.map(fitted_at, fits, repeat(place), [each.misfit for each in found]))
             fits = [new or old for new, old in zip(moved, fits, strict=True)]
-            found = [condensed(fitted, assumed, worth) for fitted in fits]
-            # what does not settle there is linear about another place: it has no say in where that is
+            found = [condensed(fitted, assumed, relevant) for fitted in fits]
+            # a release that does not converge there is linearised at another point and does not determine the next one
             there = [each for each, new in zip(found, moved, strict=True) if new is not None] or found
             before = place
         return found
 
     @property
     def _assumed(self) -> dict[str, float]:
-        """Places of θ that the release is held against."""
+        """Components of θ that the release is compared with, by name."""
         found = {name: math.log(value) for name, value in self.identified.values.items()} | {ZERO_A: 0.0, ZERO_B: 0.0}
         return found if self.attempts.known_friction else found | dict.fromkeys(FRICTION, 0.0)
 
     @property
     def _bow_errors(self) -> dict[str, Array]:
-        """Label → shift of the bow that was found for one standard deviation of an error in it, shape (2,), m."""
+        """Label → shift of the identified bow for one standard deviation of an error in it, shape (2,), m."""
         roll = self.identified.slow_roll
         if roll is None or roll.bow_m == 0:
             return {}
@@ -243,7 +253,7 @@ class _Case:
 
     @property
     def _term_std(self) -> dict[str, float]:
-        """Standard deviation of each of the suspension's terms that is uncertain."""
+        """Term of the suspension → its standard deviation, for uncertain terms."""
         terms = self.identified.terms
         if terms is None:
             return {}
@@ -258,7 +268,7 @@ class _Case:
         return {label: dict(zip(TERMS, shift.tolist(), strict=True)) for label, shift in errors.items()}
 
     def named(self, point: str, run: Run, found: Condensed, speed_rad_s: float) -> ReleaseRows:
-        """Rows of what one release says."""
+        """Return the rows of one release."""
         values = self.identified.values
         columns = [found.slopes[name] / value for name, value in values.items()]
         by = np.column_stack(columns) if columns else np.empty((len(found.values), 0))
@@ -298,13 +308,13 @@ class _Case:
             shared,
             used_for(run, self.identified),
             found.misfit.chi2_per_dof,
-            f"followed{_rubbing(found)}; χ² of the readings {found.misfit.chi2_per_dof:.3g} each",
+            f"followed{_friction_text(found)}; χ² of the readings {found.misfit.chi2_per_dof:.3g} each",
             {name: -found.slopes[part] for name, part in zip(BOW_CAUSES, BOW, strict=True)},
             self.reading,
         )
 
-    def _worth(self) -> dict[str, float]:
-        """Errors that a release should see, in the units of the slopes."""
+    def _relevant_errors(self) -> dict[str, float]:
+        """Return the smallest relevant errors by name, in the units of the slopes."""
         known = self.rig.known
         found = {name: std for name, std in self.attempts.std(WIDE).items() if name in self.identified.values}
         for name in PHYSICAL:
@@ -321,16 +331,16 @@ class _Case:
         return found
 
 
-def _rubbing(found: Condensed) -> str:
-    """The dry friction without which a release is not followed, in words; empty where it is."""
-    if not found.rubs:
+def _friction_text(found: Condensed) -> str:
+    """Return the dry friction that a release requires, in words; empty if it requires none."""
+    if not found.has_friction:
         return ""
     torque = [-found.values[-2 + i] / found.slopes[name][-2 + i] for i, name in enumerate(FRICTION)]
     return f" only with dry friction, of {torque[0]:.2g} N m (A) and {torque[1]:.2g} N m (B)"
 
 
 def used_for(run: Run, identified: IdentifiedParameters) -> tuple[str, ...]:
-    """Parameters whose identification took a run's values, by its digest or its log's name."""
+    """Return the parameters whose identification used a run, found by its digest or its log's name."""
     kept: list[Any] = identified.provenance.get("tests", [])
     digest, found = str(run.metadata.get("digest") or ""), dict[str, None]()
     for test in kept:
@@ -342,7 +352,10 @@ def used_for(run: Run, identified: IdentifiedParameters) -> tuple[str, ...]:
 
 
 def _off(error: FitFailed, release: Release) -> tuple[float, float]:
-    """How many standard deviations a release is off that is not followed, by Fisher's normal form of χ², and χ²/dof."""
+    """Return the deviation of a release that is not followed in standard deviations, and χ²/dof.
+
+    The deviation is Fisher's normal approximation of χ².
+    """
     if not isinstance(error, NotFollowed) or not error.trials:
         return _NO_MOTION, math.nan
     best = max(error.trials, key=lambda t: (t.end_s, -t.misfit))

@@ -1,10 +1,11 @@
 # pyright: strict
-"""One release, linear in everything it shares with other tests, with everything that is its own eliminated.
+"""Linear model of one release in the unknowns it shares with other tests; the unknowns of its own are eliminated.
 
-At a fit's end the weighted residual is r(q, u) ≈ r* + S (q − q*) + A (u − u*), its prior rows for the release's own
-unknowns u included. u is projected out with an orthonormal basis of A. What is left of S, its columns scaled to sizes
-worth seeing, is U Σ Vᵀ. The rows −Uᵀ r(q0) hold all that the release says about q: they have unit covariance, and their
-derivative by what was assumed is −Uᵀ S. Source: docs/theory/validation.md.
+At the end of a fit the weighted residual is r(q, u) ≈ r* + S (q − q*) + A (u − u*), including the prior rows for the
+release's own unknowns u. The unknowns u are eliminated by projection with an orthonormal basis of A. With its columns
+scaled by the smallest relevant errors, the remainder of S is U Σ Vᵀ. The rows −Uᵀ r(q0) contain all information of the
+release about q. They have unit covariance, and their derivative by the assumed q0 is −Uᵀ S.
+Source: docs/theory/validation.md.
 """
 
 from __future__ import annotations
@@ -36,50 +37,50 @@ PLACES: Mapping[str, int] = {
     ZERO_A: 4,
     ZERO_B: 5,
 }
-"""Of what tests share in a release's θ; parameters stand there by their logarithms."""
+"""Indices of the shared unknowns in a release's θ; parameters are in it as their logarithms."""
 
 TORQUES = (16, 17)
-"""Of dry friction in a release's θ, where it has one."""
-_LAW = 0.1  # of a friction's torque: how well any law of it holds
+"""Indices of the friction torques in a release's θ, if it has dry friction."""
+_FRICTION_LAW_STD = 0.1  # relative standard deviation of a friction torque by errors of any friction law
 _DRAWS = 60
-_LEAST = 1.0  # standard deviations of a row for sizes worth seeing
+_MIN_ROW_SIZE = 1.0  # smallest size of a row in standard deviations, for the smallest relevant errors
 # Steps of a number, of the index angle, of a bow, of the drag over the damping (s) and of the suspension's terms (1/m²,
-# s/m): forward differences of motions that leave an unstable rest, where 0.1 µm of bow is 800 standard deviations at A
-# and its square 4 % of a derivative. Rounding is 1e-9 of one.
+# s/m). These are forward differences of motions from an unstable equilibrium, where 0.1 µm of bow is 800 standard
+# deviations at A, and its square term 4 % of a derivative. The rounding error is 1e-9 of a derivative.
 _STEP, _TURN_RAD, _BOW_STEP_M, _DRAG_STEP_S = 1e-6, 1e-6, 1e-10, 1e-6
 _TERM_STEPS: Mapping[str, float] = dict(zip(TERMS, (0.1, 0.1, 3e-5, 3e-5), strict=True))
 _OPEN_NUMBERS = ("pendulums.a.mass_kg", "pendulums.a.length_m", "pendulums.b.mass_kg", "pendulums.b.length_m")
-_NUMBER_STD, _FURTHEST = 0.02, 0.5  # shares of these numbers
-_INDEPENDENT = 1e-9  # of the largest scaled column
+_NUMBER_STD, _FURTHEST = 0.02, 0.5  # relative prior standard deviation and largest relative change of these numbers
+_INDEPENDENT = 1e-9  # smallest singular value of independent columns, over the largest one
 
 
 @dataclass(frozen=True)
 class Condensed:
-    """What a release says about what it shares.
+    """Information of a release on the shared unknowns.
 
     Attributes:
         values: measured − predicted, in standard deviations, shape (m,).
-        own: their covariance, shape (m, m).
-        slopes: shared unknown → derivative of the values by what is assumed of it, shape (m,): by the logarithm of a
+        own: covariance of the values, shape (m, m).
+        slopes: shared unknown → derivative of the values by its assumed value, shape (m,): by the logarithm of a
             parameter, by a number in its unit.
-        misfit: of the readings with everything open.
-        rubs: whether only dry friction made the release followed; its torques are then the last two rows.
+        misfit: misfit of the readings with all parameters free.
+        has_friction: whether the release is followed only with dry friction, whose torques are then the last two rows.
     """
 
     values: Array
     own: Array
     slopes: Mapping[str, Array]
     misfit: Misfit
-    rubs: bool = False
+    has_friction: bool = False
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """By how much a fit with everything open is off its readings beyond noise and rounding.
+    """Residuals of a fit with all parameters free in excess of noise and rounding.
 
     Attributes:
-        stretch: factor on the variance of what the release says.
-        chi2_per_dof: of the readings.
+        stretch: factor on the variance of the release's rows.
+        chi2_per_dof: χ²/dof of the readings.
     """
 
     stretch: float
@@ -88,14 +89,14 @@ class Misfit:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A release's fit.
+    """Fit of a release.
 
     Attributes:
-        release, problem, shape: what was fitted, with dry friction of a shape.
-        minimum: its end.
-        horizons_s: last instants of the stretches over which it was fitted, growing.
-        moved: number of the rig file → how far the release's knowledge has it above what the file says.
-        misfit: of the fit with everything open, where this is another one.
+        release, problem, shape: release, its least-squares problem and the shape of its dry friction.
+        minimum: minimum of the problem.
+        horizons_s: ends of the growing stretches of the fit, s.
+        moved: number of the rig file → its value in the release minus that in the file.
+        misfit: misfit of the fit with all parameters free, if this is another fit.
     """
 
     release: Release
@@ -108,16 +109,20 @@ class Fitted:
 
     @property
     def end_s(self) -> float:
-        """The last instant."""
+        """End of the fitted stretch, s."""
         return self.horizons_s[-1]
 
     @property
     def readings(self) -> int:
-        """How many block averages."""
+        """Number of block averages."""
         return sum(len(c.time_s) for c in self.problem.cut(self.end_s))
 
     def number_columns(self) -> dict[str, Array]:
-        """Derivatives of the weighted readings, (n,), by numbers, index angle, bow, drag and friction; θ as it is."""
+        """Return derivatives of the weighted readings by numbers, index angle, bow, drag and friction at constant θ.
+
+        Returns:
+            Name → derivative, shape (n,).
+        """
         n, minimum, knowledge = self.readings, self.minimum, self.release.knowledge
         values, found = physical_numbers(knowledge.physics), dict[str, Array]()
         weight = np.concatenate([c.weight for c in self.problem.cut(self.end_s)])
@@ -139,7 +144,7 @@ class Fitted:
                 found[name] = found["rotor.mass_kg"]  # S_P is a parameter: both act through the total mass
                 continue
             step = _STEP * values[name]
-            # what was identified stays as it is: by_number of the knowledge is empty here
+            # identified parameters do not change: by_number of the prior knowledge is empty here
             found[name] = change(self.release.laid_over(knowledge.moved(name, step)), 0.0, step)
         for name in BOW:
             found[name] = change(self.release.laid_over(knowledge.moved(name, _BOW_STEP_M)), 0.0, _BOW_STEP_M)
@@ -156,16 +161,16 @@ class Fitted:
         return {name: column for name, column in found.items() if np.all(np.isfinite(column))}
 
 
-def condensed(fitted: Fitted, assumed: Mapping[str, float], worth: Mapping[str, float]) -> Condensed:
-    """A fit as rows.
+def condensed(fitted: Fitted, assumed: Mapping[str, float], relevant: Mapping[str, float]) -> Condensed:
+    """Return the rows of a fit.
 
     Args:
-        fitted: with everything open.
-        assumed: logarithm of each identified parameter, and each zero; what is not in it is the release's own.
-        worth: size of an error of each shared unknown that is worth seeing, in the unit of its slope.
+        fitted: fit with all parameters free.
+        assumed: logarithm of each identified parameter, and each zero. All other unknowns are the release's own.
+        relevant: smallest relevant error of each shared unknown, in the unit of its slope.
     """
     minimum, n = fitted.minimum, fitted.readings
-    rubs = fitted.shape is not None and FRICTION[0] in assumed
+    has_friction = fitted.shape is not None and FRICTION[0] in assumed
     places = {name: at for name, at in PLACES.items() if name in assumed}
     shared_at = list(places.values())
     prior_of = np.flatnonzero(np.isfinite(fitted.problem.prior_std))
@@ -185,23 +190,23 @@ def condensed(fitted: Fitted, assumed: Mapping[str, float], worth: Mapping[str, 
     )
     at_assumed = residual + all_columns @ off
     left = all_columns - basis @ (basis.T @ all_columns)
-    rows, sizes, _ = np.linalg.svd(left * np.array([worth.get(name, 0.0) for name in names]), full_matrices=False)
-    rows = rows[:, sizes > _LEAST]
+    rows, sizes, _ = np.linalg.svd(left * np.array([relevant.get(name, 0.0) for name in names]), full_matrices=False)
+    rows = rows[:, sizes > _MIN_ROW_SIZE]
     slopes = -rows.T @ all_columns
     own, misfit = _own(fitted, rows)
     found = Condensed(-rows.T @ at_assumed, own, dict(zip(names, slopes.T, strict=True)), misfit)
-    return _with_torque(found, fitted) if rubs else found
+    return _with_torque(found, fitted) if has_friction else found
 
 
 def _with_torque(found: Condensed, fitted: Fitted) -> Condensed:
-    """Two rows more: the torques of A and B that the release was followed with, held against none.
+    """Return the rows with two added: the friction torques of A and B, whose predicted values are 0.
 
-    A law of friction, M or F φ̇², is no better than a tenth; a release shows its torque to a thousandth of that. The
-    rows of everything else have the torque as the release's own.
+    A friction law, M or F φ̇², has errors of a tenth, while a release determines its torque to a thousandth of that. In
+    the other rows the torques are unknowns of the release's own.
     """
     at, count = list(TORQUES), len(found.values)
     torque, std = fitted.minimum.theta[at], np.sqrt(np.diag(fitted.minimum.covariance)[at] * found.misfit.stretch)
-    std = np.hypot(std, _LAW * np.max(np.abs(torque)))
+    std = np.hypot(std, _FRICTION_LAW_STD * np.max(np.abs(torque)))
     own = np.eye(count + 2)
     own[:count, :count] = found.own
     slopes = {name: np.r_[slope, 0.0, 0.0] for name, slope in found.slopes.items()}
@@ -210,17 +215,18 @@ def _with_torque(found: Condensed, fitted: Fitted) -> Condensed:
 
 
 def _basis(columns: Array) -> Array:
-    """Orthonormal, of what columns of any scale span, shape (n, k)."""
+    """Return an orthonormal basis of the span of columns of any scale, shape (n, k)."""
     scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     turned, sizes, _ = np.linalg.svd(columns / np.where(scale > 0, scale, 1.0), full_matrices=False)
     return turned[:, sizes > _INDEPENDENT * sizes[0]]
 
 
 def _own(fitted: Fitted, rows: Array) -> tuple[Array, Misfit]:
-    """Covariance of the rows by noise, rounding and priors, stretched by the misfit.
+    """Return the covariance of the rows by noise, rounding and priors, stretched by the misfit, and the misfit.
 
-    Rounding is white on moving pendulums; near standstill it is not, which draws show. A hundred draws' own scatter
-    would distort a full covariance, so each row's variance is taken where chance does not explain it.
+    Rounding is white for moving pendulums but not near standstill, where random draws give its effect. The scatter of a
+    hundred draws would distort a full covariance. Therefore only the variance of a row is used, and only if it exceeds
+    1 by more than chance explains.
     """
     problem, minimum, end_s, n = fitted.problem, fitted.minimum, fitted.end_s, fitted.readings
     first = len(problem.cut(end_s)[0].time_s)
@@ -249,11 +255,15 @@ def fitted_with_numbers(
     solve: Callable[[TransientProblem, Array], Minimum],
     start: Array,
 ) -> Fitted:
-    """A fit that has the pendulums' masses and lengths open beside all else.
+    """Return a fit with free masses and lengths of the pendulums in addition to all other unknowns.
 
     Args:
-        problem: of the release, without them.
-        solve: (problem, θ to start from) ↦ its minimum over the whole. θ ends with relative changes of the numbers.
+        release: release to fit.
+        problem: least-squares problem of the release without masses and lengths.
+        shape: shape of the dry friction.
+        horizons_s: ends of the growing stretches, s.
+        solve: (problem, start value of θ) ↦ minimum over the whole stretch. θ ends with the numbers' relative changes.
+        start: start value of θ without masses and lengths.
     """
     values, known, p = physical_numbers(release.knowledge.physics), release.knowledge, len(problem.prior)
 
@@ -284,7 +294,7 @@ def fitted_with_numbers(
         prior_std=np.r_[problem.prior_std, np.full(k, _NUMBER_STD)],
     )
     found = solve(wider, np.r_[start, np.zeros(k)])
-    shares, rows = found.theta[p:], len(found.residual) - k  # what is known of the numbers stands last
+    shares, rows = found.theta[p:], len(found.residual) - k  # the prior rows of the numbers are last
     own = Minimum(
         found.theta[:p],
         found.covariance[:p, :p],
@@ -300,10 +310,11 @@ def fitted_with_numbers(
 
 
 def opened(problem: TransientProblem, std: Mapping[str, float]) -> TransientProblem:
-    """The problem with knowledge of some unknowns as wide as given.
+    """Return the problem with other prior standard deviations of some unknowns.
 
     Args:
-        std: by name in PLACES, in the unit of θ.
+        problem: least-squares problem of a release.
+        std: standard deviation by name in PLACES, in the unit of θ.
     """
     wide = problem.prior_std.copy()
     for name, value in std.items():

@@ -1,7 +1,8 @@
 # pyright: strict
-"""A run-up recorded after what was identified, held against it: what it finds less what was taken, as rows.
+"""Comparison of a further run-up with the identified parameters, as rows for a validation.
 
-Points hardly show the suspension's damping. One further run-up shows it as well as ten start-ups of each point do.
+Steady states at points hardly depend on the suspension's damping. One further run-up determines it as well as ten
+start-ups of each point.
 """
 
 from __future__ import annotations
@@ -30,15 +31,16 @@ _CLOCK = "clock"
 def check_run_ups(
     runs: Sequence[Run], rig: Rig, identified: IdentifiedParameters, progress: Callable[[str], None] | None = None
 ) -> list[ReleaseRows]:
-    """Every run-up or run-down that has not helped to identify anything, against what was identified.
+    """Compare every run-up or run-down that was not used for the identification with the identified parameters.
 
     Args:
-        runs: recorded tests; others are left alone.
+        runs: recorded tests; other tests are ignored.
         rig: known numbers, gains and mounting, with their uncertainties.
         identified: parameters with covariance.
-        progress: told one line before each.
+        progress: called with one line of text before each run-up.
     Returns:
-        One per run-up, named by its test; without rows, and with the reason in its sentence, where it shows nothing.
+        One result per run-up, named by its test. If a run-up cannot be evaluated, its result has no rows, and
+        `sentence` contains the reason.
     Source: docs/theory/validation.md.
     """
     found, taken = list[ReleaseRows](), dict[str, int]()
@@ -48,7 +50,7 @@ def check_run_ups(
         taken[run.test] = taken.get(run.test, 0) + 1
         name = f"{run.test} ({taken[run.test]})" if taken[run.test] > 1 else run.test
         if progress is not None:
-            progress(f"{run.test}: against what was identified")
+            progress(f"{run.test}: comparing it with the identified parameters")
         try:
             found.append(_rows(name, _estimate(run, rig, identified), rig, identified))
         except IdentificationError as error:
@@ -59,7 +61,7 @@ def check_run_ups(
 
 
 def _estimate(run: Run, rig: Rig, identified: IdentifiedParameters) -> Estimate:
-    """What a run-up finds, as an identification takes it."""
+    """Return the estimate of a run-up, as an identification uses it."""
     physics, angle = identified.applied_to(rig.physics), identified.axis_angle_deg
     known = None
     if identified.terms is not None:
@@ -67,9 +69,9 @@ def _estimate(run: Run, rig: Rig, identified: IdentifiedParameters) -> Estimate:
     fit = as_mounted(fit_run_up_run(run, known=known), run.turn_deg)
     gains = rig.roles.gain_stds
     estimate, _ = run_up_sides(run, fit, run_up_estimate(run, fit, rig.physics, gains), rig, gains)
-    physical, told = keep_physical(estimate, rig)
+    physical, warnings = keep_physical(estimate, rig)
     if physical is None:
-        raise IdentificationError("; ".join(told))
+        raise IdentificationError("; ".join(warnings))
     return physical.with_sources(rig.known.sources)
 
 
@@ -82,11 +84,11 @@ def _rows(name: str, found: Estimate, rig: Rig, identified: IdentifiedParameters
     shared = {label: by @ shift for label, shift in taken.items()}
     for label, shift in found.shared.items():
         part = shift[places]
-        if label.startswith(_CLOCK):  # a clock's line is fitted anew in every log
+        if label.startswith(_CLOCK):  # a clock's line is fitted separately in every log
             own = own + np.outer(part, part)
         else:
             shared[label] = shared.get(label, np.zeros(len(names))) + part
     by_number = {number: slope[places] for number, slope in found.by_number.items()}
     off = np.array([found.value(n) - values[n] for n in names])
-    sentence = f"compared by {', '.join(names)}" if names else "nothing that was identified"
+    sentence = f"compared by {', '.join(names)}" if names else "not compared: it shows no identified parameter"
     return ReleaseRows(name, tuple(names), off, own, by, tuple(values), by_number, shared, sentence=sentence)

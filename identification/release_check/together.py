@@ -1,5 +1,5 @@
 # pyright: strict
-"""Where all releases of a campaign are met best, and each one's fit there."""
+"""Parameters that fit all releases of a campaign best, and the fit of each release at them."""
 
 from __future__ import annotations
 
@@ -17,38 +17,43 @@ from identification.release_check.model import PLACES, Condensed, Fitted, Misfit
 
 Array = NDArray[np.float64]
 
-_HELD = 1e-9  # std of what is held
+_HELD = 1e-9  # prior standard deviation of a held unknown
 _ITERATIONS = 40
-_GOOD, _NO_WORSE = 1.2, 1.1  # χ²/dof, and of the first fit's, that are not looked into
+_GOOD = 1.2  # χ²/dof below which a fit is accepted without a second start
+_NO_WORSE = 1.1  # the same bound as a multiple of the first fit's χ²/dof
 
 
-def agreed(found: Sequence[Condensed], worth: Mapping[str, float]) -> dict[str, float]:
-    """How far what releases share is from what was assumed where all of them are met best, in the units of the slopes.
+def agreed(found: Sequence[Condensed], relevant: Mapping[str, float]) -> dict[str, float]:
+    """Return the deviations of the shared unknowns from their assumed values that fit all releases best.
 
     Args:
-        worth: standard deviation that each may be off by; what is not in it, or 0, stays.
+        found: rows of the releases.
+        relevant: prior standard deviation of each unknown; an unknown that is missing or has 0 is not changed.
+    Returns:
+        Name → deviation, in the units of the slopes.
     """
-    names = [name for name in worth if worth[name] > 0 and any(name in each.slopes for each in found)]
-    rows, aims = [np.diag([1 / worth[name] for name in names])], [np.zeros(len(names))]
+    names = [name for name in relevant if relevant[name] > 0 and any(name in each.slopes for each in found)]
+    rows, aims = [np.diag([1 / relevant[name] for name in names])], [np.zeros(len(names))]
     for each in found:
         std = np.sqrt(np.diag(each.own))
         slopes = [each.slopes.get(name, np.zeros(len(std))) for name in names]
         rows.append(np.column_stack(slopes) / std[:, None])
         aims.append(-each.values / std)
-    scale = np.array([worth[name] for name in names])
+    scale = np.array([relevant[name] for name in names])
     shares = np.linalg.lstsq(np.concatenate(rows) * scale, np.concatenate(aims))[0]
     return dict(zip(names, (shares * scale).tolist(), strict=True))
 
 
 def fitted_at(fitted: Fitted, shared: Mapping[str, float], misfit: Misfit) -> Fitted | None:
-    """The fit again with what tests share held at given places; None where it does not settle there.
+    """Repeat a fit with the shared unknowns held at given values; return None if it does not converge.
 
-    A release alone leaves some of that nearly free, and its fit ends where that has wandered. Rows of several releases
-    that are linear about different places do not go together to the standard deviation.
+    One release leaves some shared unknowns nearly free, so that they drift in its fit. Rows of several releases that
+    are linearised at different points are not consistent to within a standard deviation.
 
     Args:
-        shared: a place of θ, or a number's distance above what the file says, by name.
-        misfit: of the fit with everything open; one that is better here takes its place.
+        fitted: fit of a release.
+        shared: value of a component of θ, or difference of a number from that of the rig file, by name.
+        misfit: misfit of the fit with all parameters free. If the new fit is better, its own misfit is used.
     """
     minimum, held = fitted.minimum, [PLACES[name] for name in shared if name in PLACES]
     knowledge, moved = fitted.release.knowledge, dict(fitted.moved)
@@ -75,13 +80,14 @@ def fitted_at(fitted: Fitted, shared: Mapping[str, float], misfit: Misfit) -> Fi
 
 
 def _solved(problem: TransientProblem, near: Array, horizons_s: Sequence[float], misfit: Misfit) -> Minimum | None:
-    """The minimum over the whole, from nearby; else, or where that leaves more than it should, over growing stretches.
+    """Return the minimum over the whole stretch, from a near start value or over growing stretches.
 
-    The release's own unknowns then begin where nothing was known of them: a first fit may have ended at a side minimum.
+    The growing stretches are used if the first fit fails or its residual is too large. The release's own unknowns then
+    start at their prior values, since the first fit may have ended at a side minimum.
     """
-    afresh = np.where(np.isfinite(problem.prior_std), problem.prior, near)
+    from_prior = np.where(np.isfinite(problem.prior_std), problem.prior, near)
     found: list[Minimum] = []
-    for theta, stretches in ((near, horizons_s[-1:]), (afresh, horizons_s)):
+    for theta, stretches in ((near, horizons_s[-1:]), (from_prior, horizons_s)):
         if found and problem.chi2_per_dof(found[0], horizons_s[-1]) < min(_GOOD, _NO_WORSE * misfit.chi2_per_dof):
             break
         try:
@@ -94,7 +100,7 @@ def _solved(problem: TransientProblem, near: Array, horizons_s: Sequence[float],
 
 
 def _grown(problem: TransientProblem, theta: Array, stretches_s: Sequence[float]) -> Minimum:
-    """The minimum over the last stretch, each begun where the one before ended."""
+    """Return the minimum over the last stretch; each stretch starts from the minimum of the one before."""
     *early, last = stretches_s
     for end in early:
         theta = problem.solve(theta, end, _ITERATIONS).theta

@@ -1,1 +1,1 @@
-"""The rig while it runs: states and pendulum damping by a compiled unscented Kalman filter."""
+"""Online estimation of states and pendulum damping by a compiled unscented Kalman filter."""

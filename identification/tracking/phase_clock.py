@@ -1,21 +1,21 @@
-"""The rotor's phase now, from index marks as they come."""
+"""Rotor phase from index marks, for online use."""
 
 from __future__ import annotations
 
 import numpy as np
 
-_KEPT = 64
-_STALE_TURNS = 5.0
-_FASTEST_RAD_S = 2000.0  # no rotor here turns faster
-_RESTART_AFTER = 4
+_MAX_MARKS = 64  # number of stored marks
+_STALE_TURNS = 5.0  # without a mark for so many turns and 1 s the rotor counts as stopped
+_MAX_SPEED_RAD_S = 2000.0  # upper bound of the speed of any rotor
+_MAX_REFUSED = 4  # refused marks in a row, after which the stored marks are dropped
 
 
 class PhaseClock:
-    """Phase, speed and acceleration between marks and a little beyond the last one.
+    """Phase, speed and acceleration of the rotor between marks and shortly after the last one.
 
-    Between two marks the phase is the parabola through both and the one before; beyond the last it goes on at the last
-    speed. A mark that does not follow (out of order, or beyond any speed) is left out and counted; several in a
-    row begin anew.
+    Between two marks the phase is the parabola through both and the mark before them. After the last mark it continues
+    at the last speed. Marks that are out of order or exceed the largest speed are refused and counted. After several
+    refused marks in a row the stored marks are dropped.
     """
 
     def __init__(self) -> None:
@@ -24,12 +24,17 @@ class PhaseClock:
         self.refused, self._in_a_row = 0, 0
 
     def feed(self, time_s: np.ndarray, phase_rad: np.ndarray) -> None:
-        """Marks, shapes (n,), in s on the readings' clock and rad, unwrapped."""
+        """Add marks.
+
+        Args:
+            time_s: instants of the marks on the readings' clock, shape (n,).
+            phase_rad: unwrapped phase at the marks, shape (n,).
+        """
         for t, phase in zip(np.atleast_1d(time_s).tolist(), np.atleast_1d(phase_rad).tolist(), strict=True):
             if not (np.isfinite(t) and np.isfinite(phase)) or not self._follows(t, phase):
                 self.refused += 1
                 self._in_a_row += 1
-                if self._in_a_row > _RESTART_AFTER:  # it is the earlier ones that do not fit
+                if self._in_a_row > _MAX_REFUSED:  # the earlier marks are the wrong ones
                     self._time_s.clear()
                     self._phase_rad.clear()
                     self._in_a_row = 0
@@ -37,21 +42,21 @@ class PhaseClock:
             self._in_a_row = 0
             self._time_s.append(t)
             self._phase_rad.append(phase)
-        del self._time_s[:-_KEPT], self._phase_rad[:-_KEPT]
+        del self._time_s[:-_MAX_MARKS], self._phase_rad[:-_MAX_MARKS]
 
     @property
     def known(self) -> bool:
-        """Whether there are marks to tell a phase by."""
+        """Whether there are enough marks for a phase."""
         return len(self._time_s) >= 2
 
     def _follows(self, t: float, phase: float) -> bool:
         if not self._time_s:
             return True
         span = t - self._time_s[-1]
-        return span > 0 and abs(phase - self._phase_rad[-1]) < _FASTEST_RAD_S * span
+        return span > 0 and abs(phase - self._phase_rad[-1]) < _MAX_SPEED_RAD_S * span
 
     def at(self, time_s: np.ndarray) -> np.ndarray:
-        """ψ, ω, α at the times, shape (n, 3); zeros for a rotor without marks."""
+        """Return ψ in rad, ω in rad/s and α in rad/s² at the times, shape (n, 3); zeros without marks."""
         out = np.zeros((len(time_s), 3))
         if not self.known:
             return out

@@ -1,9 +1,9 @@
 # pyright: strict
 """The tracker's filter by filterpy, with its Rauch–Tung–Striebel smoother: the same motion, noise and readings.
 
-`FilterpyFilter` takes the place of `filter_readings` in a `Tracker`, which goes on to decide about gates, gaps and new
-starts. It keeps every step, so that `smoothed` can run backwards over them. filterpy's own smoother has one process
-noise and one motion for all steps; here both change with the rotor's phase, so it is called for one step at a time.
+`FilterpyFilter` replaces `filter_readings` in a `Tracker`, which still handles gates, gaps and restarts. It stores
+every step, so that `smoothed` can process them backwards. filterpy's smoother has one process noise and one motion for
+all steps. Here both change with the rotor's phase, so the smoother is called for one step at a time.
 """
 
 from __future__ import annotations
@@ -22,23 +22,22 @@ from identification.tracking import unscented
 from identification.tracking.unscented import LN_C3, LN_C4, STATES
 
 Array = NDArray[np.float64]
-_move: Any = unscented.move  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
 
 MOST_STEPS = 600_000
-"""Steps that are kept: 1.5 GB with the smoother's, ten minutes at one a millisecond."""
-_RATES = 4  # index of a component's rate behind its own
-# A smoothed variance over the filter's: up to there it is what linearising, and gains of zero on a damping, leave, and
-# is cut to the filter's.
-_FAR_WORSE = 2.0
+"""Largest number of stored steps: 1.5 GB including the smoothed ones, ten minutes at one step per millisecond."""
+_RATES = 4  # offset from the index of a component to that of its rate
+# Ratio of a smoothed variance to that of the filter. Ratios between 1 and this bound come from the linearisation and
+# from gains of zero on a damping; such a variance is reduced to that of the filter.
+_MAX_VARIANCE_RATIO = 2.0
 
 
 @dataclass(frozen=True)
 class _Motion:
-    """What carries sigma points over one prediction.
+    """Motion of the sigma points over one prediction.
 
     Attributes:
-        steps: Runge–Kutta steps.
-        phase: ψ, ω, α at its begin, shape (3,).
+        steps: number of Runge–Kutta steps.
+        phase: ψ, ω, α at the begin, shape (3,).
         packed: parameters, shape (20,).
         free: 1.0 for a released pendulum, shape (2,).
     """
@@ -50,17 +49,17 @@ class _Motion:
 
     def __call__(self, state: Array, dt: float) -> Array:
         points = np.array(state, np.float64).reshape(1, STATES)
-        _move(points, dt / self.steps, self.steps, self.phase, self.packed, self.free)
+        unscented.move(points, dt / self.steps, self.steps, self.phase, self.packed, self.free)
         return points[0]
 
 
 @dataclass(frozen=True)
 class _Begun:
-    """A state that the tracker began anew, the whole or a pendulum's angle and rate.
+    """State after a restart by the tracker, of the whole state or of one pendulum's angle and rate.
 
     Attributes:
-        mean, cov: shapes (10,), (10, 10).
-        same: components that go on as they were, on which the new ones do not depend, shape (10,).
+        mean, cov: mean and covariance, shapes (10,), (10, 10).
+        same: whether a component continues unchanged, shape (10,). The restarted components are independent of these.
     """
 
     mean: Array
@@ -73,10 +72,10 @@ class _Step:
     """One prediction with all readings of its tick.
 
     Attributes:
-        span_s: predicted over.
-        motion, noise: of the prediction that led here.
-        mean, cov: after the readings, shapes (10,), (10, 10).
-        begun: where the prediction began, if not at the step before; None for all others.
+        span_s: duration of the prediction, s.
+        motion, noise: motion and process noise of the prediction.
+        mean, cov: state after the readings, shapes (10,), (10, 10).
+        begun: start of the prediction after a restart; None if it starts at the step before.
     """
 
     span_s: float
@@ -89,12 +88,12 @@ class _Step:
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Means and covariances from all readings of a stretch, those after an instant too.
+    """Means and covariances from all readings of a stretch, later ones included.
 
     Attributes:
         mean, cov: shapes (n, 10), (n, 10, 10), one for each step.
-        stretches: runs of steps that no new start interrupts.
-        kept: steps at which the filter's own estimate stands, because the smoother's was less certain.
+        stretches: number of sequences of steps without a restart.
+        kept: number of steps with the filter's estimate, because the smoothed one was less certain.
     """
 
     mean: Array
@@ -107,9 +106,9 @@ class FilterpyFilter:
     """filterpy's unscented filter with the signature of `identification.tracking.unscented.filter_readings`.
 
     Args:
-        source: the record's name, for messages.
+        source: name of the record, for messages.
     Raises:
-        FitFailed: a covariance is not positive definite any more, or the record has more than MOST_STEPS steps.
+        FitFailed: a covariance is not positive definite, or the record has more than MOST_STEPS steps.
     """
 
     def __init__(self, source: str) -> None:
@@ -120,11 +119,11 @@ class FilterpyFilter:
 
     @property
     def steps(self) -> int:
-        """How many steps are kept."""
+        """Number of stored steps."""
         return len(self._steps)
 
     def variances(self, steps: NDArray[np.int64]) -> Array:
-        """The filter's own variances at some of its steps, shape (n, 10)."""
+        """Return the filter's variances at given steps, shape (n, 10)."""
         chosen: list[int] = steps.tolist()
         return np.array([np.diag(self._steps[k].cov) for k in chosen], np.float64).reshape(-1, STATES)
 
@@ -147,7 +146,7 @@ class FilterpyFilter:
         tally: Array,
         z: Array,
     ) -> None:
-        """Run through readings in time order; see `filter_readings`."""
+        """Process readings in time order; see `filter_readings`."""
         peer, begun = self._peer, self._begun(mean, cov)
         peer.x, peer.P = mean.copy(), cov.copy()
         for i in range(len(times)):
@@ -168,7 +167,7 @@ class FilterpyFilter:
         mean[:], cov[:] = peer.x, peer.P
 
     def _begun(self, mean: Array, cov: Array) -> _Begun | None:
-        """What the tracker began anew since the last call; None where the state is as this filter left it."""
+        """Return the state after a restart since the last call; None if the state is that of the last call."""
         if not self._steps:
             return _Begun(mean.copy(), cov.copy(), np.zeros(STATES, np.bool_))
         last = self._steps[-1]
@@ -181,8 +180,8 @@ class FilterpyFilter:
     def _predict(self, span: float, motion: _Motion, noise: Array, longest: float, begun: _Begun | None) -> None:
         if len(self._steps) >= MOST_STEPS:
             raise FitFailed(
-                f"{self._source}: the reference setting keeps at most {MOST_STEPS} steps of the filter, this record "
-                "has more; use --setting fast, or cut the record"
+                f"{self._source}: the reference setting stores at most {MOST_STEPS} steps of the filter, this record "
+                "has more; use the fast setting, or cut the record"
             )
         peer = self._peer
         if span > 1e-9:
@@ -192,7 +191,7 @@ class FilterpyFilter:
         self._steps.append(_Step(span, motion, noise, peer.x, peer.P, begun))
 
     def _update(self, index: int, reading: float, late: float, variance: float, gate: float, still: float) -> float:
-        """One reading; as `identification.tracking.unscented.update`."""
+        """Process one reading, as `identification.tracking.unscented.update`."""
         peer = self._peer
         if not math.isfinite(reading):
             return math.nan
@@ -201,22 +200,22 @@ class FilterpyFilter:
         z = (arrived - float(peer.x[index])) / math.sqrt(total) if total > 0.0 else math.nan
         if not abs(z) <= gate:
             return z
-        taught_nothing = [
+        at_rest = [
             own
             for own, rate in ((LN_C3, 6), (LN_C4, 7))
             if still >= 0.0 and peer.x[rate] ** 2 < still**2 + 9.0 * peer.P[rate, rate]
         ]
         before, own_cov = peer.x.copy(), peer.P.copy()
-        # a second reading of a tick needs sigma points of the state after the first
+        # the second reading of a tick requires sigma points of the state after the first
         self._guarded(lambda: setattr(peer, "sigmas_f", self._points.sigma_points(peer.x, peer.P)))
 
         def read(state: Array) -> Array:
             return state[index : index + 1]
 
         peer.update(np.array([arrived]), R=variance, hx=read)
-        for a in taught_nothing:  # a gain of zero: own value and variance stay, all else is as with the full gain
+        for a in at_rest:  # zero gain: value and variance are unchanged, all else is as with the full gain
             peer.x[a] = before[a]
-            for b in taught_nothing:
+            for b in at_rest:
                 peer.P[a, b] = own_cov[a, b]
         peer.P = 0.5 * (peer.P + peer.P.T)
         return z
@@ -227,14 +226,14 @@ class FilterpyFilter:
         except np.linalg.LinAlgError as fault:
             raise FitFailed(
                 f"{self._source}: filterpy's filter ended after {len(self._steps)} steps: its covariance is not "
-                f"positive definite any more ({fault}). Use --setting fast, whose filter repairs it"
+                f"positive definite ({fault}). Use the fast setting, whose filter repairs the covariance"
             ) from fault
 
-    def smoothed(self, tell: Callable[[float], None] | None = None) -> Smoothed:
-        """filterpy's smoother over all steps, from the last one back.
+    def smoothed(self, progress: Callable[[float], None] | None = None) -> Smoothed:
+        """Run filterpy's smoother over all steps, from the last one back.
 
         Args:
-            tell: told the share done, 0 … 1.
+            progress: called with the completed share, 0 … 1.
         Raises:
             FitFailed: a covariance is not positive definite.
         """
@@ -255,14 +254,14 @@ class FilterpyFilter:
                 kept += 1
             else:
                 mean[k], cov[k] = own
-            if tell is not None and k % 500 == 0:
-                tell(1.0 - k / len(steps))
+            if progress is not None and k % 500 == 0:
+                progress(1.0 - k / len(steps))
         return Smoothed(mean, cov, stretches, kept)
 
     def _one_back(
         self, filtered: tuple[Array, Array], later: tuple[Array, Array], after: _Step
     ) -> tuple[Array, Array] | None:
-        """Mean and covariance at the begin of a step whose end is smoothed already; None where that is no better."""
+        """Return mean and covariance at the begin of a step whose end is smoothed; None if the filter's are better."""
         peer = self._peer
         peer.fx, peer.Q = after.motion, np.diag(after.noise) * after.span_s
         means, covs = np.array([filtered[0], later[0]]), np.array([filtered[1], later[1]])
@@ -272,10 +271,10 @@ class FilterpyFilter:
 
 
 def _before_begun(last: _Step, same: NDArray[np.bool_], smoothed: tuple[Array, Array]) -> tuple[Array, Array] | None:
-    """The last step before a pendulum was begun anew: what goes on carries later readings back to it.
+    """Return the smoothed state of the last step before a restart of one pendulum; None if the filter's is better.
 
-    With o the components that go on, K = P[:, o] P[o, o]⁻¹: the rest follows from them as the filter's covariance
-    has it, since nothing later depends on the rest.
+    The components o that continue carry later readings back: K = P[:, o] P[o, o]⁻¹. The other components follow from
+    them by the filter's covariance, since later readings are independent of the others.
     """
     inner = np.ix_(same, same)
     gain = np.linalg.solve(last.cov[inner], last.cov[same]).T
@@ -285,10 +284,10 @@ def _before_begun(last: _Step, same: NDArray[np.bool_], smoothed: tuple[Array, A
 
 
 def _at_most(mean: Array, cov: Array, filtered: Array) -> tuple[Array, Array] | None:
-    """A smoothed state with no variance above the filter's; None where it is far above, or no variance at all."""
+    """Return a smoothed state with variances limited to the filter's; None if one is not positive or far too large."""
     cov = 0.5 * (cov + cov.T)
     own, most = np.diag(cov), np.diag(filtered)
-    if not bool(np.all(own > 0.0) and np.all(own <= _FAR_WORSE * most)):
+    if not bool(np.all(own > 0.0) and np.all(own <= _MAX_VARIANCE_RATIO * most)):
         return None
     shrink = np.sqrt(np.minimum(1.0, most / own))
     return mean, cov * np.outer(shrink, shrink)

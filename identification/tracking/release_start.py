@@ -1,8 +1,9 @@
-"""A start value for the fit of a release: the filter from the locked orbit on, over its first second or two."""
+"""Start values of damping for the fit of a release, by the filter over the first two seconds from the locked orbit."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.signals.run import Run
 from dynamics.equations.parameters import RotorParameters
@@ -10,19 +11,22 @@ from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.integrate import locked_state
 from identification.tracking.unscented import STATES, TALLY, filter_readings
 
+Array = NDArray[np.float64]
+
 _SPAN_S, _TICK_S = 2.0, 1e-3
 _LN_C_STD = (1.2, 0.7, 0.5)
 
 
-def damping_start(run: Run, physics: RotorParameters, history: SpeedHistory, release_s: float) -> np.ndarray | None:
-    """ln c3, ln c4 as the encoders alone suggest, shape (2,).
+def damping_start(run: Run, physics: RotorParameters, history: SpeedHistory, release_s: float) -> Array | None:
+    """Return ln c3, ln c4 from the encoders alone, shape (2,).
 
     Args:
-        run: angles from the release on are used.
-        physics: everything but c3, c4, which may be ten times wrong.
-        history: the recorded speed.
+        run: recording, whose angles after the release are used.
+        physics: parameters; c3 and c4 may be wrong by a factor of ten.
+        history: recorded speed.
+        release_s: instant of the release, s.
     Returns:
-        None where the filter lost the readings.
+        None if there are fewer than 100 samples or the filter refuses too many of them.
     """
     wanted = (run.angle_time_s > release_s) & (run.angle_time_s < release_s + _SPAN_S)
     time, angle = run.angle_time_s[wanted], run.angle_rad[wanted]
@@ -33,12 +37,12 @@ def damping_start(run: Run, physics: RotorParameters, history: SpeedHistory, rel
     locked = np.nanmean(run.angle_rad[before], axis=0) if before.any() else angle[0]
     ln_c = np.log([m.damping_Nms_per_rad for m in (physics.a, physics.b)])
     begin = locked_state(physics, speed, psi, *locked)
-    orbit = np.max(np.abs(begin[:2])) * 0.3 + 1e-5  # the imbalance may be that wrong
+    orbit = np.max(np.abs(begin[:2])) * 0.3 + 1e-5  # error of the imbalance up to 30 %
     spread = np.r_[orbit, orbit, 0.02, 0.02, orbit * speed, orbit * speed, 0.05, 0.05]
     noise = np.r_[np.zeros(4), np.full(2, (0.1 * orbit * speed) ** 2), 0.1, 0.1, 1e-3, 1e-3]
     n, ticks = 2 * len(time), np.repeat(time, 2)
     phases = history.phase(np.r_[release_s, ticks[:-1]])
-    for ln_c_std in _LN_C_STD:  # each pass from the damping of the one before
+    for ln_c_std in _LN_C_STD:  # each pass starts with the damping of the one before
         mean, cov = np.r_[begin, ln_c], np.diag(np.r_[spread, ln_c_std, ln_c_std] ** 2)
         tally, z = np.array([release_s, *np.zeros(TALLY - 1)]), np.empty(n)
         filter_readings(

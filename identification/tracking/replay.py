@@ -1,12 +1,13 @@
-"""A recorded run through the tracker, as it would have looked live; on request once more, backwards."""
+"""The tracker over a recorded run, as online, and optionally with a smoother."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.signals.run import Run
 from dynamics.equations.parameters import RotorParameters
@@ -15,58 +16,60 @@ from identification.tracking.reference import FilterpyFilter
 from identification.tracking.tracker import STATE_NAMES, Sensors, Tracked, Tracker
 from identification.tracking.unscented import LN_C3, filter_readings
 
+Array = NDArray[np.float64]
+
 TrackingSetting = Literal["fast", "reference"]
-"""fast: the compiled filter; reference: filterpy's filter around the same motion, and its smoother."""
+"""fast: compiled filter; reference: filterpy's filter with the same motion, and its smoother."""
 _NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 _TIMES = 1.96  # standard deviations of a 95 % interval
-_FILTERING = 0.5  # share of the reference's work; the rest is smoothing
+_FILTERING = 0.5  # share of filtering in the work of the reference setting; the rest is smoothing
 
 
 @dataclass(frozen=True)
 class SmoothedRun:
-    """The same instants with all readings of the run, later ones too.
+    """Estimates at the same instants from all readings of the run, later ones included.
 
     Attributes:
-        values, std, low, high: c3, c4, their standard deviations and 95 % intervals, shape (n, 2).
-        states, state_std: in STATE_NAMES' order, shape (n, 8).
-        stretches: parts of the run that no new start of the filter interrupts; each is smoothed by itself.
-        kept: share of the steps at which the filter's own estimate stands.
+        values, std, low, high: c3, c4, their standard deviations and 95 % intervals, N m s/rad, shape (n, 2).
+        states, state_std: states and standard deviations in the order of STATE_NAMES, SI, shape (n, 8).
+        stretches: number of parts of the run without a restart of the filter; each part is smoothed separately.
+        kept: share of the steps with the filter's estimate instead of the smoothed one.
     """
 
-    values: np.ndarray
-    std: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    states: np.ndarray
-    state_std: np.ndarray
+    values: Array
+    std: Array
+    low: Array
+    high: Array
+    states: Array
+    state_std: Array
     stretches: int
     kept: float
 
 
 @dataclass(frozen=True)
 class TrackedRun:
-    """What the tracker said over a run, one row per batch of readings.
+    """Estimates of the tracker over a run, one row per batch of readings.
 
     Attributes:
-        time_s: since the run's start, shape (n,).
-        values, std, low, high: c3, c4, their standard deviations and 95 % intervals, shape (n, 2).
-        states, state_std: in STATE_NAMES' order, shape (n, 8).
-        phase_rad, speed_rad_s: the rotor's ψ and its rate from the marks, shape (n,); zeros without marks.
-        trusted: shape (n,).
-        last: the estimate at the end.
-        smoothed: by the reference setting; None with the fast one.
+        time_s: time since the run's start, s, shape (n,).
+        values, std, low, high: c3, c4, their standard deviations and 95 % intervals, N m s/rad, shape (n, 2).
+        states, state_std: states and standard deviations in the order of STATE_NAMES, SI, shape (n, 8).
+        phase_rad, speed_rad_s: rotor phase ψ and speed from the marks, shape (n,); zeros without marks.
+        trusted: whether the filter follows the readings, shape (n,).
+        last: estimate at the end.
+        smoothed: smoothed estimates of the reference setting; None for the fast setting.
     """
 
-    time_s: np.ndarray
-    values: np.ndarray
-    std: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    states: np.ndarray
-    state_std: np.ndarray
-    phase_rad: np.ndarray
-    speed_rad_s: np.ndarray
-    trusted: np.ndarray
+    time_s: Array
+    values: Array
+    std: Array
+    low: Array
+    high: Array
+    states: Array
+    state_std: Array
+    phase_rad: Array
+    speed_rad_s: Array
+    trusted: NDArray[np.bool_]
     last: Tracked
     smoothed: SmoothedRun | None = None
 
@@ -83,63 +86,79 @@ def track(
     setting: TrackingSetting = "fast",
     tell: Callable[[float], None] | None = None,
 ) -> TrackedRun:
-    """Follow a recorded run with the online tracker.
+    """Run the online tracker over a recorded run.
 
     Args:
-        run: angles are needed, marks are used where there are any.
-        physics: the rig with its bow; its c3, c4 are the start values.
+        run: recording with angles; marks are used if there are any.
+        physics: parameters including the bow; c3 and c4 are the start values.
         damping_std: standard deviation of ln c3, ln c4 at the start.
         imbalance_std: relative standard deviation of S_P.
-        batch_s: readings handed over at once.
-        lasers: use them too. Only for signals without offset, along the stiffness axes and on the encoders' clock to
-            a fraction of a millisecond: a delay of two turns the disk's orbit by six degrees, and damping with it.
-        run_out_m: of the surfaces that the lasers read, as Tracker takes it.
-        setting: "reference" gives the same rows by filterpy, and smoothed ones beside them.
-        tell: told the share done, 0 … 1.
+        batch_s: duration of one batch of readings, s.
+        lasers: whether to use the lasers. Their signals must have no offset, lie along the stiffness axes and have the
+            encoders' clock to a fraction of a millisecond: 2 ms turn the orbit by six degrees and bias the damping.
+        run_out_m: run-out of the surfaces that the lasers measure, as in `Tracker`.
+        setting: "reference" adds smoothed estimates and computes the rows by filterpy.
+        tell: called with the completed share, 0 … 1.
     Raises:
-        NotIdentifiable: no angles of both pendulums.
-        FitFailed: the reference's covariance broke down, or the run has too many steps for it.
-        ValueError: another setting.
+        NotIdentifiable: the run has no angles of both pendulums, or is too short.
+        FitFailed: the covariance of the reference filter is not positive definite, or the run has too many steps.
+        ValueError: the setting is unknown.
     """
     if setting not in get_args(TrackingSetting):
         raise ValueError(f"setting: expected {', '.join(get_args(TrackingSetting))}, got {setting!r}")
     if run.angle_rad.ndim != 2 or not np.isfinite(run.angle_rad).any(axis=0).all() or run.angle_rad.size == 0:
         raise NotIdentifiable(f"{run.source}: angles of both pendulums are needed to track their damping")
     reference = FilterpyFilter(run.source) if setting == "reference" else None
-    # a pendulum that is let go during the run is locked before; in a spin-down both are free all along
-    let_go = {r.pendulum for r in run.releases}
+    # a pendulum that is released later is locked before; in a spin-down both are free
+    released = {r.pendulum for r in run.releases}
     tracker = Tracker(
         physics,
         Sensors(encoder_step_rad=run.angle_step_rad),
         damping_std,
-        (0 not in let_go, 1 not in let_go),
+        (0 not in released, 1 not in released),
         imbalance_std=imbalance_std,
         run_out_m=run_out_m,
         filtering=reference or filter_readings,
     )
-    begin, end = float(run.angle_time_s[0]), float(run.angle_time_s[-1])
     for release in run.releases:
         tracker.release(release.pendulum, int(_ns(release.time_s)))
-    rows: list[Tracked] = []
-    phases: list[tuple[float, float]] = []
-    steps: list[int] = []
-    share = _FILTERING if reference else 1.0
+    batches, begin, end = _Batches(), float(run.angle_time_s[0]), float(run.angle_time_s[-1])
     for start in np.arange(begin, end, batch_s):
         _hand_over(tracker, run, (float(start), float(start + batch_s)), lasers)
-        now = tracker.estimate()
-        if now.time_ns is None or (rows and now.time_ns == rows[-1].time_ns):
-            continue  # nothing was read
-        rows.append(now)
-        phases.append(tracker.phase_at(now.time_ns))
-        steps.append(reference.steps - 1 if reference else 0)
-        if tell is not None:
-            tell(share * (start - begin) / (end - begin))
-    if not rows:
-        raise NotIdentifiable(f"{run.source}: {end - begin:.2g} s are too short to track")
-    forward = _rows(rows, phases)
+        added = batches.add(tracker, reference.steps if reference else 0)
+        if added and tell is not None:
+            tell((_FILTERING if reference else 1.0) * (start - begin) / (end - begin))
+    if not batches.rows:
+        raise NotIdentifiable(f"{run.source}: {end - begin:.2g} s of angles are too short to track; record longer")
+    forward = _rows(batches.rows, batches.phases)
     if reference is None:
         return forward
-    return _smoothed(forward, reference, np.array(steps), tell)
+    return _smoothed(forward, reference, np.array(batches.steps), tell)
+
+
+@dataclass
+class _Batches:
+    """Estimates after each batch of readings.
+
+    Attributes:
+        rows: estimates.
+        phases: rotor phase in rad and speed in rad/s at the estimates.
+        steps: index of the last step of the reference filter at the estimates; -1 for the fast setting.
+    """
+
+    rows: list[Tracked] = field(default_factory=list[Tracked])
+    phases: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+    steps: list[int] = field(default_factory=list[int])
+
+    def add(self, tracker: Tracker, steps: int) -> bool:
+        """Add the current estimate; return False if the last batch had no readings."""
+        now = tracker.estimate()
+        if now.time_ns is None or (self.rows and now.time_ns == self.rows[-1].time_ns):
+            return False
+        self.rows.append(now)
+        self.phases.append(tracker.phase_at(now.time_ns))
+        self.steps.append(steps - 1)
+        return True
 
 
 def _rows(rows: list[Tracked], phases: list[tuple[float, float]]) -> TrackedRun:
@@ -160,13 +179,19 @@ def _rows(rows: list[Tracked], phases: list[tuple[float, float]]) -> TrackedRun:
 
 
 def _smoothed(
-    forward: TrackedRun, reference: FilterpyFilter, steps: np.ndarray, tell: Callable[[float], None] | None
+    forward: TrackedRun, reference: FilterpyFilter, steps: NDArray[np.int64], progress: Callable[[float], None] | None
 ) -> TrackedRun:
-    """The rows with the smoother's beside them.
+    """Return the rows with the smoothed estimates added.
 
-    Its standard deviations are stretched as the filter's are at the same instant: caution and excess are the same.
+    The smoothed standard deviations have the same factors, CAUTION and the excess of the innovations, as those of the
+    filter at the same instant.
     """
-    found = reference.smoothed(None if tell is None else lambda share: tell(_FILTERING + (1 - _FILTERING) * share))
+
+    def second_part(share: float) -> None:
+        if progress is not None:
+            progress(_FILTERING + (1 - _FILTERING) * share)
+
+    found = reference.smoothed(second_part)
     own = np.diagonal(found.cov, axis1=1, axis2=2)[steps]
     shrunk = np.sqrt(own / reference.variances(steps))
     values = np.exp(found.mean[steps, LN_C3:])
@@ -187,7 +212,7 @@ def _smoothed(
 
 
 def _hand_over(tracker: Tracker, run: Run, span_s: tuple[float, float], lasers: bool) -> None:
-    def part(time: np.ndarray) -> slice:
+    def part(time: Array) -> slice:
         first, last = np.searchsorted(time, span_s)
         return slice(int(first), int(last))
 
@@ -200,5 +225,5 @@ def _hand_over(tracker: Tracker, run: Run, span_s: tuple[float, float], lasers: 
         tracker.feed_encoders(_ns(run.angle_time_s[a]), run.angle_rad[a])
 
 
-def _ns(time_s: np.ndarray | float) -> np.ndarray:
+def _ns(time_s: Array | float) -> NDArray[np.int64]:
     return np.round(np.asarray(time_s) * 1e9).astype(np.int64)

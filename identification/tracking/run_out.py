@@ -1,5 +1,5 @@
 # pyright: strict
-"""Readings of lasers that see run-out, as the filter takes them: of the disk's motion alone."""
+"""Correction of laser readings for run-out, so that they contain only the disk's motion."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ Array = NDArray[np.float64]
 
 
 def without_run_out(rows: Array, phase: PhaseClock, run_out_m: tuple[complex, complex]) -> Array:
-    """Rows (time, component, reading, variance), shape (n, 4), with the lasers' as of round surfaces.
+    """Return readings with the run-out subtracted from those of the lasers.
 
     Args:
-        phase: where no marks have told it, the rows stay as they are.
-        run_out_m: complex r_x, r_y; the lasers show Re(r_x e^{iψ}) and Im(r_y e^{iψ}) beside the motion.
+        rows: time, component, reading and variance, shape (n, 4).
+        phase: rotor phase. Without marks the rows are returned unchanged.
+        run_out_m: complex r_x, r_y, m. The lasers measure Re(r_x e^{iψ}) and Im(r_y e^{iψ}) in addition to the motion.
     """
     if not phase.known:
         return rows

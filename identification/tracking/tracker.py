@@ -1,8 +1,8 @@
-"""States and pendulum damping while the rig runs: readings in as they come, an estimate out at any time.
+"""Online tracker of states and pendulum damping: it takes readings as they arrive and gives an estimate at any time.
 
-What it is and is not: a filter linearises at every reading and takes the rig's other parameters for exact, so its
-intervals are a guide for the eye. They are stretched by the innovations' own excess and by a factor measured over
-simulated runs (docs/theory/tracking.md); quoted numbers come from fits.
+The filter linearises at every reading and takes the rig's other parameters as exact, so its intervals are for display
+only. They are stretched by the excess of the innovations and by a factor measured over simulated runs
+(docs/theory/tracking.md). Values to be quoted come from fits.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.integrate import fastest_rate
@@ -18,6 +19,9 @@ from identification.tracking.phase_clock import PhaseClock
 from identification.tracking.process_noise import AT_REST_RAD_S, process_noise
 from identification.tracking.run_out import without_run_out
 from identification.tracking.unscented import STATES, TALLY, filter_readings
+
+Array = NDArray[np.float64]
+Nanoseconds = NDArray[np.int64]
 
 STATE_NAMES = (
     "x_m",
@@ -30,22 +34,26 @@ STATE_NAMES = (
     "theta4_rate_rad_per_s",
 )
 CAUTION = 2.5
-"""Stretch of the standard deviations of ln c: see docs/theory/tracking.md for the coverage it was chosen for."""
-_GATE, _LOST_REFUSALS, _MANY_REFUSED = 6.0, 60, 0.25  # standard deviations, in a row, of the last two thousand
-_STEP_SHARE = 0.25  # of the fastest rate's inverse
-_FLICK_RAD_S = 20.0  # a hand gives a pendulum such speeds
-_STILL_RAD_S, _STILL_AT_REST_RAD_S = 0.003, 0.03  # of a pendulum, while the rotor turns and while it stands
+"""Factor on the standard deviations of ln c; docs/theory/tracking.md states the resulting coverage."""
+_GATE = 6.0  # standard deviations of an innovation above which a reading is refused
+_MAX_REFUSED_IN_ROW = 60  # refused readings in a row, after which a component restarts
+_MAX_REFUSED_SHARE = 0.25  # refused share of the last 2000 readings above which the estimate is not trusted
+_STEP_SHARE = 0.25  # step as a share of the inverse of the fastest rate
+_FLICK_RAD_S = 20.0  # standard deviation of a pendulum's speed after a flick by hand
+# speed relative to the rotor below which a pendulum counts as still, while the rotor turns and while it is at rest
+_STILL_RAD_S, _STILL_AT_REST_RAD_S = 0.003, 0.03
 _GAP_S, _BACK_S, _SHORTEST_STEP_S = 1.0, 1.0, 5e-5
-_MOST_KEPT = 400_000  # readings that wait; more are dropped, oldest first
+_MAX_WAITING = 400_000  # number of waiting readings; the oldest of more are dropped
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """What a reading is worth.
+    """Noise of the readings.
 
     Attributes:
-        laser_std_m, encoder_step_rad: noise of a laser sample; the encoders' step.
-        encoder_std_rad: of one reading beside its rounding: what zeros and bearings leave.
+        laser_std_m: standard deviation of a laser sample, m.
+        encoder_step_rad: quantisation step of the encoders, rad.
+        encoder_std_rad: standard deviation of an encoder reading by zeros and bearings, without its rounding, rad.
     """
 
     laser_std_m: float = 3e-5
@@ -55,15 +63,15 @@ class Sensors:
 
 @dataclass(frozen=True)
 class Tracked:
-    """What the tracker holds true at one instant.
+    """Estimate of the tracker at one instant.
 
     Attributes:
-        time_ns: the instant, on the readings' clock; None before the first reading.
-        states, state_std: by STATE_NAMES, SI.
-        values, std: c3_Nms_per_rad, c4_Nms_per_rad.
-        intervals: 95 % of the values.
-        trusted: the filter follows the readings; False right after a start or while most of them are refused.
-        counts: readings used, refused, late, restarts, repairs of the covariance.
+        time_ns: instant on the readings' clock, ns; None before the first reading.
+        states, state_std: states and standard deviations by STATE_NAMES, SI.
+        values, std: c3_Nms_per_rad and c4_Nms_per_rad, and their standard deviations.
+        intervals: 95 % intervals of the values.
+        trusted: whether the filter follows the readings; False right after a start and while many are refused.
+        counts: numbers of readings used, refused and late, of restarts, and of repairs of the covariance.
     """
 
     time_ns: int | None
@@ -78,19 +86,22 @@ class Tracked:
 
 @dataclass
 class Tracker:
-    """Feed it readings and marks in batches of any size, late or out of order within `lag_s`; ask `estimate()`.
+    """Online tracker.
+
+    Readings and marks are fed in batches of any size, late or out of order within `lag_s`. `estimate` returns the
+    current estimate.
 
     Attributes:
-        physics: the rig; its c3, c4 are the start values.
-        sensors: the readings' noise.
-        damping_std: standard deviation of ln c3, ln c4 at the start; the filter finds what is three of it away.
-        released: whether A and B swing freely at the start; `release` and `lock` change it.
-        lag_s: readings wait so long for earlier ones, and what comes later than that is dropped.
-        tick_s: readings within one tick are taken together; at most one prediction each, which bounds the cost.
-        imbalance_std: relative standard deviation of the rig's S_P: 0.05 of a rig file's, 0.001 after a run-up.
-        run_out_m: complex r_x, r_y of the surfaces that lasers read: they show Re(r_x e^{iψ}) and Im(r_y e^{iψ}) beside
-            the disk's motion.
-        filtering: what runs through readings, with the arguments of `filter_readings`.
+        physics: parameters; c3 and c4 are the start values.
+        sensors: noise of the readings.
+        damping_std: standard deviation of ln c3, ln c4 at the start. The filter finds values within three of it.
+        released: whether A and B swing freely at the start; changed by `release` and `lock`.
+        lag_s: time for which readings wait for earlier ones, s. Readings that arrive later are dropped.
+        tick_s: readings within one tick have one prediction, which bounds the cost, s.
+        imbalance_std: relative standard deviation of S_P: 0.05 for a rig file, 0.001 after a run-up.
+        run_out_m: complex r_x, r_y of the surfaces that the lasers measure, m. Laser readings contain Re(r_x e^{iψ})
+            and Im(r_y e^{iψ}) in addition to the disk's motion.
+        filtering: function that processes readings, with the arguments of `filter_readings`.
     """
 
     physics: RotorParameters
@@ -118,44 +129,44 @@ class Tracker:
 
     def feed_lasers(
         self,
-        x_time_ns: np.ndarray | None = None,
-        x_m: np.ndarray | None = None,
-        y_time_ns: np.ndarray | None = None,
-        y_m: np.ndarray | None = None,
+        x_time_ns: Nanoseconds | None = None,
+        x_m: Array | None = None,
+        y_time_ns: Nanoseconds | None = None,
+        y_m: Array | None = None,
     ) -> None:
-        """Disk displacements along the stiffness axes, shapes (n,), (m,); NaN is a reading that is not there."""
+        """Add disk displacements along the stiffness axes, shapes (n,), (m,); NaN marks a missing reading."""
         for component, time, value in ((0, x_time_ns, x_m), (1, y_time_ns, y_m)):
             if time is not None and value is not None:
                 self._add(np.asarray(time), np.asarray(value, float), component, self.sensors.laser_std_m**2)
         self._run()
 
-    def feed_encoders(self, time_ns: np.ndarray, angle_rad: np.ndarray) -> None:
-        """Pendulum angles relative to the rotor, shapes (n,), (n, 2), unwrapped; NaN is a reading that is not there."""
+    def feed_encoders(self, time_ns: Nanoseconds, angle_rad: Array) -> None:
+        """Add unwrapped pendulum angles relative to the rotor, shapes (n,), (n, 2); NaN marks a missing reading."""
         variance = self.sensors.encoder_step_rad**2 / 12 + self.sensors.encoder_std_rad**2
         angle = np.asarray(angle_rad, float).reshape(-1, 2)
         for i in range(2):
             self._add(np.asarray(time_ns), angle[:, i], 2 + i, variance)
         self._run()
 
-    def feed_marks(self, time_ns: np.ndarray, phase_rad: np.ndarray) -> None:
-        """Index marks and the rotor's phase at them, shapes (n,)."""
+    def feed_marks(self, time_ns: Nanoseconds, phase_rad: Array) -> None:
+        """Add index marks and the rotor's phase at them, shapes (n,)."""
         self._phase.feed(self._seconds(np.asarray(time_ns)), np.asarray(phase_rad, float))
 
     def release(self, pendulum: int, time_ns: int) -> None:
-        """A pendulum is free from an instant on (0 is A)."""
+        """Set a pendulum free from an instant on; 0 is A, 1 is B."""
         self._switch(pendulum, time_ns, True)
 
     def lock(self, pendulum: int, time_ns: int) -> None:
-        """A pendulum is locked from an instant on."""
+        """Set a pendulum locked from an instant on; 0 is A, 1 is B."""
         self._switch(pendulum, time_ns, False)
 
     def phase_at(self, time_ns: int) -> tuple[float, float]:
-        """ψ in rad and its rate in rad/s at an instant, from the marks fed so far; zeros without marks."""
+        """Return ψ in rad and its rate in rad/s at an instant, from the marks so far; zeros without marks."""
         psi, speed, _ = self._phase.at(self._seconds(np.array([time_ns])))[0].tolist()
         return psi, speed
 
     def estimate(self) -> Tracked:
-        """What is known now; it costs nothing and changes nothing."""
+        """Return the current estimate without changing the state of the filter."""
         std = np.sqrt(np.maximum(np.diag(self._cov), 0.0) * self._excess)
         ln_c, ln_std = self._mean[8:], CAUTION * std[8:]
         started = self._origin_ns is not None and np.isfinite(self._tally[0])
@@ -163,7 +174,7 @@ class Tracker:
             ln_c, ln_std = self._ln_c, np.sqrt(self._ln_c_var)
         reach = np.exp(np.minimum(1.96 * ln_std, 50.0))
         names, c = ("c3_Nms_per_rad", "c4_Nms_per_rad"), np.exp(ln_c)
-        following = self._tally[3] < _LOST_REFUSALS / 2 and self._refusing < _MANY_REFUSED
+        following = self._tally[3] < _MAX_REFUSED_IN_ROW / 2 and self._refusing < _MAX_REFUSED_SHARE
         trusted = started and following and self._excess < 9.0 and self._since_start > 200
         return Tracked(
             (self._origin_ns or 0) + round(1e9 * self._tally[0]) if started else None,
@@ -176,17 +187,17 @@ class Tracker:
             dict(self._counts),
         )
 
-    def _seconds(self, time_ns: np.ndarray) -> np.ndarray:
+    def _seconds(self, time_ns: Nanoseconds) -> Array:
         time_ns = np.atleast_1d(time_ns)
         if self._origin_ns is None and len(time_ns):
             self._origin_ns = int(time_ns[0])
-        return (time_ns.astype(np.int64) - (self._origin_ns or 0)) * 1e-9
+        return np.asarray((time_ns.astype(np.int64) - (self._origin_ns or 0)) * 1e-9, np.float64)
 
     def _switch(self, pendulum: int, time_ns: int, free: bool) -> None:
         self._switches.append((float(self._seconds(np.array([time_ns]))[0]), pendulum, free))
         self._switches.sort()
 
-    def _add(self, time_ns: np.ndarray, value: np.ndarray, component: int, variance: float) -> None:
+    def _add(self, time_ns: Nanoseconds, value: Array, component: int, variance: float) -> None:
         if len(time_ns) == 0:
             return
         rows = np.empty((len(time_ns), 4))
@@ -195,12 +206,12 @@ class Tracker:
         if len(rows) == 0:
             return
         if np.isfinite(self._newest) and np.max(rows[:, 0]) < self._newest - _BACK_S:
-            self._forget()  # the clock has gone back: a device restarted
+            self._restart()  # the clock has jumped back because a device restarted
         self._newest = max(self._newest, float(np.max(rows[:, 0])))
-        self._waiting = np.vstack([self._waiting, rows])[-_MOST_KEPT:]
+        self._waiting = np.vstack([self._waiting, rows])[-_MAX_WAITING:]
 
-    def _forget(self) -> None:
-        """Start anew at the next reading, with the damping known when the filter last followed."""
+    def _restart(self) -> None:
+        """Restart at the next reading, with the damping from the time when the filter last followed the readings."""
         if np.isfinite(self._tally[0]):
             self._ln_c, found = np.clip(self._followed[0], -16.0, 2.0), self._followed[1]
             self._ln_c_var = np.clip(4 * found, 0.01, self.damping_std**2)
@@ -209,7 +220,7 @@ class Tracker:
         self._waiting, self._newest, self._excess, self._since_start = np.empty((0, 4)), -np.inf, 1.0, 0
 
     def _run(self) -> None:
-        """Filter what no earlier reading can precede any more."""
+        """Filter the readings that have waited long enough for earlier ones."""
         ready = self._waiting[:, 0] <= self._newest - self.lag_s
         rows, self._waiting = self._waiting[ready], self._waiting[~ready]
         if len(rows) == 0:
@@ -225,7 +236,7 @@ class Tracker:
             if len(part):
                 self._filter(part)
 
-    def _filter(self, rows: np.ndarray) -> None:
+    def _filter(self, rows: Array) -> None:
         if any(self.run_out_m):
             rows = without_run_out(rows, self._phase, self.run_out_m)
         if not self._tally[0] > rows[0, 0] - _GAP_S:
@@ -266,18 +277,18 @@ class Tracker:
         self._excess = max(1.0, (1 - share) * self._excess + share * level)
         finite = np.all(np.isfinite(self._mean)) and np.all(np.isfinite(self._cov))
         if not finite:
-            self._forget()
-        elif self._tally[3] > _LOST_REFUSALS:
-            for component in np.flatnonzero(self._tally[4:] > _LOST_REFUSALS):
-                self._pick_up(int(component), rows)
+            self._restart()
+        elif self._tally[3] > _MAX_REFUSED_IN_ROW:
+            for component in np.flatnonzero(self._tally[4:] > _MAX_REFUSED_IN_ROW):
+                self._restart_component(int(component), rows)
         elif self._tally[3] == 0:
             self._followed = self._mean[8:].copy(), np.diag(self._cov)[8:].copy()
 
-    def _begin(self, rows: np.ndarray) -> None:
-        """A state from the first readings: where they are, at an unknown speed."""
+    def _begin(self, rows: Array) -> None:
+        """Set the state from the first readings: their positions with unknown rates."""
         if np.isfinite(self._tally[0]):
             waiting, newest = self._waiting, self._newest
-            self._forget()
+            self._restart()
             self._waiting, self._newest = waiting, newest
         for component in range(4):
             own = rows[rows[:, 1] == component, 2]
@@ -286,8 +297,8 @@ class Tracker:
         self._cov[:] = np.diag(np.r_[self._spread(rows[0, 0]) ** 2, self._ln_c_var])
         self._tally[0], self._tally[3:] = rows[0, 0], 0.0
 
-    def _pick_up(self, component: int, rows: np.ndarray) -> None:
-        """Begin anew with one reading's position and rate: a hand has been there; the others go on."""
+    def _restart_component(self, component: int, rows: Array) -> None:
+        """Restart position and rate of one component, for example after a flick by hand; the others continue."""
         spread = self._spread(self._tally[0])
         own = rows[rows[:, 1] == component, 2]
         for i in (component, component + 4):
@@ -298,13 +309,13 @@ class Tracker:
         self._tally[3] = np.max(self._tally[4:])
         self._counts["restarts"] += 1
 
-    def _spread(self, time_s: float) -> np.ndarray:
-        """Standard deviations of positions and rates at a begin, shape (8,)."""
+    def _spread(self, time_s: float) -> Array:
+        """Return the standard deviations of positions and rates at a start, shape (8,)."""
         speed = float(np.abs(self._phase.at(np.array([time_s]))[0, 1]))
         wide = 1e-3 * max(speed, *self.physics.natural_frequencies_rad_s)
         return np.array([1e-3, 1e-3, 0.02, 0.02, wide, wide, _FLICK_RAD_S, _FLICK_RAD_S])
 
-    def _free(self, time_s: np.ndarray) -> np.ndarray:
+    def _free(self, time_s: Array) -> Array:
         free = np.tile(np.array(self.released, float), (len(time_s), 1))
         for at, pendulum, state in self._switches:
             free[time_s > at, pendulum] = float(state)

@@ -1,14 +1,11 @@
-"""An unscented Kalman filter of the rig, compiled whole: no Python between two readings.
+"""Compiled unscented Kalman filter of the rig: no Python code runs between two readings.
 
-State (10): x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4, ln c3, ln c4. Sigma points lie at ± sqrt(n) columns of the covariance's
-Cholesky factor with equal weights (the cubature set, whose weights are all positive, so a mean of angles needs no
-reference and a covariance cannot turn indefinite by a negative weight). The covariance update is Joseph's with the
-statistically linearised reading H = Pxzᵀ P⁻¹, symmetrised; a factorisation that fails is repaired by a growing
-diagonal. Nothing in here raises: a state that is no longer finite makes the caller start anew.
+State (10): x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4, ln c3, ln c4. The sigma points are at ± sqrt(n) columns of the covariance's
+Cholesky factor with equal weights (the cubature set). All weights are positive, so a mean of angles needs no reference,
+and a negative weight cannot make the covariance indefinite. The covariance update is Joseph's with the statistically
+linearised reading H = Pxzᵀ P⁻¹, symmetrised. If a factorisation fails, the diagonal is increased until it succeeds. The
+functions do not raise; the caller restarts the filter if the state is not finite.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
@@ -16,9 +13,12 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from dynamics.equations.kernels import CA, CB, JA, JB
 from dynamics.equations.quick_rates import quick_rates
+
+Array = NDArray[np.float64]
 
 STATES, READINGS, TALLY = 10, 4, 8
 X, Y, THETA3, THETA4, LN_C3, LN_C4 = 0, 1, 2, 3, 8, 9
@@ -27,8 +27,8 @@ _MOST_REPAIRS = 40
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _factorise(p, out):
-    """Lower factor of p (n, n) into out; False when p is not positive definite."""
+def _factorise(p: Array, out: Array) -> bool:
+    """Write the lower Cholesky factor of p (n, n) into out; return False if p is not positive definite."""
     for i in range(p.shape[0]):
         for j in range(i + 1):
             total = p[i, j]
@@ -44,11 +44,11 @@ def _factorise(p, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def cholesky(p, out):
-    """Lower factor of a covariance (n, n) into out; a matrix that is not positive definite is repaired in place.
+def cholesky(p: Array, out: Array) -> int:
+    """Write the lower factor of a covariance (n, n) into out; repair a matrix that is not positive definite in place.
 
     Returns:
-        How often the diagonal had to grow.
+        Number of increases of the diagonal.
     """
     n = p.shape[0]
     for attempt in range(_MOST_REPAIRS):
@@ -56,7 +56,7 @@ def cholesky(p, out):
             return attempt
         for i in range(n):
             p[i, i] = abs(p[i, i]) * (1.0 + 1e-12 * 10.0 ** min(attempt, 12)) + 1e-30 * 10.0 ** min(attempt, 24)
-    for i in range(n):  # nothing is known of how they go together
+    for i in range(n):  # the correlations are dropped
         for j in range(n):
             if i != j:
                 p[i, j] = out[i, j] = 0.0
@@ -66,15 +66,27 @@ def cholesky(p, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _step(points, k, work, h, steps, psi, speed, alpha, p, free_a, free_b):
-    """Classical Runge–Kutta steps of every sigma point; a locked pendulum stays where it is."""
+def _step(
+    points: Array,
+    k: Array,
+    work: Array,
+    h: float,
+    steps: int,
+    psi: float,
+    speed: float,
+    alpha: float,
+    p: Array,
+    free_a: float,
+    free_b: float,
+) -> None:
+    """Move every sigma point by classical Runge–Kutta steps; a locked pendulum keeps its angle."""
     for i in range(points.shape[0]):
         y = points[i]
         if free_a == 0.0:
             y[6] = 0.0
         if free_b == 0.0:
             y[7] = 0.0
-        # a sigma point far out may be stiffer than the steps can follow; what it does there does not matter
+        # a distant sigma point may be too stiff for the step; its exact motion has no influence
         p[CA] = min(math.exp(max(y[LN_C3], _LEAST_LN_C)), _STIFFEST * p[JA] / h)
         p[CB] = min(math.exp(max(y[LN_C4], _LEAST_LN_C)), _STIFFEST * p[JB] / h)
         for s in range(steps):
@@ -99,28 +111,47 @@ def _step(points, k, work, h, steps, psi, speed, alpha, p, free_a, free_b):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def move(points, h, steps, phase, p, free):
-    """Carry states (n, 10) over steps × h in place: the filter's motion alone, for another filter around it.
+def move(points: Array, h: float, steps: int, phase: Array, p: Array, free: Array) -> None:
+    """Move states (n, 10) over steps × h in place, without process noise, for use by another filter.
 
     Args:
-        phase, p, free: as for `predict`; p stays as it is.
+        points: states, shape (n, 10), changed in place.
+        h: Runge–Kutta step, s.
+        steps: number of steps.
+        phase, p, free: as for `predict`; p is not changed.
     """
     k, work = np.empty((4, 8)), np.empty(8)
     _step(points, k, work, h, steps, phase[0], phase[1], phase[2], p.copy(), free[0], free[1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def predict(mean, cov, h, steps, phase, p, free, noise, factor, points, k, work):
-    """Carry mean (10,) and cov (10, 10) over steps × h in place.
+def predict(
+    mean: Array,
+    cov: Array,
+    h: float,
+    steps: int,
+    phase: Array,
+    p: Array,
+    free: Array,
+    noise: Array,
+    factor: Array,
+    points: Array,
+    k: Array,
+    work: Array,
+) -> int:
+    """Move mean (10,) and cov (10, 10) over steps × h in place.
 
     Args:
+        mean, cov: state and covariance, changed in place.
+        h: Runge–Kutta step, s.
+        steps: number of steps.
         phase: ψ, ω, α at the begin, shape (3,).
-        p: packed parameters (its dampings are overwritten), shape (20,).
+        p: packed parameters, shape (20,); the dampings are overwritten.
         free: 1.0 for a released pendulum, shape (2,).
         noise: growth of each variance per second, shape (10,).
         factor, points, k, work: scratch, shapes (10, 10), (20, 10), (4, 8), (8,).
     Returns:
-        How often the covariance had to be repaired.
+        Number of repairs of the covariance.
     """
     n = STATES
     repairs = cholesky(cov, factor)
@@ -152,20 +183,34 @@ def predict(mean, cov, h, steps, phase, p, free, noise, factor, points, k, work)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def update(mean, cov, index, reading, late, variance, gate, still, work):
-    """One scalar reading of one state component; readings with independent noise one after the other are exact.
+def update(
+    mean: Array,
+    cov: Array,
+    index: int,
+    reading: float,
+    late: float,
+    variance: float,
+    gate: float,
+    still: float,
+    work: Array,
+) -> float:
+    """Update the state by one scalar reading of one component.
 
-    A reading of a component is linear, so its sigma points would give back row `index` of the covariance itself.
+    Sequential updates by readings with independent noise are exact. A reading of a component is linear, so its sigma
+    points would give row `index` of the covariance itself.
 
     Args:
-        index: which component was read (0 … 3).
-        late: how long after the state's instant, s; the component's own rate carries it there.
-        gate: innovations beyond so many standard deviations are refused.
-        still: nothing is learned of the damping of a pendulum that is slower than this against the rotor, rad/s, or
-            not surely faster; negative to learn always.
+        mean, cov: state and covariance, changed in place.
+        index: component that was read, 0 … 3.
+        reading: value of the reading.
+        late: delay of the reading after the state's instant, s. The component's rate extrapolates over it.
+        variance: variance of the reading.
+        gate: number of standard deviations of the innovation above which a reading is refused.
+        still: speed relative to the rotor, rad/s. The damping of a pendulum is updated only if its speed exceeds this
+            with three standard deviations. A negative value updates the damping always.
         work: scratch, shape (10,).
     Returns:
-        The innovation over its standard deviation; NaN for a reading that was refused as not finite.
+        The innovation over its standard deviation; NaN for a reading that is not finite.
     """
     n = STATES
     if not math.isfinite(reading):
@@ -177,13 +222,13 @@ def update(mean, cov, index, reading, late, variance, gate, still, work):
         return z
     for i in range(n):
         work[i] = cov[i, index] / total
-    # a pendulum that stands still tells nothing of its damping, only whether pushes were expected in vain
+    # a still pendulum contains no information on its damping; its innovations only show the expected forces
     if still >= 0.0 and mean[6] ** 2 < still**2 + 9.0 * cov[6, 6]:
         work[LN_C3] = 0.0
     if still >= 0.0 and mean[7] ** 2 < still**2 + 9.0 * cov[7, 7]:
         work[LN_C4] = 0.0
     own = cov[index].copy()
-    # Joseph: (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, written out for H = unit row; right for any gain K
+    # Joseph: (1 − K H) P (1 − K H)ᵀ + K R Kᵀ, written out for H = unit row; valid for any gain K
     for i in range(n):
         for j in range(i + 1):
             value = cov[i, j] - work[i] * own[j] - work[j] * own[i] + work[i] * work[j] * (own[index] + variance)
@@ -196,22 +241,39 @@ def update(mean, cov, index, reading, late, variance, gate, still, work):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def filter_readings(
-    mean, cov, times, late, indices, readings, variances, phases, released, p, noise, longest, gate, still, tally, z
-):
-    """Run through readings in time order; mean and cov change in place.
+    mean: Array,
+    cov: Array,
+    times: Array,
+    late: Array,
+    indices: NDArray[np.int64],
+    readings: Array,
+    variances: Array,
+    phases: Array,
+    released: Array,
+    p: Array,
+    noise: Array,
+    longest: float,
+    gate: float,
+    still: float,
+    tally: Array,
+    z: Array,
+) -> None:
+    """Process readings in time order.
 
     Args:
-        times: tick of each reading, shape (n,), ascending; late: its own instant less the tick.
-        indices, readings, variances: what was read, its value and variance, shape (n,).
+        mean, cov: state (10,) and covariance (10, 10), changed in place.
+        times: tick of each reading, ascending, s, shape (n,).
+        late: instant of each reading minus its tick, s, shape (n,).
+        indices, readings, variances: component, value and variance of each reading, shape (n,).
         phases: ψ, ω, α at the previous reading's tick, shape (n, 3).
         released: 1.0 for a released pendulum, shape (n, 2).
         p: packed parameters (20,).
-        noise: growth of variances per second (10,).
+        noise: growth of the variances per second (10,).
         longest: longest Runge–Kutta step, s.
         gate, still: as for `update`.
-        tally: state's instant, refused readings, repairs, most refusals in a row of any component, and those of each;
-            shape (8,), changed in place.
-        z: innovations over their standard deviations, shape (n,), written.
+        tally: instant of the state, number of refused readings, number of repairs, largest number of refusals in a row
+            of any component, and that number of each component; shape (8,), changed in place.
+        z: innovations over their standard deviations, shape (n,), output.
     """
     factor, points = np.zeros((STATES, STATES)), np.empty((2 * STATES, STATES))
     k, work = np.empty((4, 8)), np.empty(STATES)

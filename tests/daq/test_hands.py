@@ -92,7 +92,7 @@ def test_the_rotor_is_turned_and_the_pendulums_released_by_hand(
     assert [(r.pendulum, r.time_std_s >= 0.03) for r in run.releases] == [(0, True), (1, True)]
     moved = np.ptp(run.angle_rad[run.angle_time_s < run.releases[0].time_s - 3 * run.releases[0].time_std_s], axis=0)
     assert np.all(moved < 2 * SEEN_RAD)  # they were held until then
-    with pytest.raises(NotIdentifiable, match="one by hand"):
+    with pytest.raises(NotIdentifiable, match="release by hand"):
         fit_release(run, Knowledge.nominal(rig.physics), 0.001)
     assert [row.topic for row in check(done.log) if row.difference] == []
     assert messages == []

@@ -1,4 +1,4 @@
-"""The estimators' benchmark: its records, its bounds, its peers and its bookkeeping are right, whatever the time."""
+"""The estimators' benchmark: records, bounds, peers and bookkeeping, independent of the run time."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def test_a_spin_down_keeps_what_it_finds_as_one_thing(dragged: World, drag: Drag
     assert np.all(std < 0.3 * true)
     c3 = list(found.values).index("c3_Nms_per_rad")
     part = np.array([found.shared[label][c3] for label in LABELS])
-    assert 0.3 < np.linalg.norm(part) / found.std["c3_Nms_per_rad"] < 1  # c3 hangs on the drag, and not on it alone
+    assert 0.3 < np.linalg.norm(part) / found.std["c3_Nms_per_rad"] < 1  # c3 depends on the drag, but not only on it
     assert np.linalg.eigvalsh(found.own_covariance)[0] >= 0
 
 
@@ -111,7 +111,7 @@ def test_an_error_of_masses_and_lengths_is_no_part_of_what_damping_and_drag_shar
 
 
 def test_releases_and_a_spin_down_find_the_damping_beside_the_drag(dragged: World) -> None:
-    """What the spin-down finds is no dry friction then, and the releases are not left out as hidden by it."""
+    """The torque found by the spin-down then does not count as dry friction, and the releases are not left out."""
     before = [record(dragged, SEED, test) for test in ("ring-down-x", "ring-down-y", "run-up", "spin-down")]
     alone = identify(before, dragged.rig)
     releases = [record(dragged, SEED, f"point-{name}") for name in "DE"]

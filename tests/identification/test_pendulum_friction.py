@@ -208,7 +208,7 @@ def test_a_release_whose_phase_comes_in_steps_is_followed() -> None:
 
 
 def test_a_wrong_mass_is_found_out_and_not_tried_for_ever() -> None:
-    campaign, told = Campaign(34, {"virtual.truth.pendulums.a.mass_kg": 0.0744}, clock_rate_std=0.0), list[str]()
+    campaign, messages = Campaign(34, {"virtual.truth.pendulums.a.mass_kg": 0.0744}, clock_rate_std=0.0), list[str]()
     true = campaign.truth
     found = {n: true.identified()[n] for n in ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "SP_kg_m")}
     # the file's mass; the other tests measure frequencies and the locked rig's moment, and so carry its error
@@ -220,13 +220,13 @@ def test_a_wrong_mass_is_found_out_and_not_tried_for_ever() -> None:
     )
     knowledge = Knowledge.nominal(campaign.rig.physics).with_found(found, {n: 1e-3 * v for n, v in found.items()})
     with pytest.raises(ReleaseLeftOut) as refused:
-        fit_release(campaign.point("E"), knowledge, np.radians(0.05), tell=told.append)
+        fit_release(campaign.point("E"), knowledge, np.radians(0.05), tell=messages.append)
     assert re.match(r"pendulum A's mass -0\.[789]", refused.value.causes[0])
-    assert len(told) < 10
+    assert len(messages) < 10
 
 
 def test_a_plateau_ends_an_iteration() -> None:
-    def slope(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # a slow descent beside what no step mends
+    def slope(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:  # a slow descent together with a constant residual
         falling = np.exp(-theta)
         return np.r_[np.full(50, 100.0), falling], np.vstack([np.zeros((50, 1)), -falling[None]])
 
@@ -245,9 +245,9 @@ def test_advice_never_names_what_was_given() -> None:
 
 def test_several_releases_left_out_share_one_advice() -> None:
     both = [(f"point-{n}", ReleaseLeftOut(f"{n}.mcap: not followed", ["A's mass −1 %"])) for n in "DE"]
-    told = _left_out(both)
-    assert len(told) == 3
-    assert sum("Weigh" in line for line in told) == 1
+    lines = _left_out(both)
+    assert len(lines) == 3
+    assert sum("Weigh" in line for line in lines) == 1
     assert _left_out([]) == []
 
 
@@ -281,7 +281,7 @@ def test_a_spin_down_whose_friction_nearly_settles_is_kept_and_wider(monkeypatch
     wider = fit_spin_down_run(run, known(campaign))
     assert all(wider.std[name] > 1.5 * std for name, std in settled.std.items())
     monkeypatch.setattr(TransientProblem, "part_way", lambda *_: None)
-    with pytest.raises(FitFailed, match="does not tell viscous damping from dry friction"):
+    with pytest.raises(FitFailed, match="does not separate viscous damping from dry friction"):
         fit_spin_down_run(run, known(campaign))
 
 

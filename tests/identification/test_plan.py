@@ -1,4 +1,4 @@
-"""Plans: Fisher information against closed forms and against what the estimators report; wants; what cannot be."""
+"""Plans: Fisher information against closed forms and against reported uncertainties; requirements; impossible ones."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_longer_stronger_and_quieter_is_better() -> None:
     assert own(slow, "zeta1") < own(run_up(RIG.physics, SENSORS, 94.0, 20.0), "zeta1")
 
 
-def test_a_close_pair_is_said() -> None:
+def test_a_close_pair_has_a_remark() -> None:
     near = RIG.physics.with_values(k2_N_per_m=RIG.physics.k1_N_per_m * 1.004)
     assert any("axes" in remark for remark in ring_down(near, SENSORS, "x", 2.5e-3, 12.0).remarks)
     assert ring_down(RIG.physics, SENSORS, "x", 2.5e-3, 12.0).remarks == ()
@@ -101,9 +101,9 @@ def test_a_close_pair_is_said() -> None:
 
 @pytest.fixture(scope="module")
 def reported() -> dict[tuple[str, str], float]:
-    """Relative own std of two made-up campaigns' fits, geometric means; clocks and gains apart.
+    """Relative own std of two synthetic campaigns' fits, as geometric means, without clocks and gains.
 
-    Both pendulums of a spin-down count as one: how they are flicked is drawn anew for each.
+    Both pendulums of a spin-down count as one, because their flicks are drawn separately.
     """
     found: dict[tuple[str, str], list[float]] = {}
     for seed in (1, 2):
@@ -147,7 +147,7 @@ def test_what_is_planned_is_what_the_estimators_then_report(reported: dict[tuple
         ("SP=1e-6 kg·m", Want("SP_kg_m", 1e-6, False)),
     ],
 )
-def test_wants_are_read(text: str, want: Want) -> None:
+def test_requirements_are_read(text: str, want: Want) -> None:
     found = parse_want(text)
     assert (found.name, found.relative) == (want.name, want.relative)
     assert found.value == pytest.approx(want.value, rel=1e-12)
@@ -168,7 +168,7 @@ def test_wants_are_read(text: str, want: Want) -> None:
         ("zeta1=nan%", "got 'nan%'"),
     ],
 )
-def test_wants_that_mean_nothing_are_refused(text: str, words: str) -> None:
+def test_requirements_that_mean_nothing_are_refused(text: str, words: str) -> None:
     with pytest.raises(RigFileError, match=words.replace("(", r"\(")):
         parse_want(text)
 
@@ -182,8 +182,8 @@ def test_a_want_in_per_cent_or_in_units_is_the_same(share: float) -> None:
 
 
 def test_a_plan_reaches_what_it_promises_with_no_step_too_many() -> None:
-    wants = [parse_want(t) for t in ("zeta1=0.1%", "zeta2=0.1%", "c3=0.1%", "SP=0.1%")]
-    found = plan(RIG, wants)
+    requirements = [parse_want(t) for t in ("zeta1=0.1%", "zeta2=0.1%", "c3=0.1%", "SP=0.1%")]
+    found = plan(RIG, requirements)
     assert found.possible
     reached = together([(s.experiment, s.runs) for s in found.steps])
     for answer in found.answers:
@@ -191,8 +191,8 @@ def test_a_plan_reaches_what_it_promises_with_no_step_too_many() -> None:
         assert answer.reached <= answer.wanted
     for left_out in found.steps:  # each is needed
         rest = together([(s.experiment, s.runs) for s in found.steps if s is not left_out])
-        assert any(rest.get(w.name, np.inf) > w.relative_std(1.0) for w in wants)
-    assert {n for s in found.steps for n in s.wanted_for} == {w.name for w in wants}
+        assert any(rest.get(w.name, np.inf) > w.relative_std(1.0) for w in requirements)
+    assert {n for s in found.steps for n in s.wanted_for} == {w.name for w in requirements}
     assert found.record_s == pytest.approx(sum(s.runs * s.experiment.record_s for s in found.steps))
 
 
@@ -231,7 +231,7 @@ def test_limits_of_the_rig_are_kept() -> None:
     assert any("left out" in r for r in found.remarks)
 
 
-def test_a_plan_needs_wants_and_something_to_be_known() -> None:
+def test_a_plan_needs_requirements_and_something_to_be_known() -> None:
     with pytest.raises(NotIdentifiable, match="at least one"):
         plan(RIG, [])
     with pytest.raises(NotIdentifiable, match="once"):

@@ -20,7 +20,7 @@ def row(setting: str, seconds: float, error: float, runs: int = 100, gross: int 
     return Precision("ring-down", case, "fit", setting, False, seconds, runs, gross, {"f": error}, {}, {})
 
 
-def asked(
+def measured(
     accuracy: float, seconds: float, error: float | None, case: str = "c", ratio: float | None = None
 ) -> Measurement:
     return Measurement(
@@ -122,7 +122,12 @@ def test_any_rows_give_a_line_that_names_a_setting_or_none(values: list[tuple[fl
 
 
 def test_the_tightest_accuracy_that_costs_no_more_is_recommended() -> None:
-    rows = [asked(1e-3, 1.0, 1e-7), asked(1e-6, 1.2, 1e-9), asked(1e-9, 1.4, 1e-11), asked(1e-12, 5.0, 1e-14)]
+    rows = [
+        measured(1e-3, 1.0, 1e-7),
+        measured(1e-6, 1.2, 1e-9),
+        measured(1e-9, 1.4, 1e-11),
+        measured(1e-12, 5.0, 1e-14),
+    ]
     (found,) = recommended_accuracies(rows)
     assert found.setting == "accuracy 1e-09"
     assert found.text.startswith(
@@ -132,22 +137,22 @@ def test_the_tightest_accuracy_that_costs_no_more_is_recommended() -> None:
 
 
 def test_an_accuracy_that_is_not_kept_is_not_recommended() -> None:
-    rows = [asked(1e-3, 1.0, 1e-7), asked(1e-6, 1.1, 1e-5)]
+    rows = [measured(1e-3, 1.0, 1e-7), measured(1e-6, 1.1, 1e-5)]
     (found,) = recommended_accuracies(rows)
     assert found.setting == "accuracy 1e-03"
     assert "not kept: 1e-06" in found.text
-    (none,) = recommended_accuracies([asked(1e-3, 1.0, 1.0), asked(1e-6, 1.1, 1e-5)])
+    (none,) = recommended_accuracies([measured(1e-3, 1.0, 1.0), measured(1e-6, 1.1, 1e-5)])
     assert none.setting is None
 
 
 def test_accuracies_without_comparison_or_true_error_are_undecided() -> None:
-    (one,) = recommended_accuracies([asked(1e-8, 1.0, 1e-10, ratio=1.7)])
+    (one,) = recommended_accuracies([measured(1e-8, 1.0, 1e-10, ratio=1.7)])
     assert (one.setting, one.text) == (
         None,
         "motion: no recommendation, only accuracy 1e-08 was measured; a peer at least as exact is up to 1.7 times as "
         "fast (1 of 1 rows)",
     )
-    (unknown,) = recommended_accuracies([asked(1e-3, 1.0, None), asked(1e-6, 1.2, 1e-9)])
+    (unknown,) = recommended_accuracies([measured(1e-3, 1.0, None), measured(1e-6, 1.2, 1e-9)])
     assert unknown.setting is None
 
 

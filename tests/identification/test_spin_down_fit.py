@@ -113,7 +113,7 @@ def test_a_faster_encoder_loses_nothing(samples_per_s: int) -> None:
         assert fit.std["rate_per_s"] < 1.5e-6 * np.sqrt(1000 / samples_per_s)
 
 
-def test_a_stretch_cut_short_is_told() -> None:
+def test_a_stretch_cut_short_has_a_warning() -> None:
     time, angle = run_down(1, 1e-4, 0.3)
     assert any("record ends there" in w for w in fit_spin_down(time[:4000], angle[:4000]).warnings)
     pushed = np.r_[angle[:4000], angle[3999] + 0.5 * (angle[:500] - angle[0])]
@@ -143,7 +143,7 @@ def test_samples_out_of_order_are_sorted() -> None:
     assert fit_spin_down(time[order], angle[order]).values == fit_spin_down(time, angle).values
 
 
-def test_a_rotor_that_moves_is_told() -> None:
+def test_a_rotor_that_moves_has_a_warning() -> None:
     time, angle = run_down(1, 1e-3, 0.3)
     fit = fit_spin_down(time, angle + 0.01 * np.sin(2 * np.pi * 3 * time), INERTIA)
     assert any("scaled up" in w for w in fit.warnings)

@@ -117,10 +117,10 @@ def test_ellipsoid_of_normal_quantities_has_the_factor_of_chi_square() -> None:
 
 
 def test_adaptive_procedure_reaches_the_digits_asked_for() -> None:
-    told: list[tuple[int, int | None]] = []
+    calls: list[tuple[int, int | None]] = []
     for digits, tolerance in ((1, 0.5), (2, 0.05)):
         found = monte_carlo(
-            lambda e: e[:, :1], [Source("a", 3.0)], seed=5, digits=digits, progress=lambda *x: told.append(x)
+            lambda e: e[:, :1], [Source("a", 3.0)], seed=5, digits=digits, progress=lambda *x: calls.append(x)
         )
         assert found.stabilised
         y = found.quantities[0]
@@ -128,8 +128,8 @@ def test_adaptive_procedure_reaches_the_digits_asked_for() -> None:
         assert y.std == pytest.approx(3, abs=tolerance)
         assert y.symmetric == pytest.approx((-5.880, 5.880), abs=tolerance)
         assert max(y.end_errors) <= 1.3 * tolerance
-        assert told[-1] == (found.trials, None)
-    assert told[:10] == [(n * 10_000, None) for n in range(1, 11)]
+        assert calls[-1] == (found.trials, None)
+    assert calls[:10] == [(n * 10_000, None) for n in range(1, 11)]
 
 
 def test_more_digits_take_more_trials() -> None:
@@ -148,16 +148,16 @@ def test_shortest_interval_takes_more_trials() -> None:
 
 
 def test_high_levels_have_larger_batches() -> None:
-    told: list[tuple[int, int | None]] = []
+    calls: list[tuple[int, int | None]] = []
     batches: list[int] = []
 
     def model(errors: Array) -> Array:
         batches.append(len(errors))
         return both(errors)
 
-    monte_carlo(both, TWO, seed=7, trials=150_000, level=0.999, progress=lambda *x: told.append(x))
+    monte_carlo(both, TWO, seed=7, trials=150_000, level=0.999, progress=lambda *x: calls.append(x))
     monte_carlo(model, TWO, seed=7, trials=150_000, level=0.999, rows=10**9)
-    assert told == [(n * 10_000, 150_000) for n in range(1, 16)]
+    assert calls == [(n * 10_000, 150_000) for n in range(1, 16)]
     assert batches == [1, 100_000, 50_000]
 
 
@@ -204,9 +204,9 @@ def test_one_batch_needs_its_memory() -> None:
 
 
 def test_progress_of_a_slow_model_is_seen_within_a_batch() -> None:
-    told: list[tuple[int, int | None]] = []
-    monte_carlo(both, TWO, seed=1, trials=250, rows=100, progress=lambda *x: told.append(x))
-    assert told == [(100, 250), (200, 250), (250, 250)]
+    calls: list[tuple[int, int | None]] = []
+    monte_carlo(both, TWO, seed=1, trials=250, rows=100, progress=lambda *x: calls.append(x))
+    assert calls == [(100, 250), (200, 250), (250, 250)]
 
 
 def test_model_may_fill_one_array_again() -> None:
