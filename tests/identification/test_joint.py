@@ -1,4 +1,4 @@
-"""The joint estimate: false alarms, detection, robustness against one bad log, honest width where nobody can tell."""
+"""Joint estimate: false alarms, detection, robustness against one bad log, coverage if the bad log is unknown."""
 
 from __future__ import annotations
 

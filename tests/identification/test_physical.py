@@ -68,7 +68,7 @@ def test_a_laser_s_sign_and_an_index_mark_half_a_turn_off_are_told(run_up: tuple
         return dataclasses.replace(fit, values={n: v + shift.get(n, 0.0) for n, v in fit.values.items()})
 
     mirrored, (told,) = sides(run, phases(phase_y_deg=180.0))
-    assert "laser y sees the imbalance opposite" in told
+    assert "laser y shows the imbalance opposite" in told
     late, (told,) = sides(run, phases(phase_x_deg=-180.0, phase_y_deg=180.0))
     assert "the index mark is half a turn off" in told
     integrated = dataclasses.replace(run, phase_absolute=False)
