@@ -27,7 +27,7 @@ _MAX_LINES, _MAX_PEAKS = 12, 40
 _CENTRES = (1 / 6, 1 / 3, 1 / 2, 2 / 3, 5 / 6)  # of the windows that measure a decay, a third of the span each
 _MAX_SCATTER = 0.2  # of the logarithmic amplitudes of a steady line
 _MAX_DECAY_STD = 0.15  # standard deviation of the decay over the span; above it, a peak is not classified here
-_MAX_LINE_DAMPING = 5e-5  # ζ: below that of any suspension, independent of the statistics
+MAX_LINE_DAMPING = 5e-5  # ζ: below that of any suspension, independent of the statistics
 _LARGE_AMPLITUDE = 0.25  # of the largest motion
 _MIN_HEAD_S = 1.0  # duration of a quiet head that shows whether a line existed before the pull
 _MIN_AMPLITUDE = 1e-4  # of the largest motion: above its residue in the window's side lobes
@@ -234,7 +234,7 @@ def _steady(span: Span, frequency: float, noise: float, largest: float) -> Line 
     if uneven > _MAX_SCATTER + 3 * own / mean or -decay * length > 0.5 + 3 * cov * length:
         return None
     large = mean > _LARGE_AMPLITUDE * largest  # it may be the only motion, and may grow
-    limit = _MAX_LINE_DAMPING * omega
+    limit = MAX_LINE_DAMPING * omega
     is_steady = (abs(decay) if large else decay) + 3 * cov < limit
     if not is_steady and (cov * length > _MAX_DECAY_STD or decay > max(3 * cov, limit) or large):
         return None
@@ -252,7 +252,7 @@ def _clearly_decays(span: Span, frequency: float, noise: float) -> bool:
     if first < 30 * noise or first < 2 * last:
         return False
     decay = np.log(first / max(last, noise)) / (middle[1] - middle[0])
-    return bool(decay > 4 * _MAX_LINE_DAMPING * 2 * np.pi * frequency)
+    return bool(decay > 4 * MAX_LINE_DAMPING * 2 * np.pi * frequency)
 
 
 def _quiet_head(value: np.ndarray, largest: float) -> int:
