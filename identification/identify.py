@@ -68,7 +68,7 @@ class Identification:
         estimates: values and covariance of each test.
         fits: fit of each test, with curves.
         consistency: agreement per parameter and test, for parameters that at least two tests determine.
-        warnings: findings that limit the use of the values; empty if there are none.
+        warnings: findings that limit the use of the values.
         witnesses: comparison of additional sensors along an axis with the sensors that measure for the rig, per run.
     """
 

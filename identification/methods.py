@@ -48,7 +48,7 @@ def given_by(tests: Iterable[str]) -> frozenset[str]:
 
 
 def reduced_to_given(estimate: Estimate, tests: Iterable[str]) -> Estimate | None:
-    """Return the estimate with only those parameters that the rows of its tests give; None if there is none."""
+    """Return the estimate reduced to the parameters that the rows of its tests give; None if none is left."""
     given = given_by(tests)
     names = [name for name in estimate.names if name in given]
     if len(names) == len(estimate.names):
@@ -101,7 +101,7 @@ def advice(missing: Sequence[str], given: Sequence[Run], roles: Roles | None = N
     done = {m for t in again if (k := kind_of(t)) is not None for m in methods_of(k)}
     new = [name for method, names in wanted.items() if method not in done for name in names]
     parts = ["record " + ", ".join(dict.fromkeys(new))] if new else []
-    parts += [f"the given {', '.join(again)} did not show them: the warnings say why"] if again else []
+    parts += [f"the given {', '.join(again)} did not show them: the warnings contain the reason"] if again else []
     return "; ".join(parts) or "no test that this rig can do gives them"
 
 

@@ -80,10 +80,10 @@ def friction_messages(shared: Together) -> list[str]:
         for (name, unit), v, s, z in zip(_NAMES, shared.friction, std, sure, strict=True)
         if z < -_MIN_NEGATIVE_STD
     ]
-    out = [f"dry friction beside the viscous damping, by all pendulum tests together: {', '.join(parts)} (95 %)"]
+    out = [f"dry friction in addition to viscous damping, by all pendulum tests together: {', '.join(parts)} (95 %)"]
     less = [
-        f"{', '.join(below)} (95 %) by all pendulum tests together: less than none, so the model is at fault "
-        "somewhere; look at masses, lengths and at what drove or touched a pendulum"
+        f"{', '.join(below)} (95 %) by all pendulum tests together: negative friction is impossible, so that the model "
+        "is wrong; check masses, lengths and what drove or touched a pendulum"
     ]
     return (out if parts else []) + (less if below else [])
 

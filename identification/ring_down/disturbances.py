@@ -59,7 +59,7 @@ class Other:
 
 
 def steady_mode(fitted: Fitted) -> int | None:
-    """Index of a fitted mode that does not decay and is therefore a line; None if there is none."""
+    """Index of a fitted mode that does not decay and is therefore a line; None if all modes decay."""
     if not np.all(np.isfinite(fitted.theta)):
         return None
     stds = np.sqrt(np.diag(fitted.solution.minimum.covariance)) * np.sqrt(max(1.0, fitted.solution.chi2_per_dof))
@@ -135,7 +135,7 @@ def without_mode(fitted: Fitted, mode: int) -> Decay:
 
 
 def other_oscillation(fitted: Fitted) -> Other | None:
-    """Strongest oscillation in the residuals that does not belong to a mode; None if there is none."""
+    """Strongest oscillation in the residuals that does not belong to a mode, or None."""
     peaks: list[tuple[float, float]] = []
     for record, residuals in zip(fitted.model.records, fitted.plain_residuals(), strict=True):
         for t, residual in zip(record.times, residuals, strict=True):

@@ -260,7 +260,7 @@ def _longest_stay(near: np.ndarray) -> tuple[int, int] | None:
 
 
 def _pile(ordered: np.ndarray, sigma: float) -> float | None:
-    """Level near the top of ascending values at which they accumulate; None if there is none."""
+    """Level near the top of ascending values at which they accumulate, or None."""
     middle = float(ordered[len(ordered) // 2])
     for share in _TOP_SHARES:
         level = float(np.median(ordered[-max(int(share * len(ordered)), 1) :]))

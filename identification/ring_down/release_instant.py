@@ -23,7 +23,7 @@ def release_instant(channels: list[Averages]) -> float:
     Args:
         channels: one or two channels, block averages on one clock.
     Returns:
-        The time, or −inf (the start of the record) if there is no hold or if noise could look like one.
+        The time, or −inf (the start of the record) without a hold or if noise could look like one.
     Raises:
         NotIdentifiable: the record contains no motion.
     """

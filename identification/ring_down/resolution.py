@@ -54,7 +54,7 @@ def lone_direction(decay: Decay) -> Lone | None:
 
 
 def stronger_sensor(decay: Decay, ratio: float) -> int | None:
-    """Sensor of a single record whose motion exceeds the other's by more than 1/ratio; None if there is none."""
+    """Sensor of a single record whose motion exceeds the other's by more than 1/ratio, or None."""
     if len(decay.records) != 1 or len(decay.records[0]) < 2:
         return None
     coarse = decay.averages(COARSE_S)[0]

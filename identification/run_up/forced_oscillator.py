@@ -109,7 +109,7 @@ def march(drive: Drive, omega: float, zeta: float, out: np.ndarray) -> None:
     lam: Complexes = np.array([up, np.conj(up)])
     turn = np.array([[d_omega, np.conj(d_omega)], [d_zeta, np.conj(d_zeta)]])
     rest = drive.step_s * (1 - _GAUSS_AT)
-    weights = drive.step_s * _GAUSS_WEIGHT * np.exp(lam[:, None] * rest)
+    weights = np.asarray(drive.step_s * _GAUSS_WEIGHT * np.exp(lam[:, None] * rest), np.complex128)
     _march(drive.phasor, drive.edge, drive.step_s, lam, turn, weights, weights * rest, out)
 
 

@@ -48,7 +48,7 @@ class SlowRollChoice:
     """Result of the selection.
 
     Attributes:
-        structure, solution: structure and solution with the slow roll, or the given ones if there is none.
+        structure, solution: structure and solution with the slow roll, or the given ones without it.
         table: compared rungs.
         warnings: consequences of the selection.
         doubt: model with the other one of run-out and bow, if the passage does not exclude it.
