@@ -34,10 +34,10 @@ class Estimate:
     names: tuple[str, ...]
     values: np.ndarray
     covariance: np.ndarray
-    shared: Mapping[str, np.ndarray] = field(default_factory=dict)
+    shared: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     method: str = ""
-    by_number: Mapping[str, np.ndarray] = field(default_factory=dict)
-    with_terms: Mapping[str, np.ndarray] = field(default_factory=dict)
+    by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+    with_terms: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
 
     @property
     def total_covariance(self) -> np.ndarray:

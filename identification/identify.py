@@ -94,7 +94,7 @@ class _Work:
     fits: list[NamedFit]
     warnings: list[str]
     effort: Effort = field(default_factory=Effort)
-    left_out: list[tuple[str, ReleaseLeftOut]] = field(default_factory=list)
+    left_out: list[tuple[str, ReleaseLeftOut]] = field(default_factory=list[tuple[str, ReleaseLeftOut]])
     reading: Reading = ""
 
     def add(self, run: Run, fit: Fit, estimate: Estimate, tests: Sequence[str] = ()) -> None:

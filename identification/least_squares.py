@@ -10,16 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.errors import FitFailed
+
+Array = NDArray[np.float64]
 
 _MIN_GAIN = 3e-3  # of χ²
 _MAX_BEND_RATIO = 0.375  # of a step: a larger correction is not second order (Transtrum and Sethna 2012)
 _MIN_PRIOR_STD = 1e-9  # far below the std with which a record determines an angle, a delay or a logarithm
 
-Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+Evaluate = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
@@ -36,10 +40,10 @@ class Minimum:
         iterations: number of evaluations.
     """
 
-    theta: np.ndarray
-    covariance: np.ndarray
-    residual: np.ndarray
-    jacobian: np.ndarray
+    theta: Array
+    covariance: Array
+    residual: Array
+    jacobian: Array
     converged: bool
     iterations: int
 
@@ -49,7 +53,7 @@ class Minimum:
         return float(self.residual @ self.residual)
 
 
-def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, plateau: float | None = None) -> Minimum:
+def minimise(evaluate: Evaluate, start: Array, max_iterations: int = 40, plateau: float | None = None) -> Minimum:
     """Minimise by Levenberg–Marquardt with Marquardt's scaling and a second-order correction of rejected steps.
 
     A rejected trial yields the curvature, r(θ + δ) − r − J δ ≈ ½ r″, and with the same damping the correcting step.
@@ -73,15 +77,15 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, pl
         scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian)) + 1e-300
         scaled = jacobian / scale
         normal, gradient = scaled.T @ scaled, scaled.T @ residual
-        damped = normal + damping * np.eye(len(theta))
-        step = -np.linalg.solve(damped, gradient)
+        damped = cast(Array, normal + damping * np.eye(len(theta)))
+        step = -cast(Array, np.linalg.solve(damped, gradient))
         # the step's length is in standard deviations, which grow with residuals above the noise
         unit = max(1.0, costs[-1] / len(residual))
         foreseen = -float((2 * gradient + normal @ step) @ step)
         trial = evaluate(theta + step / scale)
         used += 1
         if foreseen > _MIN_GAIN * unit and _finite(*trial) and trial[0] @ trial[0] >= costs[-1]:
-            bend = -np.linalg.solve(damped, scaled.T @ (trial[0] - residual - scaled @ step))
+            bend = -cast(Array, np.linalg.solve(damped, scaled.T @ (trial[0] - residual - scaled @ step)))
             if used < max_iterations and np.linalg.norm(bend) < _MAX_BEND_RATIO * np.linalg.norm(step):
                 step = step + bend
                 trial = evaluate(theta + step / scale)
@@ -105,11 +109,11 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, pl
     return Minimum(theta, inverse_normal(jacobian), residual, jacobian, converged, used)
 
 
-def _finite(residual: np.ndarray, jacobian: np.ndarray) -> bool:
+def _finite(residual: Array, jacobian: Array) -> bool:
     return bool(np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian)))
 
 
-def inverse_normal(jacobian: np.ndarray) -> np.ndarray:
+def inverse_normal(jacobian: Array) -> Array:
     """Return (JᵀJ)⁻¹, computed from scaled columns. Directions without information get a huge variance."""
     scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
     scale = np.maximum(scale, 1e-100)  # the inverse of its square is a finite double
@@ -129,9 +133,9 @@ class Block:
         tangent: function c ↦ (∂Φ/∂θ_j) c / σ as columns, shape (n, p).
     """
 
-    data: np.ndarray
-    basis: np.ndarray
-    tangent: Callable[[np.ndarray], np.ndarray]
+    data: Array
+    basis: Array
+    tangent: Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
@@ -147,18 +151,16 @@ class Solution:
     """
 
     minimum: Minimum
-    coefficients: list[np.ndarray]
-    residuals: list[np.ndarray]
-    coefficient_covariances: list[np.ndarray]
+    coefficients: list[Array]
+    residuals: list[Array]
+    coefficient_covariances: list[Array]
     chi2_per_dof: float
 
 
-Model = Callable[[np.ndarray], Sequence[Block]]
+Model = Callable[[Array], Sequence[Block]]
 
 
-def solve_separable(
-    model: Model, start: np.ndarray, prior: np.ndarray, prior_std: np.ndarray, max_iterations: int = 40
-) -> Solution:
+def solve_separable(model: Model, start: Array, prior: Array, prior_std: Array, max_iterations: int = 40) -> Solution:
     """Solve for θ and the c of every block by least squares.
 
     Args:
@@ -172,8 +174,8 @@ def solve_separable(
     prior_std = np.maximum(prior_std, _MIN_PRIOR_STD)
     rows = np.eye(len(start))[known] / prior_std[known, None]
 
-    def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        residuals, jacobians = [], []
+    def evaluate(theta: Array) -> tuple[Array, Array]:
+        residuals, jacobians = list[Array](), list[Array]()
         for block in model(theta):
             q, c = _projected(block)
             residual = block.data - block.basis @ c
@@ -187,19 +189,19 @@ def solve_separable(
     return _solution(model, minimum)
 
 
-def linear_unknowns(block: Block) -> np.ndarray:
+def linear_unknowns(block: Block) -> Array:
     """Best-fitting c of a block, shape (k,)."""
     return _projected(block)[1]
 
 
-def _projected(block: Block) -> tuple[np.ndarray, np.ndarray]:
+def _projected(block: Block) -> tuple[Array, Array]:
     q, r = _orthonormal(block.basis)
     diagonal = np.abs(np.diag(r))
     ridge = np.where(diagonal > 1e-12 * diagonal.max(), 0.0, 1.0)  # for a column that depends on the others
-    return q, np.linalg.solve(r + np.diag(ridge * diagonal.max()), q.T @ block.data)
+    return q, cast(Array, np.linalg.solve(r + np.diag(ridge * diagonal.max()), q.T @ block.data))
 
 
-def _orthonormal(basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _orthonormal(basis: Array) -> tuple[Array, Array]:
     """QR of a tall matrix by two Cholesky factorisations of the Gram matrix.
 
     The result is as orthogonal as Householder's and several times as fast. Householder's method is used if columns are
@@ -211,17 +213,17 @@ def _orthonormal(basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return np.linalg.qr(basis)
         q, r = basis / scale, np.diag(scale)
         for _ in range(2):
-            factor = np.linalg.cholesky(q.T @ q).T
+            factor = cast(Array, np.linalg.cholesky(q.T @ q)).T
             if np.min(np.diag(factor)) < 1e-6:
                 return np.linalg.qr(basis)
-            q, r = q @ np.linalg.inv(factor), factor @ r
+            q, r = q @ cast(Array, np.linalg.inv(factor)), factor @ r
     except np.linalg.LinAlgError:
         return np.linalg.qr(basis)
     return q, r
 
 
 def _solution(model: Model, minimum: Minimum) -> Solution:
-    coefficients, residuals, joint = [], [], []
+    coefficients, residuals, joint = list[Array](), list[Array](), list[Array]()
     count = unknowns = 0
     for block in model(minimum.theta):
         _, c = _projected(block)

@@ -10,13 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 from numba import njit
-from scipy.fft import next_fast_len
-from scipy.ndimage import median_filter
+from numpy.typing import NDArray
 
 from identification.samples import usual_interval
+from identification.typed_scipy import median_filter, next_fast_len
+
+Array = NDArray[np.float64]
 
 _MAX_RATE_Hz = 1000.0  # of the grid that is searched; faster records are averaged to it
 _MIN_SAMPLES = 400
@@ -135,7 +138,7 @@ class Span:
         return self.step_s * len(self.value)
 
 
-def _uniform(time: np.ndarray, value: np.ndarray, keep: np.ndarray) -> tuple[float, float, np.ndarray] | None:
+def _uniform(time: Array, value: Array, keep: np.ndarray) -> tuple[float, float, Array] | None:
     """Start, step and values of a record on an even grid of at most 1 kHz; None if there are too few samples."""
     t, y = (time, value) if keep.all() else (time[keep], value[keep])
     if len(t) < _MIN_SAMPLES or t[-1] <= t[0]:
@@ -145,7 +148,7 @@ def _uniform(time: np.ndarray, value: np.ndarray, keep: np.ndarray) -> tuple[flo
     step = own if regular else max(usual_interval(t), 0.2 * own)
     many = int(1 / (step * _MAX_RATE_Hz) * (1 + 1e-6))
     whole = int((t[-1] - t[0]) / step + 1e-6) + 1
-    even = y if regular and whole == len(t) else np.interp(t[0] + step * np.arange(whole), t, y)
+    even = y if regular and whole == len(t) else cast(Array, np.interp(t[0] + step * np.arange(whole), t, y))
     if many > 1:
         count = len(even) // many
         even = even[: count * many].reshape(count, many) @ np.full(many, 1 / many)
@@ -165,7 +168,7 @@ def _largest_offset(time: np.ndarray, step: float) -> float:
 def _spectrum(span: Span) -> tuple[np.ndarray, np.ndarray, float]:
     """Windowed power, its local level, and the spacing of the ordinates, Hz."""
     n = len(span.value)
-    size = int(next_fast_len(n, real=True) or n)
+    size = next_fast_len(n)
     spectrum = np.fft.rfft(span.value * smooth_window(n), size)
     power = spectrum.real**2 + spectrum.imag**2
     return power, local_level(power), 1 / (size * span.step_s)
@@ -205,7 +208,7 @@ def _amplitudes(span: Span, frequency: float, centres: Sequence[float] = _CENTRE
     window = smooth_window(size)
     window = window * (2 / window.sum())
     wave = window * _turning(-2 * np.pi * frequency * span.step_s, size)
-    middles, out = [], []
+    middles, out = list[float](), list[complex]()
     for centre in centres:
         first = round(centre * len(span.value) - size / 2)
         part = span.value[first : first + size]
@@ -314,7 +317,7 @@ def sentences(per_sensor: Sequence[tuple[str, Sequence[Line]]]) -> list[str]:
                 groups.append([(sensor, line)])
     groups.sort(key=lambda g: -max(abs(line.amplitude_m) for _, line in g))
     steady = [_named(g) for g in groups if g[0][1].decay == 0.0]
-    out = []
+    out: list[str] = []
     if steady:
         more = f"; and {len(steady) - _MAX_LISTED} more" if len(steady) > _MAX_LISTED else ""
         out.append(f"steady lines fitted out: {'; '.join(steady[:_MAX_LISTED])}{more}")

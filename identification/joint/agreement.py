@@ -10,12 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtrc, gammaln
 
 from identification.estimate import Estimate
 from identification.joint.weighting import parameter_names
+
+Array = NDArray[np.float64]
 
 ALARM = 1e-3
 """Probability of an alarm if all tests are good."""
@@ -81,10 +85,10 @@ def _residual_system(estimates: Sequence[Estimate]) -> tuple[np.ndarray, list[st
     middle = {n: np.median([e.value(n) for e in estimates if n in e.names]) for n in known}
     data = (np.concatenate([e.values for e in estimates]) - np.array([middle[n] for n in names])) / unit
     design = np.array([[float(n == m) for m in known] for n in names]) / unit[:, None]
-    inverse = np.linalg.inv(total / np.outer(unit, unit))
+    inverse = cast(Array, np.linalg.inv(total / np.outer(unit, unit)))
     scale = np.linalg.norm(design, axis=0)
     pull = (design / scale).T @ inverse
-    precision = inverse - pull.T @ np.linalg.solve(pull @ (design / scale), pull)
+    precision = inverse - pull.T @ cast(Array, np.linalg.solve(pull @ (design / scale), pull))
     return owner, names, precision @ data, 0.5 * (precision + precision.T)
 
 
@@ -134,14 +138,14 @@ def _log_chance(residual: np.ndarray, precision: np.ndarray, of: np.ndarray) -> 
     return (_log_tail(mended, rank) if rank else 0.0), rank
 
 
-def _log_chances_of_each(residual: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _log_chances_of_each(residual: Array, precision: Array) -> tuple[Array, NDArray[np.bool_]]:
     """ln of the p value for each single value, shape (m,), and a mask of the values that other values determine."""
     own = np.diag(precision)
     judged = own > _MIN_EIGENVALUE
     mended = np.where(judged, residual**2 / np.where(judged, own, 1.0), 0.0)
-    near = np.log(np.maximum(chdtrc(1, np.minimum(mended, _MAX_TABULATED_CHI2)), 1e-300))
+    near: Array = np.log(np.maximum(chdtrc(1, np.minimum(mended, _MAX_TABULATED_CHI2)), 1e-300))
     half = 0.5 * np.maximum(mended, 1.0)
-    far = -half - 0.5 * np.log(half) - gammaln(0.5)
+    far: Array = -half - 0.5 * np.log(half) - gammaln(0.5)
     return np.where(mended > _MAX_TABULATED_CHI2, far, near), judged
 
 

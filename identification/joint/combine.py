@@ -84,7 +84,7 @@ def joint_estimate(estimates: Sequence[Estimate]) -> JointEstimate:
         _refuse_singular(estimate)
     kept, left_out, extra, warnings = _settled(given)
     together = weighted(kept)
-    rows, stretch = [], np.ones(len(together.names))
+    rows, stretch = list[ConsistencyRow](), np.ones(len(together.names))
     for i, name in enumerate(together.names):
         rows += rows_of(name, given, [j for j in left_out if name not in kept[j].names])
         own = rows_of(name, kept)
@@ -117,7 +117,7 @@ def _settled(
     Returns:
         The tests; reason by index of a test that was left out; extra standard deviation by parameter; warnings.
     """
-    kept, out, names_of = list(given), {}, {}
+    kept, out, names_of = list(given), dict[int, str](), dict[int, set[str]]()
     extra: dict[str, float] = {}
     undecided: list[str] = []
     for _ in range(_MAX_ROUNDS):
@@ -208,7 +208,7 @@ def _extra_std(name: str, kept: list[Estimate], having: list[int], suspects: lis
 
 def _pulls_of_given(given: list[Estimate], kept: list[Estimate], together: Weighted) -> list[np.ndarray]:
     """Pulls with columns of zeros for the values that were left out."""
-    pulls = []
+    pulls: list[np.ndarray] = []
     for estimate, used, pull in zip(given, kept, together.pulls, strict=True):
         whole = np.zeros((len(together.names), len(estimate.names)))
         whole[:, [estimate.names.index(n) for n in used.names]] = pull
@@ -221,7 +221,7 @@ def _called(estimate: Estimate) -> str:
 
 
 def _why(bad: Estimate, found: Verdict, kept: list[Estimate]) -> str:
-    parts = []
+    parts: list[str] = []
     for name, z in zip(found.names, found.z, strict=True):
         own = [r for r in rows_of(name, kept) if (r.test, r.source) == (bad.test, bad.source) and r.others]
         off = f" {100 * (own[0].value - own[0].others) / abs(own[0].others):+.3g} %" if own else ""

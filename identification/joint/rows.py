@@ -54,7 +54,7 @@ def rows_of(name: str, estimates: Sequence[Estimate], left_out: Collection[int] 
     chi2 = spread(values, matrix)
     dof = len(having) - 1
     p = float(chdtrc(dof, chi2))
-    out = []
+    out: list[ConsistencyRow] = []
     for k, i in enumerate(having):
         rest = [j for j, at in enumerate(having) if j != k and at not in left_out]
         rest = rest or [j for j in range(len(having)) if j != k]

@@ -65,7 +65,7 @@ def weighted(estimates: Sequence[Estimate]) -> Weighted:
         raise NotIdentifiable("no test gave any parameter")
     scale = np.array([next(abs(e.value(n)) for e in estimates if n in e.names) or 1.0 for n in names])
     information = np.zeros((len(names), len(names)))
-    pulls = []
+    pulls: list[np.ndarray] = []
     for estimate in estimates:
         columns = [names.index(n) for n in estimate.names]
         design = np.eye(len(names))[columns]
@@ -73,7 +73,7 @@ def weighted(estimates: Sequence[Estimate]) -> Weighted:
         pull = design.T @ np.linalg.inv(estimate.weighing_covariance / np.outer(unit, unit))
         information += pull @ design
         pulls.append(scale[:, None] * pull / unit)
-    inverse = np.linalg.inv(information)
+    inverse: np.ndarray = np.linalg.inv(information)
     inverse = inverse * np.outer(scale, 1 / scale)
     pulls = [inverse @ pull for pull in pulls]
     return Weighted(names, *_moments(names, estimates, pulls))

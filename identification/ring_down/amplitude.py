@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.colour import Colour
 from identification.ring_down.backbone import REFERENCE_M, averaged_course, course
@@ -96,11 +98,11 @@ def amplitude_dependence(
         * channel.weight[:, None]
     )
     columns = columns if colour is None else colour.whitened(columns)
-    rows = []
+    rows: list[tuple[float, ...]] = []
     for first, last in _windows(t, channel, abs(amplitude), lam):
         own = columns[first:last]
         scale = np.sqrt(np.sum(own**2, axis=0))
-        inverse = np.linalg.pinv((own / scale).T @ (own / scale), rcond=1e-12)
+        inverse = cast(NDArray[np.float64], np.linalg.pinv((own / scale).T @ (own / scale), rcond=1e-12))
         moved = inverse @ ((own / scale).T @ residual[first:last]) / scale
         std = np.sqrt(np.diag(inverse)) / scale * stretch
         level = abs(amplitude) * float(np.mean(level_of[first:last]))

@@ -41,7 +41,7 @@ def proposed(records: tuple[tuple[Channel, ...], ...]) -> Decay:
     Raises:
         NotIdentifiable: a record contains no motion.
     """
-    begins, ends = [], []
+    begins, ends = list[float](), list[float]()
     for channels in records:
         begins.append(max(release_instant([c.averages(COARSE_S) for c in channels]), _start(channels)))
         ends.append(min(float(c.time_s[-1]) for c in channels) + 1e-9)
@@ -175,7 +175,7 @@ def _skips_other_motion(fitted: Fitted) -> bool:
 
 def _early_excess(fitted: Fitted) -> list[int]:
     """Number of windows to leave out in each record: up to the last of the first four with large residuals."""
-    out = []
+    out: list[int] = []
     for record, residuals in zip(fitted.model.records, fitted.channel_residuals(), strict=True):
         worst = 0
         for t, residual in zip(record.times, residuals, strict=True):

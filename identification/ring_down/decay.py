@@ -54,7 +54,7 @@ class Decay:
         Raises:
             NotIdentifiable: a span has fewer than 24 blocks.
         """
-        out = []
+        out: list[list[Averages]] = []
         for channels, begin, end in zip(self.records, self.begins, self.ends, strict=True):
             own = [c.averages(width_s, begin, end) for c in channels]
             if any(len(a.time_s) < _MIN_BLOCKS for a in own):
@@ -68,7 +68,7 @@ class Decay:
 
     def model(self, width_s: float, modes: int, turned: bool, drift: int = 0, delays: bool = False) -> DecayModel:
         """Build a model of this decay with blocks of width_s."""
-        records = []
+        records: list[DecayRecord] = []
         spans = zip(self.records, self.begins, self.ends, strict=True)
         for own, (channels, begin, end) in zip(self.averages(width_s), spans, strict=True):
             lines = (
@@ -127,7 +127,7 @@ class Fitted:
                 for record, residuals in zip(self.model.records, self.channel_residuals(), strict=True)
             ]
         plain = replace(self.model, records=tuple(replace(r, colours=()) for r in self.model.records))
-        out = []
+        out: list[list[np.ndarray]] = []
         for record, block, c in zip(plain.records, plain(self.theta), self.solution.coefficients, strict=True):
             residual = (block.data - block.basis @ c) / record.weight
             out.append(np.split(residual, np.cumsum([len(t) for t in record.times])[:-1]))
@@ -135,7 +135,7 @@ class Fitted:
 
     def channel_residuals(self) -> list[list[np.ndarray]]:
         """Residuals in standard deviations, whitened by the known colour of the noise, [record][channel]."""
-        out = []
+        out: list[list[np.ndarray]] = []
         for record, residual in zip(self.model.records, self.solution.residuals, strict=True):
             edges = np.cumsum([len(t) for t in record.times])[:-1]
             out.append(np.split(residual, edges))
@@ -152,13 +152,13 @@ class Fitted:
 
     def found_lines(self) -> list[list[list[Line]]]:
         """Lines as subtracted from the samples plus their correction by the fit, [record][channel]."""
-        out = []
+        out: list[list[list[Line]]] = []
         for record, channels, c in zip(self.model.records, self.decay.records, self.solution.coefficients, strict=True):
             drifts = len(record.channels) * (self.model.drift + 1)
             at = len(c) - drifts - record.line_columns.shape[1]
-            own = []
+            own: list[list[Line]] = []
             for channel, means in zip(channels, record.channels, strict=True):
-                lines = []
+                lines: list[Line] = []
                 for line in channel.lines:
                     order = line.order + 1 if channel.in_blocks(line, self.width_s) else 0
                     if order:

@@ -7,9 +7,10 @@ decay, and another oscillation if it does.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
-from scipy.fft import next_fast_len
+from numpy.typing import NDArray
 
 from identification.colour import Colour, colour_of
 from identification.least_squares import solve_separable
@@ -20,6 +21,7 @@ from identification.ring_down.modes import averaged_decay, rate
 from identification.ring_down.record import Channel
 from identification.ring_down.residuals import gain_of
 from identification.samples import Averages
+from identification.typed_scipy import next_fast_len
 
 _MAX_STEADY_STD, _MIN_DECAY_STD = 3.0, 4.0  # standard deviations of ζ
 _MAX_DECAY_STD = 0.15  # standard deviation of the decay over the record; above it, a peak is not classified
@@ -67,7 +69,7 @@ def steady_mode(fitted: Fitted) -> int | None:
     sizes = [mode_size(fitted, m) for m in range(fitted.model.modes)]
     for m in np.argsort(sizes):
         zeta, std, omega = float(fitted.zetas[m]), float(stds[2 * m + 1]), float(fitted.omegas[m])
-        small = sizes[m] < SMALL * max(sizes)
+        small = sizes[int(m)] < SMALL * max(sizes)
         margin = _MAX_STEADY_STD * std
         if zeta + margin < MAX_LINE_DAMPING and (small or abs(zeta) < MAX_LINE_DAMPING + margin):
             return int(m)
@@ -105,7 +107,7 @@ def foreign_mode(fitted: Fitted) -> int | None:
         known, residual = np.column_stack([block.basis, block.tangent(c)]), block.data - block.basis @ c
         columns = np.column_stack([known, extra])
         scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        found, *_ = np.linalg.lstsq(columns / scale, residual, rcond=1e-12)
+        found = cast(NDArray[np.float64], np.linalg.lstsq(columns / scale, residual, rcond=1e-12)[0])
         own = float(np.hypot(*(found / scale)[-2:]))
         gain = gain_of(residual, known, extra) / noise
         if gain > _FOREIGN_GAIN and own > _MIN_ACROSS * abs(fitted.amplitude(r, weak, weak)):
@@ -154,7 +156,7 @@ def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
     if len(grid) < _MIN_VALUES:
         return []
     even = np.interp(grid, t, residual) if len(grid) != len(t) else residual
-    size = int(next_fast_len(len(even), real=True) or len(even))
+    size = next_fast_len(len(even))
     power = np.abs(np.fft.rfft((even - even.mean()) * smooth_window(len(even)), size)) ** 2
     prominence = power[1:-1] / np.maximum(local_level(power)[1:-1], 1e-300)
     frequency = np.arange(1, len(power) - 1) / (size * step)
@@ -163,7 +165,7 @@ def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
     return list(zip(prominence[top].tolist(), frequency[top].tolist(), strict=True))
 
 
-def _refined(fitted: Fitted, frequency: float) -> Other | None:  # noqa: PLR0911
+def _refined(fitted: Fitted, frequency: float) -> Other | None:  # noqa: PLR0911  # one exit per criterion
     """Oscillation at a peak of the residuals; None if it may be the misfit of a mode."""
     rest = _residual_model(fitted)
     start = np.array([np.log(2 * np.pi * frequency), 0.0])
@@ -202,7 +204,7 @@ def _in_own_band(fitted: Fitted, lam: complex, span_s: float) -> bool:
 
 def _residual_model(fitted: Fitted) -> DecayModel:
     """Model of one free oscillation in every channel of the residuals."""
-    records = []
+    records: list[DecayRecord] = []
     for record, residuals in zip(fitted.model.records, fitted.plain_residuals(), strict=True):
         channels = tuple(replace(c, value=own) for c, own in zip(record.channels, residuals, strict=True))
         records.append(DecayRecord(channels, record.zero_s))

@@ -238,9 +238,9 @@ def _both_directions(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], fi
 def _read(
     records: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]],
 ) -> tuple[list[list[Channel]], list[str]]:
-    channels, warnings = [], []
+    channels, warnings = list[list[Channel]](), list[str]()
     for record in records:
-        own = []
+        own: list[Channel] = []
         for sensor, (time, value) in zip("xy", record, strict=False):
             channel, remarks = read_channel(time, value, sensor)
             own.append(channel)

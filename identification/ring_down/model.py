@@ -22,12 +22,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.colour import Colour
 from identification.least_squares import Block
-from identification.ring_down.backbone import Backbone, Rates, averaged_course
+from identification.ring_down.backbone import Backbone, Complexes, Rates, averaged_course
 from identification.ring_down.modes import averaged_decay, damping_derivative, rate
 from identification.samples import Averages
 
@@ -210,7 +212,7 @@ class DecayModel:
         waves: list[list[np.ndarray]] = []
         moves: list[list[tuple[np.ndarray, ...]]] = []
         for mode, amplitude in enumerate(backbone.amplitudes_m[index]):
-            rates, parts = self.mode_rates(theta, mode), []
+            rates, parts = self.mode_rates(theta, mode), list[tuple[Complexes, tuple[Complexes, ...]]]()
             for i, (t, channel) in enumerate(zip(record.times, record.channels, strict=True)):
                 own = t - (delay if i else 0.0)
                 parts.append(parts[0] if i and alike else averaged_course(rates, amplitude, own, channel.spread_s2))
@@ -239,10 +241,10 @@ class DecayModel:
         self, record: DecayRecord, lams: Sequence[complex], delay: float
     ) -> tuple[list[list[np.ndarray]], list[list[np.ndarray]]]:
         """e^{λt} and its derivative by λ, [mode][channel]."""
-        waves, slopes = [], []
+        waves, slopes = list[list[np.ndarray]](), list[list[np.ndarray]]()
         alike = record.same_times and not self.delays
         for lam in lams:
-            parts = []
+            parts: list[tuple[np.ndarray, np.ndarray]] = []
             for i, (t, channel) in enumerate(zip(record.times, record.channels, strict=True)):
                 if i and alike:
                     parts.append(parts[0])
@@ -263,7 +265,7 @@ class DecayModel:
         at = 0
         for i, t in enumerate(record.times):
             span = max(float(t[-1] - t[0]), 1e-9)
-            columns = np.polynomial.legendre.legvander(2 * (t - t[0]) / span - 1, self.drift)
+            columns = cast(NDArray[np.float64], np.polynomial.legendre.legvander(2 * (t - t[0]) / span - 1, self.drift))
             out[at : at + len(t), i * (self.drift + 1) : (i + 1) * (self.drift + 1)] = columns
             at += len(t)
         return out
@@ -326,7 +328,7 @@ def _free_basis(waves: list[list[np.ndarray]], others: np.ndarray) -> np.ndarray
 
 def _free_tangent(c: np.ndarray, slopes: list[list[np.ndarray]], moves: list[tuple[complex, complex]]) -> np.ndarray:
     count, channels = len(slopes), len(slopes[0])
-    parts = []
+    parts: list[np.ndarray] = []
     for i in range(channels):
         own = np.empty((len(slopes[0][i]), 2 * count))
         for mode in range(count):
@@ -370,7 +372,7 @@ def _turned_bent_tangent(
 
 def _free_bent_tangent(c: np.ndarray, moves: list[list[tuple[np.ndarray, ...]]], tail: int) -> np.ndarray:
     count, channels = len(moves), len(moves[0])
-    parts = []
+    parts: list[np.ndarray] = []
     for i in range(channels):
         own = np.empty((len(moves[0][i][0]), tail + 2 * count))
         for mode in range(count):

@@ -36,7 +36,7 @@ def model_table(fitted: Fitted, found: Resolution | None, terms: str = "") -> li
     base = fitted.model.free + fitted.model.linear
     motion = f"{_motion(fitted, found)}{', ' if terms else ''}{terms}"
     drift = fitted.model.drift
-    rows, better = [], []
+    rows, better = list[ModelChoice](), list[str]()
     for order, criterion in drift_criteria(fitted).items():
         if order != drift:
             channels = sum(len(r.channels) for r in fitted.model.records)

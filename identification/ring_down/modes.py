@@ -120,9 +120,9 @@ def _peaks(
 ) -> list[tuple[float, complex]]:
     """Largest energy that each decay rate of a batch explains, and its λ, for each of _MIN_FREQUENCY_RATIOS."""
     size, rates = batch
-    most, peaks = max(used for _, used in rates), []
+    most, peaks = max(used for _, used in rates), list[tuple[float, complex]]()
     time = np.arange(most) * step
-    windowed, energy = np.zeros((len(rates), len(grids), most)), []
+    windowed, energy = np.zeros((len(rates), len(grids), most)), list[float]()
     for row, (decay, used) in zip(windowed, rates, strict=True):
         window = np.exp(-decay * time[:used])
         energy.append(float(window @ window))
@@ -140,7 +140,7 @@ def _peaks(
 
 def _covered(channels: Sequence[tuple[Averages, float]], span_s: float, step: float) -> float:
     """Share of the blocks at the start that contain samples, in the channel with the smallest share."""
-    shares = []
+    shares: list[float] = []
     for channel, zero in channels:
         last = min(span_s, float(channel.time_s[-1]) - zero)
         shares.append(np.searchsorted(channel.time_s, zero + last) * step / max(last, step))
@@ -149,7 +149,7 @@ def _covered(channels: Sequence[tuple[Averages, float]], span_s: float, step: fl
 
 def _most_explained(channels: Sequence[tuple[Averages, float]], lams: Sequence[complex]) -> complex:
     """Rate that leaves the smallest residual at the samples. Gaps do not count."""
-    left = []
+    left: list[float] = []
     for lam in lams:
         rests = [without_modes(channel, [lam], zero) for channel, zero in channels]
         left.append(sum(float(np.sum((rest.value * rest.weight) ** 2)) for rest in rests))

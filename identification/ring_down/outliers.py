@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from numba import njit
-from scipy.ndimage import median_filter
+from numpy.typing import NDArray
 from scipy.special import gammainc, ndtr, ndtri
 
 from identification.ring_down.backbone import course
@@ -22,6 +23,7 @@ from identification.ring_down.exact_motion import exact_motion
 from identification.ring_down.model import DELAYS
 from identification.ring_down.modes import rate
 from identification.ring_down.record import Channel, farthest_from_taylor, sample_noise, taylor_at_samples
+from identification.typed_scipy import median_filter
 
 _THRESHOLD = 4.5  # standard deviations; 7 of a million good samples exceed it
 _MIN_SUSPECT_STD = 5.5  # standard deviations; exceeded by one good sample in 26 million
@@ -151,9 +153,9 @@ def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[
     Returns:
         Channels, number of masked outliers (0 if noise may explain all of them), and whether a mask changed.
     """
-    out, count, changed, samples, farthest = [], 0, False, 0, 0.0
+    out, count, changed, samples, farthest = list[tuple[Channel, ...]](), 0, False, 0, 0.0
     for r, channels in enumerate(fitted.decay.records):
-        own = []
+        own: list[Channel] = []
         for axis, channel in enumerate(channels):
             first, last = np.searchsorted(channel.time_s, (fitted.decay.begins[r], fitted.decay.ends[r]))
             residual, model = sample_residuals(fitted, r, axis, channel, first, last)
@@ -235,9 +237,10 @@ def _inlying(
     """
     scale = _scale(residual, usable)
     count = int((time[-1] - time[0]) / span_s) + 1
-    edges = np.searchsorted(time, time[0] + span_s * np.arange(1, count))
+    edges = cast(NDArray[np.int64], np.searchsorted(time, time[0] + span_s * np.arange(1, count)))
     good, squares, farthest = np.empty(len(residual), bool), 0.0, 0.0
-    for a, b in pairwise([0, *edges.tolist(), len(time)]):
+    ends: list[int] = [0, *edges.tolist(), len(time)]
+    for a, b in pairwise(ends):
         off, within = np.abs(residual[a:b]), usable[a:b]
         step = max(1, (b - a) // _STRETCH_SAMPLES)
         values = off[::step][within[::step]]

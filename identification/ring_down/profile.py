@@ -83,15 +83,15 @@ def _at_fixed(fitted: Fitted, theta: np.ndarray, priors: Priors) -> Minimum:
 def _profile(minima: list[Minimum], betas: np.ndarray, excess: np.ndarray, stretch: float) -> Profile:
     values = np.array([m.theta[:_MAPPED] for m in minima])
     stds = np.array([np.sqrt(np.diag(m.covariance)[:_MAPPED]) for m in minima]) * stretch
-    fine = np.linspace(betas[0], betas[-1], 40 * len(betas))
-    level = np.interp(fine, betas, excess)
+    fine = np.linspace(float(betas[0]), float(betas[-1]), 40 * len(betas))
+    level: np.ndarray = np.interp(fine, betas, excess)
     inside = level <= _CHI2_95
     room = np.sqrt(np.maximum(_CHI2_95 - level[inside], 0.0))
     low, high = np.empty(_MAPPED), np.empty(_MAPPED)
     weight = np.exp(-0.5 * level)
     weight /= weight.sum()
-    curves = np.column_stack([np.interp(fine, betas, values[:, j]) for j in range(_MAPPED)])
-    spread = np.column_stack([np.interp(fine, betas, stds[:, j]) for j in range(_MAPPED)])
+    curves: np.ndarray = np.column_stack([np.interp(fine, betas, values[:, j]) for j in range(_MAPPED)])
+    spread: np.ndarray = np.column_stack([np.interp(fine, betas, stds[:, j]) for j in range(_MAPPED)])
     for j in range(_MAPPED):
         low[j] = np.min(curves[inside, j] - room * spread[inside, j])
         high[j] = np.max(curves[inside, j] + room * spread[inside, j])
@@ -118,7 +118,7 @@ def profile_parameter(fitted: Fitted, priors: Priors, index: int, stretch: float
     """
     least, centre = fitted.solution.minimum.cost, fitted.theta[index]
     std = float(np.sqrt(fitted.solution.minimum.covariance[index, index]))
-    ends = []
+    ends: list[float] = []
     for side in (-1.0, 1.0):
         step = side * np.sqrt(_CHI2_95) * stretch * std
         for _ in range(4):  # χ² is nearly a parabola: rescaled steps converge within 0.1 %

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from identification.colour import Colour
 from identification.errors import NotIdentifiable
@@ -85,7 +87,8 @@ class Channel:
                 continue
             middles, wave = _average_wave(time, keep, width_s, line.rate.real, line.rate.imag)
             span = max(float(middles[-1] - middles[0]), 1e-9)
-            shapes = np.polynomial.legendre.legvander(2 * (middles - middles[0]) / span - 1, line.order)
+            place = 2 * (middles - middles[0]) / span - 1
+            shapes = cast(NDArray[np.float64], np.polynomial.legendre.legvander(place, line.order))
             columns += [shapes * np.real(wave)[:, None], shapes * np.imag(wave)[:, None]]
         return np.hstack(columns) if columns else np.empty((0, 0))
 
@@ -142,7 +145,7 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[
             f"sensor {sensor}: {_state(value)}only {np.count_nonzero(keep)} of {len(value)} samples are valid; "
             f"at least {_MIN_SAMPLES} are needed. Check its cable and its range, or give the other sensor alone"
         )
-    remarks = []
+    remarks: list[str] = []
     if np.any(stuck & ~railed):
         remarks.append(f"{np.count_nonzero(stuck & ~railed)} samples that repeat one value left out")
     rail = (-np.inf, np.inf)

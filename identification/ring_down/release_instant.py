@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 
 from identification.errors import NotIdentifiable
 from identification.samples import Averages
+from identification.typed_scipy import maximum_filter1d, median_filter, minimum_filter1d
 
 _WINDOW_S, _MARGIN_S = 0.1, 0.017
 _MAX_HOLD_CHANGE, _SMOOTH = 0.1, 5  # of a hold's level, beyond which it has ended; block means of a median
@@ -31,7 +31,7 @@ def release_instant(channels: list[Averages]) -> float:
     noise = [c.noise / np.sqrt(float(np.median(c.count))) for c in channels]
     _refuse_quiet(channels, moves)
     largest = max(float(np.max(np.abs(m))) for m in moves)
-    ends = []
+    ends: list[tuple[np.ndarray, np.ndarray, np.ndarray, float]] = []
     for channel, move, own in zip(channels, moves, noise, strict=True):
         count = max(3, round(_WINDOW_S / float(np.median(np.diff(channel.time_s)))))
         # reflection at the ends has no effect: a hold is never the last window of a ring-down

@@ -12,8 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtrc
+
+from identification.typed_scipy import uniform_filter1d
 
 _SMOOTH = 33  # number of averaged periodogram ordinates; the relative scatter of a level is 1/sqrt(33)
 _LAGS = 20

@@ -203,7 +203,7 @@ def _coloured_noise(fitted: Fitted) -> str:
 
 
 def _curves(fitted: Fitted, chi2: float, axes: str) -> tuple[list[Curve], list[float]]:
-    curves, rms = [], []
+    curves, rms = list[Curve](), list[float]()
     for number, (record, residuals) in enumerate(zip(fitted.model.records, fitted.plain_residuals(), strict=True)):
         for axis, channel, metres in zip(axes, record.channels, residuals, strict=True):
             left_over = float(np.std(metres) / np.std(channel.value))
@@ -222,7 +222,7 @@ def _curves(fitted: Fitted, chi2: float, axes: str) -> tuple[list[Curve], list[f
 
 
 def _unresolved(found: Resolution) -> str:
-    why = []
+    why: list[str] = []
     if found.split < RESOLVED_SPLIT:
         why.append(f"the modes are {found.split:.2g} half-bandwidths apart, {RESOLVED_SPLIT:g} are needed")
     elif not found.certain:

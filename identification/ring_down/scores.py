@@ -20,7 +20,7 @@ def stretches(fitted: Fitted) -> np.ndarray:
 @once_per_fit
 def known_columns(fitted: Fitted) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Columns of the fit (basis and tangent) and residual of each record."""
-    known, residuals = [], []
+    known, residuals = list[np.ndarray](), list[np.ndarray]()
     for block, c in zip(fitted.model(fitted.theta), fitted.solution.coefficients, strict=True):
         known.append(np.column_stack([block.basis, block.tangent(c)]))
         residuals.append(block.data - block.basis @ c)

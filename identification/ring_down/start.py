@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.least_squares import solve_separable
 from identification.ring_down.model import BETA, DecayModel, DecayRecord
@@ -75,7 +77,8 @@ def _costs_over_angle(records: Sequence[DecayRecord], pair: Sequence[complex]) -
             turn = _turn(float(beta))
             normal, side = turn.T @ gram @ turn, turn.T @ right
             ridge = 1e-11 * np.trace(normal) * np.eye(6)
-            total[k] += energy - float(side @ np.linalg.solve(normal + ridge, side))
+            best = cast(NDArray[np.float64], np.linalg.solve(normal + ridge, side))
+            total[k] += energy - float(side @ best)
     return total
 
 
@@ -96,7 +99,7 @@ def pencil_pairs(records: Sequence[DecayRecord], leader: Start) -> list[tuple[co
     cycles it is applied to their envelopes, shifted by the frequency of the strongest mode and averaged over whole
     cycles, which limits the size of the matrix.
     """
-    out = []
+    out: list[tuple[complex, complex]] = []
     for record in records:
         decay = max(-leader.lam.real, 1e-6)
         span = min(*(float(t[-1]) for t in record.times), 4.0 / decay)

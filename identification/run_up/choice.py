@@ -98,7 +98,7 @@ def compare(
     for rung, key in _RUNG_OF.items():
         if rung in without and key in gain:
             gain[key] = min(gain[key], 0.0)
-    structure, warnings = design.structure, []
+    structure, warnings = design.structure, list[str]()
     if gain["single"] > 0:
         structure = structure.without(ANGLE)
         warnings.append(

@@ -8,17 +8,18 @@ oscillators to i p δψ. Its effect on an estimate is the same filter run backwa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from dynamics.equations.speed_history import phase_at
 from identification.ring_down.modes import rate
 from identification.run_up.model import ANGLE, OMEGAS, ZETAS, RunUpRecord, Structure, run_up_blocks
 from identification.run_up.rotor_phase import RotorPhase
 from identification.samples import Averages
+from identification.typed_scipy import uniform_filter1d
 
 Array = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -76,7 +77,8 @@ class Design:
         keep = size > 1e-9 * (np.linalg.norm(more, axis=0) + 1e-300)
         clean = clean[:, keep] / size[keep]
         pull = clean.T @ self.residual
-        return float(pull @ np.linalg.lstsq(clean.T @ clean, pull, rcond=1e-10)[0])
+        best = cast(Array, np.linalg.lstsq(clean.T @ clean, pull, rcond=1e-10)[0])
+        return float(pull @ best)
 
 
 def design_at(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> Design:
@@ -86,7 +88,7 @@ def design_at(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> Des
     counts = [len(b.data) for b in blocks]
     widths = [b.basis.shape[1] for b in blocks]
     matrix = np.zeros((sum(counts), p + sum(widths)))
-    residual, coefficients = np.empty(sum(counts)), []
+    residual, coefficients = np.empty(sum(counts)), list[np.ndarray]()
     row, column = 0, p
     for block, count, width in zip(blocks, counts, widths, strict=True):
         c = _solve(block.basis, block.data)
@@ -111,7 +113,7 @@ def imbalance_gains(record: RunUpRecord, design: Design) -> tuple[float, float]:
     """
     driven = np.zeros(len(design.coefficients[0]), bool)
     driven[:2] = driven[design.structure.bow_at] = True
-    gains, row, column = [], 0, design.nonlinear
+    gains, row, column = list[float](), 0, design.nonlinear
     for channel, c in zip(record.channels, design.coefficients, strict=True):
         rows = slice(row, row + len(channel.time_s))
         basis, residual = design.matrix[rows, column : column + len(c)], design.residual[rows]
@@ -124,7 +126,8 @@ def imbalance_gains(record: RunUpRecord, design: Design) -> tuple[float, float]:
 
 def _solve(basis: np.ndarray, data: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(basis, axis=0) + 1e-300
-    return np.linalg.lstsq(basis / size, data, rcond=1e-12)[0] / size
+    scaled = cast(Array, np.linalg.lstsq(basis / size, data, rcond=1e-12)[0])
+    return scaled / size
 
 
 def further_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray, rows: slice) -> np.ndarray:

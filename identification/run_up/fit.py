@@ -10,7 +10,6 @@ from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from daq.signals.clock_rates import rate_std_between
 from daq.signals.run import Run
@@ -41,8 +40,9 @@ from identification.run_up.sensors import sensor_averages
 from identification.run_up.slow_roll_choice import Doubt
 from identification.run_up.smallest_model import smallest_adequate
 from identification.rungs import Rung, held_back
-from identification.samples import correlation_inflation
+from identification.samples import Averages, correlation_inflation
 from identification.setting import Setting, check_setting
+from identification.typed_scipy import median_filter
 
 __all__ = ["RunUpFit", "fit_run_up", "fit_run_up_run", "run_up_estimate"]
 
@@ -143,7 +143,7 @@ def _fit(
         raise NotIdentifiable(f"sensors and phase share {max(0.0, end - start):.3g} s; a passage takes longer")
     drive = Drive.from_history(phase.history, start, end)
     pad = _PAD_S if clocks.apart else 0.0
-    channels, warnings = [], []
+    channels, warnings = list[Averages](), list[str]()
     for name, (time, value) in zip("xy", sensors, strict=True):
         found, remarks = sensor_averages(
             name, time, value, (start + pad, end - pad), drive.top_rad_s, _BLOCKS_PER_TURN[setting]
@@ -177,7 +177,7 @@ def _fit(
 
 def _noise_of_residuals(record: RunUpRecord, solution: Solution) -> tuple[RunUpRecord, list[str]]:
     """Take the noise from the residuals if samples are so sparse that their differences contain the motion."""
-    channels, remarks = [], []
+    channels, remarks = list[Averages](), list[str]()
     for name, channel, residual in zip("xy", record.channels, solution.residuals, strict=True):
         ratio = float(np.sqrt(np.mean(residual**2)))
         quiet = ratio < _MIN_NOISE_RATIO
@@ -200,7 +200,7 @@ def _without_outlying_blocks(
     """
     whole, lost = record, (0, 0)
     for _ in range(_MAX_ROUNDS):
-        keep = []
+        keep: list[np.ndarray] = []
         blocks = run_up_blocks(whole, structure, solution.minimum.theta)
         for block, coefficients in zip(blocks, solution.coefficients, strict=True):
             residual = np.abs(block.data - block.basis @ coefficients)
@@ -234,7 +234,7 @@ def _result(
     setting: Setting,
 ) -> RunUpFit:
     warnings = warnings + comparison.warnings
-    curves, correlated, rests = [], 1.0, []
+    curves, correlated, rests = list[Curve](), 1.0, list[tuple[str, Averages, np.ndarray]]()
     for axis, channel, residual in zip("xy", record.channels, solution.residuals, strict=True):
         metres = residual / channel.weight
         left = np.sqrt(max(0.0, float(np.var(metres) - np.mean(channel.weight**-2.0))))

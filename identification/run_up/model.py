@@ -53,7 +53,9 @@ class RunUpRecord:
     x: Averages
     y: Averages
     drive: Drive
-    recent: dict[tuple[float, ...], list[list[Response]]] = field(default_factory=dict, repr=False, compare=False)
+    recent: dict[tuple[float, ...], list[list[Response]]] = field(
+        default_factory=dict[tuple[float, ...], list[list[Response]]], repr=False, compare=False
+    )
     bent: BentPassage | None = None
 
     @property
@@ -233,7 +235,7 @@ def _newton(
 
 def _left(block: Block, at: np.ndarray, c: np.ndarray) -> float:
     """Sum of squared residuals of a block for given values of some of its linear unknowns."""
-    others = np.setdiff1d(np.arange(block.basis.shape[1]), at)
+    others: np.ndarray = np.setdiff1d(np.arange(block.basis.shape[1]), at)
     rest = Block(block.data - block.basis[:, at] @ c, block.basis[:, others], block.tangent)
     left = rest.data - rest.basis @ linear_unknowns(rest)
     found = float(left @ left)
@@ -378,7 +380,7 @@ def _slow_roll(
     if not (structure.run_out or structure.bow):
         return []
     turn: Turning = turning(drive, when_s, channel.spread_s2)
-    found = []
+    found: list[_Slow] = []
     if structure.run_out:
         own = (1.0, -1j)[axis]  # sensor x shows Re(r e^{iψ}), sensor y Im(r e^{iψ})
         found.append(_Slow(own * turn.phasor, own * turn.rate, {}))

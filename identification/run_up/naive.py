@@ -6,12 +6,11 @@ Both are biased by the sweep. The comparison shows the size of the bias.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solveh_banded
-from scipy.ndimage import gaussian_filter1d
 
 from dynamics.equations.speed_history import SpeedHistory
 from identification.least_squares import minimise
 from identification.samples import Averages
+from identification.typed_scipy import gaussian_filter1d, solveh_banded
 
 _SMOOTHED_S = 0.25  # standard deviation of the Gaussian filter
 _VOLD_KALMAN_HZ = 0.5  # half-power bandwidth of the filter
@@ -90,4 +89,4 @@ def _envelope(channel: Averages, psi: np.ndarray) -> np.ndarray:
     bands *= r2
     bands[2] += 1.0
     turned = 2 * (channel.value - np.mean(channel.value)) * np.exp(-1j * psi)
-    return solveh_banded(bands, turned, check_finite=False)
+    return solveh_banded(bands, np.asarray(turned, np.complex128))

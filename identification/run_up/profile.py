@@ -54,7 +54,7 @@ def profile_interval(record: RunUpRecord, design: Design, column: int, stretch: 
     std = float(np.sqrt(design.covariance[column, column]))
     rise = _RISE * stretch**2
     bottom = _chi2_at(record, design, column, float(design.phi[column]))
-    ends = []
+    ends: list[float] = []
     for sign in (-1.0, 1.0):
         low, high = 0.0, 4.0 * stretch
         guess = 1.96 * stretch

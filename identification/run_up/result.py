@@ -53,10 +53,10 @@ class RunUpFit:
     half_power: dict[str, tuple[float, float]]
     noise: list[float]
     chi2_per_dof: float
-    vold_kalman: dict[str, tuple[float, float]] = field(default_factory=dict)
-    intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
+    vold_kalman: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
+    intervals: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     model: str = ""
-    model_table: list[ModelChoice] = field(default_factory=list)
+    model_table: list[ModelChoice] = field(default_factory=list[ModelChoice])
     settled: bool = True
     terms: list[DirectionTerms] = field(default_factory=list[DirectionTerms])
     with_terms: np.ndarray | None = None

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
-from scipy.linalg import toeplitz
+from numpy.typing import NDArray
 
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
 from identification.errors import NotIdentifiable
+from identification.typed_scipy import toeplitz
+
+Array = NDArray[np.float64]
 
 _KNOTS_PER_TURN = 40  # twenty per period of a ripple of twice per revolution
 _MIN_MARKS = 10
@@ -279,7 +283,8 @@ def _is_walk(stretches: list[np.ndarray]) -> bool:
         for which, weights in enumerate((_FIFTHS, _FOURTHS)):
             lag = np.correlate(weights, weights, "full")[len(weights) - 1 :]
             matrix = quick @ toeplitz(np.r_[lag, np.zeros(n - len(lag))]) @ quick.T
-            squares[which] += float(seen @ np.linalg.solve(matrix, seen))
+            solved = cast(Array, np.linalg.solve(matrix, seen))
+            squares[which] += float(seen @ solved)
             gain += (0.5, -0.5)[which] * float(np.linalg.slogdet(matrix)[1])
     return bool(gain + 0.5 * count * np.log(squares[0] / squares[1]) > 0)
 

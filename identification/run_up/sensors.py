@@ -47,7 +47,7 @@ def sensor_averages(
         )
     if np.ptp(value) == 0.0:
         raise NotIdentifiable(f"sensor {name} is constant, {value[0]:.6g} m throughout; is it connected?")
-    warnings = []
+    warnings: list[str] = []
     rail = clipped(value)
     if rail.any():
         warnings.append(f"{np.count_nonzero(rail)} samples at the rail of sensor {name} left out")

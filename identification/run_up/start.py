@@ -13,8 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.errors import NotIdentifiable
 from identification.run_up.forced_oscillator import Drive, responses_of
@@ -163,7 +165,7 @@ def _assigned(channels: Sequence[Averages], drive: Drive, pair: Sequence[tuple[f
     The signal of each sensor is fitted as a free sum of both responses. For x = cos β Re(A h1) + sin β Im(A h2) and its
     turned counterpart, the ratios of the coefficients are ∓i tan β.
     """
-    cost, count, parts = 0.0, 0, []
+    cost, count, parts = 0.0, 0, list[complex]()
     sensors = responses_of([(c.time_s, c.spread_s2) for c in channels], drive, list(dict.fromkeys(pair)))
     for channel, answers in zip(channels, sensors, strict=True):
         since = channel.time_s - drive.start_s
@@ -173,7 +175,9 @@ def _assigned(channels: Sequence[Averages], drive: Drive, pair: Sequence[tuple[f
         basis = np.column_stack([*columns, np.ones_like(since), since]) * channel.weight[:, None]
         size = np.linalg.norm(basis, axis=0) + 1e-300
         normal = (basis / size).T @ (basis / size)
-        c = np.linalg.lstsq(normal, (basis / size).T @ (channel.value * channel.weight), rcond=1e-13)[0] / size
+        right = (basis / size).T @ (channel.value * channel.weight)
+        scaled = cast(NDArray[np.float64], np.linalg.lstsq(normal, right, rcond=1e-13)[0])
+        c = scaled / size
         residual = channel.value * channel.weight - basis @ c
         cost, count = cost + float(residual @ residual), count + len(residual)
         parts.append(complex(c[0], c[1]))
