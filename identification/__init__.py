@@ -1,4 +1,4 @@
-"""Finds k1, k2, ζ1, ζ2, c3, c4 and S_P from recorded runs, with covariance."""
+"""Estimation of k1, k2, ζ1, ζ2, c3, c4 and S_P from recorded runs, with covariance."""
 
 from identification.compare import Comparison
 from identification.compare import compare as compare_parameters

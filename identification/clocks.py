@@ -1,10 +1,10 @@
 # pyright: strict
-"""Clocks' errors in a test's estimate: what shares a clock shares its error.
+"""Clock errors in a test's estimate. Signals with the same clock have the same error.
 
-A rig's devices have a clock each. A recording made elsewhere has its recorder's clock for all that is in it, and a
-recorder's recordings share it. A label stands for one clock, so errors under one label are taken as fully correlated.
-A clock's rate comes from its tolerance as far as a record does not show it, which every record of the clock has alike,
-and from when the record's reads came, which only this record has.
+Each device of a rig has its own clock. All signals of an imported recording have the clock of its recorder, and all
+recordings of that recorder share it. A label identifies one clock: errors with the same label are fully correlated.
+The error of a clock's rate has two parts. One comes from the clock's tolerance and is the same in every record of the
+clock. The other comes from the read times of the record and belongs to this record alone.
 """
 
 from __future__ import annotations
@@ -21,29 +21,30 @@ from daq.signals.run import Run
 
 
 def clock_label(clock: str) -> str:
-    """Under which errors of a clock's rate are kept, by the clock's name."""
+    """Label of the rate error of a clock, by the clock's name."""
     return f"clock {clock}"
 
 
 def read_label(clock: str, source: str) -> str:
-    """Under which the part of a rate's error is kept that one log has, having read the rate itself.
+    """Label of the part of a clock's rate error that comes from the read times of one log.
 
     Args:
-        source: the log's path, or several with " + " between.
+        clock: name of the clock.
+        source: path of the log, or several joined with " + ".
     """
     return f"{clock_label(clock)} in {' + '.join(Path(each).name for each in source.split(' + '))}"
 
 
 def clock_errors(run: Run, slopes: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
-    """Shared errors of an estimate, by clock.
+    """Shared errors of an estimate that come from clock rates.
 
     Args:
-        run: whose clocks they are.
+        run: run with the clocks.
         slopes: signal ("x", "y", "angles", "phase") → change of the estimate's values per relative change of the rate
             of its clock, shape (n,).
     Returns:
-        "clock NAME", and "clock NAME in LOG" for what only this run is off by → the values' shift for one standard
-        deviation of that error, shape (n,).
+        Label → shift of the values for one standard deviation of the error, shape (n,). The label is "clock NAME" for
+        the part that all runs share and "clock NAME in LOG" for the part of this run.
     """
     shared: dict[str, NDArray[np.float64]] = {}
     for signal, slope in slopes.items():
@@ -56,7 +57,7 @@ def clock_errors(run: Run, slopes: Mapping[str, NDArray[np.float64]]) -> dict[st
 
 
 def joined_rates(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
-    """The least certain clocks of some runs, as fields of the run that stands for all of them."""
+    """Largest clock uncertainties of several runs, as fields of the run that represents all of them."""
     signals = ("x", "y", "angles", "phase")
     return {
         "clock_rate_std": {d: max(clock_rate_std(r.clock_rate_std, d) for r in runs) for d in signals},
@@ -65,5 +66,5 @@ def joined_rates(runs: Sequence[Run]) -> dict[str, dict[str, float]]:
 
 
 def _alike(run: Run, signal: str) -> float:
-    """What of the standard uncertainty of a clock's rate all runs of that clock share."""
+    """Part of the standard uncertainty of a clock's rate that all runs of that clock share."""
     return float(run.clock_shared_std.get(signal, clock_rate_std(run.clock_rate_std, signal)))

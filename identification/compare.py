@@ -1,7 +1,7 @@
-"""What changed between two identifications: by how much, how sure, and in which parameters together.
+"""Comparison of two identifications: size and significance of the change of each parameter and of all together.
 
-Errors that both have in common do not count as change (identification.difference). Masses and lengths are taken as the
-rig files' both times. Source: docs/theory/joint_estimate.md.
+Errors that both identifications have in common do not count as change (identification.difference). Masses and lengths
+are those of the rig files. Source: docs/theory/joint_estimate.md.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from identification.errors import NotIdentifiable
 from rig_configs.parameters_file import IdentifiedParameters
 
 LEVELS = (0.001, 0.01, 0.05)
-_FEWEST_DIGITS = 12  # of the longest value of a file; below, its values have been rounded
-_OWN_RANK = 1e-11  # eigenvalue of a correlation matrix below which a direction is rounding of doubles
+_MIN_DIGITS = 12  # digits of the longest value of a file; a file with fewer has rounded values
+_MIN_EIGENVALUE = 1e-11  # of a correlation matrix; smaller ones are rounding of doubles
 
 
 @dataclass(frozen=True)
 class Change:
-    """One parameter's change.
+    """Change of one parameter.
 
     Attributes:
-        name: the parameter.
+        name: parameter.
         old, new: values, SI.
         change, std: new − old and its standard deviation, SI.
-        z, p: change over std; chance of one as large, two-sided, this parameter looked at alone.
-        p_holm: the same with all parameters having been looked at (Holm).
-        share: part of the overall χ² that this parameter brings, correlations taken out; at least 0, they sum to 1.
+        z, p: change over std; its two-sided p value for this parameter alone.
+        p_holm: p value adjusted for the number of parameters (Holm).
+        share: decorrelated share of this parameter in the overall χ². Shares are at least 0 and sum to 1.
     """
 
     name: str
@@ -46,30 +46,30 @@ class Change:
 
     @property
     def relative(self) -> float:
-        """Change over the old value; NaN for an old value of 0."""
+        """Change over the old value; NaN if the old value is 0."""
         return self.change / abs(self.old) if self.old else float("nan")
 
     @property
     def relative_std(self) -> float:
-        """Its standard deviation, relative too."""
+        """Standard deviation of the relative change; NaN if the old value is 0."""
         return self.std / abs(self.old) if self.old else float("nan")
 
     @property
     def level(self) -> float | None:
-        """The strictest of 0.1, 1 and 5 % at which the change is significant, all looks counted; None at none."""
+        """Strictest of the levels 0.1, 1 and 5 % at which p_holm is significant; None if it is not significant."""
         return next((level for level in LEVELS if self.p_holm < level), None)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two parameter sets.
+    """Comparison of two parameter sets.
 
     Attributes:
-        changes: per parameter that both have, in the file's order.
-        covariance: of the changes, shape (n, n), SI; singular where both rest on the same logs.
-        chi2, dof, p: all changes together, over the dof directions in which there can be a change that is known.
-        only_old, only_new: parameters of one alone.
-        notes: what was taken as common to both, and what is not known.
+        changes: change of each common parameter, in the file's order.
+        covariance: covariance of the changes, shape (n, n), SI; singular for values that depend on the same logs.
+        chi2, dof, p: χ² test of all changes together over the dof directions in which a change can be determined.
+        only_old, only_new: parameters of one set only.
+        notes: errors that were taken as common to both, and unknown facts.
     """
 
     changes: list[Change]
@@ -82,22 +82,22 @@ class Comparison:
     notes: list[str]
 
     def significant(self, level: float = 0.01) -> list[Change]:
-        """Changes significant at a level, all looks counted; the most significant first."""
+        """Changes whose p_holm is below a level, most significant first."""
         return sorted((c for c in self.changes if c.p_holm < level), key=lambda c: c.p)
 
     def in_words(self, level: float = 0.01) -> str:
-        """The comparison as an experimenter would say it; ± is one standard deviation."""
+        """Summary of the comparison in one sentence; ± is one standard deviation."""
         found = self.significant(level)
         if found:
-            told = [f"{short(c.name)} {'grew' if c.change > 0 else 'fell'} by {_percent(c)}" for c in found]
+            changes = [f"{short(c.name)} {'grew' if c.change > 0 else 'fell'} by {_percent(c)}" for c in found]
             rest = len(self.changes) - len(found)
-            return _listed(told) + ("; nothing else changed significantly" if rest else "")
+            return _listed(changes) + ("; nothing else changed significantly" if rest else "")
         if self.p < level:
             leading = [c for c in sorted(self.changes, key=lambda c: -c.share) if c.share > 0.2]
-            told = [f"{short(c.name)} {'up' if c.change > 0 else 'down'} by {_percent(c)}" for c in leading]
+            changes = [f"{short(c.name)} {'up' if c.change > 0 else 'down'} by {_percent(c)}" for c in leading]
             return (
                 f"no single parameter changed significantly, but all together they did (p = {self.p:.1g}), "
-                f"mostly along {_listed(told)}"
+                f"mostly along {_listed(changes)}"
             )
         return "nothing changed significantly"
 
@@ -107,7 +107,7 @@ def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
 
     Raises:
         NotIdentifiable: they have no parameter in common.
-        ParametersFileError: what a file keeps of its tests makes no sense.
+        ParametersFileError: the tests in a file are invalid.
     Source: docs/theory/joint_estimate.md.
     """
     names = [n for n in old.values if n in new.values]
@@ -121,12 +121,12 @@ def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
     own = old.covariance[np.ix_(index[0], index[0])] + new.covariance[np.ix_(index[1], index[1])]
     before, after = (np.array([p.values[n] for n in names]) for p in (old, new))
     rounding = np.zeros((len(names), len(names)))
-    for parameters, at_its_word in zip((old, new), apart.at_their_word, strict=True):
-        if at_its_word:
+    for parameters, without_tests in zip((old, new), apart.without_tests, strict=True):
+        if without_tests:
             rounding += np.diag(_rounding(parameters, names) ** 2)
     change, covariance = after - before, apart.covariance_of(names) + rounding
     unit = np.sqrt(np.diag(own + rounding))
-    unit[unit == 0] = 1.0  # a value that is called exact: any change of it is beyond judgement
+    unit[unit == 0] = 1.0  # the significance of a change of an exact value is undefined
     scaled = change / unit
     white, dof = _whitened(
         scaled, covariance / np.outer(unit, unit), (own + rounding) / np.outer(unit, unit), apart.blur**2
@@ -134,7 +134,7 @@ def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
     chi2 = float(white @ white)
     shares = white**2 / chi2 if chi2 > 0 else np.zeros(len(names))
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    std[std <= apart.blur * unit] = 0.0  # both rest on the same logs
+    std[std <= apart.blur * unit] = 0.0  # both values come from the same logs
     z = np.divide(change, std, out=np.zeros(len(names)), where=std > 0)
     p = 2 * ndtr(-np.abs(z))
     changes = [
@@ -157,18 +157,18 @@ def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
 
 
 def _whitened(change: np.ndarray, covariance: np.ndarray, own: np.ndarray, blur: float) -> tuple[np.ndarray, int]:
-    """The change with its correlations taken out symmetrically, shape (n,), and the rank.
+    """Whiten the change symmetrically; return it, shape (n,), and the rank.
 
-    Its square is χ² over the directions in which the change's variance is known, and each square the parameter's part
-    of it (Zuber and Strimmer 2011, CAR scores): the whitened parameters that are nearest to the parameters themselves.
+    The sum of squares is χ² over the directions in which the variance of the change is known. Each square is the share
+    of one parameter (Zuber and Strimmer 2011, CAR scores): these whitened parameters are closest to the parameters.
 
     Args:
-        change, covariance: of the change, shapes (n,), (n, n), in units of `own`'s standard deviations.
-        own: covariance if nothing were common to both, unit diagonal, shape (n, n).
+        change, covariance: change and its covariance, shapes (n,), (n, n), in units of `own`'s standard deviations.
+        own: covariance of two independent estimates, unit diagonal, shape (n, n).
         blur: variance of a change, over that of `own` in the same direction, below which it is rounding.
     """
     size, vectors = np.linalg.eigh(0.5 * (own + own.T))
-    kept = size > max(_OWN_RANK, 1e-15 * float(size[-1]))
+    kept = size > max(_MIN_EIGENVALUE, 1e-15 * float(size[-1]))
     white = vectors[:, kept] / np.sqrt(size[kept])  # whiteᵀ own white = 1
     inner = white.T @ covariance @ white
     share, directions = np.linalg.eigh(0.5 * (inner + inner.T))
@@ -180,21 +180,21 @@ def _whitened(change: np.ndarray, covariance: np.ndarray, own: np.ndarray, blur:
 
 
 def _rounding(parameters: IdentifiedParameters, names: Sequence[str]) -> np.ndarray:
-    """Standard deviations that a file's own rounding brings, shape (n,); 0 where its values have all their digits."""
+    """Standard deviation of the rounding of a file's values, shape (n,); 0 if the values have all their digits."""
     digits = max((_digits(v) for v in parameters.values.values()), default=17)
-    if digits >= _FEWEST_DIGITS or len(parameters.values) < 2:  # one number may be round by chance
+    if digits >= _MIN_DIGITS or len(parameters.values) < 2:  # a single number may be round by chance
         return np.zeros(len(names))
     size = np.array([abs(parameters.values[n]) or 1.0 for n in names])
     return 10.0 ** (np.floor(np.log10(size)) - digits + 1) / np.sqrt(12)
 
 
 def _digits(value: float) -> int:
-    """Significant digits of a number as it stands in a file, without zeros at its end."""
+    """Number of significant digits of a number in a file, without trailing zeros."""
     return len(repr(abs(value)).partition("e")[0].replace(".", "").strip("0"))
 
 
 def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
-    """p values as they are when all of them have been looked at (Holm 1979), shape (n,), in the given order."""
+    """Adjust p values for their number (Holm 1979), shape (n,), in the given order."""
     given = np.asarray(p, float)
     order = np.argsort(given)
     stepped = np.maximum.accumulate(given[order] * np.arange(len(given), 0, -1))
@@ -204,7 +204,7 @@ def holm(p: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def short(name: str) -> str:
-    """k1_N_per_m → k1."""
+    """Return the name without its unit: k1_N_per_m → k1."""
     return name.partition("_")[0]
 
 

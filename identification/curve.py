@@ -1,4 +1,4 @@
-"""A measured signal beside its fit."""
+"""Measured signal and its fit, for a plot."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Curve:
-    """A measured signal beside its fit, for a plot.
+    """Measured signal and its fit, for a plot.
 
     Attributes:
-        label, unit: what it is.
+        label, unit: name and unit of the signal.
         time_s, measured, fitted: shape (n,).
     """
 

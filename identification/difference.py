@@ -1,9 +1,9 @@
-"""How two joint estimates differ when they share logs or lasers: the covariance of the difference, log by log.
+"""Covariance of the difference of two joint estimates that share logs or lasers, summed log by log.
 
-Both estimates are linear in the tests' values, p = Σ W_i d_i. Their difference is Σ (W'_i − W_i) d_i, so a log that is
-in both brings (W'_i − W_i) C_i (W'_i − W_i)ᵀ, one that is in one of them W_i C_i W_iᵀ, and an error that both share
-(g' − g)(g' − g)ᵀ. A sum of such terms is never indefinite; C_new + C_old less what is common would be, by rounding,
-wherever nearly all is common, and for nested logs it is that near-singular difference which is looked at.
+Both estimates are linear in the tests' values, p = Σ W_i d_i. Their difference is Σ (W'_i − W_i) d_i. A log that is in
+both adds (W'_i − W_i) C_i (W'_i − W_i)ᵀ, a log in one of them W_i C_i W_iᵀ, and a shared error (g' − g)(g' − g)ᵀ.
+A sum of such terms is never indefinite. C_new + C_old minus the common part is indefinite by rounding if nearly all is
+common; for nested logs this near-singular difference is the quantity of interest.
 Source: docs/theory/joint_estimate.md.
 """
 
@@ -21,9 +21,9 @@ from identification.joint.provenance import KeptTest, rebuilt
 from rig_configs.known import LABEL
 from rig_configs.parameters_file import IdentifiedParameters
 
-SAME_FIT = 1e-3  # of a standard deviation: two values of one log that are the same fit
-_LEAST_BLUR = 10 * SAME_FIT
-_BLUR_OF_RESIDUE = 10.0
+SAME_FIT = 1e-3  # of a standard deviation: largest difference of two values of one log that count as the same fit
+_MIN_BLUR = 10 * SAME_FIT  # of a standard deviation
+_BLUR_PER_RESIDUE = 10.0
 _ROUNDING = 1e-6  # of a variance
 
 Joint = tuple[JointEstimate, list[KeptTest]]
@@ -31,34 +31,34 @@ Joint = tuple[JointEstimate, list[KeptTest]]
 
 @dataclass(frozen=True)
 class Difference:
-    """NEW less OLD.
+    """Difference NEW − OLD.
 
     Attributes:
-        names: all parameters that either has.
-        covariance: of the difference, shape (n, n), SI, never indefinite; of a parameter that one of them lacks, the
-            other's own.
-        blur: standard deviation of a difference, over that of two independent estimates, below which it is rounding:
-            of the files' values, and of fits that count as the same.
-        notes: what was taken as common to both, and what is not known.
-        at_their_word: of OLD and NEW, whether the values are not what the tests kept with them give, so that nothing
-            but their digits tells how they were rounded.
+        names: parameters of either estimate.
+        covariance: covariance of the difference, shape (n, n), SI, never indefinite. A parameter that one estimate
+            lacks has the variance of the other.
+        blur: limit of the standard deviation of a difference over that of two independent estimates. Below it, the
+            difference is rounding of the files' values or of fits that count as the same.
+        notes: errors that were taken as common to both, and unknown facts.
+        without_tests: for OLD and NEW, whether the values cannot be recomputed from tests in the file. Their rounding
+            is then estimated from their digits.
     """
 
     names: tuple[str, ...]
     covariance: np.ndarray
     blur: float
     notes: list[str]
-    at_their_word: tuple[bool, bool] = (False, False)
+    without_tests: tuple[bool, bool] = (False, False)
 
     def covariance_of(self, names: Sequence[str]) -> np.ndarray:
-        """The same of some of the parameters, shape (m, m)."""
+        """Covariance of the difference of some parameters, shape (m, m)."""
         at = [self.names.index(n) for n in names]
         return self.covariance[np.ix_(at, at)]
 
 
 @dataclass(frozen=True)
 class _Side:
-    """One estimate's own parts, in rows of all parameters: pulls per test, what disagreement adds."""
+    """Parts of one estimate in rows of all parameters: pulls per test and covariance added by disagreement."""
 
     tests: list[KeptTest]
     pulls: list[np.ndarray]
@@ -77,8 +77,8 @@ class _Side:
         kept = stretched @ estimate.weighted.own @ stretched.T
         return cls(tests, pulls, _excess(kept, own))
 
-    def felt(self, label: str, only: Sequence[int] | None = None) -> np.ndarray:
-        """What one standard deviation of a shared error does, through all of the tests or through some."""
+    def shift_by(self, label: str, only: Sequence[int] | None = None) -> np.ndarray:
+        """Shift of the parameters for one standard deviation of a shared error, through all tests or some of them."""
         total = np.zeros(len(self.excess))
         for i, (test, pull) in enumerate(zip(self.tests, self.pulls, strict=True)):
             if label in test.estimate.shared and (only is None or i in only):
@@ -91,16 +91,16 @@ class _Side:
 
 
 def difference(old: IdentifiedParameters, new: IdentifiedParameters) -> Difference:
-    """The difference of two parameter sets, with what they have in common.
+    """Return the covariance of the difference of two parameter sets, with their common errors.
 
     Raises:
-        ParametersFileError: what a file keeps of its tests makes no sense.
+        ParametersFileError: the tests in a file are invalid.
     """
     names = tuple(dict.fromkeys([*old.values, *new.values]))
     first, second = rebuilt(old), rebuilt(new)
     if first is None or second is None:
         which = " and ".join(name for name, f in (("OLD", first), ("NEW", second)) if f is None)
-        note = f"{which} keeps too little of its tests to know shared errors; all errors count as independent"
+        note = f"{which} keeps too little of its tests to identify shared errors; all errors count as independent"
         return Difference(
             names, _spread(old, names) + _spread(new, names), 0.0, [note], (first is None, second is None)
         )
@@ -118,7 +118,7 @@ def difference(old: IdentifiedParameters, new: IdentifiedParameters) -> Differen
         is_, its = ("is", "its") if len(both) == 1 else ("are", "their")
         notes.append(f"{', '.join(both)} {is_} in both: {its} own errors cancel")
     residue = max(_residue(first[0], old), _residue(second[0], new))
-    blur = max(_LEAST_BLUR, _BLUR_OF_RESIDUE * residue)
+    blur = max(_MIN_BLUR, _BLUR_PER_RESIDUE * residue)
     return Difference(names, 0.5 * (covariance + covariance.T), blur if pairs else 0.0, notes)
 
 
@@ -130,14 +130,14 @@ def _spread(parameters: IdentifiedParameters, names: Sequence[str]) -> np.ndarra
 
 
 def _same_fits(before: Sequence[KeptTest], after: Sequence[KeptTest]) -> dict[int, int]:
-    """Index in OLD → index in NEW of logs that are in both with the same fit."""
+    """Index in OLD → index in NEW of the logs that are in both with the same fit."""
     pairs: dict[int, int] = {}
     for i, old in enumerate(before):
         for j, new in enumerate(after):
             if not old.digest or old.digest != new.digest or old.estimate.names != new.estimate.names:
                 continue
             moved = np.abs(old.estimate.values - new.estimate.values) / np.sqrt(np.diag(old.estimate.covariance))
-            # fitted another way: how the two fits' errors go together is not known
+            # the correlation of the errors of two different fits is not known
             if np.all(moved <= SAME_FIT) and j not in pairs.values():
                 pairs[i] = j
                 break
@@ -145,7 +145,7 @@ def _same_fits(before: Sequence[KeptTest], after: Sequence[KeptTest]) -> dict[in
 
 
 def _own(before: _Side, after: _Side, pairs: Mapping[int, int]) -> np.ndarray:
-    """What the logs' own noise brings."""
+    """Contribution of the logs' own noise."""
     total = np.zeros_like(before.excess)
     for i, (test, pull) in enumerate(zip(before.tests, before.pulls, strict=True)):
         moved = after.pulls[pairs[i]] - pull if i in pairs else pull
@@ -157,21 +157,21 @@ def _own(before: _Side, after: _Side, pairs: Mapping[int, int]) -> np.ndarray:
 
 
 def _shared(label: str, before: _Side, after: _Side, pairs: Mapping[int, int]) -> tuple[list[np.ndarray], str | None]:
-    """The difference's shifts, independent of one another, for an error that tests share; and what to say of it.
+    """Independent shifts of the difference for an error that tests share, and a note about it.
 
-    Through the logs in both it is one error. Besides, it is one where it is the same laser's gain; the line of a
-    device's clock is fitted anew in every log.
+    The error is the same through the logs that are in both estimates. For other logs it is the same only if it is the
+    gain of the same laser; the line of a device's clock is fitted in every log.
     """
-    old, new = before.felt(label), after.felt(label)
+    old, new = before.shift_by(label), after.shift_by(label)
     device, is_clock = label.partition(" ")[2], label.startswith(("clock", FOUND_TOGETHER))
     serials = [set[str]() if is_clock else _serials(side.tests, label, device) for side in (before, after)]
     if serials[0] and serials[0] == serials[1] and len(serials[0]) == 1:
         return [new - old], f"the same {device} (serial {min(serials[0])}) both times: its gain's error cancels"
-    in_both = after.felt(label, list(pairs.values())) - before.felt(label, list(pairs))
-    old_rest = old - before.felt(label, list(pairs))
-    new_rest = new - after.felt(label, list(pairs.values()))
+    in_both = after.shift_by(label, list(pairs.values())) - before.shift_by(label, list(pairs))
+    old_rest = old - before.shift_by(label, list(pairs))
+    new_rest = new - after.shift_by(label, list(pairs.values()))
     shifts = [in_both, old_rest, new_rest]
-    if label.startswith(f"{LABEL} "):  # a part is weighed and measured once
+    if label.startswith(f"{LABEL} "):  # a part is weighed and measured only once
         return [new - old], None
     if is_clock or not (np.any(old_rest) and np.any(new_rest)):
         return shifts, None
@@ -181,19 +181,19 @@ def _shared(label: str, before: _Side, after: _Side, pairs: Mapping[int, int]) -
 
 
 def _serials(tests: Sequence[KeptTest], label: str, device: str) -> set[str]:
-    """Serial numbers of a device in the tests that feel its error; empty when any of them does not say."""
-    feeling = [t for t in tests if label in t.estimate.shared]
-    return {t.devices[device] for t in feeling} if all(device in t.devices for t in feeling) else set()
+    """Serial numbers of a device in the tests with its error; empty if one of these tests has no serial number."""
+    affected = [t for t in tests if label in t.estimate.shared]
+    return {t.devices[device] for t in affected} if all(device in t.devices for t in affected) else set()
 
 
 def _residue(joint: JointEstimate, parameters: IdentifiedParameters) -> float:
-    """How far a file's values are from what its tests give, in standard deviations: rounding."""
+    """Largest deviation of a file's values from the values of its tests, in standard deviations (rounding)."""
     std = parameters.std
     return max(abs(v - parameters.values[n]) / std[n] for n, v in joint.parameters.values.items())
 
 
 def _excess(kept: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """What disagreement has added to the tests' own covariance, without what rounding leaves."""
+    """Covariance that disagreement has added to the tests' own covariance, without rounding errors."""
     unit = np.sqrt(np.diag(kept))
     unit[unit == 0] = 1.0
     size, vectors = np.linalg.eigh((kept - own) / np.outer(unit, unit))

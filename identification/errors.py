@@ -1,18 +1,18 @@
 """Errors of the identification package.
 
 IdentificationError
-├── NotIdentifiable    the record does not hold what the estimator needs (also a ValueError)
-└── FitFailed          the data are there, but no parameters reproduce them
+├── NotIdentifiable    the record does not contain what the estimator needs (also a ValueError)
+└── FitFailed          the record is complete, but no parameters reproduce it
 """
 
 
 class IdentificationError(Exception):
-    """Root of everything the identification package raises on purpose."""
+    """Base class of all errors of the identification package."""
 
 
 class NotIdentifiable(IdentificationError, ValueError):
-    """A record is too short, too quiet or lacks a signal; the message says what is missing and how to get it."""
+    """A record is too short, too weak or lacks a signal. The message states what is missing and how to record it."""
 
 
 class FitFailed(IdentificationError):
-    """A fit did not converge or leaves residuals far above the noise; the message gives both."""
+    """A fit did not converge, or its residuals are far above the noise. The message contains both."""

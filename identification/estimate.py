@@ -1,4 +1,4 @@
-"""One test's answer in the form the joint estimate takes."""
+"""Result of one test in the form that the joint estimate uses."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import numpy as np
 from rig_configs.known import LABEL, KnownSource
 
 FOUND_TOGETHER = "friction"
-"""Begin of the labels of errors in what all tests together have found and each was given."""
+"""Prefix of the labels of errors in quantities that all tests find together and that each test then uses."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Values one test found.
+    """Values that one test determines.
 
     Attributes:
-        test, source: the run's test name and log.
-        names: parameters in their file names, n of them.
+        test, source: test name and log of the run.
+        names: names of the n parameters as in the parameters file.
         values: shape (n,), SI.
-        covariance: this test's own, shape (n, n).
-        shared: what every test of the same sensor has in common, one error each: label → the values' shift for one
-            standard deviation of it, shape (n,). A laser's gain and a device's clock rate are such.
+        covariance: covariance of the test's own errors, shape (n, n).
+        shared: errors that several tests have in common, such as a laser's gain or a device's clock rate: label →
+            shift of the values for one standard deviation of the error, shape (n,).
         by_number: number of the rig file that is taken as known → derivative of the values by it, shape (n,).
-        method: for the provenance.
-        with_terms: of the suspension's terms that the test shows → covariance of the values with it, shape (n,).
+        method: name of the method, for the provenance.
+        with_terms: term of the suspension that the test determines → its covariance with the values, shape (n,).
     """
 
     test: str
@@ -34,10 +34,10 @@ class Estimate:
     names: tuple[str, ...]
     values: np.ndarray
     covariance: np.ndarray
-    shared: Mapping[str, np.ndarray] = field(default_factory=dict)
+    shared: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     method: str = ""
-    by_number: Mapping[str, np.ndarray] = field(default_factory=dict)
-    with_terms: Mapping[str, np.ndarray] = field(default_factory=dict)
+    by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+    with_terms: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
 
     @property
     def total_covariance(self) -> np.ndarray:
@@ -46,7 +46,7 @@ class Estimate:
 
     @property
     def weighing_covariance(self) -> np.ndarray:
-        """What a test weighs by: its own errors and shared ones, but those found from the tests together."""
+        """Covariance for the test's weight: own and shared errors except those with the prefix FOUND_TOGETHER."""
         found = self.covariance.copy()
         for label, shift in self.shared.items():
             if not label.startswith(FOUND_TOGETHER):
@@ -54,7 +54,7 @@ class Estimate:
         return found
 
     def with_sources(self, sources: Iterable[KnownSource]) -> Estimate:
-        """The same with the errors of what is taken as known among its shared ones, in place of any that it had."""
+        """Return the estimate with the errors of the known numbers as shared errors. Former ones are replaced."""
         shared = {label: v for label, v in self.shared.items() if not label.startswith(f"{LABEL} ")}
         for source in sources:
             parts = [self.by_number[name] * step for name, step in source.effects.items() if name in self.by_number]
@@ -64,9 +64,9 @@ class Estimate:
 
     @property
     def std(self) -> dict[str, float]:
-        """Total standard deviations by name."""
+        """Total standard deviation of each value, by name."""
         return dict(zip(self.names, np.sqrt(np.diag(self.total_covariance)).tolist(), strict=True))
 
     def value(self, name: str) -> float:
-        """One value by name."""
+        """Value of a parameter."""
         return float(self.values[self.names.index(name)])

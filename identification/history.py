@@ -1,7 +1,7 @@
 """A rig's parameters over time, from its parameters files.
 
-Each file is one instant: when its logs were recorded. What a file keeps of its tests gives each log's own values beside
-the joint ones, so nothing is fitted again. A log enters the history by being identified: `rig identify LOG… -o FILE`.
+Each file is one instant, the time at which its logs were recorded. The tests in a file contain the values of each log
+in addition to the joint values, so that no fit is repeated. A log enters the history by `rig identify LOG… -o FILE`.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ class Instant:
     """One parameters file.
 
     Attributes:
-        path: the file.
-        time: first recording of its logs; the file's own time where it does not say.
-        time_known: whether it does.
-        rig: the rig's name; "" when unknown.
-        parameters: what it holds.
-        tests: what it keeps of its tests; empty where it keeps nothing.
+        path: path of the file.
+        time: start of the first recording of its logs, or the file's modification time if the file has no such time.
+        time_known: whether `time` is the start of a recording.
+        rig: name of the rig; "" if unknown.
+        parameters: parameters in the file.
+        tests: tests in the file; empty if it contains none.
     """
 
     path: Path
@@ -45,10 +45,10 @@ class History:
     """A rig's parameters over time.
 
     Attributes:
-        instants: by time.
-        steps: each file against the one before it that shares a parameter, None for the first; p_holm counts every
-            look of the whole history.
-        skipped: TOML files found that hold no parameters, with why.
+        instants: files in order of time.
+        steps: comparison of each file with the previous one; None for the first and if they share no parameter.
+            p_holm is adjusted for all comparisons of the history.
+        skipped: TOML files without parameters, with the reason.
     """
 
     instants: list[Instant]
@@ -57,14 +57,15 @@ class History:
 
 
 def history(paths: Sequence[Path], rig: str | None = None) -> History:
-    """The history that parameters files tell.
+    """Build the history from parameters files.
 
     Args:
-        paths: files, and folders in which every .toml with a covariance is one, those below included.
-        rig: only files of this rig, where there are several.
+        paths: files and folders. Folders are searched recursively for .toml files with a covariance.
+        rig: name of the rig, if the files belong to several rigs.
     Raises:
-        ParametersFileError: a file given by name is none, or the files are of several rigs and none was chosen.
-        NotIdentifiable: there is no parameters file.
+        ParametersFileError: a given file is not a parameters file, or the files belong to several rigs and `rig` is
+            None.
+        NotIdentifiable: no parameters file was found.
     """
     instants: list[Instant] = []
     skipped: list[str] = []
@@ -84,7 +85,7 @@ def history(paths: Sequence[Path], rig: str | None = None) -> History:
         raise ParametersFileError(f"these files are of several rigs: {', '.join(rigs)}. Choose one with --rig NAME")
     chosen = [i for i in instants if rig is None or i.rig == rig]
     if not chosen:
-        raise ParametersFileError(f"no file is of rig {rig!r}; found: {', '.join(rigs) or 'files that do not say'}")
+        raise ParametersFileError(f"no file is of rig {rig!r}; found: {', '.join(rigs) or 'files without a rig name'}")
     chosen.sort(key=lambda i: i.time)
     return History(chosen, _steps(chosen), skipped)
 
@@ -117,7 +118,7 @@ def _aware(time: datetime) -> datetime:
 
 
 def _steps(instants: list[Instant]) -> list[Comparison | None]:
-    """Each instant against the one before; p values count every look of the whole history."""
+    """Compare each instant with the previous one. The p values are adjusted for all comparisons of the history."""
     steps: list[Comparison | None] = [None]
     for before, after in pairwise(instants):
         try:

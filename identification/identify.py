@@ -1,4 +1,4 @@
-"""From recorded runs to the rig's parameters: every test alone, then all together."""
+"""Identify the rig's parameters from recorded runs: a fit of each test, then the joint estimate of all tests."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from identification.errors import FitFailed, IdentificationError, NotIdentifiabl
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine, joint_estimate
 from identification.joint.provenance import with_tests
-from identification.joint.shared_friction import told, with_shared_friction, without_known
-from identification.methods import advice, passed_over, runs_for, taken, turns
+from identification.joint.shared_friction import friction_messages, with_shared_friction, without_known
+from identification.methods import advice, reduced_to_given, runs_for, skipped_tests, turns
 from identification.mounting import as_mounted, mounting_remarks
 from identification.pendulums.drag import FoundDrag, found_drag, shown_beside_drag
 from identification.pendulums.friction import Friction, kept_friction
@@ -50,7 +50,7 @@ Fit = RingDownFit | RunUpFit | TransientFit
 
 @dataclass(frozen=True)
 class NamedFit:
-    """One test's fit for the report: its curves are in fit.curves."""
+    """Fit of one test, for the report. Its curves are in `fit.curves`."""
 
     test: str
     source: str
@@ -59,16 +59,17 @@ class NamedFit:
 
 @dataclass(frozen=True)
 class Identification:
-    """What a set of runs says about the rig.
+    """Result of the identification from a set of runs.
 
     Attributes:
-        parameters: the joint estimate, in the order of parameters.toml; what no run shows is absent.
-        axis_angle_deg, axis_angle_std_deg: sensor axes against stiffness axes; NaN when no run shows it.
-        estimates: per test.
-        fits: per test, with curves.
-        consistency: per parameter and test, where at least two tests found it.
-        warnings: what a reader must know; empty when all is well.
-        witnesses: further sensors along an axis, held against those that measure for the rig, by run.
+        parameters: joint estimate, in the order of parameters.toml. Parameters that no run determines are absent.
+        axis_angle_deg, axis_angle_std_deg: angle from the stiffness axes to the sensor axes and its standard
+            uncertainty; NaN if no run determines it.
+        estimates: values and covariance of each test.
+        fits: fit of each test, with curves.
+        consistency: agreement per parameter and test, for parameters that at least two tests determine.
+        warnings: findings that limit the use of the values.
+        witnesses: comparison of additional sensors along an axis with the sensors that measure for the rig, per run.
     """
 
     parameters: IdentifiedParameters
@@ -83,39 +84,39 @@ class Identification:
 
 @dataclass
 class _Work:
-    """What has been collected so far."""
+    """Intermediate results of the tests that have been fitted so far."""
 
     rig: Rig
-    tell: Callable[[str], None]
+    notify: Callable[[str], None]
     setting: Setting
     without: frozenset[Rung]
     estimates: list[Estimate]
     fits: list[NamedFit]
     warnings: list[str]
     effort: Effort = field(default_factory=Effort)
-    left_out: list[tuple[str, ReleaseLeftOut]] = field(default_factory=list)
+    left_out: list[tuple[str, ReleaseLeftOut]] = field(default_factory=list[tuple[str, ReleaseLeftOut]])
     reading: Reading = ""
 
     def add(self, run: Run, fit: Fit, estimate: Estimate, tests: Sequence[str] = ()) -> None:
         self.fits.append(NamedFit(run.test, run.source, fit))
         self.warnings += [f"{Path(run.source).name}: {w}" for w in fit.warnings]
         if not fit.settled:
-            self.warnings.append(f"{run.test} left out: its fit had not settled, so its values are none to quote")
+            self.warnings.append(f"{run.test} left out: its fit had not settled, its values are not usable")
             return
         self._keep(estimate, tests or [run.test])
 
     def _keep(self, estimate: Estimate, tests: Sequence[str]) -> None:
-        """Take an estimate into the joint one, without what the rows of its tests do not give and no rig can have."""
-        given = taken(estimate, tests)
+        """Add an estimate, reduced to the parameters that its tests give and to values that are physically possible."""
+        given = reduced_to_given(estimate, tests)
         if given is None:
             return
-        physical, told = keep_physical(given, self.rig)
-        self.warnings += told
+        physical, messages = keep_physical(given, self.rig)
+        self.warnings += messages
         if physical is not None:
             self.estimates.append(physical)
 
     def knowledge(self) -> Knowledge:
-        """The rig file with what the tests so far have found laid over it."""
+        """Values of the rig file, replaced by the values that the tests so far have found."""
         open_masses = () if "open-masses" in self.without else PENDULUMS
         stated = {n: std for n in open_masses if (std := self.rig.known.std(n)) > 0}
         known = replace(Knowledge.nominal(self.rig.physics), friction=self.friction(), number_std=stated)
@@ -133,25 +134,25 @@ class _Work:
 
     @property
     def drag(self) -> FoundDrag | None:
-        """What spin-downs show with the square of the speed, unless releases have told that it is contact friction."""
+        """Drag found in spin-downs (torque ∝ speed²), or None. None too if a release identified contact friction."""
         fits = [f.fit for f in self.fits if isinstance(f.fit, TransientFit)]
         found = None if self.reading == "contact" else found_drag(fits)
         return None if found is None else replace(found, drag=replace(found.drag, undecided=not self.reading))
 
     @property
     def sources(self) -> tuple[KnownSource, ...]:
-        """Of uncertainty in what tests take as known."""
+        """Uncertainty sources of the quantities that the tests take as known."""
         known, drag = self.rig.known.sources, self.drag.drag if self.drag else None
         return drag.moved_with(known) + drag.sources if drag else known
 
     @property
     def transients(self) -> dict[str, TransientFit]:
-        """Fits of pendulums by source, as they say of friction beside a drag."""
+        """Pendulum fits by source. If a drag is found, their friction is the one next to that drag."""
         fits = {f.source: f.fit for f in self.fits if isinstance(f.fit, TransientFit)}
         return {source: shown_beside_drag(fit) for source, fit in fits.items()} if self.drag else fits
 
     def dragged(self) -> Knowledge | None:
-        """The same as `knowledge` with the drag, for releases; None without one."""
+        """Return `knowledge` with the drag added, for releases, or None if no drag is found."""
         known, found = self.knowledge(), self.drag
         if found is None:
             return None
@@ -160,7 +161,7 @@ class _Work:
         return replace(known, physics=found.drag.on(known.physics), friction=friction, numbers=(*known.numbers, *DRAG))
 
     def slow_roll(self, digests: Mapping[str, str] | None = None) -> tuple[SlowRoll | None, list[str]]:
-        """Run-out and bow that the run-ups so far show; digests: of logs, by source."""
+        """Run-out and bow from the run-ups so far. `digests` are the logs' digests by source."""
         found = [
             slow_roll_of(f.fit, f.source, (digests or {}).get(f.source, ""))
             for f in self.fits
@@ -169,19 +170,19 @@ class _Work:
         return slow_roll_of_all([one for one in found if one is not None])
 
     def suspension_terms(self, digests: Mapping[str, str] | None = None) -> ChosenTerms:
-        """How the suspension changes with the motion, by the ring-downs so far; digests: of logs, by source."""
+        """Amplitude dependence of the suspension from the tests so far. `digests` are the logs' digests by source."""
         ring_downs = [(f.source, f.fit.terms) for f in self.fits if isinstance(f.fit, RingDownFit)]
         passages = [(f.source, f.fit.terms) for f in self.fits if isinstance(f.fit, RunUpFit) and f.fit.settled]
         return terms_of_all(ring_downs, passages, digests)
 
     @property
     def axis_angle_deg(self) -> float:
-        """From the stiffness x axis to the sensor x axis, as far as the tests so far show it; else 0."""
+        """Angle from the stiffness x axis to the sensor x axis by the tests so far; 0 if none determines it."""
         angle = _axis_angle(self.fits)[0]
         return angle if math.isfinite(angle) else 0.0
 
     def open_friction(self) -> OpenFriction | None:
-        """By all transients so far, with the known numbers' uncertainty in it; None with fewer than two."""
+        """Friction of all transients so far, including the known numbers' uncertainty; None for fewer than two."""
         fits = [fit for fit in self.transients.values() if fit.open_friction is not None]
         sources, zero_std = self.sources, math.radians(self.rig.roles.zero_std_deg)
         if len(fits) < 2:
@@ -189,7 +190,7 @@ class _Work:
         return pooled([without_known(fit, zero_std) for fit in fits], sources).covering(sources)
 
     def friction(self) -> Friction | None:
-        """What all tests so far show of it, where that is sure; else what a release found, or a spin-down."""
+        """Friction of all tests so far if it is significant, else that of the last release, else of a spin-down."""
         found = [(turns(f.test), f.fit) for f in self.fits if isinstance(f.fit, TransientFit)]
         whole = self.open_friction()
         if whole is not None and (sure := Friction.sure(whole)) is not None:
@@ -202,26 +203,27 @@ class _Work:
 def identify(
     runs: Sequence[Run],
     rig: Rig,
-    progress: Callable[[str], None] | None = None,
+    notify: Callable[[str], None] | None = None,
     earlier: Identification | None = None,
     setting: Setting = "balanced",
     without: Collection[str] = (),
 ) -> Identification:
-    """Find k1, k2, ζ1, ζ2, c3, c4, S_P from whatever runs there are.
+    """Estimate k1, k2, ζ1, ζ2, c3, c4 and S_P from the given runs.
 
     Args:
-        runs: tests of any kind, number and order; what is taken from each stands in its row of test kinds.
-        rig: masses, lengths, gains' and zeros' uncertainties; its k, ζ, c, S_P are start values at most.
-        progress: told one line before each fit.
-        earlier: an identification of some of these runs with the same rig; their fits are taken from it.
-        setting: of every fit.
-        without: rungs of the model ladders that are not taken (identification.rungs.RUNGS).
+        runs: tests of any kind, number and order. The row of the test in the table of test kinds states which
+            parameters are taken from it.
+        rig: masses, lengths and the uncertainties of gains and zeros. Its k, ζ, c and S_P are only start values.
+        notify: called with one line of text before each fit.
+        earlier: identification of some of these runs with the same rig. The fits of these runs are taken from it.
+        setting: effort of every fit.
+        without: rungs of the model ladders that are not used (identification.rungs.RUNGS).
     Raises:
-        ValueError: no such rung.
-        NotIdentifiable: no run gave any parameter; the message lists why.
+        ValueError: a name in `without` is not a rung.
+        NotIdentifiable: no run determines any parameter. The message lists the reasons.
     Source: docs/theory/identification.md.
     """
-    work = _Work(rig, progress or (lambda _: None), setting, held_back(without), [], [], [])
+    work = _Work(rig, notify or (lambda _: None), setting, held_back(without), [], [], [])
     runs = _once_each(runs, work)
     given, runs = runs, _take_over(runs, earlier, work)
     work.warnings += missing_warnings(runs)
@@ -232,13 +234,13 @@ def identify(
         if any(r is run for run in runs) and a.verdict == "disagree"
     ]
     work.warnings += [
-        f"{Path(run.source).name}: {said}" for run in runs for said in phase_remarks(run, turns(run.test))
+        f"{Path(run.source).name}: {remark}" for run in runs for remark in phase_remarks(run, turns(run.test))
     ]
-    work.warnings += passed_over(runs)
-    ring_downs, told_of = fit_ring_downs(
-        runs_for("ring-down", runs), rig.physics.total_mass_kg, setting, work.tell, work.without
+    work.warnings += skipped_tests(runs)
+    ring_downs, messages = fit_ring_downs(
+        runs_for("ring-down", runs), rig.physics.total_mass_kg, setting, work.notify, work.without
     )
-    work.warnings += told_of
+    work.warnings += messages
     for found in ring_downs:
         work.add(found.run, found.fit, found.estimate, found.tests)
     for run in runs_for("passage", runs):
@@ -247,7 +249,7 @@ def identify(
     for run in runs_for("spin-down", runs):
         _one(run, work, _spin_down)
     points = [r for r in runs_for("release", runs) if r.releases]
-    # short transients first; each sharpens the start of the next
+    # short transients first: the result of each improves the start values of the next
     for run in sorted(points, key=lambda r: r.angle_time_s[-1] if len(r.angle_time_s) else 0.0):
         _one(run, work, _release)
     _share_friction(work)
@@ -258,7 +260,7 @@ def identify(
 
 
 def _once_each(runs: Sequence[Run], work: _Work) -> list[Run]:
-    """Without recordings that are there already: a log given twice would count as two."""
+    """Drop repeated recordings: a log that is given twice would count as two independent tests."""
     found: dict[str, Run] = {}
     for run in runs:
         digest = str(run.metadata.get("digest") or id(run))
@@ -270,7 +272,7 @@ def _once_each(runs: Sequence[Run], work: _Work) -> list[Run]:
 
 
 def _take_over(runs: Sequence[Run], earlier: Identification | None, work: _Work) -> list[Run]:
-    """Put what is known of some runs into the work; returns the others."""
+    """Copy the results of runs that an earlier identification contains. Return the other runs."""
     if earlier is None:
         return list(runs)
     wanted = {run.source for run in runs}
@@ -287,8 +289,8 @@ def _take_over(runs: Sequence[Run], earlier: Identification | None, work: _Work)
 
 
 def _one(run: Run, work: _Work, fit: Callable[[Run, _Work], tuple[Fit, Estimate]]) -> None:
-    """One run; what it cannot give becomes a warning."""
-    work.tell(f"{run.test}: fitting {Path(run.source).name}")
+    """Fit one run. A failed fit becomes a warning."""
+    work.notify(f"{run.test}: fitting {Path(run.source).name}")
     try:
         work.add(run, *fit(run, work))
     except ReleaseLeftOut as error:
@@ -300,7 +302,7 @@ def _one(run: Run, work: _Work, fit: Callable[[Run, _Work], tuple[Fit, Estimate]
 def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
     if not (len(run.x_time_s) and len(run.y_time_s)):
         raise NotIdentifiable(f"{run.source}: it holds no laser {'y' if len(run.x_time_s) else 'x'}")
-    if not np.isfinite(run.angle_rad).all():  # a pendulum that was not recorded
+    if not np.isfinite(run.angle_rad).all():  # one pendulum was not recorded
         run = replace(run, angle_time_s=np.empty(0), angle_rad=np.empty((0, 2)))
     if not len(run.angle_rad):
         work.warnings.append(f"{Path(run.source).name}: no angles of both pendulums; taken as locked at 0° and 180°")
@@ -310,8 +312,8 @@ def _run_up(run: Run, work: _Work) -> tuple[Fit, Estimate]:
     fit = as_mounted(fit, run.turn_deg)
     gains = work.rig.roles.gain_stds
     estimate = run_up_estimate(run, fit, work.rig.physics, gains)
-    estimate, told = run_up_sides(run, fit, estimate, work.rig, gains)
-    work.warnings += told
+    estimate, messages = run_up_sides(run, fit, estimate, work.rig, gains)
+    work.warnings += messages
     return fit, estimate
 
 
@@ -321,25 +323,25 @@ def _spin_down(run: Run, work: _Work) -> tuple[Fit, Estimate]:
 
 
 def _share_friction(work: _Work) -> None:
-    """Each transient's damping with the friction that all of them found; a lone one says what it leaves open."""
+    """Recompute each transient's damping with the joint friction. A single transient keeps its undecided friction."""
     fits = work.transients
     zero_std = math.radians(work.rig.roles.zero_std_deg)
     work.estimates, shared = with_shared_friction(work.estimates, fits, zero_std, work.sources)
     undecided = [f"{Path(source).name}: {fit.undecided}" for source, fit in fits.items() if fit.undecided]
     work.warnings = [w for w in work.warnings if w not in undecided]
-    work.warnings += undecided if shared is None else told(shared)
+    work.warnings += undecided if shared is None else friction_messages(shared)
 
 
 def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
     zero_std = math.radians(work.rig.roles.zero_std_deg)
     name = Path(run.source).name
 
-    def tell(what: str) -> None:
-        work.tell(f"{run.test}: {name}: {what}")
+    def notify(text: str) -> None:
+        work.notify(f"{run.test}: {name}: {text}")
 
     def fitted(known: Knowledge) -> TransientFit:
         return fit_release(
-            run, known, zero_std, setting=work.setting, tell=tell, effort=work.effort, without=work.without
+            run, known, zero_std, setting=work.setting, tell=notify, effort=work.effort, without=work.without
         )
 
     dragged = work.dragged()
@@ -357,11 +359,11 @@ def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
 
 
 def _finished(runs: Sequence[Run], work: _Work) -> Identification:
-    # each fit was made with the known numbers as they stand; only the whole of them has their uncertainty
+    # each fit takes the known numbers as exact; their uncertainty is added to all estimates together
     work.estimates = [e.with_sources(work.sources) for e in work.estimates]
     parameters, rows, warnings = combine(work.estimates)
-    parameters, told = physical_parameters(parameters, work.rig)
-    warnings += told
+    parameters, messages = physical_parameters(parameters, work.rig)
+    warnings += messages
     missing = [n for n in PARAMETER_UNITS if n not in parameters.values]
     if missing:
         warnings.append(f"not identified: {', '.join(missing)}; {advice(missing, runs, work.rig.roles)}")
@@ -375,8 +377,8 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
     angle, std = _axis_angle(work.fits)
     warnings += mounting_remarks((angle, std), (runs[0].turn_deg, work.rig.roles.mounted_deg[1]))
     digests = {r.source: str(r.metadata.get("digest", "")) for r in runs}
-    slow_roll, told = work.slow_roll(digests)
-    warnings += told
+    slow_roll, messages = work.slow_roll(digests)
+    warnings += messages
     terms = work.suspension_terms(digests).terms
     found = Identification(
         replace(
@@ -401,20 +403,20 @@ def _known(angle_deg: float, std_deg: float) -> tuple[float, float] | None:
 
 
 def _left_out(releases: list[tuple[str, ReleaseLeftOut]]) -> list[str]:
-    """A sentence for each release that the model does not follow, and one with what would explain them all."""
+    """Messages: one for each release that the model does not reproduce, and one with a common cause."""
     if not releases:
         return []
-    told = [f"{test} left out: {error}" for test, error in releases]
+    messages = [f"{test} left out: {error}" for test, error in releases]
     named = {test: error.causes for test, error in releases if error.causes}
     if named:
         which = "; ".join(f"{test}: {' or '.join(causes)}" for test, causes in named.items())
-        told.append(f"a likely cause is one number of the rig file; it would explain {which}. Weigh and measure it")
+        messages.append(f"a likely cause is one number of the rig file; it would explain {which}. Weigh and measure it")
     else:
-        told.append(
+        messages.append(
             "no single mass, length or encoder scale explains the releases left out: look whether A and B are swapped, "
             "at the speed's marks and at what may have touched a pendulum"
         )
-    return told
+    return messages
 
 
 def _provenance(
@@ -448,14 +450,14 @@ def _provenance(
 
 
 def _digests(runs: Sequence[Run], estimates: Sequence[Estimate]) -> dict[str, str]:
-    """Digest of each estimate's logs, in one where several were fitted together; "" where one of them is not known."""
+    """Digest of each estimate's logs, joined if several were fitted together; "" if one of them is not known."""
     known = {r.source: str(r.metadata.get("digest", "")) for r in runs}
     parts = {e.source: [known.get(source, "") for source in e.source.split(" + ")] for e in estimates}
     return {source: " + ".join(of) if all(of) else "" for source, of in parts.items()}
 
 
 def _axis_angle(fits: list[NamedFit]) -> tuple[float, float]:
-    """Weighted mean of what ring-downs and run-ups say."""
+    """Weighted mean of the axis angles of ring-downs and run-ups, and its standard uncertainty, deg."""
     found = [
         (f.fit.values["axis_angle_deg"], f.fit.std["axis_angle_deg"]) for f in fits if "axis_angle_deg" in f.fit.values
     ]

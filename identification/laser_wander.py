@@ -1,5 +1,5 @@
 # pyright: strict
-"""Slow wander of the lasers in what a fit leaves of them, in sentences."""
+"""Warnings about slow wander of the lasers in the residuals of a fit."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from identification.samples import Averages
 
 
 def wander_sentences(left: Iterable[tuple[str, Averages, NDArray[np.float64]]]) -> list[str]:
-    """A sentence for each sensor that wanders, by the record in which it does most.
+    """Return a message for each sensor that wanders, for the record with its largest wander.
 
     Args:
-        left: sensor's axis, its block averages and what a fit leaves of them in m, of every record.
+        left: axis of the sensor, its block averages and their residuals in m, for every record.
     """
     most: dict[str, Wander] = {}
     for axis, averages, rest in left:
@@ -25,4 +25,4 @@ def wander_sentences(left: Iterable[tuple[str, Averages, NDArray[np.float64]]]) 
         found = wander_in(averages.time_s, rest, white)
         if found is not None and (axis not in most or found.rms_m > most[axis].rms_m):
             most[axis] = found
-    return [said for axis in sorted(most) for said in sentences(f"laser {axis}", most[axis], ())]
+    return [text for axis in sorted(most) for text in sentences(f"laser {axis}", most[axis], ())]

@@ -1,45 +1,49 @@
 """Nonlinear least squares: Levenberg–Marquardt, and separable problems with the linear unknowns eliminated.
 
-A separable model is y = Φ(θ) c + noise. With P the projector on Φ's columns the residual (1 − P) y depends on θ
-alone. Its Jacobian is taken in Kaufman's form −(1 − P) (∂Φ/∂θ) c: the dropped term is proportional to the residual.
-The derivative acts on the *fitted* signal Φ c and never on the data; otherwise noise in the data counts as
-information about θ and the intervals come out too short.
+A separable model is y = Φ(θ) c + noise. With the projector P on the columns of Φ, the residual (1 − P) y depends on θ
+alone. Its Jacobian has Kaufman's form −(1 − P) (∂Φ/∂θ) c; the neglected term is proportional to the residual. The
+derivative acts on the *fitted* signal Φ c and never on the data. Otherwise noise in the data would count as information
+about θ, and the intervals would be too short.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.errors import FitFailed
 
-_LITTLE = 3e-3  # of χ²
-_MOST_BENT = 0.375  # of a step: a larger bend is none of second order (Transtrum and Sethna 2012)
-_SURELY = 1e-9  # a prior's least std: far below what any record tells of an angle, a delay or a logarithm
+Array = NDArray[np.float64]
 
-Evaluate = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+_MIN_GAIN = 3e-3  # of χ²
+_MAX_BEND_RATIO = 0.375  # of a step: a larger correction is not second order (Transtrum and Sethna 2012)
+_MIN_PRIOR_STD = 1e-9  # far below the std with which a record determines an angle, a delay or a logarithm
+
+Evaluate = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
 class Minimum:
-    """Where an iteration ended.
+    """Result of an iteration.
 
     Attributes:
-        theta: shape (p,).
+        theta: parameters θ, shape (p,).
         covariance: inverse of JᵀJ, shape (p, p); the residual's rows are in standard deviations.
         residual: shape (n,), priors last.
         jacobian: shape (n, p).
         converged: whether the last step was below 1e-3 standard deviations in every direction of θ, or several
-            steps in a row gained nothing, or had nothing to gain.
-        iterations: evaluations used.
+            consecutive steps had no gain.
+        iterations: number of evaluations.
     """
 
-    theta: np.ndarray
-    covariance: np.ndarray
-    residual: np.ndarray
-    jacobian: np.ndarray
+    theta: Array
+    covariance: Array
+    residual: Array
+    jacobian: Array
     converged: bool
     iterations: int
 
@@ -49,18 +53,19 @@ class Minimum:
         return float(self.residual @ self.residual)
 
 
-def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, plateau: float | None = None) -> Minimum:
-    """Levenberg–Marquardt with Marquardt's scaling, along the valley's curve where the straight step δ is refused.
+def minimise(evaluate: Evaluate, start: Array, max_iterations: int = 40, plateau: float | None = None) -> Minimum:
+    """Minimise by Levenberg–Marquardt with Marquardt's scaling and a second-order correction of rejected steps.
 
-    The refused trial shows the bending, r(θ + δ) − r − J δ ≈ ½ r″, and with the same damping the step that undoes it.
+    A rejected trial yields the curvature, r(θ + δ) − r − J δ ≈ ½ r″, and with the same damping the correcting step.
 
     Args:
         evaluate: θ to residual (n,) in standard deviations and Jacobian (n, p). Columns may differ in scale.
-        start: shape (p,).
-        plateau: mean square of the residuals above which three steps in a row that together gain less than a
-            tenth end the iteration: what is left there is no noise, and more steps do not change that.
+        start: start value of θ, shape (p,).
+        max_iterations: limit of the number of evaluations.
+        plateau: mean square of the residuals. Above it, the iteration ends if three consecutive steps gain less than a
+            tenth: residuals of that size are a misfit of the model that further steps do not remove.
     Raises:
-        FitFailed: the model gives no finite numbers at the start.
+        FitFailed: residual or Jacobian are not finite at the start.
     """
     theta = np.array(start, float)
     residual, jacobian = evaluate(theta)
@@ -72,25 +77,25 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, pl
         scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian)) + 1e-300
         scaled = jacobian / scale
         normal, gradient = scaled.T @ scaled, scaled.T @ residual
-        damped = normal + damping * np.eye(len(theta))
-        step = -np.linalg.solve(damped, gradient)
-        # length of the step in standard deviations, which grow with residuals above the noise
+        damped = cast(Array, normal + damping * np.eye(len(theta)))
+        step = -cast(Array, np.linalg.solve(damped, gradient))
+        # the step's length is in standard deviations, which grow with residuals above the noise
         unit = max(1.0, costs[-1] / len(residual))
         foreseen = -float((2 * gradient + normal @ step) @ step)
         trial = evaluate(theta + step / scale)
         used += 1
-        if foreseen > _LITTLE * unit and _finite(*trial) and trial[0] @ trial[0] >= costs[-1]:
-            bend = -np.linalg.solve(damped, scaled.T @ (trial[0] - residual - scaled @ step))
-            if used < max_iterations and np.linalg.norm(bend) < _MOST_BENT * np.linalg.norm(step):
+        if foreseen > _MIN_GAIN * unit and _finite(*trial) and trial[0] @ trial[0] >= costs[-1]:
+            bend = -cast(Array, np.linalg.solve(damped, scaled.T @ (trial[0] - residual - scaled @ step)))
+            if used < max_iterations and np.linalg.norm(bend) < _MAX_BEND_RATIO * np.linalg.norm(step):
                 step = step + bend
                 trial = evaluate(theta + step / scale)
                 used += 1
         better = _finite(*trial) and trial[0] @ trial[0] < costs[-1]
         gained = costs[-1] - float(trial[0] @ trial[0]) if better else foreseen
-        # a step that is too long is refused although much is to be gained: a shorter one is next
-        idle = idle + 1 if gained < _LITTLE * unit else 0
+        # a rejected step with a large predicted gain is too long and not idle: a shorter one follows
+        idle = idle + 1 if gained < _MIN_GAIN * unit else 0
         converged = bool(step @ normal @ step < 1e-6 * unit and damping < 0.1)
-        converged |= idle >= 4  # along a valley that the data do not see
+        converged |= idle >= 4  # the data do not determine the direction of the steps
         if better:
             theta, (residual, jacobian) = theta + step / scale, trial
             damping = max(damping / 10, 1e-10)
@@ -104,14 +109,14 @@ def minimise(evaluate: Evaluate, start: np.ndarray, max_iterations: int = 40, pl
     return Minimum(theta, inverse_normal(jacobian), residual, jacobian, converged, used)
 
 
-def _finite(residual: np.ndarray, jacobian: np.ndarray) -> bool:
+def _finite(residual: Array, jacobian: Array) -> bool:
     return bool(np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian)))
 
 
-def inverse_normal(jacobian: np.ndarray) -> np.ndarray:
-    """(JᵀJ)⁻¹ with columns scaled first; directions without information get a huge variance, not an error."""
+def inverse_normal(jacobian: Array) -> Array:
+    """Return (JᵀJ)⁻¹, computed from scaled columns. Directions without information get a huge variance."""
     scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-    scale = np.maximum(scale, 1e-100)  # whose square's inverse a double still holds
+    scale = np.maximum(scale, 1e-100)  # the inverse of its square is a finite double
     values, vectors = np.linalg.eigh((jacobian / scale).T @ (jacobian / scale))
     inverse = (vectors / np.maximum(values, 1e-15)) @ vectors.T
     inverse = inverse / np.outer(scale, scale)
@@ -120,58 +125,57 @@ def inverse_normal(jacobian: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Block:
-    """One independent part of a separable model: its own data and its own linear unknowns.
+    """Independent part of a separable model with its own data and its own linear unknowns c.
 
     Attributes:
         data: y / σ, shape (n,).
         basis: Φ / σ, shape (n, k).
-        tangent: c ↦ (∂Φ/∂θ_j) c / σ as columns, shape (n, p).
+        tangent: function c ↦ (∂Φ/∂θ_j) c / σ as columns, shape (n, p).
     """
 
-    data: np.ndarray
-    basis: np.ndarray
-    tangent: Callable[[np.ndarray], np.ndarray]
+    data: Array
+    basis: Array
+    tangent: Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A solved separable problem.
+    """Solution of a separable problem.
 
     Attributes:
         minimum: θ with its covariance, priors included.
-        coefficients: one array (k,) per block.
-        residuals: per block (y − Φ c) / σ, shape (n,).
-        coefficient_covariances: per block, covariance of (θ, c), shape (p + k, p + k).
+        coefficients: c of each block, shape (k,).
+        residuals: (y − Φ c) / σ of each block, shape (n,).
+        coefficient_covariances: covariance of (θ, c) for each block, shape (p + k, p + k).
         chi2_per_dof: reduced χ² of the data.
     """
 
     minimum: Minimum
-    coefficients: list[np.ndarray]
-    residuals: list[np.ndarray]
-    coefficient_covariances: list[np.ndarray]
+    coefficients: list[Array]
+    residuals: list[Array]
+    coefficient_covariances: list[Array]
     chi2_per_dof: float
 
 
-Model = Callable[[np.ndarray], Sequence[Block]]
+Model = Callable[[Array], Sequence[Block]]
 
 
-def solve_separable(
-    model: Model, start: np.ndarray, prior: np.ndarray, prior_std: np.ndarray, max_iterations: int = 40
-) -> Solution:
-    """Least squares over θ and every block's c.
+def solve_separable(model: Model, start: Array, prior: Array, prior_std: Array, max_iterations: int = 40) -> Solution:
+    """Solve for θ and the c of every block by least squares.
 
     Args:
-        model: θ to blocks.
-        start: θ to begin with, shape (p,).
-        prior, prior_std: independent Gaussian knowledge of θ, shape (p,); std inf where there is none, 0 where θ is
-            known (two sensors on one clock).
+        model: function from θ to blocks.
+        start: start value of θ, shape (p,).
+        prior, prior_std: independent Gaussian prior of θ, shape (p,). The std is inf for no prior and 0 for a known
+            value (two sensors on one clock).
+        max_iterations: limit of the number of evaluations.
     """
     known = np.isfinite(prior_std)
-    prior_std = np.maximum(prior_std, _SURELY)
+    prior_std = np.maximum(prior_std, _MIN_PRIOR_STD)
     rows = np.eye(len(start))[known] / prior_std[known, None]
 
-    def evaluate(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        residuals, jacobians = [], []
+    def evaluate(theta: Array) -> tuple[Array, Array]:
+        residuals, jacobians = list[Array](), list[Array]()
         for block in model(theta):
             q, c = _projected(block)
             residual = block.data - block.basis @ c
@@ -185,22 +189,23 @@ def solve_separable(
     return _solution(model, minimum)
 
 
-def linear_unknowns(block: Block) -> np.ndarray:
-    """The block's c that fits best, shape (k,)."""
+def linear_unknowns(block: Block) -> Array:
+    """Best-fitting c of a block, shape (k,)."""
     return _projected(block)[1]
 
 
-def _projected(block: Block) -> tuple[np.ndarray, np.ndarray]:
+def _projected(block: Block) -> tuple[Array, Array]:
     q, r = _orthonormal(block.basis)
     diagonal = np.abs(np.diag(r))
-    ridge = np.where(diagonal > 1e-12 * diagonal.max(), 0.0, 1.0)  # a column that is not there
-    return q, np.linalg.solve(r + np.diag(ridge * diagonal.max()), q.T @ block.data)
+    ridge = np.where(diagonal > 1e-12 * diagonal.max(), 0.0, 1.0)  # for a column that depends on the others
+    return q, cast(Array, np.linalg.solve(r + np.diag(ridge * diagonal.max()), q.T @ block.data))
 
 
-def _orthonormal(basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """QR of a tall matrix: Cholesky of the Gram matrix, twice, which is as orthogonal and several times as quick.
+def _orthonormal(basis: Array) -> tuple[Array, Array]:
+    """QR of a tall matrix by two Cholesky factorisations of the Gram matrix.
 
-    Householder's way where columns are too alike for it, or not finite.
+    The result is as orthogonal as Householder's and several times as fast. Householder's method is used if columns are
+    nearly collinear or not finite.
     """
     scale = np.sqrt(np.einsum("ij,ij->j", basis, basis))
     try:
@@ -208,17 +213,17 @@ def _orthonormal(basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return np.linalg.qr(basis)
         q, r = basis / scale, np.diag(scale)
         for _ in range(2):
-            factor = np.linalg.cholesky(q.T @ q).T
+            factor = cast(Array, np.linalg.cholesky(q.T @ q)).T
             if np.min(np.diag(factor)) < 1e-6:
                 return np.linalg.qr(basis)
-            q, r = q @ np.linalg.inv(factor), factor @ r
+            q, r = q @ cast(Array, np.linalg.inv(factor)), factor @ r
     except np.linalg.LinAlgError:
         return np.linalg.qr(basis)
     return q, r
 
 
 def _solution(model: Model, minimum: Minimum) -> Solution:
-    coefficients, residuals, joint = [], [], []
+    coefficients, residuals, joint = list[Array](), list[Array](), list[Array]()
     count = unknowns = 0
     for block in model(minimum.theta):
         _, c = _projected(block)

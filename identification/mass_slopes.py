@@ -1,5 +1,5 @@
 # pyright: strict
-"""What is proportional to the total moving mass: k = M ω², with ω as seen."""
+"""Derivatives of identified values by the moving masses: k = M ω² is proportional to M for a measured ω."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rig_configs.known import MASSES
 
 
 def mass_slopes(names: Sequence[str], values: NDArray[np.float64], mass_kg: float) -> dict[str, NDArray[np.float64]]:
-    """Derivatives of found values by each mass that moves with the disk centre, shape (n,) each, per kg.
+    """Derivatives of identified values by each mass that moves with the disk centre, shape (n,) each, per kg.
 
     Args:
-        names: parameters; the stiffnesses among them are proportional to the mass.
+        names: parameters. The stiffnesses among them are proportional to the mass.
         values: shape (n,), SI.
-        mass_kg: total moving mass.
+        mass_kg: total moving mass, kg.
     """
     slope = np.array(
         [value / mass_kg if name.startswith("k") else 0.0 for name, value in zip(names, values, strict=True)]

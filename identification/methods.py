@@ -1,8 +1,8 @@
 # pyright: strict
-"""Which estimators a recorded test is given to, and which of their parameters are taken: its row of test kinds decides.
+"""Select the estimators for a recorded test and the parameters that are taken from it, by its row of test kinds.
 
-A row (`daq.guided_tests.kinds`) states whether the rotor turns and which parameters its test gives. These select the
-estimators; the test's name plays no part, so a row added elsewhere needs no edit here.
+A row (`daq.guided_tests.kinds`) states whether the rotor turns and which parameters its test gives. These two select
+the estimators. The test's name is not used, so that a row that is added elsewhere needs no change here.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _METHODS: tuple[tuple[Method, bool, tuple[str, ...]], ...] = (
     ("spin-down", False, _DAMPING),
     ("release", True, _DAMPING),
 )
-"""Estimators in the order of their use: name, whether the rotor turns, stems of the parameters they find."""
+"""Estimators in the order of their use: name, whether the rotor turns, prefixes of the parameters they estimate."""
 
 
 def methods_of(kind: TestKind) -> tuple[Method, ...]:
-    """Estimators that find what a kind of test gives; none where it gives nothing."""
+    """Estimators of the parameters that a kind of test gives; empty if it gives no parameter."""
     return tuple(
         method
         for method, turns, stems in _METHODS
@@ -38,17 +38,17 @@ def methods_of(kind: TestKind) -> tuple[Method, ...]:
 
 
 def runs_for(method: Method, runs: Iterable[Run]) -> list[Run]:
-    """Those of the runs that an estimator is applied to."""
+    """Runs to which an estimator is applied."""
     return [run for run in runs if (kind := kind_of(run.test)) is not None and method in methods_of(kind)]
 
 
 def given_by(tests: Iterable[str]) -> frozenset[str]:
-    """Parameters that may be taken from tests, by the tests' names."""
+    """Parameters that may be taken from the tests with the given names."""
     return frozenset(name for test in tests if (kind := kind_of(test)) is not None for name in kind.gives)
 
 
-def taken(estimate: Estimate, tests: Iterable[str]) -> Estimate | None:
-    """An estimate without what the rows of its tests do not give; None where nothing is left."""
+def reduced_to_given(estimate: Estimate, tests: Iterable[str]) -> Estimate | None:
+    """Return the estimate reduced to the parameters that the rows of its tests give; None if none is left."""
     given = given_by(tests)
     names = [name for name in estimate.names if name in given]
     if len(names) == len(estimate.names):
@@ -57,28 +57,28 @@ def taken(estimate: Estimate, tests: Iterable[str]) -> Estimate | None:
 
 
 def turns(test: str) -> bool:
-    """Whether the rotor turns in a test; False where the table has no row for it."""
+    """Whether the rotor turns in a test; False if the table has no row for it."""
     kind = kind_of(test)
     return kind is not None and kind.turns
 
 
 def pulled_along(test: str) -> str | None:
-    """The one axis, "x" or "y", whose displacement a test needs; None where it needs both or none."""
+    """Axis, "x" or "y", if a test needs the displacement along one axis only; else None."""
     kind = kind_of(test)
     axes = [] if kind is None else [signal for signal in kind.needs if signal in ("x", "y")]
     return axes[0] if len(axes) == 1 else None
 
 
-def passed_over(runs: Sequence[Run]) -> list[str]:
-    """A sentence for each test that no estimator is applied to."""
-    told: list[str] = []
+def skipped_tests(runs: Sequence[Run]) -> list[str]:
+    """Return a message for each test to which no estimator is applied."""
+    messages: list[str] = []
     for test in dict.fromkeys(run.test for run in runs):
         kind = kind_of(test)
         if kind is not None and methods_of(kind):
             continue
         why = "the table of test kinds has no row for it" if kind is None else "its row gives no parameter"
-        told.append(f"{test} passed over: {why}; the table gives {_able()}")
-    return told
+        messages.append(f"{test} passed over: {why}; the table gives {_able()}")
+    return messages
 
 
 def _able() -> str:
@@ -86,12 +86,14 @@ def _able() -> str:
 
 
 def advice(missing: Sequence[str], given: Sequence[Run], roles: Roles | None = None) -> str:
-    """What to record; a test that was given is to be repeated, for the reason stated in the warnings.
+    """Return the advice which tests to record for missing parameters.
+
+    A test that was given is not proposed again. The text refers to the warnings for the reason of its failure.
 
     Args:
         missing: parameters that were not found.
-        given: the runs there are.
-        roles: of the rig; tests whose signals it lacks are left out. None takes any.
+        given: available runs.
+        roles: roles of the rig. Tests whose signals the rig lacks are not proposed. None permits every test.
     """
     wanted = _wanted(missing, roles)
     tests = [run.test for run in given]
@@ -99,12 +101,12 @@ def advice(missing: Sequence[str], given: Sequence[Run], roles: Roles | None = N
     done = {m for t in again if (k := kind_of(t)) is not None for m in methods_of(k)}
     new = [name for method, names in wanted.items() if method not in done for name in names]
     parts = ["record " + ", ".join(dict.fromkeys(new))] if new else []
-    parts += [f"the given {', '.join(again)} did not show them: the warnings say why"] if again else []
+    parts += [f"the given {', '.join(again)} did not show them: the warnings contain the reason"] if again else []
     return "; ".join(parts) or "no test that this rig can do gives them"
 
 
 def _wanted(missing: Sequence[str], roles: Roles | None) -> dict[Method, list[str]]:
-    """Tests by estimator: for each missing parameter the first estimator that finds it."""
+    """Tests by estimator, with the first estimator of each missing parameter."""
     wanted: dict[Method, list[str]] = {}
     for name in missing:
         for method, _, stems in _METHODS:
@@ -116,10 +118,12 @@ def _wanted(missing: Sequence[str], roles: Roles | None) -> dict[Method, list[st
 
 
 def kinds_for(method: Method, names: Iterable[str], roles: Roles | None = None) -> list[TestKind]:
-    """Kinds of test that an estimator finds some of the parameters from: the table's first for each set of signals.
+    """Kinds of test from which an estimator finds some of the parameters: the first row for each set of signals.
 
     Args:
-        roles: of the rig; kinds whose signals it lacks are left out. None takes any.
+        method: estimator.
+        names: parameters.
+        roles: roles of the rig. Kinds whose signals the rig lacks are left out. None permits every kind.
     """
     wanted, found = set(names), dict[tuple[str, ...], TestKind]()
     for kind in KINDS.values():

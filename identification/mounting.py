@@ -1,10 +1,10 @@
 # pyright: strict
-"""Two sensors at right angles that stand turned against the axes: which direction of a fit is which.
+"""Assignment of a fit's directions to the stiffness axes for a pair of sensors that is turned against the axes.
 
-A fit of both sensors finds the angle β from stiffness x to sensor x up to whole quarter turns: with a quarter turn more
-the two directions are exchanged, and the motion is the same. The fit names as direction 1 what is nearer to sensor x.
-How the sensors stand, by the rig file, decides which quarter turn it is; for sensors along the axes it is none. An
-angle that its standard uncertainty does not allow is told.
+A fit of both sensors finds the angle β from stiffness x to sensor x up to whole quarter turns. A further quarter turn
+exchanges the two directions and describes the same motion. The fit names the direction closer to sensor x direction 1.
+The mounting angle in the rig file determines the number of quarter turns; for sensors along the axes it is zero. An
+angle that contradicts the rig file, given both standard uncertainties, yields a warning.
 """
 
 from __future__ import annotations
@@ -24,18 +24,19 @@ from rig_configs.roles import AXIS_TOLERANCE_DEG
 Fit = TypeVar("Fit", RingDownFit, RunUpFit)
 
 _ANGLE = "axis_angle_deg"
-_DOUBTED = 2.968  # of a normal error, 99.7 % are within so many standard deviations
-_DOUBTFUL_DEG = 15.0
+_MAX_DEVIATION_STD = 2.968  # 99.7 % of normal errors are within so many standard deviations
+_MAX_DEVIATION_DEG = 15.0  # beyond it, k1 and k2 may be exchanged
 _DIRECTION = re.compile(r"\b(f|k|zeta|direction )([12])(?=\b|_)")
 
 
 def as_mounted(fit: Fit, turn_deg: float) -> Fit:
-    """A fit of two sensors with its directions named by how the sensors stand.
+    """Return the fit of two sensors with its directions named according to the mounting of the sensors.
 
     Args:
-        turn_deg: from the x axis to sensor x by the rig file; 0 leaves the fit as it is.
+        fit: fit of both sensors.
+        turn_deg: angle from the x axis to sensor x by the rig file, deg. The fit is unchanged for 0.
     Raises:
-        NotIdentifiable: turned sensors, and the record does not show both directions.
+        NotIdentifiable: the sensors are turned and the record does not determine both directions.
     """
     if abs(turn_deg) <= AXIS_TOLERANCE_DEG:
         return fit
@@ -58,19 +59,19 @@ def as_mounted(fit: Fit, turn_deg: float) -> Fit:
 
 
 def mounting_remarks(found_deg: tuple[float, float], mounted_deg: tuple[float, float]) -> list[str]:
-    """A sentence where the sensors stand otherwise than the rig file can mean; none for an angle that is not known.
+    """Return a message if the identified angle contradicts the rig file. A NaN angle yields no message.
 
     Args:
-        found_deg: from the stiffness x axis to sensor x by the record, and its standard uncertainty; nan: not known.
-        mounted_deg: the same by the rig file.
+        found_deg: angle from the stiffness x axis to sensor x by the record and its standard uncertainty, deg.
+        mounted_deg: angle and standard uncertainty by the rig file, deg.
     """
     (angle, std), (mounted, mounted_std) = found_deg, mounted_deg
-    if not abs(angle - mounted) > _DOUBTED * math.hypot(mounted_std, std):
+    if not abs(angle - mounted) > _MAX_DEVIATION_STD * math.hypot(mounted_std, std):
         return []
     then = (
         "k1 and k2 are exchanged where they are more than 45° apart"
-        if abs(angle - mounted) > _DOUBTFUL_DEG
-        else "all figures take what was found; turn the sensors, or say in the rig file how they stand"
+        if abs(angle - mounted) > _MAX_DEVIATION_DEG
+        else "all figures use the identified angle; turn the sensors, or enter the angle in the rig file"
     )
     return [
         f"the sensors stand turned: at {angle:.2f} ± {std:.1g}° to the stiffness axes by the record, at "
@@ -79,20 +80,20 @@ def mounting_remarks(found_deg: tuple[float, float], mounted_deg: tuple[float, f
 
 
 def _other(text: str) -> str:
-    """A name or a sentence with both directions exchanged."""
+    """Return a name or a sentence with both directions exchanged."""
     return _DIRECTION.sub(lambda found: found[1] + ("2" if found[2] == "1" else "1"), text)
 
 
 def _exchanged(fit: Fit) -> Fit:
-    """Direction 1 named 2, and 2 named 1; in the order of names that the fit has."""
+    """Return the fit with directions 1 and 2 exchanged. The order of the names is kept."""
     names = [_other(name) for name in fit.values]
     order = [names.index(name) for name in fit.values] if set(names) == set(fit.values) else list(range(len(names)))
     numbers = list(fit.values.values())
     values = {names[i]: numbers[i] for i in order}
     intervals = {_other(name): interval for name, interval in fit.intervals.items()}
-    told = [_other(warning) for warning in fit.warnings]
+    warnings = [_other(warning) for warning in fit.warnings]
     covariance = fit.covariance[np.ix_(order, order)]
-    named = replace(fit, values=values, intervals=intervals, covariance=covariance, warnings=told)
+    named = replace(fit, values=values, intervals=intervals, covariance=covariance, warnings=warnings)
     if isinstance(named, RingDownFit):
         return replace(
             named,

@@ -1,7 +1,7 @@
 # pyright: strict
-"""What a test found but no rig can have: recognised, told with its likely cause, and left out; the rest is kept.
+"""Rejection of physically impossible values, with a warning that names the likely cause; the other values are kept.
 
-The judge is the rig file's own schema: a value that its loader would refuse is never written to a parameters.toml.
+The criterion is the schema of the rig file: a value that its loader rejects is never written to a parameters.toml.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from rig_configs.load import refusal
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
 
-_LOCKED_AT = (0.0, math.pi)  # A and B in their locks
-_HALF_A_TURN = math.radians(150)
+_LOCKED_AT = (0.0, math.pi)  # angles of A and B in their locks, rad
+_MIN_HALF_TURN_RAD = math.radians(150)  # a larger deviation is taken for half a turn
 _CAUSES = {
     "k": "a spring of the other sign; are time and displacement in the units that were given?",
     "zeta": "energy fed in: did something drive the column, and is the record a decay from its beginning?",
@@ -31,26 +31,30 @@ _CAUSES = {
 
 
 def keep_physical(estimate: Estimate, rig: Rig) -> tuple[Estimate | None, list[str]]:
-    """An estimate without the values that no rig can have, None when nothing is left; and a sentence for each."""
+    """Remove impossible values from an estimate.
+
+    Returns:
+        The estimate, or None if no value is left; a message for each removed value.
+    """
     refused = {n: why for n in estimate.names if (why := refusal(rig, n, estimate.value(n))) is not None}
     if not refused:
         return estimate, []
-    told = [
+    messages = [
         f"{_source(estimate.source)}: {name} comes out as {estimate.value(name):.4g} ± {estimate.std[name]:.1g}, which "
         f"no rig has ({why}); it is left out, the rest of the test is kept. {_cause(name, estimate)}"
         for name, why in refused.items()
     ]
     kept = [n for n in estimate.names if n not in refused]
-    return (reduced(estimate, kept) if kept else None), told
+    return (reduced(estimate, kept) if kept else None), messages
 
 
 def physical_parameters(parameters: IdentifiedParameters, rig: Rig) -> tuple[IdentifiedParameters, list[str]]:
-    """The joint estimate without what no rig can have: values that are sound one by one need not be so together."""
+    """Remove impossible values from the joint estimate. Possible values of single tests may combine to such values."""
     bad = {n: v for n, v in parameters.values.items() if refusal(rig, n, v) is not None}
     if not bad:
         return parameters, []
-    told = [f"{n}: all tests together give {v:.4g}, which no rig has; it is left out" for n, v in bad.items()]
-    return parameters.without(bad), told
+    messages = [f"{n}: all tests together give {v:.4g}, which no rig has; it is left out" for n, v in bad.items()]
+    return parameters.without(bad), messages
 
 
 def _source(source: str) -> str:
@@ -67,40 +71,39 @@ def _cause(name: str, estimate: Estimate) -> str:
 def run_up_sides(
     run: Run, fit: RunUpFit, estimate: Estimate, rig: Rig, gains: tuple[float, float]
 ) -> tuple[Estimate, list[str]]:
-    """What of a run-up is half a turn off: a pendulum's reading in its lock, the index mark, a sensor's sign.
+    """Detect errors of half a turn in a run-up: a pendulum's angle in its lock, the index mark, a sensor's sign.
 
-    S_P follows from the locked pendulums' angles. Where one reads half a turn from its lock (A at 0°, B at 180°), or
-    where S_P is negative, S_P is left out and what it would be with the reading turned is told; k and ζ do not
-    depend on it.
+    S_P follows from the angles of the locked pendulums. If an angle deviates by half a turn from its lock (A at 0°, B
+    at 180°), S_P is left out, and the message contains its value for the corrected angle. k and ζ do not depend on it.
 
     Returns:
-        The estimate, perhaps without S_P, and sentences.
+        The estimate, without S_P if it is affected; messages.
     """
-    told = _opposite(run, fit)
+    messages = _opposite(run, fit)
     if "SP_kg_m" not in estimate.names or not len(run.angle_rad):
-        return estimate, told
+        return estimate, messages
     locked = np.mean(run.angle_rad, axis=0)
-    turned = [k for k in (0, 1) if _apart(float(locked[k]), _LOCKED_AT[k]) > _HALF_A_TURN]
+    turned = [k for k in (0, 1) if _apart(float(locked[k]), _LOCKED_AT[k]) > _MIN_HALF_TURN_RAD]
     if not turned:
-        return estimate, told
+        return estimate, messages
     shift = np.array([math.pi if k in turned else 0.0 for k in (0, 1)])
     other = run_up_estimate(replace(run, angle_rad=run.angle_rad + shift), fit, rig.physics, gains)
     read = " and ".join(f"{'AB'[k]} reads {_degrees(float(locked[k])):.0f}°" for k in turned)
     expected = " and ".join(f"{_degrees(_LOCKED_AT[k]):.0f}°" for k in turned)
-    told.append(
+    messages.append(
         f"{_source(run.source)}: {read} in its lock, expected {expected}: an encoder's zero half a turn off, or its "
         f"sense. S_P would be {estimate.value('SP_kg_m'):.4g} kg m by that reading, {other.value('SP_kg_m'):.4g} kg m "
         "with half a turn more; it is left out, k and ζ do not depend on it. Set the encoder's zero (at its lock) and "
         "repeat the run-up; releases need it too"
     )
     kept = [n for n in estimate.names if n != "SP_kg_m"]
-    return reduced(estimate, kept), told
+    return reduced(estimate, kept), messages
 
 
 def _opposite(run: Run, fit: RunUpFit) -> list[str]:
-    """Whether the imbalance appears opposite to where its angle says, in both sensors or in one of them."""
+    """Messages if the imbalance appears opposite to its angle, in both sensors or in one of them."""
     sides = {
-        axis: _apart(math.radians(fit.values[name]), 0.0) > _HALF_A_TURN
+        axis: _apart(math.radians(fit.values[name]), 0.0) > _MIN_HALF_TURN_RAD
         for axis in "xy"
         if (name := f"phase_{axis}_deg") in fit.values
     }
@@ -108,21 +111,20 @@ def _opposite(run: Run, fit: RunUpFit) -> list[str]:
     if len(sides) == 2 and sides["x"] != sides["y"]:
         axis = "x" if sides["x"] else "y"
         return [
-            f"{name}: laser {axis} sees the imbalance opposite to where the other laser sees it: its axis points the "
-            f"other way round. k, ζ and S_P do not depend on it, the orbits' sense does; turn its sign (an import: "
-            f"--{axis} NAME:-mm)"
+            f"{name}: laser {axis} shows the imbalance opposite to the other laser: its axis points in the opposite "
+            f"direction. k, ζ and S_P do not depend on it, the orbits' sense does; change the sign of its channel"
         ]
     if sides and all(sides.values()) and run.phase_absolute:
         return [
-            f"{name}: the imbalance is seen half a turn from where ψ says: the index mark is half a turn off "
-            "(index_angle_deg of the device that marks the rotor's phase), or the lasers point the other way. k, ζ and "
-            "S_P do not depend on it, releases and points do; correct it before them"
+            f"{name}: the imbalance appears half a turn from its angle by ψ: the index mark is half a turn off "
+            "(index_angle_deg of the device that marks the rotor's phase), or both lasers point in the opposite "
+            "direction. k, ζ and S_P do not depend on it, releases and points do; correct it before them"
         ]
     return []
 
 
 def _apart(angle: float, other: float) -> float:
-    """Distance of two angles on the circle, rad."""
+    """Distance between two angles on the circle, rad."""
     return abs(math.remainder(angle - other, 2 * math.pi))
 
 

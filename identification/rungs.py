@@ -1,8 +1,8 @@
 # pyright: strict
-"""The rungs of the model ladders: what a fit takes beside its smallest model where the data ask for it.
+"""Rungs of the model ladders: terms that a fit adds to its smallest model if the data require them.
 
-Every fit climbs by itself. A rung that is held back is never taken: what it would have explained stays in the
-residuals, widens the intervals or refuses the fit.
+Every fit decides by itself. A rung that is held back is never added. The part of the data that it would have explained
+stays in the residuals, widens the intervals or leads to the rejection of the fit.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ Rung = Literal[
 ]
 
 RUNGS: Mapping[Rung, str] = {
-    "lines": "steady lines, as of the mains, and what else rings, beside a ring-down",
+    "lines": "steady lines, such as mains hum, and other decaying oscillations in a ring-down",
     "spectrum": "noise weighed by its spectrum in a ring-down",
-    "wander": "drift of a sensor beyond a straight line; a ring-down cut short for it",
+    "wander": "drift of a sensor beyond a straight line; shortening of a ring-down because of it",
     "amplitude": "stiffness and damping of the suspension that depend on the amplitude",
     "second-mode": "a second mode in a lone sensor",
     "slow-roll": "run-out of the measured surface and a bent shaft in run-ups",
     "ripple": "speed ripple between the index marks of a run-up",
-    "clocks": "sensors whose clocks are apart from the phase's, where all were recorded by one",
+    "clocks": "a time offset between sensors and rotor phase, for records of a single device",
     "friction": "dry friction of the pendulums in spin-downs and releases",
-    "drag": "a torque on the pendulums that goes with the square of the speed",
+    "drag": "a torque on the pendulums that is proportional to the square of the speed",
     "open-masses": "the pendulums' masses and lengths in releases, within their stated uncertainty",
 }
-"""Rung → what it holds, for help and docs."""
+"""Rung → its description, for help texts and documentation."""
 
 
 def held_back(names: Collection[str]) -> frozenset[Rung]:
-    """The rungs of these names.
+    """Return the rungs with the given names.
 
     Raises:
-        ValueError: there is no such rung.
+        ValueError: a name is not a rung.
     """
     found: frozenset[Rung] = frozenset(rung for rung in get_args(Rung) if rung in names)
     if unknown := sorted(set(names) - set(RUNGS)):

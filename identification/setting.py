@@ -1,4 +1,4 @@
-"""How much an estimator may cost, and which model it found to be enough."""
+"""Effort of an estimator, and its choice among nested models."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 Setting = Literal["fast", "balanced", "reference"]
-"""fast: cheapest with honest intervals; balanced: near the bound; reference: as exact as the data allow."""
+"""fast: least computing time with valid intervals; balanced: close to the bound; reference: as exact as possible."""
 
 
 @dataclass(frozen=True)
@@ -14,11 +14,11 @@ class ModelChoice:
     """One of several nested models of the same record.
 
     Attributes:
-        name: in words ("two modes, offset and slope").
-        parameters: how many.
-        criterion: the value by which models are compared, smaller is better; how it is made is told by the room.
-        chosen: this is the smallest adequate one.
-        why: what decided for or against it.
+        name: description ("two modes, offset and slope").
+        parameters: number of parameters.
+        criterion: value by which the models are compared; smaller is better. Each estimator defines its own.
+        chosen: whether this is the smallest adequate model.
+        why: reason for or against the model.
     """
 
     name: str
@@ -29,10 +29,10 @@ class ModelChoice:
 
 
 def check_setting(setting: str) -> None:
-    """Whether there is such a setting.
+    """Check the name of a setting.
 
     Raises:
-        ValueError: there is not.
+        ValueError: the name is not a setting.
     """
     if setting not in get_args(Setting):
         raise ValueError(f"setting: expected {', '.join(get_args(Setting))}, got {setting!r}")

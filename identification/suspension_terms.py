@@ -1,9 +1,10 @@
 # pyright: strict
-"""The suspension's terms of all ring-downs, and how errors of theirs go with what else the tests find.
+"""Suspension terms H and Q of all tests, and the correlation of their errors with the other parameters.
 
-A test finds k and ζ at zero amplitude together with H and Q, so their errors are correlated. With C_t the terms'
-covariance, L its lower Cholesky factor and C_kt that with k and ζ, C_kt C_t⁻¹ L are the shifts of k and ζ for one
-standard deviation of independent errors, which a prediction shares; what is left of the covariance is the test's own.
+A test estimates k and ζ at zero amplitude together with H and Q; their errors are correlated. Let C_t be the covariance
+of the terms, L its lower Cholesky factor and C_kt the covariance of k and ζ with the terms. C_kt C_t⁻¹ L are the shifts
+of k and ζ for one standard deviation of independent errors, which a prediction shares. The remaining covariance is the
+test's own.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ChosenTerms:
-    """Which ring-down shows the terms of which direction.
+    """Suspension terms and the test that determines them for each direction.
 
     Attributes:
-        terms: of both directions.
-        directions: source of the ring-down and what it found, by direction.
+        terms: terms of both directions.
+        directions: direction → source of the test and its terms.
     """
 
     terms: SuspensionTerms
@@ -43,11 +44,11 @@ def terms_of_all(
     passages: Sequence[tuple[str, Sequence[DirectionTerms]]] = (),
     digests: Mapping[str, str] | None = None,
 ) -> ChosenTerms:
-    """Of each direction the terms that the ring-down found in which it moves most, or a passage that knows them better.
+    """Select the terms of each direction: those of the ring-down with the largest motion, or of a sharper passage.
 
     Args:
-        ring_downs, passages: source and what was found in each direction, of every test.
-        digests: of the logs, by source.
+        ring_downs, passages: source and terms of each direction, for every test.
+        digests: digests of the logs, by source.
     """
     chosen = dict[int, tuple[str, DirectionTerms]]()
     for source, found_there in ring_downs:
@@ -71,18 +72,19 @@ def terms_of_all(
 
 
 def _is_sharper(one: DirectionTerms, other: DirectionTerms) -> bool:
-    """Whether every term of the other is known better by the one."""
+    """Whether `one` determines every term of `other` with a smaller standard deviation."""
     stds = [np.sqrt(np.diag(each.covariance)[2:]) for each in (one, other)]
     there = stds[1] > 0
     return bool(there.any() and np.all(stds[0][there] > 0) and np.all(stds[0][there] < stds[1][there]))
 
 
 def known_suspension(physics: RotorParameters, terms: SuspensionTerms, angle_deg: float) -> KnownSuspension | None:
-    """What a passage may start from; None where no ring-down shows that the suspension changes with the motion.
+    """Return the start values of a passage; None if no ring-down shows an amplitude dependence of the suspension.
 
     Args:
-        physics: with what the ring-downs found.
-        angle_deg: from the stiffness x axis to the sensor x axis as it is mounted.
+        physics: rig with the values of the ring-downs.
+        terms: suspension terms of the ring-downs.
+        angle_deg: angle from the stiffness x axis to the mounted sensor's x axis, deg.
     """
     if not terms.found:
         return None
@@ -99,15 +101,15 @@ def known_suspension(physics: RotorParameters, terms: SuspensionTerms, angle_deg
 
 
 def sharing_terms(estimates: Sequence[Estimate], chosen: ChosenTerms) -> list[Estimate]:
-    """Estimates with the part of their errors that they share with the terms under its label.
+    """Return the estimates with the errors that they share with the terms under the terms' labels.
 
-    One that had such a part before has it made anew.
+    Former errors under these labels are replaced.
     """
     return [_sharing(_plain(one), chosen) for one in estimates]
 
 
 def _plain(estimate: Estimate) -> Estimate:
-    """All errors that were shared with terms its own again."""
+    """Return the estimate with the errors shared with terms moved back to its own covariance."""
     of_terms = [shift for label, shift in estimate.shared.items() if label.startswith(f"{LABEL} ")]
     if not of_terms:
         return estimate

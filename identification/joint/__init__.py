@@ -1,4 +1,4 @@
-"""Several tests' answers as one, how far they agree, and what limits the result."""
+"""Joint estimate of several tests, agreement of the tests, and the sources that limit the result."""
 
 from identification.joint.combine import JointEstimate, combine, joint_estimate
 from identification.joint.rows import ConsistencyRow

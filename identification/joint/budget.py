@@ -1,11 +1,10 @@
 # pyright: strict
-"""Uncertainty budgets of identified parameters: what every test's noise and every shared error contributes.
+"""Uncertainty budgets of identified parameters: contributions of each test's noise and of each shared error.
 
-The joint values are Σ W_i d_i. Test i contributes W_i C_i W_iᵀ, a group of correlated errors of which a share stands
-for residuals beyond the sensors' noise; a shared error contributes (W v)(W v)ᵀ, one source for all parameters; what
-widened the tests because they disagree is a group of its own. Where a mild disagreement stretches a parameter's
-interval, its sensitivities to all of these are stretched alike. Source:
-docs/theory/joint_estimate.md, docs/theory/uncertainty.md.
+The joint values are Σ W_i d_i. Test i contributes W_i C_i W_iᵀ, a group of correlated errors. A share of it stands for
+residuals beyond sensor noise. A shared error contributes (W v)(W v)ᵀ, one source for all parameters. The widening of
+tests that disagree is a separate group. If a mild disagreement stretches a parameter's interval, its sensitivities to
+all sources are stretched by the same factor. Source: docs/theory/joint_estimate.md, docs/theory/uncertainty.md.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from uncertainty.group import Input
 
 Array = NDArray[np.float64]
 
-_LEAST_PART = 1e-9  # of a variance: less is rounding; a covariance may lack its root, 3·10⁻⁵ of a correlation
-_OTHER = 0.01  # of a standard uncertainty: more is told
+_MIN_SHARE = 1e-9  # of a variance: less is rounding; a covariance may lack its root, 3·10⁻⁵ of a correlation
+_MAX_DEVIATION = 0.01  # of a standard uncertainty: a larger deviation from the file's value yields a note
 
 
 @dataclass(frozen=True)
@@ -36,9 +35,9 @@ class ParameterBudgets:
     """Budgets of all parameters of a file.
 
     Attributes:
-        budgets: in the file's order and units.
-        stretch: parameter → factor on its interval because its tests mildly disagree; only those above 1.
-        notes: what a reader has to know, in words.
+        budgets: budgets in the file's order and units.
+        stretch: parameter → factor on its interval due to a mild disagreement of its tests; only factors above 1.
+        notes: remarks on missing data and on deviations from the file.
     """
 
     budgets: Budgets
@@ -48,34 +47,34 @@ class ParameterBudgets:
 
 @dataclass
 class _Columns:
-    """Sources with what they do to the parameters, collected."""
+    """Uncertainty sources and their sensitivities, collected."""
 
     rows: int
     sources: list[Input] = field(default_factory=list[Input])
     tables: list[Array] = field(default_factory=list[Array])
 
     def add(self, source: Input, sensitivities: Array) -> None:
-        """A source of as many columns as `sensitivities` has, shape (rows, columns)."""
+        """Add a source with one column of `sensitivities`, shape (rows, columns), per member."""
         if np.any(sensitivities @ source.factor):
             self.sources.append(source)
             self.tables.append(sensitivities)
 
     def add_shift(self, source: Input, shift: Array) -> None:
-        """A source by what one standard deviation of it does, shape (rows,)."""
+        """Add a source by the shift for one standard deviation of it, shape (rows,)."""
         self.add(source, (shift / float(source.factor[0, 0]))[:, None])
 
 
 def parameter_budgets(parameters: IdentifiedParameters, rig: Rig | None = None) -> ParameterBudgets:
-    """The budget of every parameter of a file; the sum of its variances is the file's.
+    """Return the budget of every parameter of a file. The variances of a budget sum to the variance in the file.
 
-    With a rig file, what is taken as known is as uncertain as that file has it: where the tests were identified with
-    other standard uncertainties of masses, lengths and angles, the sum is not the file's, and a note names it.
+    With a rig file, the known numbers have the standard uncertainties of the rig file. If the tests were identified
+    with other uncertainties of masses, lengths and angles, the sum differs from the file and a note names it.
 
     Args:
-        parameters: as `rig identify` wrote them.
-        rig: gives the sources' standard uncertainties, types, distributions and degrees of freedom.
+        parameters: parameters as written by `rig identify`.
+        rig: standard uncertainties, types, distributions and degrees of freedom of the sources.
     Raises:
-        ParametersFileError: a test in the file makes no sense.
+        ParametersFileError: a test in the file is invalid.
     """
     n, found = len(parameters.values), rebuilt(parameters)
     columns, notes = _Columns(n), list[str]()
@@ -85,7 +84,7 @@ def parameter_budgets(parameters: IdentifiedParameters, rig: Rig | None = None) 
         notes.append("the file keeps too little of its tests: their own errors are one row")
     else:
         joint, tests = found
-        scale = np.sqrt(np.diag(parameters.covariance) / np.diag(joint.parameters.covariance))  # 1 but for digits
+        scale = np.sqrt(np.diag(parameters.covariance) / np.diag(joint.parameters.covariance))  # 1 except for rounding
         shared = {label: scale * shift for label, shift in joint.parameters.shared.items()}
         scale = scale * joint.stretch
         _each_test(joint, tests, scale, columns)
@@ -100,7 +99,7 @@ def parameter_budgets(parameters: IdentifiedParameters, rig: Rig | None = None) 
     elif known.sources and rig is not None:
         notes.append(
             "the file has no derivatives by the rig file's numbers: their standard uncertainties do not enter its "
-            "parameters; `rig identify` writes the file anew"
+            "parameters; `rig identify` writes the file again"
         )
     units = tuple(PARAMETER_UNITS[name] for name in parameters.values)
     table = np.concatenate([np.zeros((n, 0)), *columns.tables], axis=1)
@@ -113,7 +112,7 @@ def parameter_budgets(parameters: IdentifiedParameters, rig: Rig | None = None) 
 
 
 def exact_shifts(parameters: IdentifiedParameters, known: Known) -> dict[str, Array]:
-    """Number without a standard uncertainty → what EXACT_STEP of it does to the parameters, shape (n,)."""
+    """Number without a standard uncertainty → shift of the parameters for a relative step EXACT_STEP, shape (n,)."""
     return {
         number: parameters.by_number[number] * EXACT_STEP * known.values[number]
         for number in known.exact
@@ -130,7 +129,7 @@ def _all_tests_together(parameters: IdentifiedParameters, columns: _Columns) -> 
 
 
 def _each_test(joint: JointEstimate, tests: list[KeptTest], scale: Array, columns: _Columns) -> None:
-    """Own errors of every test, what of them is beyond noise, and what disagreement has added."""
+    """Add the own errors of every test, split into noise and residuals beyond it, and the effect of disagreement."""
     known = np.zeros((len(scale), len(scale)))
     seen: list[str] = []
     for test, pull in zip(tests, joint.weighted.pulls, strict=True):
@@ -148,17 +147,17 @@ def _each_test(joint: JointEstimate, tests: list[KeptTest], scale: Array, column
         if again := seen.count(called) - 1:
             called = f"{called} {again + 1}"
         for begin, share in (("own", 1.0 - test.model_share), ("beyond noise", test.model_share)):
-            if share > _LEAST_PART:
+            if share > _MIN_SHARE:
                 group = Group(f"{begin}: {called}", members, units, share * covariance)
                 columns.add(group, scale[:, None] * weights)
     _disagreement(joint, known, scale, columns)
 
 
 def _disagreement(joint: JointEstimate, known: Array, scale: Array, columns: _Columns) -> None:
-    """What the tests were widened by: their errors as weighed beyond their own, not negative but for rounding."""
+    """Add the widening of tests that disagree: weighed errors minus own errors, without negative rounding errors."""
     own: Array = joint.weighted.own
     added = 0.5 * (own - known + (own - known).T)
-    at = [i for i in range(len(own)) if added[i, i] > _LEAST_PART * own[i, i]]
+    at = [i for i in range(len(own)) if added[i, i] > _MIN_SHARE * own[i, i]]
     if not at:
         return
     names = joint.weighted.names
@@ -171,12 +170,12 @@ def _disagreement(joint: JointEstimate, known: Array, scale: Array, columns: _Co
 
 
 def _not_as_identified(parameters: IdentifiedParameters, budgets: Budgets) -> list[str]:
-    """A note for parameters whose standard uncertainty is not the file's."""
+    """Return a note if standard uncertainties of parameters differ from the file."""
     found = np.sqrt(np.diag(budgets.covariance))
     other = [
         f"u({name}) is {u:.3g} instead of {parameters.std[name]:.3g}"
         for name, u in zip(parameters.values, found.tolist(), strict=True)
-        if abs(u - parameters.std[name]) > _OTHER * parameters.std[name]
+        if abs(u - parameters.std[name]) > _MAX_DEVIATION * parameters.std[name]
     ]
     if not other:
         return []

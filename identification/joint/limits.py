@@ -1,8 +1,8 @@
-"""What limits a result: each parameter's variance by where it comes from.
+"""Variance of each joint parameter, split by source.
 
-The joint values are Σ W_i d_i. Their variance is the sum of what each test's own noise brings (W_i C_i W_iᵀ, of which a
-share is there because the model leaves more than noise), what each shared error brings ((W v)²), what disagreement
-between the tests adds, and what the masses' uncertainty adds to k, c and S_P, which are proportional to them.
+The joint values are Σ W_i d_i. Their variance is the sum of the contributions of each test's own noise (W_i C_i W_iᵀ,
+a share of it due to residuals beyond the noise), of each shared error ((W v)²), of disagreement between the tests, and
+of the masses' uncertainty, to which k, c and S_P are proportional.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ SOURCES = ("noise", "model", "clock", "gain", "known", "friction", "disagreement
 _ADVICE = {
     "noise": "record longer, at a larger amplitude, or more often",
     "model": "the residuals are more than sensor noise: look at the fit, dry friction and amplitude dependence",
-    "clock": "longer logs know the devices' rates better",
+    "clock": "longer logs determine the devices' clock rates better",
     "gain": "calibrate the lasers and the lever between laser and disk",
     "known": "weigh and measure the parts, set the encoders' zeros and the index angle better",
-    "friction": "releases at other speeds and a spin-down know the pendulums' dry friction better",
+    "friction": "releases at other speeds and a spin-down determine the pendulums' dry friction better",
     "disagreement": "the tests disagree: repeat them",
     "mass": "weigh the rotor",
 }
@@ -35,12 +35,12 @@ _ADVICE = {
 
 @dataclass(frozen=True)
 class Limit:
-    """One parameter's variance by source.
+    """Variance of one parameter by source.
 
     Attributes:
-        name: the parameter.
-        std: its standard deviation, the masses' share included, SI.
-        shares: part of the variance by source, in the order of SOURCES; they sum to 1.
+        name: parameter.
+        std: standard deviation including the contribution of the masses, SI.
+        shares: share of the variance by source, in the order of SOURCES. The shares sum to 1.
     """
 
     name: str
@@ -49,24 +49,24 @@ class Limit:
 
     @property
     def main(self) -> str:
-        """The largest source."""
+        """Source with the largest share."""
         return max(self.shares, key=lambda s: self.shares[s])
 
     @property
     def advice(self) -> str:
-        """What would make the result better, in words."""
+        """Advice how to reduce the largest share."""
         return _ADVICE[self.main]
 
 
 def limits(of: Identification | IdentifiedParameters, mass_std: float = 0.0) -> list[Limit] | None:
-    """What limits each parameter.
+    """Split the variance of each parameter by source.
 
     Args:
-        of: an identification, or a parameters file that keeps its tests.
-        mass_std: relative standard uncertainty of the masses (one scale, all off alike); 0 takes the rig file's as
-            exact, as the identification does.
+        of: identification, or parameters file that contains its tests.
+        mass_std: relative standard uncertainty of the masses, taken as one common scale error; 0 takes the masses of
+            the rig file as exact, as the identification does.
     Returns:
-        One Limit per parameter, in the file's order; None when the file keeps too little of its tests to tell.
+        One Limit per parameter, in the file's order; None if the file does not contain its tests.
     Source: docs/theory/joint_estimate.md.
     """
     if isinstance(of, IdentifiedParameters):

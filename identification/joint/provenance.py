@@ -1,7 +1,7 @@
-"""What a parameters.toml keeps of its tests, so that later readers can tell what limits it and what it shares.
+"""Tests in the provenance of a parameters.toml, for later budgets and comparisons.
 
-Beside each test's values and method (as `identify` writes them) stand its own covariance, its shared errors, when it
-was recorded and with which devices. Files from before this, or from elsewhere, lack them: then nothing is assumed.
+Each test has its values and method (as `identify` writes them), its own covariance, its shared errors, the start of its
+recording and its devices. Older files and files of other programs lack these; no assumption replaces them.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class KeptTest:
-    """One test as a parameters.toml keeps it.
+    """One test as stored in a parameters.toml.
 
     Attributes:
-        estimate: values with own covariance and shared errors; its source is the log's name.
-        digest: of the log; "" when unknown.
-        recorded: start of the recording; None when unknown.
-        devices: device → its serial number, where it said one.
-        model_share: part of the own variance that is there because residuals are more than sensor noise, 0 to 1.
-        left_out: why the joint estimate goes without it; "" when it does not.
+        estimate: values with own covariance and shared errors. Its source is the name of the log.
+        digest: digest of the log; "" if unknown.
+        recorded: start of the recording; None if unknown.
+        devices: device → serial number, for devices that report one.
+        model_share: share of the own variance that is due to residuals beyond sensor noise, 0 to 1.
+        left_out: reason why the joint estimate excludes the test; "" if it does not.
     """
 
     estimate: Estimate
@@ -46,17 +46,17 @@ class KeptTest:
 
 
 def with_tests(found: Identification, runs: Sequence[Run] = ()) -> IdentifiedParameters:
-    """The parameters of an identification with all that is worth keeping of its tests.
+    """Return the parameters of an identification with its tests in the provenance.
 
     Args:
-        found: what `identify` returned.
-        runs: the runs it was given, for the times and devices.
+        found: result of `identify`.
+        runs: identified runs, for recording times and devices.
     """
     joint = joint_estimate(found.estimates)
-    told = found.parameters.provenance.get("tests", [{} for _ in found.estimates])
+    entries = found.parameters.provenance.get("tests", [{} for _ in found.estimates])
     tests = [
         {**entry, **_entry(i, estimate, joint, found, [r for r in runs if r.source in estimate.source.split(" + ")])}
-        for i, (entry, estimate) in enumerate(zip(told, found.estimates, strict=True))
+        for i, (entry, estimate) in enumerate(zip(entries, found.estimates, strict=True))
     ]
     facts: dict[str, Any] = {**found.parameters.provenance, "tests": tests}
     rigs = sorted({str(r.metadata["rig"]) for r in runs if r.metadata.get("rig")})
@@ -94,7 +94,7 @@ def _entry(
 
 
 def model_share(estimate: Estimate, found: Identification) -> float:
-    """1 − 1/f², f the factor by which residuals beyond the sensors' noise have widened the test's intervals."""
+    """1 − 1/f², where f is the factor by which residuals beyond sensor noise have widened the test's intervals."""
     worst = 1.0
     for named in found.fits:
         if (named.test, named.source) != (estimate.test, estimate.source):
@@ -106,15 +106,15 @@ def model_share(estimate: Estimate, found: Identification) -> float:
 
 
 def kept_tests(parameters: IdentifiedParameters) -> list[KeptTest] | None:
-    """The tests a parameters file keeps; None when it does not keep enough of them (an older file, another program's).
+    """Return the tests of a parameters file; None if they are incomplete (older file or file of another program).
 
     Raises:
-        ParametersFileError: a test is there but makes no sense; the message says which key.
+        ParametersFileError: a test is invalid. The message names the key.
     """
-    told = parameters.provenance.get("tests", [])
-    if not isinstance(told, list) or not told or not all("covariance" in t for t in told):
+    entries = parameters.provenance.get("tests", [])
+    if not isinstance(entries, list) or not entries or not all("covariance" in t for t in entries):
         return None
-    return [_kept(entry, number) for number, entry in enumerate(told)]
+    return [_kept(entry, number) for number, entry in enumerate(entries)]
 
 
 def _kept(entry: Mapping[str, Any], number: int) -> KeptTest:
@@ -146,14 +146,14 @@ def _kept(entry: Mapping[str, Any], number: int) -> KeptTest:
     except (KeyError, TypeError, ValueError, AttributeError) as fault:
         raise ParametersFileError(
             f"provenance.tests[{number}]: expected test, log, values, covariance and shared errors by name; "
-            f"problem: {fault!r}. `rig identify` writes the file anew"
+            f"problem: {fault!r}. `rig identify` writes the file again"
         ) from fault
 
 
 def rebuilt(parameters: IdentifiedParameters) -> tuple[JointEstimate, list[KeptTest]] | None:
-    """How a file's joint estimate came about, from its tests; None when they are not kept or give other values.
+    """Recompute a file's joint estimate from its tests; None if the tests are missing or give other values.
 
-    A file written by a version with another rule is taken at its own word: its values are not these.
+    The values of a file from a version with another rule differ. They are used as they are, without the tests.
     """
     tests = kept_tests(parameters)
     if tests is None:

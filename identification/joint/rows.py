@@ -1,4 +1,4 @@
-"""How each test's value of one parameter stands against the other tests."""
+"""Comparison of each test's value of a parameter with the values of the other tests."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from identification.joint.agreement import covariance_of_all
 
 @dataclass(frozen=True)
 class ConsistencyRow:
-    """One parameter as one test found it, against the other tests.
+    """Value of one parameter from one test, compared with the other tests.
 
     Attributes:
-        parameter, test, source: what and where.
-        value, std: this test's, SI, shared errors included.
-        others, others_std: the combination of the other tests that are not left out.
+        parameter, test, source: parameter, test name and log.
+        value, std: value of this test and its standard deviation including shared errors, SI.
+        others, others_std: combined value of the other tests that are not left out and its standard deviation, SI.
         z: difference over its standard deviation.
-        chi2, dof, p: all tests of the parameter together.
-        left_out: whether the joint estimate goes without this value.
+        chi2, dof, p: χ² test over all tests of the parameter.
+        left_out: whether the joint estimate excludes this value.
     """
 
     parameter: str
@@ -40,10 +40,12 @@ class ConsistencyRow:
 
 
 def rows_of(name: str, estimates: Sequence[Estimate], left_out: Collection[int] = ()) -> list[ConsistencyRow]:
-    """A row per test that has the parameter; none where a single test has it.
+    """Return a row for each test with the parameter; an empty list if fewer than two tests have it.
 
     Args:
-        left_out: indices of tests that the joint estimate goes without; they are not among "the others".
+        name: parameter.
+        estimates: one per test.
+        left_out: indices of tests that the joint estimate excludes. They are not used for `others`.
     """
     having = [i for i, e in enumerate(estimates) if name in e.names]
     if len(having) < 2:
@@ -52,7 +54,7 @@ def rows_of(name: str, estimates: Sequence[Estimate], left_out: Collection[int] 
     chi2 = spread(values, matrix)
     dof = len(having) - 1
     p = float(chdtrc(dof, chi2))
-    out = []
+    out: list[ConsistencyRow] = []
     for k, i in enumerate(having):
         rest = [j for j, at in enumerate(having) if j != k and at not in left_out]
         rest = rest or [j for j in range(len(having)) if j != k]
@@ -82,14 +84,14 @@ def rows_of(name: str, estimates: Sequence[Estimate], left_out: Collection[int] 
 
 
 def values_and_covariance(name: str, having: Sequence[Estimate]) -> tuple[np.ndarray, np.ndarray]:
-    """One parameter's values and their covariance between the tests, shapes (m,), (m, m)."""
+    """Values of one parameter in m tests and their covariance, shapes (m,) and (m, m)."""
     begins = np.cumsum([0, *(len(e.names) for e in having)])[:-1].tolist()
     at = [begin + e.names.index(name) for begin, e in zip(begins, having, strict=True)]
     return np.array([e.value(name) for e in having]), covariance_of_all(having)[np.ix_(at, at)]
 
 
 def spread(values: np.ndarray, matrix: np.ndarray) -> float:
-    """χ² of values about their best common one."""
+    """χ² of values about their weighted mean."""
     inverse = np.linalg.inv(matrix)
     residual = values - inverse.sum(axis=0) @ values / inverse.sum()
     return float(residual @ inverse @ residual)

@@ -1,8 +1,8 @@
-"""Dry friction is the rig's and not a test's: every transient's damping with the friction that all of them found.
+"""Joint dry friction of the pendulums: the damping of every transient is recomputed with the friction of all of them.
 
-What this friction is wrong by is one error through all of these tests (Estimate.shared), and none of the tests weighs
-less for it. A release and a spin-down that see the same friction are then neither two pieces of evidence of it nor two
-independent values of c. Source: docs/theory/joint_estimate.md.
+Dry friction is a property of the rig. Its error is one shared error of all transients (Estimate.shared) and does not
+reduce their weights. Tests with the same friction therefore count once for the friction, and their values of c are not
+taken as independent. Source: docs/theory/joint_estimate.md.
 """
 
 # pyright: strict
@@ -21,8 +21,8 @@ from identification.pendulums.open_friction import OpenFriction, Together, toget
 from identification.pendulums.transient import TransientFit
 from rig_configs.known import KnownSource
 
-_ROUNDS = 3  # of leaving out tests that stand apart and taking the friction without them
-_CERTAIN, _BELOW = 4.0, 6.0  # standard deviations from which friction is told of, and that it is less than none
+_MAX_ROUNDS = 3  # repetitions of leaving out deviating tests and computing the friction without them
+_MIN_POSITIVE_STD, _MIN_NEGATIVE_STD = 4.0, 6.0  # standard deviations above and below zero that yield a message
 _NAMES = (
     ("a torque of A", "N m"),
     ("a torque of B", "N m"),
@@ -37,15 +37,17 @@ def with_shared_friction(
     zero_std_rad: float = 0.0,
     sources: Sequence[KnownSource] = (),
 ) -> tuple[list[Estimate], Together | None]:
-    """The estimates with the pendulums' friction shared by the tests that show damping.
+    """Return the estimates with the pendulums' friction shared by all tests that determine damping.
 
     Args:
-        estimates: of all tests.
-        fits: the transients among them by source.
-        zero_std_rad: of the encoders' zeros, which all tests share; estimates have it by number, not in themselves.
-        sources: of uncertainty in what the rig takes as known; estimates have these by number, too.
+        estimates: estimates of all tests.
+        fits: transients among them, by source.
+        zero_std_rad: standard uncertainty of the encoder zeros, rad. All tests share these errors; the estimates have
+            them in `by_number` and not in their covariance.
+        sources: uncertainty sources of the numbers that the rig takes as known; also in `by_number`.
     Returns:
-        Estimates in the same order, and what they share; a single transient as it stands alone, and None.
+        Estimates in the same order, and the joint friction. With fewer than two transients, the estimates without
+        shared friction, and None.
     """
     own = [_alone(e, fits[e.source], zero_std_rad) if e.source in fits else e for e in estimates]
     at = [i for i, e in enumerate(own) if e.source in fits and _is_open(e, fits[e.source])]
@@ -54,7 +56,7 @@ def with_shared_friction(
     opens = [without_known(fits[own[i].source], zero_std_rad) for i in at]
     trusted = list(range(len(at)))
     found, shared = _each(own, at, together(opens, None, sources))
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         bad = joint_estimate([e.with_sources(sources) for e in found]).left_out
         less = [k for k in trusted if at[k] not in bad]
         if len(less) == len(trusted) or not less:
@@ -64,30 +66,30 @@ def with_shared_friction(
     return found, shared
 
 
-def told(shared: Together) -> list[str]:
-    """A sentence for friction that is surely there, and one for what comes out below zero."""
+def friction_messages(shared: Together) -> list[str]:
+    """Return a message about significant friction, and one about friction that is significantly negative."""
     std = np.sqrt(np.diag(shared.covariance))
     sure = shared.friction / std
     parts = [
         f"{name} {v:.3g} ± {1.96 * s:.2g} {unit}"
         for (name, unit), v, s, z in zip(_NAMES, shared.friction, std, sure, strict=True)
-        if z > _CERTAIN
+        if z > _MIN_POSITIVE_STD
     ]
     below = [
         f"{name} {v:.3g} ± {1.96 * s:.2g} {unit}"
         for (name, unit), v, s, z in zip(_NAMES, shared.friction, std, sure, strict=True)
-        if z < -_BELOW
+        if z < -_MIN_NEGATIVE_STD
     ]
-    out = [f"dry friction beside the viscous damping, by all pendulum tests together: {', '.join(parts)} (95 %)"]
+    out = [f"dry friction in addition to viscous damping, by all pendulum tests together: {', '.join(parts)} (95 %)"]
     less = [
-        f"{', '.join(below)} (95 %) by all pendulum tests together: less than none, so the model is at fault "
-        "somewhere; look at masses, lengths and at what drove or touched a pendulum"
+        f"{', '.join(below)} (95 %) by all pendulum tests together: negative friction is impossible, so that the model "
+        "is wrong; check masses, lengths and what drove or touched a pendulum"
     ]
     return (out if parts else []) + (less if below else [])
 
 
 def without_known(fit: TransientFit, zero_std_rad: float) -> OpenFriction:
-    """What a fit with open friction says of it, without what the known numbers that it left open have brought in."""
+    """Open friction of a fit without the uncertainty of the known numbers that the fit estimated."""
     assert fit.open_friction is not None
     return fit.open_friction.knowing({**zeros_std(zero_std_rad), **fit.number_std})
 
@@ -104,7 +106,7 @@ def _is_open(estimate: Estimate, fit: TransientFit) -> bool:
 
 
 def _alone(estimate: Estimate, fit: TransientFit, zero_std_rad: float) -> Estimate:
-    """Without what it shared before, with other tests."""
+    """Estimate without the friction that it shared with other tests before."""
     if not _is_open(estimate, fit):
         return estimate
     shared = {label: v for label, v in estimate.shared.items() if not label.startswith(FOUND_TOGETHER)}

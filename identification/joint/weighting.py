@@ -1,10 +1,11 @@
-"""Generalised least squares over tests, with errors that tests share carried through.
+"""Generalised least squares over tests, with propagation of errors that tests share.
 
-Each test weighs by its own total covariance. Errors that tests share (a gain, a device's clock rate) do not average
-out, so the joint covariance carries them as fully correlated: with p = W d and one shared error of shifts v_i per test
-it adds (W v)(W v)ᵀ. Weights from the fully correlated matrix itself would be optimal only if the correlation were
-exactly one; they can leave the range of the data, these can not. An error in what the tests together have found (the
-pendulums' friction) does not weigh: it went into every test alike. Source: docs/theory/joint_estimate.md.
+The weight of a test is the inverse of its total covariance. Shared errors (a gain, a device's clock rate) do not
+average out; the joint covariance contains them as fully correlated. With p = W d and the shifts v_i of one shared error
+per test it adds (W v)(W v)ᵀ. Weights from the fully correlated matrix would be optimal only if the correlation were
+exactly one, and their result can lie outside the range of the data. Errors in quantities that the tests find together
+(the pendulums' friction) do not affect the weights: they are the same in every test.
+Source: docs/theory/joint_estimate.md.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from rig_configs.parameters_file import PARAMETER_UNITS
 
 @dataclass(frozen=True)
 class Weighted:
-    """A linear combination of tests.
+    """Linear combination of tests.
 
     Attributes:
-        names: n parameters.
-        values: shape (n,), SI.
-        pulls: W_i, one (n, m_i) per estimate: values = Σ W_i d_i.
-        own: Σ W_i C_i W_iᵀ, what averages out, shape (n, n).
-        shared: label → the joint values' shift for one standard deviation of a shared error, shape (n,).
+        names: names of the n parameters.
+        values: joint values, shape (n,), SI.
+        pulls: weights W_i, shape (n, m_i) per estimate: values = Σ W_i d_i.
+        own: covariance Σ W_i C_i W_iᵀ of the errors that average out, shape (n, n).
+        shared: label → shift of the joint values for one standard deviation of a shared error, shape (n,).
         by_number: known number → derivative of the joint values by it, shape (n,).
     """
 
@@ -41,30 +42,30 @@ class Weighted:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Own and shared errors together, shape (n, n), symmetric."""
+        """Covariance of own and shared errors, shape (n, n), symmetric."""
         total = self.own + sum((np.outer(v, v) for v in self.shared.values()), np.zeros_like(self.own))
         return 0.5 * (total + total.T)
 
 
 def parameter_names(estimates: Sequence[Estimate]) -> tuple[str, ...]:
-    """Every parameter that any estimate has, in the file's order."""
+    """Parameters that at least one estimate has, in the file's order."""
     return tuple(n for n in PARAMETER_UNITS if any(n in e.names for e in estimates))
 
 
 def weighted(estimates: Sequence[Estimate]) -> Weighted:
-    """The joint values of everything the estimates hold.
+    """Combine the estimates by generalised least squares.
 
     Args:
-        estimates: one per test; one without names pulls nothing.
+        estimates: one per test. An estimate without names has no influence.
     Raises:
-        NotIdentifiable: there is no parameter in any of them.
+        NotIdentifiable: no estimate contains a parameter.
     """
     names = parameter_names(estimates)
     if not names:
         raise NotIdentifiable("no test gave any parameter")
     scale = np.array([next(abs(e.value(n)) for e in estimates if n in e.names) or 1.0 for n in names])
     information = np.zeros((len(names), len(names)))
-    pulls = []
+    pulls: list[np.ndarray] = []
     for estimate in estimates:
         columns = [names.index(n) for n in estimate.names]
         design = np.eye(len(names))[columns]
@@ -72,7 +73,7 @@ def weighted(estimates: Sequence[Estimate]) -> Weighted:
         pull = design.T @ np.linalg.inv(estimate.weighing_covariance / np.outer(unit, unit))
         information += pull @ design
         pulls.append(scale[:, None] * pull / unit)
-    inverse = np.linalg.inv(information)
+    inverse: np.ndarray = np.linalg.inv(information)
     inverse = inverse * np.outer(scale, 1 / scale)
     pulls = [inverse @ pull for pull in pulls]
     return Weighted(names, *_moments(names, estimates, pulls))

@@ -1,1 +1,1 @@
-"""Free decay of the locked rotor: natural frequencies, damping ratios and the sensors' axis angle."""
+"""Estimation of natural frequencies, damping ratios and the axis angle of the sensors from free decays."""

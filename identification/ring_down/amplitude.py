@@ -1,15 +1,17 @@
-"""Does damping or frequency depend on amplitude? One mode looked at in windows of falling amplitude.
+"""Dependence of damping and frequency on amplitude: one mode in windows of decreasing amplitude.
 
-The other mode and the drift are taken from the whole fit; in each window the mode's own amplitude, phase, ω and ζ are
-fitted anew by one Gauss–Newton step, and a straight line is laid through ω and ζ over the window's amplitude.
+The other mode and the drift are those of the whole fit. In each window, amplitude, phase, ω and ζ of the mode are
+estimated by one Gauss–Newton step. A straight line is fitted to ω and ζ over the amplitude of the windows.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.colour import Colour
 from identification.ring_down.backbone import REFERENCE_M, averaged_course, course
@@ -17,22 +19,22 @@ from identification.ring_down.decay import Fitted
 from identification.ring_down.modes import averaged_decay, damping_derivative, rate
 from identification.samples import Averages
 
-_WINDOWS, _LEAST_CYCLES = 6, 3.0
-_ABOVE_NOISE = 6.0  # a window's amplitude against the std that its amplitude is known to
-_SIGNIFICANT = 3.9  # p = 1e-4
+_WINDOWS, _MIN_CYCLES = 6, 3.0
+_MIN_SIGNAL_TO_NOISE = 6.0  # amplitude in a window over its standard deviation
+_MIN_SIGNIFICANCE = 3.9  # standard deviations, p = 1e-4
 
 
 @dataclass(frozen=True)
 class AmplitudeDependence:
-    """One mode over its amplitude.
+    """Rates of one mode over its amplitude.
 
     Attributes:
         mode: 1 or 2.
-        amplitude_m: mean amplitude of each window, shape (n,), falling.
-        zeta, zeta_std: damping ratio in each window, shape (n,).
-        f_Hz, f_std_Hz: natural frequency in each window, shape (n,).
-        zeta_slope_per_m, zeta_slope_std: of the straight line through ζ.
-        f_slope_Hz_per_m, f_slope_std: of the straight line through f.
+        amplitude_m: mean amplitude of each window, m, shape (n,), decreasing.
+        zeta, zeta_std: damping ratio in each window and its standard deviation, shape (n,).
+        f_Hz, f_std_Hz: natural frequency in each window and its standard deviation, Hz, shape (n,).
+        zeta_slope_per_m, zeta_slope_std: slope of the straight line through ζ and its standard deviation, 1/m.
+        f_slope_Hz_per_m, f_slope_std: slope of the straight line through f and its standard deviation, Hz/m.
     """
 
     mode: int
@@ -48,34 +50,37 @@ class AmplitudeDependence:
 
     @property
     def zeta_matters(self) -> bool:
-        """Whether ζ certainly changes with amplitude (p < 1e-4)."""
-        return abs(self.zeta_slope_per_m) > _SIGNIFICANT * self.zeta_slope_std
+        """Whether ζ changes significantly with amplitude (p < 1e-4)."""
+        return abs(self.zeta_slope_per_m) > _MIN_SIGNIFICANCE * self.zeta_slope_std
 
     @property
     def f_matters(self) -> bool:
-        """Whether f certainly changes with amplitude (p < 1e-4)."""
-        return abs(self.f_slope_Hz_per_m) > _SIGNIFICANT * self.f_slope_std
+        """Whether f changes significantly with amplitude (p < 1e-4)."""
+        return abs(self.f_slope_Hz_per_m) > _MIN_SIGNIFICANCE * self.f_slope_std
 
     @property
     def zeta_range(self) -> float:
-        """How far ζ changes along the line over the windows."""
+        """Change of ζ along the line over the windows."""
         return abs(self.zeta_slope_per_m) * float(np.ptp(self.amplitude_m))
 
     @property
     def f_range_Hz(self) -> float:
-        """How far f changes along the line over the windows."""
+        """Change of f along the line over the windows, Hz."""
         return abs(self.f_slope_Hz_per_m) * float(np.ptp(self.amplitude_m))
 
 
 def amplitude_dependence(
     fitted: Fitted, mode: int, stretch: float = 1.0, whole: bool = True
 ) -> AmplitudeDependence | None:
-    """A mode in windows of falling amplitude, from the channel that shows it best; None with fewer than three windows.
+    """Analyse a mode in windows of decreasing amplitude, in the channel with the largest amplitude over noise.
 
     Args:
+        fitted: solved fit.
         mode: 0 or 1.
-        stretch: noise above white, as a factor of standard deviations.
-        whole: with what the fit's own terms of amplitude explain; otherwise what is left beyond them.
+        stretch: factor on standard deviations for noise above white noise.
+        whole: whether the rates include the fitted terms of amplitude; otherwise only the remaining change.
+    Returns:
+        None for fewer than three windows.
     """
     channel, t, residual, amplitude, colour, record = _clearest(fitted, mode)
     omega, zeta = float(fitted.omegas[mode]), float(fitted.zetas[mode])
@@ -93,11 +98,11 @@ def amplitude_dependence(
         * channel.weight[:, None]
     )
     columns = columns if colour is None else colour.whitened(columns)
-    rows = []
+    rows: list[tuple[float, ...]] = []
     for first, last in _windows(t, channel, abs(amplitude), lam):
         own = columns[first:last]
         scale = np.sqrt(np.sum(own**2, axis=0))
-        inverse = np.linalg.pinv((own / scale).T @ (own / scale), rcond=1e-12)
+        inverse = cast(NDArray[np.float64], np.linalg.pinv((own / scale).T @ (own / scale), rcond=1e-12))
         moved = inverse @ ((own / scale).T @ residual[first:last]) / scale
         std = np.sqrt(np.diag(inverse)) / scale * stretch
         level = abs(amplitude) * float(np.mean(level_of[first:last]))
@@ -116,7 +121,7 @@ def amplitude_dependence(
 def _course(
     fitted: Fitted, record: int, mode: int, t: np.ndarray, channel: Averages
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The mode's wave, its slope by λ, its amplitude over that at the begin, ζ and ω over time; shape (n,) each."""
+    """Wave of a mode, its derivative by λ, relative amplitude, ζ and ω over time; shape (n,) each."""
     model, rates = fitted.model, fitted.model.mode_rates(fitted.theta, mode)
     lam = rate(rates.omega, rates.zeta)
     if model.backbone is None:
@@ -131,7 +136,7 @@ def _course(
 
 
 def _clearest(fitted: Fitted, mode: int) -> tuple[Averages, np.ndarray, np.ndarray, complex, Colour | None, int]:
-    """A mode's clearest channel: blocks, times, residual, amplitude, colour and record."""
+    """Channel with the largest amplitude over noise: blocks, times, residual, amplitude, colour and record."""
     best = (-1.0, 0, 0, 0j)
     for r, record in enumerate(fitted.model.records):
         for axis, channel in enumerate(record.channels):
@@ -145,18 +150,18 @@ def _clearest(fitted: Fitted, mode: int) -> tuple[Averages, np.ndarray, np.ndarr
 
 
 def _windows(t: np.ndarray, channel: Averages, amplitude: float, lam: complex) -> list[tuple[int, int]]:
-    """Index ranges of equal drops in amplitude, from the start to where the mode sinks into the noise."""
+    """Index ranges of equal ratios of amplitude, from the start until the mode falls below the noise."""
     decay, cycle = max(-lam.real, 1e-9), 2 * np.pi / lam.imag
     per_second = float(np.sum(channel.count)) / float(t[-1] - t[0])
-    floor = _ABOVE_NOISE * channel.noise / np.sqrt(per_second * max(_LEAST_CYCLES * cycle, 0.5 / decay))
+    floor = _MIN_SIGNAL_TO_NOISE * channel.noise / np.sqrt(per_second * max(_MIN_CYCLES * cycle, 0.5 / decay))
     end = min(float(t[-1]), max(np.log(max(amplitude / floor, 1.0)) / decay, 0.0))
-    length = max(end / _WINDOWS, _LEAST_CYCLES * cycle)
+    length = max(end / _WINDOWS, _MIN_CYCLES * cycle)
     edges = np.searchsorted(t, np.arange(0.0, end + 1e-9, length))
     return [(int(a), int(b)) for a, b in pairwise(edges) if b - a >= 16]
 
 
 def _line(x: np.ndarray, y: np.ndarray, std: np.ndarray) -> tuple[float, float]:
-    """Slope of a weighted straight line and its std, stretched where the points scatter beyond theirs."""
+    """Slope of a weighted straight line and its std, widened if the scatter of the points exceeds their std."""
     w = 1 / std**2
     centre = float(w @ x / w.sum())
     spread = float(w @ (x - centre) ** 2)

@@ -1,4 +1,4 @@
-"""One attempt at a fit: start values, block length, drift as far as the data ask for it, outliers masked."""
+"""Fit of one span: start values, block duration, lines, noise, drift required by the data, masking of outliers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from identification.ring_down.model import BETA
 from identification.ring_down.modes import Start, damped_periodogram, rate
 from identification.ring_down.outliers import suspicious, trimmed
 from identification.ring_down.residuals import gain_of
-from identification.ring_down.rungs import bent_leader, beside_leader, climbed, explains, is_misfit
+from identification.ring_down.rungs import bent_leader, climbed, explains, is_misfit, pair_with_leader
 from identification.ring_down.scores import known_columns, stretches
 from identification.ring_down.start import pair_starts
 from identification.rungs import Rung
@@ -44,29 +44,29 @@ from identification.samples import Averages
 from identification.setting import Setting
 
 BLOCKS_PER_CYCLE: dict[Setting, int] = {"fast": 12, "balanced": 20, "reference": 64}
-"""Averaging over 1/n of a cycle loses (2π/n)²/12 of the information: 2.3 %, 0.8 %, 0.08 %."""
+"""Averages over 1/n of a cycle lose (2π/n)²/12 of the information: 2.3 %, 0.8 %, 0.08 %."""
 
 _STARTS: dict[Setting, int] = {"fast": 1, "balanced": 2, "reference": 6}
-_TRIMS = 12
-_LINES, _COLOURS = 8, 2
-_CUT_AT = 8.0  # decay times; beyond, a mode is below 1/3000 of its start
-_COLOURED = 1.15
-_SECOND_MODE_GAIN = 20.0  # of χ², above what BIC asks: noise's largest peak of thousands stays below
-_APART = 3.0  # half-bandwidths
-_TOO_GOOD = 0.5  # χ²/dof
-_FASTEST_SECOND = 6.0  # beyond so many times the first mode's frequency it is no mode of the suspension
+_MAX_TRIMS = 12
+_MAX_LINES, _MAX_COLOURS = 8, 2
+_CUT_AT = 8.0  # decay times, after which a mode is below 1/3000 of its start
+_MIN_STRETCH = 1.15  # factor on intervals for coloured residuals above which a record may be shortened
+_SECOND_MODE_GAIN = 20.0  # of χ² beyond BIC's penalty; above the largest peak of noise among thousands
+_MIN_SPLIT = 3.0  # half-bandwidths
+_MIN_CHI2 = 0.5  # χ²/dof
+_MAX_FREQUENCY_RATIO = 6.0  # of a second mode of the suspension to the first one
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be fitted.
+    """Options of a fit.
 
     Attributes:
-        turned: a turned pair; otherwise one mode, free in every channel.
-        setting: speed against accuracy.
-        priors: of a turned pair.
-        valid: per record and channel the samples that may be used at all.
-        without: rungs that are not taken.
+        turned: whether a turned pair is fitted; otherwise one mode, free in every channel.
+        setting: effort of the fit.
+        priors: priors of a turned pair.
+        valid: usable samples of each record and channel.
+        without: rungs that are not used.
     """
 
     turned: bool
@@ -76,10 +76,10 @@ class Plan:
     without: frozenset[Rung] = frozenset()
 
     def __call__(self, decay: Decay, near: Fitted | None = None) -> Fitted:
-        """Fit without any start value, or with a turned pair's fit on another span for a further one.
+        """Fit a decay with automatic start values. The fit of another span may provide an additional one.
 
         Raises:
-            NotIdentifiable: too little is left after the release.
+            NotIdentifiable: the record after the release is too short.
         """
         fitted = self.from_starts(decay, near)
         refuse_too_short(fitted)
@@ -90,10 +90,12 @@ class Plan:
         return self.with_rungs(fitted if self.turned else self.with_second_mode(fitted))
 
     def with_rungs(self, fitted: Fitted, first: bool = False) -> Fitted:
-        """The fit with those of its modes' rates made to depend on amplitude that the data ask for.
+        """Add the amplitude dependence of the modes' rates that the data require.
 
         Args:
-            first: before lines and coloured noise are looked for: only what explains most of a misfit.
+            fitted: solved fit.
+            first: whether lines and coloured noise are not yet known. Only terms that explain most of a misfit are
+                then added.
         """
         if self.setting == "fast" or "amplitude" in self.without:
             return fitted
@@ -103,20 +105,20 @@ class Plan:
         return climb
 
     def with_bent_leader(self, fitted: Fitted) -> Fitted:
-        """A turned pair where a strong mode whose rates change took both modes of the first start values.
+        """Fit a turned pair again if both modes of the start values describe one strong mode with changing rates.
 
-        The strong mode is fitted alone in both sensors; what that leaves shows the other one.
+        The strong mode is fitted alone in both sensors. The residual shows the other mode.
         """
         bent = bent_leader(fitted, self.priors)
         if bent is None:
             return fitted
         other = theta_of([damped_periodogram(rests(bent))])
-        pairs = (beside_leader(fitted.model, bent, other, place) for place in range(2))
+        pairs = (pair_with_leader(fitted.model, bent, other, place) for place in range(2))
         best = min((solve(fitted.decay, model, [theta], self.priors) for model, theta in pairs), key=lambda f: f.chi2)
         return best if explains(fitted, best) else fitted
 
     def from_starts(self, decay: Decay, near: Fitted | None = None) -> Fitted:
-        """The best fit from start values found in the decay itself."""
+        """Return the best fit from start values that are found in the decay."""
         coarse = decay.model(COARSE_S, 2 if self.turned else 1, self.turned, 0, self.priors.delay_s > 0)
         if self.turned:
             starts = pair_starts(coarse)[: _STARTS[self.setting]]
@@ -128,8 +130,8 @@ class Plan:
         return self.refitted(decay, starts, fastest, 0)
 
     def without_lines(self, fitted: Fitted, near: Fitted | None = None) -> Fitted:
-        """The fit with lines that it shows beside its modes, until it shows none."""
-        for _ in range(0 if "lines" in self.without else _LINES):
+        """Add the lines that the residuals show in addition to the modes, until no line is left."""
+        for _ in range(0 if "lines" in self.without else _MAX_LINES):
             mode = steady_mode(fitted)
             mode = foreign_mode(fitted) if mode is None else mode
             if mode is not None:
@@ -139,16 +141,16 @@ class Plan:
             if other is None:
                 break
             apart = self.again(fitted, without_other(fitted, other))
-            bent = fitted.model.backbone is not None  # rates that change by another law misfit in the mode's own band
+            bent = fitted.model.backbone is not None  # rates of another law cause a misfit in the mode's own band
             if other.near and (bent or not stays(apart, other.lam.imag / (2 * np.pi))):
-                break  # a mode's own misfit
+                break  # the misfit of a mode
             fitted = apart if other.line else self.better_shaped(fitted, apart, other)
         return fitted
 
     def better_shaped(self, fitted: Fitted, apart: Fitted, other: Other) -> Fitted:
-        """Of the weakest mode and another oscillation that decays: which is the mode, as the fits tell.
+        """Decide by fits whether the weakest mode or another decaying oscillation is the mode.
 
-        The weakest mode may have been none at all, from a wrong minimum; or the other's shape befits a turned pair.
+        The weakest mode may come from a wrong minimum, or the shape of the other oscillation fits a turned pair.
         """
         sizes = [mode_size(fitted, m) for m in range(fitted.model.modes)]
         weak = int(np.argmin(sizes))
@@ -165,11 +167,11 @@ class Plan:
         return min(choices, key=lambda f: (f.chi2 / noise + f.model.linear * np.log(f.count)) / f.count)
 
     def with_hidden_mode(self, fitted: Fitted) -> Fitted:
-        """A turned pair that shares one rate, where lines or noise hid the fainter mode from the first start values."""
+        """Search again for the weaker mode of a turned pair with equal rates, which lines or noise may have hidden."""
         if not self.turned or not is_disturbed(fitted):
             return fitted
         lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
-        if abs(lams[0] - lams[1]) > _APART * max(abs(lam.real) for lam in lams):
+        if abs(lams[0] - lams[1]) > _MIN_SPLIT * max(abs(lam.real) for lam in lams):
             return fitted
         hidden = damped_periodogram(white_rests(fitted))
         fastest, drift = float(np.max(fitted.omegas)), fitted.model.drift
@@ -178,13 +180,13 @@ class Plan:
             theta = fitted.theta[: fitted.model.tail].copy()
             theta[2 * place : 2 * place + 2] = theta_of([hidden])
             theta[BETA] = 0.0
-            found = self.refitted(fitted.decay, [theta], fastest, drift)  # the same blocks, so that χ² compares
+            found = self.refitted(fitted.decay, [theta], fastest, drift)  # same blocks, so that χ² is comparable
             best = found if found.chi2 < best.chi2 - _SECOND_MODE_GAIN else best
         return fitted if best is fitted else self.with_known_noise(self.again(best))
 
     def with_known_noise(self, fitted: Fitted) -> Fitted:
-        """The fit weighted by its noise's spectrum where that is not white."""
-        for _ in range(0 if "spectrum" in self.without else _COLOURS):
+        """Weight the fit by the spectrum of its noise if that is not white."""
+        for _ in range(0 if "spectrum" in self.without else _MAX_COLOURS):
             decay = coloured(fitted)
             if decay is None:
                 break
@@ -200,14 +202,23 @@ class Plan:
         modes: int = 0,
         backbone: Backbone | None = None,
     ) -> Fitted:
-        """Fit from start values; fastest in rad/s sets the blocks, modes counts free ones (0: as planned)."""
+        """Fit from start values.
+
+        Args:
+            decay: data.
+            starts: start values of θ.
+            fastest: highest natural frequency, rad/s, which determines the duration of the blocks.
+            drift: order of the drift.
+            modes: number of modes; 0 for the number of the plan.
+            backbone: amplitude dependence of the rates.
+        """
         width = width_for(fastest, BLOCKS_PER_CYCLE[self.setting])
         count = modes or (2 if self.turned else 1)
         model = decay.model(width, count, self.turned, drift, self.priors.delay_s > 0)
         return solve(decay, replace(model, backbone=backbone), starts, self.priors)
 
     def labelled(self, fitted: Fitted) -> Fitted:
-        """Mode 1 is the one nearer to sensor x: an angle beyond 45° is another name for the other order."""
+        """Name the mode closer to sensor x mode 1. An angle beyond 45° is equivalent to the other order."""
         beta = float(fitted.theta[BETA]) if self.turned else 0.0
         if abs(beta) <= np.pi / 4:
             return fitted
@@ -221,21 +232,21 @@ class Plan:
         return other if abs(float(other.theta[BETA])) < abs(beta) else fitted
 
     def again(self, fitted: Fitted, decay: Decay | None = None, drift: int | None = None) -> Fitted:
-        """The same fit on another span or with another drift, from its own parameters."""
+        """Repeat a fit with other data or another drift, starting at its own parameters."""
         order = fitted.model.drift if drift is None else drift
         fastest = float(np.max(fitted.omegas))
         model = fitted.model
         return self.refitted(decay or fitted.decay, [fitted.theta], fastest, order, model.modes, model.backbone)
 
     def with_drift(self, fitted: Fitted) -> Fitted:
-        """The smallest drift that the data do not contradict, by BIC."""
+        """Fit with the order of the drift that has the smallest BIC."""
         choices = drift_criteria(fitted)
         highest = 1 if "wander" in self.without else 3
         order = min((k for k in choices if k <= highest), key=lambda k: choices[k])
         return fitted if order == fitted.model.drift else self.again(fitted, drift=order)
 
     def with_second_mode(self, fitted: Fitted) -> Fitted:
-        """Two modes in one sensor where residuals ask for it; the stronger comes first."""
+        """Fit with two modes in one sensor if the residuals require it. The stronger mode is the first one."""
         dof = fitted.count - fitted.model.linear - fitted.model.size
         if "second-mode" in self.without or fitted.solution.chi2_per_dof < 1 + 4 * np.sqrt(2 / dof):
             return fitted
@@ -243,9 +254,9 @@ class Plan:
         theta = np.r_[fitted.theta[:2], theta_of([second])]
         fastest = max(float(np.max(fitted.omegas)), second.omega)
         first = rate(float(fitted.omegas[0]), float(fitted.zetas[0]))
-        # nearer than that, two decays are a decay that is not exponential
-        apart = abs(second.lam - first) > _APART * max(-first.real, -second.lam.real)
-        if not apart or not 1 / _FASTEST_SECOND < second.omega / abs(first) < _FASTEST_SECOND:
+        # two closer decays describe one decay that is not exponential
+        apart = abs(second.lam - first) > _MIN_SPLIT * max(-first.real, -second.lam.real)
+        if not apart or not 1 / _MAX_FREQUENCY_RATIO < second.omega / abs(first) < _MAX_FREQUENCY_RATIO:
             return fitted
         both = self.refitted(fitted.decay, [theta], fastest, fitted.model.drift, modes=2)
         both = _stronger_first(both)
@@ -254,7 +265,7 @@ class Plan:
         return both if self.with_fewest_modes(both) is both else fitted
 
     def with_fewest_modes(self, fitted: Fitted) -> Fitted:
-        """One mode in one sensor unless a second is worth its parameters by far."""
+        """Fit with one mode in one sensor, unless a second mode has a very significant gain."""
         if self.turned or fitted.model.modes == 1:
             return fitted
         fastest = float(np.max(fitted.omegas))
@@ -262,15 +273,15 @@ class Plan:
         single = self.with_rungs(single) if fitted.model.backbone is not None else single
         gain = (single.chi2 - fitted.chi2) / max(1.0, fitted.solution.chi2_per_dof)
         lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
-        apart = abs(lams[0] - lams[1]) > _APART * max(-lams[0].real, -lams[1].real)
+        apart = abs(lams[0] - lams[1]) > _MIN_SPLIT * max(-lams[0].real, -lams[1].real)
         worth = gain > 4 * np.log(fitted.count) + _SECOND_MODE_GAIN and np.all(fitted.zetas > 0) and apart
         return fitted if worth else single
 
     def without_outliers(self, fitted: Fitted) -> tuple[Fitted, int]:
-        """Masks what no noise explains until nothing changes; the fit with its drift chosen, and how many masked."""
+        """Mask outliers until nothing changes. Return the fit with its drift selected, and the number of outliers."""
         fitted, count = self.with_residual_noise(fitted), 0
         if suspicious(fitted) or not _same(fitted.decay, self.valid):
-            for _ in range(_TRIMS):
+            for _ in range(_MAX_TRIMS):
                 records, count, changed = trimmed(fitted, self.valid)
                 if not changed:
                     break
@@ -278,10 +289,10 @@ class Plan:
         return self.with_drift(fitted), count
 
     def with_residual_noise(self, fitted: Fitted) -> Fitted:
-        """Where a cycle has few samples their differences see the motion, not the noise; residuals do not."""
+        """Take the noise from the residuals if the differences of few samples per cycle contain the motion."""
         residuals = fitted.channel_residuals()
         dof = fitted.count - fitted.model.linear - fitted.model.size
-        if fitted.solution.chi2_per_dof > min(_TOO_GOOD, 1 - 5 * np.sqrt(2 / dof)):
+        if fitted.solution.chi2_per_dof > min(_MIN_CHI2, 1 - 5 * np.sqrt(2 / dof)):
             return fitted
         used = fitted.count / dof
         records = tuple(
@@ -294,12 +305,12 @@ class Plan:
         return self.again(fitted, replace(fitted.decay, records=records))
 
     def shortened(self, fitted: Fitted) -> Fitted:
-        """Where wander widens the intervals: the record cut at 8 decay times and cubic drift, if that narrows them."""
+        """Cut the record at 8 decay times with a cubic drift, if wander widens the intervals and this narrows them."""
         if "wander" in self.without:
             return fitted
         stretch = stretches(fitted)
         slowest = float(np.min(fitted.zetas * fitted.omegas))
-        if float(np.max(stretch[: 2 * fitted.model.modes])) < _COLOURED or slowest <= 0:
+        if float(np.max(stretch[: 2 * fitted.model.modes])) < _MIN_STRETCH or slowest <= 0:
             return fitted
         ends = tuple(min(e, b + _CUT_AT / slowest) for b, e in zip(fitted.decay.begins, fitted.decay.ends, strict=True))
         if all(e > 0.9 * old for e, old in zip(ends, fitted.decay.ends, strict=True)):
@@ -311,7 +322,7 @@ class Plan:
 
 
 def _stronger_first(fitted: Fitted) -> Fitted:
-    """Two free modes in the order of their energies in the first channel."""
+    """Order two free modes by their energies in the first channel."""
     energy = [abs(fitted.amplitude(0, 0, m)) ** 2 / max(fitted.zetas[m], 1e-6) / fitted.omegas[m] for m in range(2)]
     if energy[0] >= energy[1]:
         return fitted
@@ -320,7 +331,7 @@ def _stronger_first(fitted: Fitted) -> Fitted:
 
 
 def rests(fitted: Fitted) -> list[list[Averages]]:
-    """[record][channel], what a fit leaves."""
+    """Residuals of a fit as block averages, [record][channel]."""
     return [
         [replace(c, value=own) for c, own in zip(record.channels, residuals, strict=True)]
         for record, residuals in zip(fitted.model.records, fitted.plain_residuals(), strict=True)
@@ -328,13 +339,13 @@ def rests(fitted: Fitted) -> list[list[Averages]]:
 
 
 def theta_of(starts: Sequence[Start]) -> np.ndarray:
-    """θ of free modes."""
+    """Parameters θ of free modes."""
     return np.array([v for s in starts for v in (np.log(s.omega), s.zeta)])
 
 
 @once_per_fit
 def drift_criteria(fitted: Fitted) -> dict[int, float]:
-    """BIC relative to the fit's own drift, by order of the drift; only orders from the fit's own on."""
+    """BIC relative to the drift of the fit, by order of the drift, for orders from that of the fit on."""
     known, residuals = known_columns(fitted)
     noise = max(1.0, fitted.solution.chi2_per_dof)
     out = {fitted.model.drift: 0.0}
@@ -352,7 +363,7 @@ def drift_criteria(fitted: Fitted) -> dict[int, float]:
 
 
 def _same(decay: Decay, valid: tuple[tuple[np.ndarray, ...], ...]) -> bool:
-    """Whether every usable sample within the spans is in use."""
+    """Whether every usable sample within the spans is used."""
     for channels, masks, begin, end in zip(decay.records, valid, decay.begins, decay.ends, strict=True):
         for channel, mask in zip(channels, masks, strict=True):
             first, last = np.searchsorted(channel.time_s, (begin, end))

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A model with amplitude-dependent rates brought up to a fit of it: each mode's amplitude, and the exact motion."""
+"""Update of a model with amplitude-dependent rates by a fit of it: amplitudes of the modes, and the exact motion."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from identification.ring_down.backbone import Backbone, Floats, averaged_course
 from identification.ring_down.exact_motion import lacking
 from identification.ring_down.model import BETA, DELAYS, RATIO, DecayModel, DecayRecord, rotation
 
-_NOTHING = 1e-6  # of a mode's amplitude, in a sensor that does not see it
+_MIN_AMPLITUDE = 1e-6  # of a mode's amplitude; a sensor with a smaller one does not show the mode
 
 
 def amplitudes(model: DecayModel, coefficients: Sequence[Floats]) -> tuple[tuple[float, ...], ...]:
-    """Per record and mode, the amplitude at the record's zero along the mode's own direction, m."""
+    """Amplitude of each record and mode at the record's zero, along the mode's direction, m."""
     return tuple(
         tuple(float(np.sqrt(sum(abs(a) ** 2 for a in _own(model, record, c, mode)))) for mode in range(model.modes))
         for record, c in zip(model.records, coefficients, strict=True)
@@ -26,7 +26,7 @@ def amplitudes(model: DecayModel, coefficients: Sequence[Floats]) -> tuple[tuple
 def with_terms(
     model: DecayModel, theta: Floats, coefficients: Sequence[Floats], taken: tuple[bool, ...]
 ) -> tuple[DecayModel, Floats]:
-    """A model and its θ with other terms of amplitude, in the order η1, S1, η2, S2; none: rates that are constant."""
+    """Return a model and its θ with other terms of amplitude (order η1, S1, η2, S2). Rates are constant without any."""
     values = theta[model.tail :] if model.backbone is not None else np.zeros(2 * model.modes)
     records = tuple(replace(record, lacking=()) for record in model.records)
     if not any(taken):
@@ -39,10 +39,11 @@ def with_terms(
 
 
 def corrected(model: DecayModel, theta: Floats, coefficients: Sequence[Floats]) -> DecayModel:
-    """The model with the amplitudes of a fit of it, and with what its averaged motion lacks.
+    """Return the model with the amplitudes of a fit of it, and with the correction of its averaged motion.
 
     Args:
-        theta, coefficients: of the fit.
+        model: fitted model.
+        theta, coefficients: result of the fit.
     """
     if model.backbone is None:
         return model
@@ -56,7 +57,7 @@ def corrected(model: DecayModel, theta: Floats, coefficients: Sequence[Floats]) 
 
 
 def _own(model: DecayModel, record: DecayRecord, c: Floats, mode: int) -> list[complex]:
-    """Complex amplitudes of a mode along its axis, or in each channel where it has an amplitude of its own there."""
+    """Complex amplitudes of a mode: one along its axis for a turned pair, one per channel for free modes."""
     count = 1 if model.turned else len(record.channels)
     return [complex(*c[2 * (i * model.modes + mode) : 2 * (i * model.modes + mode) + 2]) for i in range(count)]
 
@@ -76,7 +77,7 @@ def _lacking(model: DecayModel, record: DecayRecord, index: int, theta: Floats, 
             wave, _ = averaged_course(rates, level, own, channel.spread_s2)
             starts = _own(model, record, c, mode)
             start = starts[0 if model.turned else axis]
-            if abs(start) < _NOTHING * level:
+            if abs(start) < _MIN_AMPLITUDE * level:
                 continue
             part = lacking(rates, start, level / abs(start), own, channel.spread_s2, wave)
             total += part * (mix[axis, mode] if model.turned else 1.0)

@@ -1,8 +1,8 @@
 # pyright: strict
-"""Decays whose rates depend on amplitude: a spring that hardens, damping that grows with speed.
+"""Decays whose rates depend on amplitude: a hardening spring, damping that grows with speed.
 
-A mode of amplitude a(t) has the frequency ω (1 + η (a/A)²) and the damping ratio ζ + S a/A, A = 1 mm. Averaged over a
-cycle its motion is Re(c e^{P(t)}) with
+A mode of amplitude a(t) has the frequency ω (1 + η (a/A)²) and the damping ratio ζ + S a/A with A = 1 mm. Its motion
+averaged over a cycle is Re(c e^{P(t)}) with
 
     P = −σ t − ln(1 + b E) + i ω_d (t + η (a0/A)² I),    σ = ζ ω,  b = S ω a0/A,  E = (1 − e^{−σt})/σ,
     I = ∫ (a/a0)² dt = E/w + σ E² G(bE),    w = 1 + b E,  G(x) = 1/(x(1 + x)) − ln(1 + x)/x².
@@ -21,23 +21,23 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 REFERENCE_M = 1e-3
-"""A: the amplitude at which changes of frequency and damping ratio are counted."""
-_SERIES = 0.02  # |x| below which G comes from its series, whose eighth term is below 1e-13
-_SMALL = 1e-4  # σt below which the slope of E comes from its series
-_LEAST_W = 0.05  # a decay continued backwards past where its amplitude is infinite
-_MOST_BENT, _MOST_DRAG, _MOST_GROWN = 0.3, 50.0, 20.0
+"""Reference amplitude A for the changes of frequency and damping ratio, m."""
+_MAX_SERIES_X = 0.02  # |x| below which G comes from its series, whose eighth term is below 1e-13
+_MAX_SERIES_POWER = 1e-4  # σt below which the slope of E comes from its series
+_MIN_W = 0.05  # smaller values belong to a decay that is continued backwards beyond its infinite amplitude
+_MAX_BEND, _MAX_DRAG, _MAX_GROWTH = 0.3, 50.0, 20.0
 
 
 @dataclass(frozen=True)
 class Backbone:
-    """Which modes' rates depend on amplitude.
+    """Amplitude dependence of the modes' rates.
 
     Attributes:
-        hardens: per mode whether its frequency does.
-        drags: per mode whether its damping ratio does.
-        amplitudes_m: per record and mode, a0 at the record's zero.
-        plausible: of the terms that are not taken, in the order of θ, the standard deviation about zero that they are
-            likely to have; 0 where they are left out, as are all of an empty tuple.
+        hardens: whether the frequency of each mode depends on amplitude.
+        drags: whether the damping ratio of each mode depends on amplitude.
+        amplitudes_m: amplitude a0 of each record and mode at the record's zero, m.
+        plausible: prior standard deviation about zero of the terms that are not taken, in the order of θ; 0 for terms
+            that are left out. An empty tuple leaves out all of them.
     """
 
     hardens: tuple[bool, ...]
@@ -47,26 +47,26 @@ class Backbone:
 
     @property
     def taken(self) -> tuple[bool, ...]:
-        """In the order of θ: η1, S1, η2, S2."""
+        """Whether each term is fitted, in the order of θ: η1, S1, η2, S2."""
         return tuple(on for pair in zip(self.hardens, self.drags, strict=True) for on in pair)
 
     @property
     def prior_std(self) -> Floats:
-        """Of the same: infinite where the term is fitted, 0 where it is left out."""
+        """Prior standard deviation of each term: infinite for fitted terms, 0 for terms that are left out."""
         return np.where(self.taken, np.inf, self.plausible or 0.0)
 
     @property
     def opened(self) -> tuple[bool, ...]:
-        """Of the same: whether the term is taken or plausible."""
+        """Whether each term is taken or plausible."""
         return tuple(bool(std > 0) for std in self.prior_std)
 
     @property
     def largest_m(self) -> tuple[float, ...]:
-        """Each mode's largest amplitude of all records."""
+        """Largest amplitude of each mode in all records, m."""
         return tuple(max(own) for own in zip(*self.amplitudes_m, strict=True))
 
     def in_order(self, modes: tuple[int, ...]) -> Backbone:
-        """Some modes, in another order."""
+        """Return the backbone for a selection of modes in the given order."""
         return Backbone(
             tuple(self.hardens[m] for m in modes),
             tuple(self.drags[m] for m in modes),
@@ -77,12 +77,12 @@ class Backbone:
 
 @dataclass(frozen=True)
 class Rates:
-    """One mode's four parameters.
+    """Parameters of one mode.
 
     Attributes:
-        omega, zeta: at zero amplitude, rad/s and dimensionless.
-        hardening: η, relative change of frequency at 1 mm.
-        drag: S, change of the damping ratio at 1 mm.
+        omega, zeta: natural frequency, rad/s, and damping ratio at zero amplitude.
+        hardening: relative change η of the frequency at 1 mm.
+        drag: change S of the damping ratio at 1 mm.
     """
 
     omega: float
@@ -91,24 +91,24 @@ class Rates:
     drag: float
 
     def is_absurd(self, amplitude_m: float, span_s: float) -> bool:
-        """Whether the frequency changes beyond all reason, or the amplitude becomes infinite."""
+        """Whether the frequency changes by more than 30 %, or the amplitude becomes infinite or grows by e²⁰."""
         level, decay = amplitude_m / REFERENCE_M, self.zeta * self.omega * span_s
-        if decay < -_MOST_GROWN:
+        if decay < -_MAX_GROWTH:
             return True
         reach = span_s if abs(decay) < 1e-12 else span_s * -float(np.expm1(-decay)) / decay
         x = self.drag * level * self.omega * reach
-        return not (abs(self.hardening) * level**2 < _MOST_BENT and _LEAST_W - 1 < x < _MOST_DRAG)
+        return not (abs(self.hardening) * level**2 < _MAX_BEND and _MIN_W - 1 < x < _MAX_DRAG)
 
 
 @dataclass(frozen=True)
 class Course:
-    """A mode over time.
+    """Exponent of a mode's motion over time.
 
     Attributes:
         power: P, complex, shape (n,).
         rate: dP/dt, 1/s, complex, shape (n,).
         by: ∂P/∂(ln ω, ζ, η, S), complex, shape (n,) each.
-        rate_by: the same of the rate, without what is of second order.
+        rate_by: derivatives of the rate by the same parameters, to first order.
     """
 
     power: Complexes
@@ -118,17 +118,18 @@ class Course:
 
 
 def course(rates: Rates, amplitude_m: float, time_s: Floats) -> Course:
-    """P and its derivatives.
+    """Compute P and its derivatives.
 
     Args:
-        amplitude_m: a0, at time 0.
-        time_s: shape (n,); may be negative, the decay is then continued backwards.
+        rates: parameters of the mode.
+        amplitude_m: amplitude a0 at time 0, m.
+        time_s: shape (n,), s. For negative times the decay is continued backwards.
     """
     omega, zeta, level = rates.omega, rates.zeta, amplitude_m / REFERENCE_M
     root = float(np.sqrt(1 - zeta * zeta))
     sigma, b, wave, bent = zeta * omega, rates.drag * omega * level, omega * root, rates.hardening * level**2
     e, e_sigma = _reach(sigma, time_s)
-    w = np.maximum(1 + b * e, _LEAST_W)
+    w = np.maximum(1 + b * e, _MIN_W)
     left = 1 - sigma * e  # e^{−σt}
     g, g_slope = _curved(w - 1)
     i = e / w + sigma * e**2 * g
@@ -154,11 +155,12 @@ def course(rates: Rates, amplitude_m: float, time_s: Floats) -> Course:
 def averaged_course(
     rates: Rates, amplitude_m: float, time_s: Floats, spread_s2: Floats
 ) -> tuple[Complexes, tuple[Complexes, ...]]:
-    """e^P averaged over blocks, shape (n,), and its derivatives with respect to ln ω, ζ, η and S.
+    """Average e^P over blocks, shape (n,), with its derivatives by ln ω, ζ, η and S.
 
     Args:
-        amplitude_m: a0, at time 0.
-        time_s, spread_s2: mean and variance of the times of each block's samples, shape (n,).
+        rates: parameters of the mode.
+        amplitude_m: amplitude a0 at time 0, m.
+        time_s, spread_s2: mean and variance of the sample times of each block, shape (n,).
     """
     own = course(rates, amplitude_m, time_s)
     wave = np.exp(own.power)
@@ -171,7 +173,7 @@ def averaged_course(
 def _reach(sigma: float, time_s: Floats) -> tuple[Floats, Floats]:
     """E = (1 − e^{−σt})/σ and ∂E/∂σ."""
     power = sigma * time_s
-    small = np.abs(power) < _SMALL
+    small = np.abs(power) < _MAX_SERIES_POWER
     if small.all():
         return time_s * (1 - 0.5 * power * (1 - power / 3)), -0.5 * time_s**2 * (1 - 2 / 3 * power)
     e = -np.expm1(-power) / sigma
@@ -180,8 +182,8 @@ def _reach(sigma: float, time_s: Floats) -> tuple[Floats, Floats]:
 
 
 def _curved(x: Floats) -> tuple[Floats, Floats]:
-    """G and its slope; about zero from G = Σ (−1)^{n+1} (n + 1)/(n + 2) xⁿ."""
-    small = np.abs(x) < _SERIES
+    """G and its slope; for small x from G = Σ (−1)^{n+1} (n + 1)/(n + 2) xⁿ."""
+    small = np.abs(x) < _MAX_SERIES_X
     safe = np.where(small, 1.0, x)
     log = np.log1p(safe)
     g = 1 / (safe * (1 + safe)) - log / safe**2

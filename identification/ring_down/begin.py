@@ -1,8 +1,8 @@
-"""Where the fit of a free decay begins.
+"""Start of the fit of a free decay.
 
-A recording may hold quiet, a pull and a hold before the release. `release_instant` proposes a begin; then the model
-itself decides: windows of residuals right after the begin that stand out move it forward, windows before it that the
-decay, continued backwards, explains as well as its own samples move it back.
+A recording may contain rest, a pull and a hold before the release. `release_instant` proposes a start, and the model
+corrects it. Windows with large residuals immediately after the start move it forward. Windows before the start move it
+back if the decay, continued backwards, explains them as well as its own samples.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from identification.ring_down.record import Channel
 from identification.ring_down.release_instant import release_instant
 
 _WINDOW_S = 0.05
-_BAD = 6.0  # standard deviations of a window's χ²
-_MOST_FORWARD_S = 0.8  # a hand's last touch; what needs more is no release but a wrong model
+_MAX_WINDOW_STD = 6.0  # standard deviations of a window's χ²
+_MAX_FORWARD_S = 0.8  # for the last touch of a hand; a larger shift indicates a wrong model
 _LEVELS = (0.9, 0.7, 0.5, 0.3)
-_ALL_OFF, _UNEXPLAINED = 25.0, 0.15  # χ²/dof, and residual over signal
-_GROSS = 0.4  # of the signal's own size: no free decay
+_MAX_CHI2, _MAX_RESIDUAL_RATIO = 25.0, 0.15  # χ²/dof, and residual over signal
+_MIN_EXCESS_RATIO = 0.4  # residual over signal before the start that excludes a free decay
 
 
 class Attempt(Protocol):
-    """A fit on some span, from its own start values and from those of a fit on another span."""
+    """Fit of a span, from its own start values and from those of a fit of another span."""
 
     def __call__(self, decay: Decay, near: Fitted | None = None) -> Fitted:
-        """As Plan.__call__."""
+        """Fit as Plan.__call__."""
         ...
 
 
 def proposed(records: tuple[tuple[Channel, ...], ...]) -> Decay:
-    """The decay from each record's proposed begin to its end.
+    """Return the decay from the estimated release of each record to its end.
 
     Raises:
-        NotIdentifiable: nothing moves.
+        NotIdentifiable: a record contains no motion.
     """
-    begins, ends = [], []
+    begins, ends = list[float](), list[float]()
     for channels in records:
         begins.append(max(release_instant([c.averages(COARSE_S) for c in channels]), _start(channels)))
         ends.append(min(float(c.time_s[-1]) for c in channels) + 1e-9)
@@ -49,15 +49,15 @@ def proposed(records: tuple[tuple[Channel, ...], ...]) -> Decay:
 
 
 def _start(channels: tuple[Channel, ...]) -> float:
-    """From when on every channel has samples."""
+    """First time with samples in every channel, s."""
     return max(float(c.time_s[np.argmax(c.keep)]) for c in channels)
 
 
 def settled(decay: Decay, attempt: Attempt) -> Fitted:
-    """Fit, with each record's begin where the free decay really begins.
+    """Fit a decay and correct the start of each record's span.
 
     Raises:
-        IdentificationError: as the attempt, when no begin gives a fit.
+        IdentificationError: error of the attempt, if no start yields a fit.
     """
     first: Fitted | None = None
     failure: IdentificationError | None = None
@@ -71,16 +71,16 @@ def settled(decay: Decay, attempt: Attempt) -> Fitted:
             continue
         if i == 0 and _is_sound(fitted) and not _misfits_everywhere(fitted):
             return _backward(fitted, attempt)
-        if first is not None and _is_sound(fitted) and _skips_what_is_no_decay(fitted):
+        if first is not None and _is_sound(fitted) and _skips_other_motion(fitted):
             return _backward(fitted, attempt)
         first = first or fitted
     if first is None:
         raise failure or NotIdentifiable("no begin of the decay was found")
-    return first  # a model that misfits everywhere; its χ² says so
+    return first  # a model that misfits everywhere, with a large χ²
 
 
 def _candidates(decay: Decay) -> Iterator[Decay]:
-    """The proposed begins, the records' own, and where each record was last at some levels of its largest motion."""
+    """Proposed starts, starts of the records, and the last times at several levels of the largest motion."""
     yield decay
     starts = tuple(_start(channels) for channels in decay.records)
     lasts = [_last_times(channels) for channels in decay.records]
@@ -90,7 +90,7 @@ def _candidates(decay: Decay) -> Iterator[Decay]:
 
 
 def _last_times(channels: tuple[Channel, ...]) -> list[float]:
-    """When the channel that moves most was last beyond each level."""
+    """Last time at which the channel with the largest motion exceeds each level, s."""
     coarse = [c.averages(5 * COARSE_S) for c in channels]
     moves = [np.abs(c.value - np.median(c.value[3 * len(c.value) // 4 :])) for c in coarse]
     most = int(np.argmax([float(m.max()) for m in moves]))
@@ -99,13 +99,13 @@ def _last_times(channels: tuple[Channel, ...]) -> list[float]:
 
 
 def _forward(fitted: Fitted, attempt: Attempt) -> Fitted:
-    """Begin later while the residual right after the begin stands out; back to where it was if that cures nothing."""
+    """Move the start forward while the first residuals are large. Return the original fit if this has no effect."""
     original = fitted
     while True:
         late = _early_excess(fitted)
         if not any(late):
             return fitted if _is_sound(fitted) else original
-        if max(b - o for b, o in zip(fitted.decay.begins, original.decay.begins, strict=True)) > _MOST_FORWARD_S:
+        if max(b - o for b, o in zip(fitted.decay.begins, original.decay.begins, strict=True)) > _MAX_FORWARD_S:
             return original
         begins = tuple(b + n * _WINDOW_S for b, n in zip(fitted.decay.begins, late, strict=True))
         try:
@@ -115,7 +115,7 @@ def _forward(fitted: Fitted, attempt: Attempt) -> Fitted:
 
 
 def _whole_again(fitted: Fitted, proposal: Decay, attempt: Attempt) -> Fitted:
-    """Back to the proposed begin where the fit of less led past a turned pair's wrong minimum there."""
+    """Return to the proposed start if the shorter fit avoids a wrong minimum of a turned pair there."""
     if not fitted.model.turned:
         return fitted
     for share in (0.5, 1.0):  # half the way first
@@ -129,35 +129,35 @@ def _whole_again(fitted: Fitted, proposal: Decay, attempt: Attempt) -> Fitted:
 
 
 def _is_sound(fitted: Fitted) -> bool:
-    """Whether no window anywhere stands out from the record's usual residuals."""
+    """Whether no window of the record has significantly larger residuals than the record as a whole."""
     for record, residuals in zip(fitted.model.records, fitted.channel_residuals(), strict=True):
         for t, residual in zip(record.times, residuals, strict=True):
             label = np.maximum(np.floor(t / _WINDOW_S), 0).astype(int)
             number = np.bincount(label)
             squares = np.bincount(label, residual**2)
             level = max(1.0, float(np.median(residual**2)) / 0.4549)
-            if np.any(squares / level > number + 1.5 * _BAD * np.sqrt(2 * number) + 20):
+            if np.any(squares / level > number + 1.5 * _MAX_WINDOW_STD * np.sqrt(2 * number) + 20):
                 return False
     return True
 
 
 def _misfits_everywhere(fitted: Fitted) -> bool:
-    """Whether much of a sensor's signal is left, and not as noise: then no window need stand out."""
-    if fitted.solution.chi2_per_dof < _ALL_OFF:
+    """Whether residuals above noise are a large part of a sensor's signal, even if no single window deviates."""
+    if fitted.solution.chi2_per_dof < _MAX_CHI2:
         return False
     pairs = zip(fitted.model.records, fitted.plain_residuals(), strict=True)
     return any(
-        float(np.std(residual)) > _UNEXPLAINED * float(np.std(channel.value))
+        float(np.std(residual)) > _MAX_RESIDUAL_RATIO * float(np.std(channel.value))
         for record, residuals in pairs
         for channel, residual in zip(record.channels, residuals, strict=True)
     )
 
 
-def _skips_what_is_no_decay(fitted: Fitted) -> bool:
-    """Whether what lies before the begin differs grossly from the decay continued backwards, in some record.
+def _skips_other_motion(fitted: Fitted) -> bool:
+    """Whether a record's motion before the start differs strongly from the decay continued backwards.
 
-    A wrong model also fits better where little is left of the motion; but then the decay continued backwards is nearly
-    right, and leaving its best part out would hide the misfit.
+    A wrong model also fits better to the small motion at the end. In that case the decay continued backwards is nearly
+    correct, and a later start would hide the misfit.
     """
     for r, channels in enumerate(fitted.decay.records):
         for axis, channel in enumerate(channels):
@@ -167,14 +167,15 @@ def _skips_what_is_no_decay(fitted: Fitted) -> bool:
                 continue
             residual, model = sample_residuals(fitted, r, axis, channel, int(first), int(last))
             size = float(np.sqrt(np.mean(residual[kept] ** 2)))
-            if size > _GROSS * float(np.std(model[kept])) and size > 10 * channel.noise / np.sqrt(len(residual)):
+            excess = size > _MIN_EXCESS_RATIO * float(np.std(model[kept]))
+            if excess and size > 10 * channel.noise / np.sqrt(len(residual)):
                 return True
     return False
 
 
 def _early_excess(fitted: Fitted) -> list[int]:
-    """Per record how many windows to leave out: through the last of the first four that stands out."""
-    out = []
+    """Number of windows to leave out in each record: up to the last of the first four with large residuals."""
+    out: list[int] = []
     for record, residuals in zip(fitted.model.records, fitted.channel_residuals(), strict=True):
         worst = 0
         for t, residual in zip(record.times, residuals, strict=True):
@@ -183,20 +184,20 @@ def _early_excess(fitted: Fitted) -> list[int]:
             level = max(1.0, float(np.median(later**2)) / 0.4549) if len(later) else 1.0
             for k in range(4):
                 own = residual[label == k]
-                if len(own) and float(own @ own) / level > len(own) + _BAD * np.sqrt(2 * len(own)) + 12:
+                if len(own) and float(own @ own) / level > len(own) + _MAX_WINDOW_STD * np.sqrt(2 * len(own)) + 12:
                     worst = max(worst, k + 1)
         out.append(worst)
     return out
 
 
 def _backward(fitted: Fitted, attempt: Attempt) -> Fitted:
-    """Begin earlier where the decay, continued backwards, explains the samples before its begin."""
+    """Move the start back if the decay, continued backwards, explains the samples before it."""
     for _ in range(4):
         begins = tuple(_earliest(fitted, r) for r in range(len(fitted.decay.records)))
         moved = [b - e for b, e in zip(fitted.decay.begins, begins, strict=True)]
         if max(moved) <= 0:
             return fitted
-        earlier = attempt(replace(fitted.decay, begins=begins), fitted)  # it may have led past a wrong minimum
+        earlier = attempt(replace(fitted.decay, begins=begins), fitted)  # its values may avoid a wrong minimum
         if any(_early_excess(earlier)):
             return fitted
         fitted = earlier
@@ -204,7 +205,7 @@ def _backward(fitted: Fitted, attempt: Attempt) -> Fitted:
 
 
 def _earliest(fitted: Fitted, record: int) -> float:
-    """How far back a record's windows fit; one window of margin unless the record itself begins there."""
+    """Earliest start from which a record's windows fit, s, with one window of margin except at the record's start."""
     channels, begin = fitted.decay.records[record], fitted.decay.begins[record]
     start = _start(channels)
     if begin <= start:
@@ -213,7 +214,7 @@ def _earliest(fitted: Fitted, record: int) -> float:
     reach = count
     for axis, channel in enumerate(channels):
         squares, number = _backward_squares(fitted, record, axis, channel, start, count)
-        bad = squares > number + _BAD * np.sqrt(2 * number) + 12
+        bad = squares > number + _MAX_WINDOW_STD * np.sqrt(2 * number) + 12
         if bad.any():
             reach = min(reach, int(np.argmax(bad)))
     if reach == count:
@@ -224,9 +225,9 @@ def _earliest(fitted: Fitted, record: int) -> float:
 def _backward_squares(
     fitted: Fitted, record: int, axis: int, channel: Channel, start: float, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """χ² and number of means of each window before the begin, the nearest first.
+    """χ² and number of means of each window before the start, nearest first.
 
-    Samples are averaged over a window's quarters first: a shift of a mean shows long before single samples do.
+    Samples are averaged over quarters of a window, which reveals a smaller shift than single samples.
     """
     begin = fitted.decay.begins[record]
     first, last = np.searchsorted(channel.time_s, (start, begin))

@@ -1,4 +1,4 @@
-"""A ring-down under examination: its channels, the span that is fitted, and one fit of it."""
+"""Data of a ring-down's fit: channels, fitted span, priors, and a solved model."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from identification.ring_down.record import Channel
 from identification.samples import Averages
 
 _T = TypeVar("_T")
-COARSE_S = 1 / 250.0  # blocks for start values: 20 a cycle up to 12.5 Hz
-_LEAST_BLOCKS, _LEAST_CYCLES = 24, 1.5
-_MOST_ITERATIONS = 100  # along the valley of a close pair
-_CORRECTIONS = 3  # each brings amplitudes and the exact motion thirty times nearer at 3 % of stiffness
+COARSE_S = 1 / 250.0  # duration of the blocks for start values: 20 per cycle up to 12.5 Hz
+_MIN_BLOCKS, _MIN_CYCLES = 24, 1.5
+_MAX_ITERATIONS = 100  # a close pair needs many
+_CORRECTIONS = 3  # each reduces the error of amplitudes and exact motion to a thirtieth at 3 % of stiffness
 
 
 @dataclass(frozen=True)
 class Priors:
-    """What is known of a turned pair before: standard deviations about zero.
+    """Priors of a turned pair: standard deviations about zero.
 
     Attributes:
-        axis_rad: of the axis angle, how well the sensors may be mounted at worst.
-        ratio: of the sensors' gains, ln.
-        delay_s: between the two lasers' clocks; 0 when they share one.
+        axis_rad: axis angle (mounting of the sensors), rad.
+        ratio: logarithm of the ratio of the sensors' gains.
+        delay_s: delay between the clocks of the two lasers, s; 0 for a common clock.
     """
 
     axis_rad: float = np.radians(30.0)
@@ -42,33 +42,33 @@ class Priors:
 
 @dataclass(frozen=True)
 class Decay:
-    """Channels of every record with the spans to be fitted, s."""
+    """Channels of every record with the start and end of the fitted span, s."""
 
     records: tuple[tuple[Channel, ...], ...]
     begins: tuple[float, ...]
     ends: tuple[float, ...]
 
     def averages(self, width_s: float) -> list[list[Averages]]:
-        """Blocks of every record's channels within its span.
+        """Block averages of the channels of every record within its span.
 
         Raises:
-            NotIdentifiable: too little is left.
+            NotIdentifiable: a span has fewer than 24 blocks.
         """
-        out = []
+        out: list[list[Averages]] = []
         for channels, begin, end in zip(self.records, self.begins, self.ends, strict=True):
             own = [c.averages(width_s, begin, end) for c in channels]
-            if any(len(a.time_s) < _LEAST_BLOCKS for a in own):
+            if any(len(a.time_s) < _MIN_BLOCKS for a in own):
                 span = min(float(a.time_s[-1] - a.time_s[0]) for a in own)
                 raise NotIdentifiable(
-                    f"only {span:.2g} s after the release at {begin:.4g} s, {_LEAST_BLOCKS * width_s:.2g} s are "
+                    f"only {span:.2g} s after the release at {begin:.4g} s, {_MIN_BLOCKS * width_s:.2g} s are "
                     "needed; record at least a few cycles of the decay"
                 )
             out.append(own)
         return out
 
     def model(self, width_s: float, modes: int, turned: bool, drift: int = 0, delays: bool = False) -> DecayModel:
-        """The model over this decay's blocks."""
-        records = []
+        """Build a model of this decay with blocks of width_s."""
+        records: list[DecayRecord] = []
         spans = zip(self.records, self.begins, self.ends, strict=True)
         for own, (channels, begin, end) in zip(self.averages(width_s), spans, strict=True):
             lines = (
@@ -79,7 +79,7 @@ class Decay:
         return DecayModel(tuple(records), modes, turned, drift, delays and turned, width_s)
 
     def with_channels(self, change: Callable[[int, int, Channel], Channel]) -> Decay:
-        """The same spans with every channel changed: (record, axis, channel) to channel."""
+        """Return the decay with every channel replaced by change(record, axis, channel)."""
         records = tuple(
             tuple(change(r, axis, channel) for axis, channel in enumerate(channels))
             for r, channels in enumerate(self.records)
@@ -87,13 +87,13 @@ class Decay:
         return replace(self, records=records)
 
     def only(self, axis: int) -> Decay:
-        """One sensor of every record."""
+        """Return the decay with one sensor of every record."""
         return replace(self, records=tuple((r[axis],) for r in self.records))
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """One solved model of a decay; equal to itself only."""
+    """Solved model of a decay. Instances are compared by identity."""
 
     decay: Decay
     model: DecayModel
@@ -106,7 +106,7 @@ class Fitted:
 
     @property
     def chi2(self) -> float:
-        """Sum of squared residuals, in noise variances."""
+        """Sum of squared residuals in noise variances."""
         return sum(float(r @ r) for r in self.solution.residuals)
 
     @property
@@ -116,26 +116,26 @@ class Fitted:
 
     @property
     def width_s(self) -> float:
-        """Length of a block, s."""
+        """Duration of a block, s."""
         return self.model.width_s
 
     def plain_residuals(self) -> list[list[np.ndarray]]:
-        """[record][channel], block means less the model, m: with the noise's correlation left in."""
+        """Block means minus model without whitening, m, [record][channel]."""
         if not any(any(record.colours) for record in self.model.records):
             return [
                 [own / channel.weight for channel, own in zip(record.channels, residuals, strict=True)]
                 for record, residuals in zip(self.model.records, self.channel_residuals(), strict=True)
             ]
         plain = replace(self.model, records=tuple(replace(r, colours=()) for r in self.model.records))
-        out = []
+        out: list[list[np.ndarray]] = []
         for record, block, c in zip(plain.records, plain(self.theta), self.solution.coefficients, strict=True):
             residual = (block.data - block.basis @ c) / record.weight
             out.append(np.split(residual, np.cumsum([len(t) for t in record.times])[:-1]))
         return out
 
     def channel_residuals(self) -> list[list[np.ndarray]]:
-        """[record][channel], in standard deviations, white as far as the noise's colour is known."""
-        out = []
+        """Residuals in standard deviations, whitened by the known colour of the noise, [record][channel]."""
+        out: list[list[np.ndarray]] = []
         for record, residual in zip(self.model.records, self.solution.residuals, strict=True):
             edges = np.cumsum([len(t) for t in record.times])[:-1]
             out.append(np.split(residual, edges))
@@ -151,14 +151,14 @@ class Fitted:
         return complex(c[at], c[at + 1])
 
     def found_lines(self) -> list[list[list[Line]]]:
-        """[record][channel], lines with what the fit found besides what was taken off the samples."""
-        out = []
+        """Lines as subtracted from the samples plus their correction by the fit, [record][channel]."""
+        out: list[list[list[Line]]] = []
         for record, channels, c in zip(self.model.records, self.decay.records, self.solution.coefficients, strict=True):
             drifts = len(record.channels) * (self.model.drift + 1)
             at = len(c) - drifts - record.line_columns.shape[1]
-            own = []
+            own: list[list[Line]] = []
             for channel, means in zip(channels, record.channels, strict=True):
-                lines = []
+                lines: list[Line] = []
                 for line in channel.lines:
                     order = line.order + 1 if channel.in_blocks(line, self.width_s) else 0
                     if order:
@@ -185,31 +185,31 @@ class Fitted:
 
 
 def once_per_fit(judge: Callable[[Fitted], _T]) -> Callable[[Fitted], _T]:
-    """A judgement of fits that is asked for at several places, made once for each fit as long as that lives."""
+    """Cache the result of a function of a fit for the lifetime of the fit."""
     made: WeakKeyDictionary[Fitted, _T] = WeakKeyDictionary()
 
     @wraps(judge)
-    def remembered(fitted: Fitted) -> _T:
+    def cached(fitted: Fitted) -> _T:
         if fitted not in made:
             made[fitted] = judge(fitted)
         return made[fitted]
 
-    return remembered
+    return cached
 
 
 def solve(decay: Decay, model: DecayModel, starts: Sequence[np.ndarray], priors: Priors) -> Fitted:
-    """The best minimum from some starts."""
+    """Return the fit with the smallest cost from several start values."""
     fitted = _solved(decay, model, starts, priors)
     for _ in range(_CORRECTIONS if model.backbone is not None else 0):
         model = corrected(fitted.model, fitted.theta, fitted.solution.coefficients)
-        if model.is_absurd(fitted.theta):  # no such amplitude goes with such terms: the mode is none
+        if model.is_absurd(fitted.theta):  # amplitude and terms are incompatible: not a real mode
             break
         fitted = _solved(decay, model, [fitted.theta], priors)
     return fitted
 
 
 def prior_std(model: DecayModel, priors: Priors) -> np.ndarray:
-    """Standard deviations of what is known of θ before, about zero; inf where nothing is."""
+    """Prior standard deviations of θ about zero; inf without a prior."""
     std = np.full(model.size, np.inf)
     if model.turned:
         std[BETA], std[RATIO] = priors.axis_rad, priors.ratio
@@ -225,22 +225,22 @@ def _solved(decay: Decay, model: DecayModel, starts: Sequence[np.ndarray], prior
     for start in starts:
         if model.is_absurd(start):
             continue
-        found = solve_separable(model, start, np.zeros(model.size), std, _MOST_ITERATIONS)
+        found = solve_separable(model, start, np.zeros(model.size), std, _MAX_ITERATIONS)
         if best is None or found.minimum.cost < best.minimum.cost:
             best = found
     if best is None:
-        raise FitFailed("ring-down: no start value describes a decaying oscillation; does the record hold one?")
+        raise FitFailed("ring-down: no start value describes a decaying oscillation; does the record contain one?")
     if model.turned and not best.minimum.converged:
-        best = _at_one_of_some_angles(model, best, best.minimum.theta, std)
+        best = _at_best_fixed_angle(model, best, best.minimum.theta, std)
     return Fitted(decay, model, best)
 
 
 def second_mode_gain(fitted: Fitted) -> tuple[float, np.ndarray]:
-    """χ² that a turned pair gains over one mode free in every channel, in noise variances, and that mode's θ."""
+    """Gain of χ² of a turned pair over one mode free in every channel, in noise variances, and that mode's θ."""
     alone = replace(fitted.model, modes=1, turned=False, delays=False, backbone=None)
     start = 0.5 * (fitted.theta[0:2] + fitted.theta[2:4])
     fits = [solve(fitted.decay, alone, [s], Priors()) for s in (start, fitted.theta[0:2], fitted.theta[2:4])]
-    if fitted.model.backbone is not None:  # a lone mode whose rates depend on amplitude is one mode
+    if fitted.model.backbone is not None:  # a single mode may also have rates that depend on amplitude
         plain = tuple(replace(r, lacking=()) for r in alone.records)
         for mode in np.flatnonzero(np.any(np.reshape(fitted.model.backbone.taken, (2, 2)), axis=1)).tolist():
             model = replace(alone, records=plain, backbone=fitted.model.backbone.in_order((mode,)))
@@ -251,17 +251,17 @@ def second_mode_gain(fitted: Fitted) -> tuple[float, np.ndarray]:
 
 
 def both_alike(fitted: Fitted, single: np.ndarray, priors: Priors) -> Fitted:
-    """A turned pair where one mode explains both sensors: from that mode, at the best of some angles."""
+    """Fit a turned pair of two equal modes, starting at a single mode, at the best of several fixed angles."""
     theta = np.r_[single, single, fitted.theta[BETA:]]
-    found = _at_one_of_some_angles(fitted.model, fitted.solution, theta, prior_std(fitted.model, priors))
+    found = _at_best_fixed_angle(fitted.model, fitted.solution, theta, prior_std(fitted.model, priors))
     return replace(fitted, solution=found)
 
 
-def _at_one_of_some_angles(model: DecayModel, lost: Solution, near: np.ndarray, std: np.ndarray) -> Solution:
-    """Where least squares wanders along a valley in β: the best of some fixed angles, still not converged in β.
+def _at_best_fixed_angle(model: DecayModel, lost: Solution, near: np.ndarray, std: np.ndarray) -> Solution:
+    """Solution at the best of several fixed angles β, for a fit that does not converge in β.
 
-    At the angle in which the motion of equal modes is polarised one mode has no amplitude and its rate is anything;
-    any other angle is as good, and well behaved.
+    If equal modes are polarised along one axis of the model, the other mode has no amplitude and its rate is
+    arbitrary. Any other angle fits equally well and is numerically regular.
     """
     best = lost
     for beta in np.radians((-30.0, -15.0, 0.0, 15.0, 30.0)):
@@ -280,19 +280,19 @@ def _at_one_of_some_angles(model: DecayModel, lost: Solution, near: np.ndarray, 
 
 
 def width_for(omega: float, blocks_per_cycle: int) -> float:
-    """Block length, s."""
+    """Duration of a block, s."""
     return 2 * np.pi / omega / blocks_per_cycle
 
 
 def refuse_too_short(fitted: Fitted) -> None:
-    """Raises NotIdentifiable when the record shows less than one and a half cycles of the slowest mode."""
+    """Raise NotIdentifiable if the record contains less than one and a half cycles of the slowest mode."""
     slowest = float(np.min(fitted.omegas)) / (2 * np.pi)
     for record in fitted.model.records:
         span = min(float(t[-1] - t[0]) for t in record.times)
         cycles = span * slowest
-        if cycles < _LEAST_CYCLES:
-            shown = np.floor(100 * cycles) / 100  # rounded up it would read as enough
+        if cycles < _MIN_CYCLES:
+            shown = np.floor(100 * cycles) / 100  # a rounded value could equal the required one
             raise NotIdentifiable(
                 f"the record shows {shown:.2f} cycles of {slowest:.3g} Hz after the release; "
-                f"at least {_LEAST_CYCLES} are needed, five or more are better"
+                f"at least {_MIN_CYCLES} are needed, five or more are better"
             )

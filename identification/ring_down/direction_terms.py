@@ -1,5 +1,5 @@
 # pyright: strict
-"""The terms H and Q of each direction as a ring-down's fit leaves them, found or only likely to be there.
+"""Terms H and Q of each direction from a ring-down's fit, significant or only likely.
 
 H = 8 η/(3 A²) and Q = (3π/8) (S/A)/(ζω) from the fit's relative change η of the frequency and change S of the damping
 ratio at A = 1 mm (docs/theory/ring_down.md).
@@ -21,15 +21,15 @@ _CUBIC, _GROWTH = 8 / (3 * REFERENCE_M**2), 3 * math.pi / 8 / REFERENCE_M
 
 @dataclass(frozen=True)
 class DirectionTerms:
-    """One direction.
+    """Amplitude terms of one direction.
 
     Attributes:
         direction: 1 or 2.
         values: H (1/m²) and Q (s/m), shape (2,); 0 without a term.
-        covariance: of (ln f, ζ, H, Q), shape (4, 4); zeros for a term that is taken as none.
-        found: which of both the record shows; one that is uncertain and not found is likely because of the other
-            direction's.
-        largest_m: amplitude up to which the records show the direction.
+        covariance: covariance of (ln f, ζ, H, Q), shape (4, 4); zeros for a term that is assumed to be absent.
+        found: whether H and Q are significant. A term with a variance that is not significant is considered likely
+            because the other direction has it.
+        largest_m: largest amplitude of the direction in the records, m.
     """
 
     direction: int
@@ -40,11 +40,12 @@ class DirectionTerms:
 
 
 def direction_terms(fitted: Fitted, labels: tuple[str, ...], stretch: Floats) -> list[DirectionTerms]:
-    """The terms of every direction of a fit.
+    """Return the terms of every direction of a fit.
 
     Args:
-        labels: the directions' numbers.
-        stretch: by how much each parameter's standard deviation is multiplied, shape (size,).
+        fitted: solved fit.
+        labels: numbers of the directions.
+        stretch: factor on the standard deviation of each parameter, shape (size,).
     """
     model, out = fitted.model, list[DirectionTerms]()
     full = fitted.solution.minimum.covariance * np.outer(stretch, stretch)
@@ -54,7 +55,7 @@ def direction_terms(fitted: Fitted, labels: tuple[str, ...], stretch: Floats) ->
         covariance[:2, :2] = full[2 * mode : 2 * mode + 2, 2 * mode : 2 * mode + 2]
         if model.backbone is not None:
             at = np.array([2 * mode, 2 * mode + 1, model.tail + 2 * mode, model.tail + 2 * mode + 1])
-            kinds = any(model.backbone.hardens), any(model.backbone.drags)  # of a kind that none has there is none
+            kinds = any(model.backbone.hardens), any(model.backbone.drags)  # a kind that no direction has is absent
             opened = model.backbone.opened[2 * mode : 2 * mode + 2]
             keep = np.array([True, True, *(on and there for on, there in zip(opened, kinds, strict=True))])
             rates = model.mode_rates(fitted.theta, mode)

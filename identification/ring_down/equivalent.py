@@ -1,5 +1,5 @@
 # pyright: strict
-"""The linear spring and damper that a direction equals at an amplitude."""
+"""Equivalent linear spring and damper of a direction at an amplitude."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from identification.ring_down.result import RingDownFit
 
 @dataclass(frozen=True)
 class EquivalentLinear:
-    """A direction at one amplitude, each value with its standard deviation.
+    """Equivalent linear values of a direction at one amplitude, each with its standard deviation.
 
     Attributes:
-        amplitude_m: of the motion.
-        f_Hz, f_std: frequency sqrt(k_eq/M)/2π.
+        amplitude_m: amplitude of the motion, m.
+        f_Hz, f_std: frequency sqrt(k_eq/M)/2π, Hz.
         zeta, zeta_std: damping ratio c_eq/(2 sqrt(k M)).
-        k_N_per_m, k_std: stiffness k (1 + ¾ κ a²); None where the fit had no mass.
+        k_N_per_m, k_std: stiffness k (1 + ¾ κ a²), N/m; None if the fit had no mass.
     """
 
     amplitude_m: float
@@ -33,20 +33,23 @@ class EquivalentLinear:
 
 
 def equivalent_linear(fit: RingDownFit, direction: int, amplitude_m: float) -> EquivalentLinear:
-    """Frequency, damping ratio and stiffness of a direction at an amplitude.
+    """Compute frequency, damping ratio and stiffness of a direction at an amplitude.
 
-    A direction whose rates do not depend on amplitude has the same values at all.
+    The values of a direction without fitted amplitude terms are the same for all amplitudes.
 
     Args:
+        fit: fit of the ring-down.
         direction: 1 or 2.
-        amplitude_m: of the motion, m, at least 0; beyond the records' own amplitudes the fitted law is extrapolated.
+        amplitude_m: amplitude of the motion, m, at least 0. Beyond the amplitudes of the records the fitted law is
+            extrapolated.
     Raises:
-        IdentificationError: the fit holds no such direction, or the amplitude is negative.
+        IdentificationError: the fit does not contain the direction, the amplitude is negative, or the equivalent
+            stiffness is not positive.
     Source: docs/theory/ring_down.md, "Rates that depend on amplitude".
     """
     names = [f"f{direction}_Hz", f"zeta{direction}"]
     if any(name not in fit.values for name in names):
-        raise IdentificationError(f"the ring-down holds no direction {direction}; it has {', '.join(fit.values)}")
+        raise IdentificationError(f"the ring-down contains no direction {direction}; it has {', '.join(fit.values)}")
     if not amplitude_m >= 0:
         raise IdentificationError(f"expected amplitude_m >= 0, got {amplitude_m!r}")
     f, zeta = (fit.values[name] for name in names)

@@ -1,11 +1,12 @@
 # pyright: strict
-"""What averaging over a cycle leaves out: the equation of motion integrated, less its averaged solution.
+"""Correction of the averaged solution: the integrated equation of motion minus its solution averaged over a cycle.
 
     q̈ + 2 ζ ω q̇ + d2 |q̇| q̇ + ω² (1 + κ q²) q = 0,    κ = 8 η/(3 A²),  d2 = 3π S/(4 A).
 
-The averaged solution is of first order in κ a² and d2 a. What it lacks (the third harmonic, the second order of the
-frequency) is some micrometres at a few millimetres, as much as the noise of one sample and far more than that of all
-samples. It is computed at the fitted parameters and taken off the block means; the fit is then repeated.
+The averaged solution is of first order in κ a² and d2 a. The missing terms (the third harmonic, the second order of the
+frequency) are some micrometres at a few millimetres. This equals the noise of one sample and exceeds that of all
+samples by far. The correction is computed at the fitted parameters and subtracted from the block means; the fit is then
+repeated.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ _STEPS_PER_CYCLE = 128
 
 
 def exact_motion(rates: Rates, start: complex, scale: float, time_s: Floats) -> Floats:
-    """Displacement, speed and acceleration of a mode, shape (3, n).
+    """Integrate the motion of a mode: displacement, velocity and acceleration, shape (3, n).
 
     Args:
-        start: complex amplitude at time 0 of the averaged solution: displacement Re(start), speed Re(rate · start).
-        scale: the mode's amplitude over that of `start`, where a sensor sees a part of the motion.
-        time_s: shape (n,), ascending; at most a few blocks before 0.
+        rates: parameters of the mode.
+        start: complex amplitude of the averaged solution at time 0: displacement Re(start), velocity Re(rate · start).
+        scale: amplitude of the mode over that of `start`, for a sensor that measures a part of the motion.
+        time_s: shape (n,), s, ascending, at most a few blocks before 0.
     """
     level = abs(start) * scale / REFERENCE_M
     root = float(np.sqrt(1 - rates.zeta**2))
-    rate = rates.omega * complex(
-        -rates.zeta - rates.drag * level, root * (1 + rates.hardening * level**2)
-    )  # of the averaged solution at time 0
+    # rate of the averaged solution at time 0
+    rate = rates.omega * complex(-rates.zeta - rates.drag * level, root * (1 + rates.hardening * level**2))
     cubic = 8 / 3 * rates.hardening * (scale / REFERENCE_M) ** 2
     drag = 0.75 * np.pi * rates.drag * scale / REFERENCE_M
     step = 2 * np.pi / rates.omega / _STEPS_PER_CYCLE
@@ -39,11 +40,11 @@ def exact_motion(rates: Rates, start: complex, scale: float, time_s: Floats) -> 
 
 
 def lacking(rates: Rates, start: complex, scale: float, time_s: Floats, spread_s2: Floats, wave: Complexes) -> Floats:
-    """Block means of the exact motion less those of the averaged one, shape (n,), m.
+    """Block means of the exact motion minus those of the averaged one, shape (n,), m.
 
     Args:
-        start, scale, time_s: as exact_motion.
-        spread_s2: variance of the times of each block's samples, shape (n,).
+        rates, start, scale, time_s: as in exact_motion.
+        spread_s2: variance of the sample times of each block, shape (n,).
         wave: block means of e^P, shape (n,).
     """
     exact = exact_motion(rates, start, scale, time_s)
@@ -54,7 +55,7 @@ def lacking(rates: Rates, start: complex, scale: float, time_s: Floats, spread_s
 def _integrated(
     omega: float, zeta: float, cubic: float, drag: float, q: float, v: float, time_s: Floats, step: float
 ) -> Floats:  # pragma: no cover
-    """Runge and Kutta's fourth order, in whole steps from one time to the next."""
+    """Fourth-order Runge–Kutta integration, with a whole number of steps between two times."""
     out = np.empty((3, len(time_s)))
     now, stiff, damp = 0.0, omega * omega, 2 * zeta * omega
     for i in range(len(time_s)):

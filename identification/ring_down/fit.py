@@ -1,6 +1,6 @@
-"""Ring-down: natural frequencies, damping ratios and the sensors' axis angle from free decays.
+"""Fit of ring-downs: natural frequencies, damping ratios and the axis angle of the sensors from free decays.
 
-Model: identification.ring_down.model. Estimator, criteria and intervals: docs/theory/ring_down.md.
+The model is in identification.ring_down.model. Estimator, criteria and intervals: docs/theory/ring_down.md.
 """
 
 from __future__ import annotations
@@ -47,11 +47,12 @@ from identification.rungs import held_back
 from identification.setting import Setting, check_setting
 from rig_configs.suspension_terms import TERMS
 
-AXIS_PRIOR_STD = np.radians(3.0)  # how well the sensors are mounted, where a run-up has to rely on it
-DELAY_STD_S = 3e-3  # between two lasers' clocks
-_ANOTHER_ANGLE, _AS_GOOD, _BETTER = np.radians(10.0), 8.0, 4.0  # beyond 3 std of a resolved angle, which costs 9 of χ²
-_HARDLY_MOVES = 0.5  # a sensor's amplitude over the other's, below which it vetoes nothing
-_PULLED, _FREE_RATIO = 4.5, 0.3  # standard deviations of the gains' ratio; what it may be then
+AXIS_PRIOR_STD = np.radians(3.0)  # standard uncertainty of the sensors' mounting, for a run-up that depends on it
+DELAY_STD_S = 3e-3  # between the clocks of two lasers
+# a resolved angle has a std below 3°; an angle 10° away therefore costs more than 9 of χ²
+_MIN_ANGLE_CHANGE_RAD, _MAX_CHI2_LOSS, _MIN_CHI2_GAIN = np.radians(10.0), 8.0, 4.0
+_WEAK_RATIO = 0.5  # amplitude of a sensor over the other's, below which the fit may go on without it
+_MAX_RATIO_PULL, _FREE_RATIO_STD = 4.5, 0.3  # standard deviations of the gains' ratio; prior std beyond them
 
 
 @on_one_thread
@@ -67,19 +68,19 @@ def fit_ring_down(
     """Fit a free decay.
 
     Args:
-        time_s: shape (n,), s, ascending; need not be uniform.
-        displacement_m: shape (n,) for one sensor and one mode, or (n, 2) for sensors x and y on the same samples and
-            two modes; m. NaN, railed and outlying samples are left out. Quiet, pull and hold before the release may
-            be there.
-        mass_kg: total moving mass; adds stiffnesses.
+        time_s: shape (n,), s, ascending, not necessarily uniform.
+        displacement_m: displacement, m; shape (n,) for one sensor and one mode, or (n, 2) for sensors x and y with
+            common sample times and two modes. NaN, samples at the rail and outliers are left out. The record may
+            contain rest, pull and hold before the release.
+        mass_kg: total moving mass, kg. With it the result contains stiffnesses.
         setting: fast, balanced or reference.
-        axis_prior_deg: how far the sensors may be turned against the stiffness axes, one standard deviation. The
-            default is so wide that the data decide.
-        without: rungs of the ladder that are not taken (identification.rungs.RUNGS).
+        axis_prior_deg: standard deviation of the sensors' rotation against the stiffness axes, deg. The default is so
+            wide that the data decide.
+        without: rungs of the ladder that are not used (identification.rungs.RUNGS).
     Raises:
-        ValueError: no such rung.
-        NotIdentifiable: nothing rings down, or too fast, or the record is too short, or damping drowns in noise.
-        FitFailed: no convergence, or the model leaves a good part of the signal.
+        ValueError: a name in `without` is not a rung.
+        NotIdentifiable: the record contains no decay, a decay that is too fast or too short, or damping below noise.
+        FitFailed: the fit did not converge, or the model leaves a large part of the signal.
     Source: docs/theory/ring_down.md.
     """
     signals = np.asarray(displacement_m, float)
@@ -99,32 +100,34 @@ def fit_ring_down_runs(
     axis_prior_deg: float = 30.0,
     without: Collection[str] = (),
 ) -> RingDownFit:
-    """One joint fit of several ring-down runs: modes and axis angle shared, amplitudes and laser delay each run's own.
+    """Fit several ring-down runs together. Modes and axis angle are common, amplitudes and laser delay individual.
 
     Args:
-        runs: "ring-down-x" and "ring-down-y" runs in any number.
-        mass_kg: total moving mass.
-        setting, axis_prior_deg, without: as fit_ring_down.
+        runs: any number of "ring-down-x" and "ring-down-y" runs.
+        mass_kg: total moving mass, kg.
+        setting, axis_prior_deg, without: as in fit_ring_down.
     Raises:
-        NotIdentifiable, FitFailed: as fit_ring_down.
+        NotIdentifiable, FitFailed: as in fit_ring_down.
     """
     pairs = [[(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)] for run in runs]
     return _fit(pairs, mass_kg, setting, Priors(_axis_prior(axis_prior_deg), delay_s=DELAY_STD_S), without)
 
 
 def ring_down_estimate(run: Run, fit: RingDownFit, mass_kg: float) -> Estimate:
-    """A run's fit in the joint estimate's form, its lasers' clocks as shared errors.
+    """Convert the fit of a run to an Estimate. The clocks of its lasers are shared errors.
 
     Args:
-        mass_kg: total moving mass, as the fit took it.
+        run: fitted run.
+        fit: its fit.
+        mass_kg: total moving mass of the fit, kg.
     """
     names = tuple(n for n in ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2") if n in fit.values)
     order = [list(fit.values).index(n) for n in names]
     values = np.array([fit.values[n] for n in names])
-    own = math.cos(math.radians(run.turn_deg)) ** 2  # what of a direction's motion its own sensor sees
+    own = math.cos(math.radians(run.turn_deg)) ** 2  # share of a direction's motion that its own sensor measures
     of = {"k1_N_per_m": np.array([own, 1 - own]), "k2_N_per_m": np.array([1 - own, own])}
     shares = np.array([of.get(name, np.zeros(2)) for name in names]).T
-    slopes = {  # k goes with the square of the clock's rate
+    slopes = {  # k is proportional to the square of the clock's rate
         axis: 2 * values * share for axis, share in zip(("x", "y"), shares, strict=True) if share.any()
     }
     shared = clock_errors(run, slopes)
@@ -135,7 +138,7 @@ def ring_down_estimate(run: Run, fit: RingDownFit, mass_kg: float) -> Estimate:
 
 
 def _with_terms(fit: RingDownFit, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Term of the suspension that the fit shows → its covariance with some of k1, k2, ζ1, ζ2."""
+    """Term of the suspension that the fit determines → its covariance with the named ones of k1, k2, ζ1, ζ2."""
     out = dict[str, np.ndarray]()
     for found in fit.terms:
         k, zeta = f"k{found.direction}_N_per_m", f"zeta{found.direction}"
@@ -178,15 +181,15 @@ def _fit(
     lone = lone_direction(start)
     if lone is not None:
         return _lone(start, valid, findings, lone)
-    said = list(warnings)
+    before = list(warnings)
     try:
         return _both_directions(start, valid, findings)
     except IdentificationError as error:
-        strong = stronger_sensor(start, _HARDLY_MOVES)
+        strong = stronger_sensor(start, _WEAK_RATIO)
         if strong is None:
             raise
-        findings.warnings[:] = said
-        sentence = f"sensor {'xy'[1 - strong]}, which moves little, is left out, as with it: {error}"
+        findings.warnings[:] = before
+        sentence = f"sensor {'xy'[1 - strong]}, which moves little, is left out; the fit with it failed: {error}"
         return _lone(start, valid, findings, Lone(strong, sentence))
 
 
@@ -197,17 +200,17 @@ def _lone(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], findings: Fin
 
 def _both_directions(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings) -> RingDownFit:
     warnings, priors = findings.warnings, findings.priors
-    said = list(warnings)
+    before = list(warnings)
     plan = Plan(True, findings.setting, priors, valid, findings.without)
     fitted, count = plan.without_outliers(settled(start, plan))
-    findings.tell_left_out(count)
+    findings.add_outliers(count)
     pull = abs(float(fitted.theta[RATIO])) / priors.ratio
-    if pull > _PULLED:
-        plan = replace(plan, priors=replace(priors, ratio=_FREE_RATIO))
+    if pull > _MAX_RATIO_PULL:
+        plan = replace(plan, priors=replace(priors, ratio=_FREE_RATIO_STD))
         fitted = plan.again(fitted)
         warnings.append(
             f"the sensors' gains differ by {np.expm1(abs(fitted.theta[RATIO])):.1%}, where {priors.ratio:.1%} was "
-            "expected, or the stiffness axes are not at right angles; the axis angle depends on which it is"
+            "expected, or the stiffness axes are not at right angles; the axis angle depends on which of both applies"
         )
     fitted = plan.labelled(plan.shortened(fitted))
     refuse_nothing_rings(fitted)
@@ -218,26 +221,26 @@ def _both_directions(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], fi
     strong = stronger_sensor(start, WEAK)
     foreign = foreign_mode(fitted)
     if foreign is not None:
-        warnings[:] = said
+        warnings[:] = before
         return _lone(start, valid, findings, not_of_the_pair(1 - foreign, float(fitted.omegas[foreign])))
     if gain < RESOLVED_GAIN and strong is not None:
-        warnings[:] = said
+        warnings[:] = before
         return _lone(start, valid, findings, own_mode_missing(strong, True))
     if gain < RESOLVED_GAIN or resolution(fitted, plan.priors, 1.0, gain).split < CLOSE:
         rival = both_alike(fitted, single, plan.priors)
-        other = abs(float(rival.theta[BETA] - fitted.theta[BETA])) > _ANOTHER_ANGLE
+        other = abs(float(rival.theta[BETA] - fitted.theta[BETA])) > _MIN_ANGLE_CHANGE_RAD
         worse = rival.solution.minimum.cost - fitted.solution.minimum.cost
-        if gain < RESOLVED_GAIN or worse < -_BETTER or (other and worse < _AS_GOOD):
-            fitted, gain = rival, 0.0  # a far away angle is as good: none is known
+        if gain < RESOLVED_GAIN or worse < -_MIN_CHI2_GAIN or (other and worse < _MAX_CHI2_LOSS):
+            fitted, gain = rival, 0.0  # a distant angle fits as well: the angle is not determined
     return result(fitted, findings, ("1", "2"), gain)
 
 
 def _read(
     records: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]],
 ) -> tuple[list[list[Channel]], list[str]]:
-    channels, warnings = [], []
+    channels, warnings = list[list[Channel]](), list[str]()
     for record in records:
-        own = []
+        own: list[Channel] = []
         for sensor, (time, value) in zip("xy", record, strict=False):
             channel, remarks = read_channel(time, value, sensor)
             own.append(channel)
@@ -251,7 +254,7 @@ def _one_direction(
 ) -> RingDownFit:
     plan = Plan(False, findings.setting, findings.priors, valid, findings.without)
     fitted, count = plan.without_outliers(settled(start, plan))
-    findings.tell_left_out(count)
+    findings.add_outliers(count)
     fitted = plan.with_fewest_modes(plan.shortened(fitted))
     refuse_nothing_rings(fitted)
     refuse_misfit(fitted)
@@ -259,7 +262,7 @@ def _one_direction(
     findings.warnings += coarse_remark(fitted)
     if fitted.model.modes == 2:
         findings.warnings.append(
-            f"this sensor shows a second mode at {fitted.omegas[1] / (2 * np.pi):.4g} Hz, which is fitted beside the "
-            "first; give both sensors to have it identified"
+            f"this sensor shows a second mode at {fitted.omegas[1] / (2 * np.pi):.4g} Hz, which is fitted in addition "
+            "to the first; its identification needs both sensors"
         )
     return result(fitted, findings, (str(axis + 1),))

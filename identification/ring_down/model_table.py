@@ -1,7 +1,7 @@
-"""The nested models of a ring-down side by side, by BIC.
+"""Comparison of the nested models of a ring-down by BIC.
 
-BIC = χ²/s + parameters · ln(blocks), s the larger of 1 and χ²/dof. Terms above the fitted model are judged by a score
-test: by how much χ² would fall if they were added. Terms below it were judged on the way up.
+BIC = χ²/s + parameters · ln(blocks), where s is the larger of 1 and χ²/dof. Terms beyond the fitted model are judged by
+a score test, which yields the reduction of χ² if they were added. Smaller models were judged during model selection.
 """
 
 from __future__ import annotations
@@ -19,22 +19,24 @@ from identification.samples import Averages
 from identification.setting import ModelChoice
 
 _DRIFTS = {0: "offset", 1: "offset and slope", 3: "offset and cubic drift"}
-_CLEARLY = 10.0  # of BIC: very strong evidence
+_MIN_BIC_GAIN = 10.0  # very strong evidence
 OTHER_LAW = "another law of rates over amplitude"
 
 
 def model_table(fitted: Fitted, found: Resolution | None, terms: str = "") -> list[ModelChoice]:
-    """Rows for the chosen model and its neighbours; the chosen one's `why` starts with "but " when a neighbour that
-    was not fitted is clearly better.
+    """Return a row for the chosen model and for each neighbour.
+
+    The chosen model's `why` starts with "but " if a neighbour that was not fitted is clearly better.
 
     Args:
-        found: whether a turned pair's axes can be told apart; None for free modes.
-        terms: the fitted terms of amplitude in words.
+        fitted: solved fit.
+        found: resolution of a turned pair's axes; None for free modes.
+        terms: description of the fitted terms of amplitude.
     """
     base = fitted.model.free + fitted.model.linear
     motion = f"{_motion(fitted, found)}{', ' if terms else ''}{terms}"
     drift = fitted.model.drift
-    rows, better = [], []
+    rows, better = list[ModelChoice](), list[str]()
     for order, criterion in drift_criteria(fitted).items():
         if order != drift:
             channels = sum(len(r.channels) for r in fitted.model.records)
@@ -44,16 +46,16 @@ def model_table(fitted: Fitted, found: Resolution | None, terms: str = "") -> li
         gain, count = extra
         criterion = count * float(np.log(fitted.count)) - gain / max(1.0, fitted.solution.chi2_per_dof)
         rows.append(_row(f"{motion}, {name}", base + count, criterion))
-        if criterion < -_CLEARLY:
+        if criterion < -_MIN_BIC_GAIN:
             better.append(name)
-    why = "smallest that nothing above it beats"
+    why = "smallest model that no larger one improves on"
     if better:
-        why = f"but the residuals ask for more: {' and '.join(better)}"
+        why = f"but the residuals require more: {' and '.join(better)}"
     return [ModelChoice(f"{motion}, {_DRIFTS[drift]}", base, 0.0, True, why), *rows]
 
 
 def _row(name: str, parameters: int, criterion: float) -> ModelChoice:
-    why = "not worth its parameters" if criterion >= 0 else "the data ask for it; not fitted"
+    why = "not worth its parameters" if criterion >= 0 else "the data require it; not fitted"
     return ModelChoice(name, parameters, float(criterion), False, why)
 
 
@@ -64,7 +66,7 @@ def _motion(fitted: Fitted, found: Resolution | None) -> str:
 
 
 def _additions(fitted: Fitted) -> dict[str, tuple[float, int]]:
-    """χ² gained and parameters needed by terms that no fit here has."""
+    """Reduction of χ² and number of parameters of terms that no fit of this package contains."""
     known, residuals = known_columns(fitted)
     lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
     out: dict[str, tuple[float, int]] = {}
@@ -93,7 +95,7 @@ def _additions(fitted: Fitted) -> dict[str, tuple[float, int]]:
 
 
 def _wave(fitted: Fitted, record: int, mode: int, t: np.ndarray, channel: Averages) -> np.ndarray:
-    """A mode's motion for an amplitude of 1."""
+    """Motion of a mode for an amplitude of 1."""
     rates, backbone = fitted.model.mode_rates(fitted.theta, mode), fitted.model.backbone
     if backbone is None:
         return averaged_decay(rate(rates.omega, rates.zeta), t, channel.spread_s2)[0]
@@ -101,14 +103,14 @@ def _wave(fitted: Fitted, record: int, mode: int, t: np.ndarray, channel: Averag
 
 
 def _faded(fitted: Fitted, wave: np.ndarray, lam: complex, t: np.ndarray, channel: Averages) -> np.ndarray:
-    """A mode's motion times its decay once more: what is of the second order of its amplitude."""
+    """Motion of a mode times its decay, a term of second order in its amplitude."""
     if fitted.model.backbone is None:
         return averaged_decay(lam + lam.real, t, channel.spread_s2)[0]
     return wave * np.exp(lam.real * t)
 
 
 def _own_columns(waves: list[list[np.ndarray]]) -> np.ndarray:
-    """Real and imaginary part of every mode in every channel by itself."""
+    """Columns with the real and imaginary part of every mode, separate for each channel."""
     out = np.zeros((sum(len(own[0]) for own in waves), 2 * sum(len(w) for w in waves)))
     at = column = 0
     for own in waves:

@@ -1,4 +1,4 @@
-"""A ring-down that one laser alone has seen: which of the two works, and the direction that it shows."""
+"""Ring-down with a single working laser: selection of the laser, and fit of its direction."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rig_configs.roles import AXIS_TOLERANCE_DEG
 
 
 def living_lasers(run: Run) -> tuple[Run, list[str]]:
-    """The run without the readings of a laser that gives none, or always the same, while the other one works."""
+    """Remove the readings of a dead laser (none, or constant) if the other laser works. Return messages, too."""
     readings = {"x": run.x_m, "y": run.y_m}
     dead = [a for a, r in readings.items() if len(r) and not np.any(np.diff(r[np.isfinite(r)]))]
     if len(dead) != 1:
@@ -31,19 +31,20 @@ def living_lasers(run: Run) -> tuple[Run, list[str]]:
 
 
 def fit_one_laser(run: Run, mass: float, setting: Setting, without: Collection[str] = ()) -> RingDownFit:
-    """The direction along which the column was pulled, from the laser there.
+    """Fit the direction along which the column was pulled, from the laser of this direction.
 
     Raises:
-        NotIdentifiable, FitFailed: as fit_ring_down; the laser there does not work.
+        NotIdentifiable, FitFailed: as in fit_ring_down; NotIdentifiable also if the laser of the pulled direction does
+            not work or the lasers are turned.
     """
     seen = "x" if len(run.x_time_s) else "y"
     if abs(run.turn_deg) > AXIS_TOLERANCE_DEG:
         raise NotIdentifiable(
-            f"{run.source}: only laser {seen} works, and it stands turned by {run.turn_deg:g}°: it sees both "
-            "directions mixed"
+            f"{run.source}: only laser {seen} works, and it stands turned by {run.turn_deg:g}°: it measures a "
+            "combination of both directions"
         )
     pulled = pulled_along(run.test)
-    if pulled is not None and pulled != seen:  # what laser x sees of a pull along y may be either direction
+    if pulled is not None and pulled != seen:  # laser x may show either direction after a pull along y
         raise NotIdentifiable(f"{run.source}: pulled along {pulled}, but only laser {seen} works in it")
     if len(run.x_time_s):
         return fit_ring_down(run.x_time_s, run.x_m, mass, setting=setting, without=without)

@@ -1,19 +1,20 @@
-"""Samples that no noise explains: spikes before a fit, outliers against a fit, samples too near to the rail.
+"""Samples that noise does not explain: spikes before a fit, outliers against a fit, samples close to the rail.
 
-Outliers are masked by hard trimming, repeated until nothing changes: redescending like Tukey's biweight, but with the
-plain least-squares covariance valid for what is left. The threshold follows the *local* scatter, so a model that does
-not fit at large amplitudes cannot hide its misfit as outliers. Whether there are any to mask or to name depends on how
-many samples there are: of 100 000 good ones the farthest lies beyond 4.5 standard deviations in every second record.
+Outliers are masked by hard trimming, which is repeated until nothing changes. It is redescending like Tukey's biweight,
+but the plain least-squares covariance is valid for the remaining samples. The threshold follows the *local* scatter, so
+that a misfit at large amplitudes is not masked as outliers. The limit for masking and for the warning depends on the
+number of samples: the largest deviation of 100 000 good samples exceeds 4.5 standard deviations in every second record.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from numba import njit
-from scipy.ndimage import median_filter
+from numpy.typing import NDArray
 from scipy.special import gammainc, ndtr, ndtri
 
 from identification.ring_down.backbone import course
@@ -22,21 +23,22 @@ from identification.ring_down.exact_motion import exact_motion
 from identification.ring_down.model import DELAYS
 from identification.ring_down.modes import rate
 from identification.ring_down.record import Channel, farthest_from_taylor, sample_noise, taylor_at_samples
+from identification.typed_scipy import median_filter
 
-_THRESHOLD = 4.5  # standard deviations; 7 of a million good samples are lost
-_SUSPECT = 5.5  # least; one sample in 26 million
-_CHANCE = 3e-4  # of a fit's good samples that noise alone passes for an outlier
-_NORMAL = 1.4826
-_SCATTER_SAMPLES = 20_000  # know a scatter to 1 %
-_STRETCH_SAMPLES = 1000  # to 4 %
+_THRESHOLD = 4.5  # standard deviations; 7 of a million good samples exceed it
+_MIN_SUSPECT_STD = 5.5  # standard deviations; exceeded by one good sample in 26 million
+_FALSE_ALARM_RATE = 3e-4  # probability per fit that noise alone counts as outliers
+_NORMAL = 1.4826  # standard deviation over median absolute deviation
+_SCATTER_SAMPLES = 20_000  # determine a scatter to 1 %
+_STRETCH_SAMPLES = 1000  # determine a scatter to 4 %
 _CENTRES_PER_CYCLE = 20
-_MOST_POWER = 200.0
+_MAX_POWER = 200.0
 
 
 def without_spikes(channel: Channel) -> tuple[Channel, int]:
-    """The channel with samples masked that jump from their neighbours; number masked.
+    """Mask samples that jump from their neighbours. Return the channel and the number of masked samples.
 
-    A running median of seven follows the motion and no burst shorter than four samples.
+    A running median over seven samples follows the motion, but not bursts of fewer than four samples.
     """
     value = channel.value_m if channel.keep.all() else channel.value_m[channel.keep]
     step = max(1, len(value) // _SCATTER_SAMPLES)
@@ -54,13 +56,13 @@ def without_spikes(channel: Channel) -> tuple[Channel, int]:
 
 
 def _usual(off: np.ndarray) -> float:
-    """Scatter about zero of what is no outlier."""
+    """Robust scatter about zero."""
     return _NORMAL * float(np.median(np.abs(off))) if len(off) else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _largest_bend(value: np.ndarray) -> float:
-    """Farthest that a sample lies from the mean of its neighbours."""
+    """Largest distance of a sample from the mean of its neighbours."""
     largest = 0.0
     for i in range(1, len(value) - 1):
         largest = max(largest, abs(value[i] - 0.5 * (value[i - 1] + value[i + 1])))
@@ -70,18 +72,18 @@ def _largest_bend(value: np.ndarray) -> float:
 def sample_residuals(
     fitted: Fitted, record: int, axis: int, channel: Channel, first: int, last: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Samples `first` to `last` of a channel against the model: (residual, model), m; shape (last − first,) each."""
+    """Residual and model of the samples `first` to `last` of a channel, m, shape (last − first,) each."""
     model = fitted_signal(fitted, record, axis, channel.time_s[first:last])
     return channel.value_m[first:last] - model, model
 
 
 def fitted_signal(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> np.ndarray:
-    """The fitted signal of a sensor at any times, ascending, shape (n,); m. Before its begin the decay is continued."""
+    """Fitted signal of a sensor at ascending times, shape (n,), m. The decay is continued before its start."""
     return taylor_at_samples(time_s, *_pieces(fitted, record, axis, time_s))
 
 
 def _pieces(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centres all over some times, shape (m,), s, and the fitted signal's derivatives of order 0 to 4 there, (5, m)."""
+    """Centres over a time range, shape (m,), s, and derivatives 0 to 4 of the fitted signal there, shape (5, m)."""
     model, own = fitted.model, fitted.model.records[record]
     step = 2 * np.pi / float(np.max(fitted.omegas)) / _CENTRES_PER_CYCLE
     centre = np.arange(time_s[0] + step / 2, time_s[-1] + step, step)
@@ -93,9 +95,7 @@ def _pieces(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> tuple
             continue
         lam = rate(float(omega), float(zeta))
         power = lam * (t - delay)
-        power.real = np.minimum(
-            power.real, _MOST_POWER
-        )  # before the release a mode that dies at once is beyond a number
+        power.real = np.minimum(power.real, _MAX_POWER)  # a strongly damped mode overflows before the release
         wave = fitted.amplitude(record, axis, mode) * np.exp(power)
         for k in range(5):
             derivatives[k] += wave.real
@@ -111,50 +111,51 @@ def _pieces(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> tuple
 
 
 def _bent_pieces(fitted: Fitted, record: int, axis: int, mode: int, t: np.ndarray) -> np.ndarray:
-    """The part of a mode whose rates depend on amplitude: the averaged one before its zero, else the exact one."""
+    """Derivatives for a mode whose rates depend on amplitude: averaged motion before its zero, exact motion after."""
     backbone, own = fitted.model.backbone, fitted.amplitude(record, axis, mode)
     assert backbone is not None
     rates, level = fitted.model.mode_rates(fitted.theta, mode), backbone.amplitudes_m[record][mode]
     path = course(rates, level, t)
-    power = np.minimum(path.power.real, _MOST_POWER) + 1j * path.power.imag
+    power = np.minimum(path.power.real, _MAX_POWER) + 1j * path.power.imag
     wave = own * np.exp(power)
     out = np.array([(wave * path.rate**k).real for k in range(5)])
     after = t >= 0
     if after.any() and abs(own) > 1e-6 * level:
-        # what a sensor sees of a mode is that mode times a number, which may be negative
+        # the signal of a sensor is the motion of the mode times a factor, which may be negative
         out[:3, after] = exact_motion(rates, own, level / abs(own), t[after])
     return out
 
 
 def farthest_by_chance(samples: int) -> float:
-    """How many standard deviations off the farthest of so many good samples is by chance, in _CHANCE of the cases."""
-    return max(_SUSPECT, float(-ndtri(0.5 * _CHANCE / max(samples, 1))))
+    """Limit in standard deviations that the farthest of so many good samples exceeds with _FALSE_ALARM_RATE."""
+    return max(_MIN_SUSPECT_STD, float(-ndtri(0.5 * _FALSE_ALARM_RATE / max(samples, 1))))
 
 
 def explained_by_noise(masked: int, samples: int, farthest: float) -> bool:
-    """Whether noise alone may be all that trimming has masked: neither too far off nor too many.
+    """Whether noise alone may explain the masked samples: neither their distance nor their number is significant.
 
     Args:
-        masked: samples beyond the trimming's threshold.
-        samples: that were looked at.
-        farthest: of these, in standard deviations.
+        masked: number of samples beyond the trimming threshold.
+        samples: number of examined samples.
+        farthest: largest distance in standard deviations.
     """
     usual = 2 * samples * float(ndtr(-_THRESHOLD))
-    return masked == 0 or (farthest < farthest_by_chance(samples) and float(gammainc(masked, usual)) > _CHANCE)
+    few = farthest < farthest_by_chance(samples)
+    return masked == 0 or (few and float(gammainc(masked, usual)) > _FALSE_ALARM_RATE)
 
 
 def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[list[tuple[Channel, ...]], int, bool]:
-    """Channels of a fit with outliers masked anew and their noise re-estimated.
+    """Mask the outliers of a fit again and re-estimate the noise.
 
     Args:
-        valid: per record and channel the samples that may be used at all, whatever was masked since.
+        fitted: solved fit.
+        valid: usable samples of each record and channel, independent of earlier masks.
     Returns:
-        The channels, how many samples are masked as outliers (0 where noise may have put them all there), and whether
-        any mask changed.
+        Channels, number of masked outliers (0 if noise may explain all of them), and whether a mask changed.
     """
-    out, count, changed, samples, farthest = [], 0, False, 0, 0.0
+    out, count, changed, samples, farthest = list[tuple[Channel, ...]](), 0, False, 0, 0.0
     for r, channels in enumerate(fitted.decay.records):
-        own = []
+        own: list[Channel] = []
         for axis, channel in enumerate(channels):
             first, last = np.searchsorted(channel.time_s, (fitted.decay.begins[r], fitted.decay.ends[r]))
             residual, model = sample_residuals(fitted, r, axis, channel, first, last)
@@ -169,7 +170,7 @@ def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[
             count, samples, farthest = count + looked_at - used, samples + looked_at, max(farthest, off)
             noise = channel.noise
             if used >= 40:
-                # differences know nothing of the model, so a misfit does not pass for noise
+                # differences do not depend on the model: a misfit does not count as noise
                 noise = min(float(np.sqrt(squares / used)), sample_noise(channel.value_m[first:last][good]))
             own.append(replace(channel, keep=keep, noise=noise))
         out.append(tuple(own))
@@ -178,7 +179,7 @@ def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[
 
 @once_per_fit
 def suspicious(fitted: Fitted) -> bool:
-    """Whether any kept sample is farther from the model than noise goes, or the rail cuts samples off."""
+    """Whether a kept sample is farther from the model than noise permits, or the model reaches the rail."""
     suspect = farthest_by_chance(sum(c.keep.sum() for channels in fitted.decay.records for c in channels))
     for r, channels in enumerate(fitted.decay.records):
         for axis, channel in enumerate(channels):
@@ -197,19 +198,22 @@ def suspicious(fitted: Fitted) -> bool:
 
 
 def _inside_rail(model: np.ndarray, channel: Channel) -> np.ndarray:
-    """Where the *model* stays clear of the rail: choosing by the data would keep those whose noise points inward."""
+    """Samples at which the *model* does not reach the rail.
+
+    A selection by the data would keep the samples whose noise points inward.
+    """
     low, high = _clear_of_rail(channel)
     return (model > low) & (model < high)
 
 
 def _clear_of_rail(channel: Channel) -> tuple[float, float]:
-    """Between which values noise does not reach the rail, m."""
+    """Range of values at which noise does not reach the rail, m."""
     margin = _THRESHOLD * channel.noise
     return channel.rail_m[0] + margin, channel.rail_m[1] - margin
 
 
 def _scatter_below(residual: np.ndarray, kept: np.ndarray, limit: float) -> bool:
-    """Whether `_scale` is below a limit: counting tells without a median, unless the limit is next to the median."""
+    """Whether `_scale` is below a limit. A count is sufficient unless the limit is next to the median."""
     below, count = int(np.count_nonzero(kept & (np.abs(residual) < limit / _NORMAL))), int(np.count_nonzero(kept))
     return 2 * below > count if abs(2 * below - count) > 1 else _scale(residual, kept) < limit
 
@@ -227,15 +231,16 @@ def _scale(residual: np.ndarray, kept: np.ndarray) -> float:
 def _inlying(
     residual: np.ndarray, usable: np.ndarray, time: np.ndarray, span_s: float
 ) -> tuple[np.ndarray, float, float]:
-    """Usable samples within the threshold, shape (n,), their sum of squares, and how far off the farthest usable is.
+    """Mask of usable samples within the threshold, shape (n,), their sum of squares, and the farthest usable sample.
 
-    The scatter is the larger of the record's and that of a stretch of a few cycles.
+    The scatter is the larger of that of the record and that of a stretch of a few cycles.
     """
     scale = _scale(residual, usable)
     count = int((time[-1] - time[0]) / span_s) + 1
-    edges = np.searchsorted(time, time[0] + span_s * np.arange(1, count))
+    edges = cast(NDArray[np.int64], np.searchsorted(time, time[0] + span_s * np.arange(1, count)))
     good, squares, farthest = np.empty(len(residual), bool), 0.0, 0.0
-    for a, b in pairwise([0, *edges.tolist(), len(time)]):
+    ends: list[int] = [0, *edges.tolist(), len(time)]
+    for a, b in pairwise(ends):
         off, within = np.abs(residual[a:b]), usable[a:b]
         step = max(1, (b - a) // _STRETCH_SAMPLES)
         values = off[::step][within[::step]]

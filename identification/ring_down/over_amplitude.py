@@ -1,5 +1,5 @@
 # pyright: strict
-"""Rates over amplitude as a reader gets them: the terms that were fitted, and equivalent linear values."""
+"""Reported dependence of the rates on amplitude, from the fitted terms."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ _CUBIC = 8 / (3 * REFERENCE_M**2)  # κ over η
 
 @dataclass(frozen=True)
 class RatesOverAmplitude:
-    """A direction whose frequency or damping ratio depends on amplitude; terms left out are 0 with a std of 0.
+    """Direction whose frequency or damping ratio depends on amplitude. Terms that are left out are 0 with a std of 0.
 
     Attributes:
         direction: 1 or 2.
-        kinds: what depends on amplitude.
-        f_Hz, zeta: at zero amplitude.
-        f_change_at_1mm, f_change_std: relative change of frequency at an amplitude of 1 mm.
-        cubic_stiffness_per_m2, cubic_stiffness_std: κ of a spring k (1 + κ q²), 1/m².
-        zeta_slope_per_m, zeta_slope_std: change of the damping ratio over amplitude, 1/m.
-        covariance: of (ln f, ζ, f_change_at_1mm, ζ's change at 1 mm), shape (4, 4).
-        largest_m: amplitude up to which the records show it.
+        kinds: rates that depend on amplitude.
+        f_Hz, zeta: frequency, Hz, and damping ratio at zero amplitude.
+        f_change_at_1mm, f_change_std: relative change of frequency at an amplitude of 1 mm and its std.
+        cubic_stiffness_per_m2, cubic_stiffness_std: κ of a spring k (1 + κ q²) and its std, 1/m².
+        zeta_slope_per_m, zeta_slope_std: change of the damping ratio over amplitude and its std, 1/m.
+        covariance: covariance of (ln f, ζ, f_change_at_1mm, change of ζ at 1 mm), shape (4, 4).
+        largest_m: largest amplitude of the direction in the records, m.
     """
 
     direction: int
@@ -45,50 +45,51 @@ class RatesOverAmplitude:
 
     @property
     def short(self) -> str:
-        """What depends on amplitude, in a few words."""
+        """Short description of the dependence."""
         own = f"direction {self.direction}"
-        said = {
+        parts = {
             "frequency": f"{own} {'hardens' if self.f_change_at_1mm > 0 else 'softens'}",
             "damping": f"{own}'s damping {'grows' if self.zeta_slope_per_m > 0 else 'falls'} with amplitude",
         }
-        return ", ".join(said[kind] for kind in self.kinds)
+        return ", ".join(parts[kind] for kind in self.kinds)
 
     @property
     def sentence(self) -> str:
-        """What depends on amplitude, and by how much."""
-        said: list[str] = []
+        """Sentence with the dependence and its size."""
+        parts: list[str] = []
         if "frequency" in self.kinds:
             change, std = 100 * self.f_change_at_1mm, 100 * self.f_change_std
             verb, more = ("hardens", "higher") if change > 0 else ("softens", "lower")
-            said.append(
+            parts.append(
                 f"direction {self.direction} {verb}: its frequency is {_given(abs(change), std)} % {more} at 1 mm "
                 f"(cubic stiffness {_given(1e-6 * self.cubic_stiffness_per_m2, 1e-6 * self.cubic_stiffness_std)} 1/mm²)"
             )
         if "damping" in self.kinds:
             slope, std = 1e-3 * self.zeta_slope_per_m, 1e-3 * self.zeta_slope_std
             verb, more = ("grows", "higher") if slope > 0 else ("falls", "lower")
-            said.append(
+            parts.append(
                 f"direction {self.direction}'s damping {verb} with amplitude: its damping ratio is "
                 f"{_given(abs(slope), std)} {more} at 1 mm, {abs(slope) / self.zeta:.0%} of {self.zeta:.4g}"
             )
         names = {"frequency": f"f{self.direction}", "damping": f"zeta{self.direction}"}
         named = " and ".join(names[kind] for kind in self.kinds)
-        at_zero = f"the values of {named} are" if len(said) > 1 else f"the value of {named} is"
-        return f"{'; '.join(said)}; {at_zero} at zero amplitude"
+        at_zero = f"the values of {named} are" if len(parts) > 1 else f"the value of {named} is"
+        return f"{'; '.join(parts)}; {at_zero} at zero amplitude"
 
 
 def _given(value: float, std: float) -> str:
-    """A value and its standard deviation, with two digits of the latter."""
+    """Text of a value and its standard deviation, with two digits of the latter."""
     digits = max(0, 1 - int(np.floor(np.log10(max(std, 1e-12)))))
     return f"{value:.{digits}f} ± {std:.{digits}f}"
 
 
 def rates_over_amplitude(fitted: Fitted, labels: tuple[str, ...], stretch: Floats) -> list[RatesOverAmplitude]:
-    """The directions that have terms of amplitude.
+    """Return the directions with significant terms of amplitude.
 
     Args:
-        labels: the directions' numbers.
-        stretch: by how much each parameter's standard deviation is multiplied, shape (size,).
+        fitted: solved fit.
+        labels: numbers of the directions.
+        stretch: factor on the standard deviation of each parameter, shape (size,).
     """
     model, out = fitted.model, list[RatesOverAmplitude]()
     if model.backbone is None:
@@ -102,7 +103,7 @@ def rates_over_amplitude(fitted: Fitted, labels: tuple[str, ...], stretch: Float
         keep = np.array([1.0, 1.0, float(hardens), float(drags)])
         covariance = full[np.ix_(at, at)] * np.outer(keep, keep)
         std, rates = np.sqrt(np.diag(covariance)), model.mode_rates(fitted.theta, mode)
-        rates = replace(rates, hardening=rates.hardening * keep[2], drag=rates.drag * keep[3])  # plausible is not found
+        rates = replace(rates, hardening=rates.hardening * keep[2], drag=rates.drag * keep[3])  # significant terms only
         kinds: tuple[Kind, ...] = (*(("frequency",) if hardens else ()), *(("damping",) if drags else ()))
         out.append(
             RatesOverAmplitude(

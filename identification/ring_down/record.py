@@ -1,45 +1,47 @@
-"""From a sensor's samples to block averages: what is left out, the noise, sample residuals against a smooth model.
+"""Preparation of a sensor's record: masks, noise, block averages, and residuals of samples against a smooth model.
 
-Masked samples (rail, NaN, outliers) get weight zero and are never filled in. The work that goes over every sample is
-compiled, so that ten times the sampling rate costs little.
+Masked samples (rail, NaN, outliers) have weight zero and are never interpolated. Loops over all samples are compiled,
+so that a tenfold sampling rate costs little.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from identification.colour import Colour
 from identification.errors import NotIdentifiable
 from identification.lines import Line
 from identification.samples import Averages, clipped, white_noise, white_noises
 
-_NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # noise is known to 1 % from so many
-_LEVEL_SAMPLES, _TOP_SHARES, _LEAST_VISITS = 20_000, (0.02, 0.005, 0.001), 3
-_LEAST_SAMPLES = 40
-_STUCK_REPEATS, _STUCK_CHANCE = 4, 1e-2
-_STAYS = 3  # times as long as any visit to a rail
-_HELD, _AFTER = 50, 4  # samples that a hold repeats at least, and that it takes to a small displacement
-_SMALL_STEP, _FROM_REST = 0.02, 0.36  # of the range; between a quarter of the way and half of it
-_SAME_WIDTH = 0.1  # ln of two block lengths for which one colour holds
-_BEYOND_BLOCKS = 0.9  # cycles a block, of which nothing is left in its mean
+_NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # these samples determine the noise to 1 %
+_LEVEL_SAMPLES, _TOP_SHARES, _MIN_VISITS = 20_000, (0.02, 0.005, 0.001), 3
+_MIN_SAMPLES = 40
+_STUCK_REPEATS, _MAX_STUCK_CHANCE = 4, 1e-2
+_HOLD_RATIO = 3  # duration of a hold over that of the longest visit to a rail
+_MIN_HOLD_SAMPLES, _MIN_DEPARTURE_SAMPLES = 50, 4  # equal samples of a hold; samples until a small displacement
+_SMALL_STEP, _MAX_HALF_WAY = 0.02, 0.36  # of the range; displacement at half time: ¼ from rest, ½ at constant speed
+_MAX_WIDTH_CHANGE = 0.1  # |ln| of the ratio of two block durations for which one colour is valid
+_MAX_CYCLES_PER_BLOCK = 0.9  # a line with more cycles vanishes in block means
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One sensor's record.
+    """Record of one sensor.
 
     Attributes:
-        time_s: shape (n,), ascending.
-        value_m: shape (n,).
-        keep: shape (n,), false where a sample is left out.
+        time_s: shape (n,), s, ascending.
+        value_m: displacement, shape (n,), m.
+        keep: shape (n,), false for samples that are left out.
         noise: white noise of one sample, m.
-        rail_m: lower and upper value at which the sensor saturated; ∓inf where it never did.
-        lines: sinusoids that are none of the motion; value_m is without them, as far as they are known.
-        colour: of the noise of block means, where it is not white.
+        rail_m: lower and upper value at which the sensor saturated, m; ∓inf if it did not.
+        lines: sinusoids that are not part of the motion. Their estimates are subtracted from value_m.
+        colour: model of the noise of block means; None if it is white.
     """
 
     time_s: np.ndarray
@@ -51,10 +53,10 @@ class Channel:
     colour: Colour | None = None
 
     def averages(self, width_s: float, begin_s: float = -np.inf, end_s: float = np.inf) -> Averages:
-        """Block means of the kept samples in a span of time.
+        """Block means of the kept samples in a time span.
 
         Raises:
-            NotIdentifiable: no sample is left.
+            NotIdentifiable: the span contains no valid sample.
         """
         first, last = np.searchsorted(self.time_s, (begin_s, end_s))
         if not self.keep[first:last].any():
@@ -66,15 +68,15 @@ class Channel:
         return Averages(mean, spread, value, count, colour.noise if colour else self.noise)
 
     def colour_for(self, width_s: float) -> Colour | None:
-        """The noise's colour, if it was found for about such blocks."""
+        """Colour of the noise, if it was determined for blocks of about this duration."""
         own = self.colour
-        return own if own is not None and abs(np.log(own.width_s / width_s)) < _SAME_WIDTH else None
+        return own if own is not None and abs(np.log(own.width_s / width_s)) < _MAX_WIDTH_CHANGE else None
 
     def line_columns(self, width_s: float, begin_s: float, end_s: float) -> np.ndarray:
-        """Block means of what each line may still contribute in a span, shape (blocks, columns).
+        """Block means of the basis functions of each line in a span, shape (blocks, columns).
 
-        Its complex amplitude is a polynomial of time: the line that was taken off the samples was not quite it, and
-        what the modes can be known to beside it is then honest.
+        The complex amplitude of a line is a polynomial of time. The columns correct the estimate that was subtracted
+        from the samples, and the uncertainty of the modes then includes that of the lines.
         """
         first, last = np.searchsorted(self.time_s, (begin_s, end_s))
         time, keep = self.time_s[first:last], self.keep[first:last]
@@ -85,34 +87,38 @@ class Channel:
                 continue
             middles, wave = _average_wave(time, keep, width_s, line.rate.real, line.rate.imag)
             span = max(float(middles[-1] - middles[0]), 1e-9)
-            shapes = np.polynomial.legendre.legvander(2 * (middles - middles[0]) / span - 1, line.order)
+            place = 2 * (middles - middles[0]) / span - 1
+            shapes = cast(NDArray[np.float64], np.polynomial.legendre.legvander(place, line.order))
             columns += [shapes * np.real(wave)[:, None], shapes * np.imag(wave)[:, None]]
         return np.hstack(columns) if columns else np.empty((0, 0))
 
     @staticmethod
     def in_blocks(line: Line, width_s: float) -> bool:
-        """Whether block means still show a line."""
-        return line.frequency_Hz * width_s < _BEYOND_BLOCKS
+        """Whether a line is visible in block means."""
+        return line.frequency_Hz * width_s < _MAX_CYCLES_PER_BLOCK
 
     def without(self, lines: Sequence[Line]) -> Channel:
-        """The samples less some lines, which a fit then has beside its modes."""
+        """Return the channel with lines subtracted. The fit then contains their columns."""
         value = self.value_m.copy()
         for line in lines:
             value -= line.at(self.time_s)
         return replace(self, value_m=value, lines=(*self.lines, *lines))
 
     def with_noise(self, noise: float) -> Channel:
-        """The same samples, their noise better known."""
+        """Return the channel with another noise, m."""
         return replace(self, noise=noise)
 
 
 def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[Channel, list[str]]:
-    """A channel with rail and invalid samples masked, and remarks on what was left out.
+    """Read a channel and mask invalid samples and samples at the rail.
 
     Args:
-        sensor: its name, for the messages.
+        time_s, value_m: shape (n,), s and m.
+        sensor: name of the sensor, for messages.
+    Returns:
+        The channel, and remarks on samples that were left out.
     Raises:
-        NotIdentifiable: lengths differ, time does not ascend, or hardly any sample is valid.
+        NotIdentifiable: the lengths differ, time does not ascend, or fewer than 40 samples are valid.
     """
     time, value = np.ascontiguousarray(time_s, float), np.array(value_m, float)
     if time.shape != value.shape or time.ndim != 1:
@@ -127,19 +133,19 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[
         at = int(np.argmax(backwards))
         raise NotIdentifiable(f"time runs backwards after sample {at} ({time[at]:.6g} s); sort the recording by time")
     railed, stuck = clipped(value), stuck_samples(value)
-    if stuck.any():  # a motion that decays fast is at the rail once only
+    if stuck.any():  # a motion that decays fast is at the rail only once
         railed |= stuck & ((value == np.nanmax(value)) | (value == np.nanmin(value)))
     finite = np.isfinite(value)
-    noise = sample_noise(value if finite.all() else value[finite]) if finite.sum() >= _LEAST_SAMPLES else 0.0
+    noise = sample_noise(value if finite.all() else value[finite]) if finite.sum() >= _MIN_SAMPLES else 0.0
     if not railed.any():
         railed = noisy_rail(value, noise)
     keep = finite & ~railed & ~stuck
-    if np.count_nonzero(keep) < _LEAST_SAMPLES:
+    if np.count_nonzero(keep) < _MIN_SAMPLES:
         raise NotIdentifiable(
             f"sensor {sensor}: {_state(value)}only {np.count_nonzero(keep)} of {len(value)} samples are valid; "
-            f"at least {_LEAST_SAMPLES} are needed. Check its cable and its range, or give the other sensor alone"
+            f"at least {_MIN_SAMPLES} are needed. Check its cable and its range, or give the other sensor alone"
         )
-    remarks = []
+    remarks: list[str] = []
     if np.any(stuck & ~railed):
         remarks.append(f"{np.count_nonzero(stuck & ~railed)} samples that repeat one value left out")
     rail = (-np.inf, np.inf)
@@ -150,12 +156,12 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[
         rail = (float(np.median(low)) if len(low) else -np.inf, float(np.median(high)) if len(high) else np.inf)
     if not keep.all():
         noise = sample_noise(value[keep])
-    value[~finite] = 0.0  # never read; keeps the compiled loops free of NaN
+    value[~finite] = 0.0  # not used; keeps the compiled loops free of NaN
     return Channel(time, value, keep, noise, rail), remarks
 
 
 def _state(value: np.ndarray) -> str:
-    """What a dead sensor reads, "" when it is not dead."""
+    """Description of a dead sensor's reading; "" if the sensor is not dead."""
     good = value[np.isfinite(value)]
     if len(value) and not len(good):
         return "every reading is NaN, "
@@ -165,12 +171,12 @@ def _state(value: np.ndarray) -> str:
 
 
 def stuck_samples(value: np.ndarray) -> np.ndarray:
-    """Where a sensor repeats one value more often than chance allows: dropouts to zero, to a rail, to the last value.
+    """Samples at which a sensor repeats one value more often than by chance (dropout to zero, rail or last value).
 
-    Coarse steps repeat values too; how often, the pairs outside long runs tell.
+    Coarsely quantised signals repeat values too. The pairs of equal samples outside long runs give their frequency.
 
     Returns:
-        shape (n,), true for samples to leave out.
+        Mask of shape (n,), true for samples to leave out.
     """
     mask = np.zeros(len(value), bool)
     same = np.r_[False, value[1:] == value[:-1], False]
@@ -180,7 +186,7 @@ def stuck_samples(value: np.ndarray) -> np.ndarray:
     if not long.any():
         return mask
     usual = (np.count_nonzero(same) - int(length[long].sum())) / max(len(value) - int(length[long].sum()), 1)
-    if len(value) * usual**_STUCK_REPEATS > _STUCK_CHANCE:
+    if len(value) * usual**_STUCK_REPEATS > _MAX_STUCK_CHANCE:
         return mask
     for a, n in zip(first[long], length[long], strict=True):
         mask[a : a + n + 1] = not _held_still(value, int(a), int(n))
@@ -188,34 +194,34 @@ def stuck_samples(value: np.ndarray) -> np.ndarray:
 
 
 def _held_still(value: np.ndarray, first: int, length: int) -> bool:
-    """Whether equal samples, `length` more after the first, are a column at rest that is then let go.
+    """Whether equal samples, `length` more after the first, are a column at rest before its release.
 
-    It goes off from rest: half the time to a small displacement takes it a quarter of the way. From a rail, where the
-    motion comes back with a speed, it is half the way, and after a dropout the reading jumps.
+    A column starts from rest: at half the time to a small displacement it has covered a quarter of the distance. Motion
+    that returns from a rail has a speed and has covered half of it. After a dropout the reading jumps.
     """
     last = first + length
-    if length < _HELD or length > 0.8 * len(value):
+    if length < _MIN_HOLD_SAMPLES or length > 0.8 * len(value):
         return False
     gone = np.abs(value[last + 1 :] - value[last]) >= _SMALL_STEP * float(np.nanmax(value) - np.nanmin(value))
     if not gone.any():
-        return True  # rest, until the record's end
+        return True  # rest until the end of the record
     there = int(np.argmax(gone)) + 1
     whole, half = abs(value[last + there] - value[last]), abs(value[last + there // 2] - value[last])
-    return there >= _AFTER and bool(half < _FROM_REST * whole)
+    return there >= _MIN_DEPARTURE_SAMPLES and bool(half < _MAX_HALF_WAY * whole)
 
 
 def noisy_rail(value: np.ndarray, sigma: float) -> np.ndarray:
-    """Where a sensor whose noise comes after its limiter sat at the limit: a level at which values pile up.
+    """Samples at the limit of a sensor with noise after its limiter: a level at which values accumulate.
 
-    Within ±4σ of the level must lie three times as many samples as in the 36σ below, where any oscillation has more;
-    hardly any may lie above, and the level must have been reached at least three times. The level is the median of the
-    top (bottom) 2 %, or of fewer where the motion left the rail early. An evenly spread subset is enough to count.
+    The interval ±4σ about the level must contain three times as many samples as the 36σ below, where every oscillation
+    has more. At most 0.1 % may lie above, and the level must be reached at least three times. The level is the median
+    of the top (bottom) 2 %, or of fewer if the motion left the rail early. An evenly spread subset is counted.
 
     Args:
-        value: shape (n,), m; NaN where there is none.
+        value: shape (n,), m; NaN for missing samples.
         sigma: white noise of one sample, m.
     Returns:
-        shape (n,), true for samples to leave out.
+        Mask of shape (n,), true for samples to leave out.
     """
     mask = np.zeros(len(value), bool)
     finite = np.isfinite(value)
@@ -229,13 +235,13 @@ def noisy_rail(value: np.ndarray, sigma: float) -> np.ndarray:
             continue
         near = np.flatnonzero(np.abs(sign * good - level) < 4 * sigma)
         held = _longest_stay(near)
-        if held is not None:  # a column held still, not a rail, unless values pile up without it as well
+        if held is not None:  # a hold and not a rail, unless values accumulate without it as well
             others = np.sort(sign * _spread_subset(np.delete(good, np.arange(*held))))
             level = _pile(others, sigma)
             if level is None:
                 continue
             near = np.flatnonzero(np.abs(sign * good - level) < 4 * sigma)
-        if np.count_nonzero(np.diff(near) > 20) >= _LEAST_VISITS - 1:
+        if np.count_nonzero(np.diff(near) > 20) >= _MIN_VISITS - 1:
             mask |= sign * value > level - 4.5 * sigma
             if held is not None:
                 mask[np.flatnonzero(finite)[slice(*held)]] = False
@@ -243,26 +249,26 @@ def noisy_rail(value: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def _longest_stay(near: np.ndarray) -> tuple[int, int] | None:
-    """The stay near a level, from index to index, that is several times as long as all others; None where none is."""
-    if len(near) < _HELD:
+    """First and end index of the stay near a level that is several times as long as all others; None without one."""
+    if len(near) < _MIN_HOLD_SAMPLES:
         return None
     edges = np.flatnonzero(np.diff(near) > 20)
     first, last = near[np.r_[0, edges + 1]], near[np.r_[edges, len(near) - 1]] + 1
     lengths = last - first
     k = int(np.argmax(lengths))
     others = np.delete(lengths, k)
-    if lengths[k] < _HELD or (len(others) and lengths[k] < _STAYS * int(others.max())):
+    if lengths[k] < _MIN_HOLD_SAMPLES or (len(others) and lengths[k] < _HOLD_RATIO * int(others.max())):
         return None
     return int(first[k]), int(last[k])
 
 
 def _pile(ordered: np.ndarray, sigma: float) -> float | None:
-    """The level near the top of ascending values at which they pile up; None where they do not."""
+    """Level near the top of ascending values at which they accumulate, or None."""
     middle = float(ordered[len(ordered) // 2])
     for share in _TOP_SHARES:
         level = float(np.median(ordered[-max(int(share * len(ordered)), 1) :]))
         if level - middle < 40 * sigma:
-            continue  # that is where the noise itself has its top
+            continue  # the noise itself reaches this level
         edges = np.array((-40.0, -4.0, 4.0, 5.0)) * sigma + level
         far, low, high, over = np.searchsorted(ordered, edges)
         if high - low > 3 * max(low - far, 1) and len(ordered) - over < 1e-3 * len(ordered):
@@ -271,12 +277,12 @@ def _pile(ordered: np.ndarray, sigma: float) -> float | None:
 
 
 def _spread_subset(value: np.ndarray) -> np.ndarray:
-    """Evenly spread samples, enough for a median or a 99th percentile."""
+    """Return evenly spread samples, sufficient for a median or a 99th percentile."""
     return value[:: max(1, len(value) // _LEVEL_SAMPLES)]
 
 
 def sample_noise(value: np.ndarray) -> float:
-    """White noise of one sample, from chunks that together are enough; shape (n,) in time order, NaN-free."""
+    """White noise of one sample, from a limited number of chunks; values of shape (n,) in time order, without NaN."""
     if len(value) <= _NOISE_SAMPLES:
         return max(white_noise(value), 1e-12 * float(np.ptp(value)) + 1e-300)
     size = _NOISE_SAMPLES // _NOISE_CHUNKS
@@ -289,17 +295,17 @@ def sample_noise(value: np.ndarray) -> float:
 def _average(
     time: np.ndarray, value: np.ndarray, keep: np.ndarray, width: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mean time, its variance, mean value and count per block of `width` from the first kept sample on."""
+    """Mean time, its variance, mean value and count of each block of `width`, starting at the first kept sample."""
     n = len(time)
     mean, spread, level = np.empty(n), np.empty(n), np.empty(n)
     count = np.empty(n, np.int64)
     blocks, label, base, m = -1, -1, 0.0, 0
     sum_t = sum_tt = sum_v = 0.0
-    zero, surely = np.nan, -np.inf  # until when a sample surely belongs to this block
+    zero, inside_until = np.nan, -np.inf  # samples before inside_until belong to this block
     for i in range(n):
         if not keep[i]:
             continue
-        if time[i] >= surely or m == 0:
+        if time[i] >= inside_until or m == 0:
             if np.isnan(zero):
                 zero = time[i]
             # a sampling interval that divides the width must not straddle an edge by rounding
@@ -310,7 +316,7 @@ def _average(
                     spread[blocks] = max(sum_tt / m - (sum_t / m) ** 2, 0.0)
                 blocks, label, base, m = blocks + 1, own, time[i], 0
                 sum_t = sum_tt = sum_v = 0.0
-                surely = zero + (own + 1 - 1e-5) * width
+                inside_until = zero + (own + 1 - 1e-5) * width
         local = time[i] - base
         sum_t += local
         sum_tt += local * local
@@ -325,14 +331,14 @@ def _average(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def taylor_at_samples(time: np.ndarray, centre: np.ndarray, derivatives: np.ndarray) -> np.ndarray:
-    """A smooth function at every sample from its value and derivatives at block centres.
+    """Evaluate a smooth function at every sample from its derivatives at block centres.
 
     Args:
         time: shape (n,), ascending.
         centre: shape (m,), ascending.
-        derivatives: of order 0 to 4 at the centres, shape (5, m).
+        derivatives: derivatives of order 0 to 4 at the centres, shape (5, m).
     Returns:
-        shape (n,); with blocks of a twentieth of a cycle exact to 1e-6 of the amplitude.
+        Values of shape (n,), exact to 1e-6 of the amplitude for blocks of a twentieth of a cycle.
     """
     out = np.empty(len(time))
     j, last, until = -1, len(centre) - 1, -np.inf
@@ -348,7 +354,7 @@ def taylor_at_samples(time: np.ndarray, centre: np.ndarray, derivatives: np.ndar
 def farthest_from_taylor(
     time: np.ndarray, value: np.ndarray, kept: np.ndarray, centre: np.ndarray, derivatives: np.ndarray
 ) -> tuple[float, float, float]:
-    """Of kept samples the largest distance from `taylor_at_samples`, and that function's lowest and highest value."""
+    """Largest distance of kept samples from `taylor_at_samples`, and the minimum and maximum of that function."""
     largest, lowest, highest = 0.0, np.inf, -np.inf
     j, last, until = -1, len(centre) - 1, -np.inf
     for i in range(len(time)):
@@ -371,7 +377,7 @@ def _taylor(u: float, d: np.ndarray, j: int) -> float:
 def _average_wave(
     time: np.ndarray, keep: np.ndarray, width: float, growth: float, omega: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean time and mean of e^{(growth + i omega)(t − first t)} in each of the blocks that `_average` makes."""
+    """Mean time and mean of e^{(growth + i omega)(t − first t)} in each block of `_average`."""
     n = len(time)
     middle, mean = np.empty(n), np.empty(n, np.complex128)
     blocks, label, m = -1, -1, 0

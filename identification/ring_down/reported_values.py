@@ -1,5 +1,5 @@
 # pyright: strict
-"""A ring-down's θ as the values that are reported: units, intervals, and what makes them wider."""
+"""Conversion of a ring-down's θ to the reported values: units, intervals and their widening."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NORMAL_95 = 1.959964
 
 @dataclass
 class Numbers:
-    """Values of θ's physical part in reported units."""
+    """Physical part of θ in reported units, with covariance and 95 % intervals."""
 
     names: list[str]
     values: Floats
@@ -34,12 +34,15 @@ class Numbers:
 def numbers_of(
     fitted: Fitted, setting: Setting, priors: Priors, labels: tuple[str, ...], stretch: Floats, found: Resolution | None
 ) -> Numbers:
-    """Values, covariance and 95 % intervals of θ's physical part.
+    """Return values, covariance and 95 % intervals of the physical part of θ.
 
     Args:
-        labels: the directions' numbers.
-        stretch: by how much each parameter's standard deviation is multiplied, shape (size,).
-        found: whether a turned pair's axes can be told apart; None for free modes.
+        fitted: solved fit.
+        setting: effort of the fit.
+        priors: priors of the fit.
+        labels: numbers of the directions.
+        stretch: factor on the standard deviation of each parameter, shape (size,).
+        found: resolution of a turned pair's axes; None for free modes.
     """
     names = [name for label in labels for name in (f"f{label}_Hz", f"zeta{label}")]
     theta = fitted.theta
@@ -70,13 +73,13 @@ def numbers_of(
 
 
 def amplitudes_of(fitted: Fitted, count: int, stretch: Floats) -> list[AmplitudeDependence]:
-    """Each mode's rates in windows of falling amplitude, where the decay is long enough."""
+    """Rates of each mode in windows of decreasing amplitude, for modes with a sufficiently long decay."""
     found = [amplitude_dependence(fitted, mode, float(stretch[2 * mode + 1])) for mode in range(count)]
     return [f for f in found if f is not None]
 
 
 def beyond_terms(fitted: Fitted, dependence: list[AmplitudeDependence], stretch: Floats) -> list[AmplitudeDependence]:
-    """What the fitted terms of amplitude leave unexplained."""
+    """Amplitude dependence that the fitted terms do not explain."""
     if fitted.model.backbone is None:
         return dependence
     found = [amplitude_dependence(fitted, one.mode - 1, float(stretch[2 * one.mode - 1]), False) for one in dependence]
@@ -84,7 +87,7 @@ def beyond_terms(fitted: Fitted, dependence: list[AmplitudeDependence], stretch:
 
 
 def widen_for_amplitude(numbers: Numbers, dependence: list[AmplitudeDependence], labels: tuple[str, ...]) -> list[str]:
-    """A change over amplitude makes one number for all amplitudes uncertain by its range over sqrt(12)."""
+    """Widen the intervals for a change over amplitude, by its range over sqrt(12). Return messages."""
     out: list[str] = []
     for one in dependence:
         label, i = labels[one.mode - 1], 2 * (one.mode - 1)
@@ -105,7 +108,7 @@ def widen_for_amplitude(numbers: Numbers, dependence: list[AmplitudeDependence],
 
 
 def widen_for_other_law(numbers: Numbers, nonlinear: Sequence[RatesOverAmplitude], labels: tuple[str, ...]) -> None:
-    """Rates that change by another law than the fitted one: the values at zero amplitude are extrapolations by it."""
+    """Widen the values at zero amplitude if the rates follow another law than the one they are extrapolated with."""
     for one in nonlinear:
         i = 2 * labels.index(str(one.direction))
         bent = float(numbers.values[i]) * one.f_change_at_1mm * (1e3 * one.largest_m) ** 2
@@ -120,10 +123,14 @@ def _widen(numbers: Numbers, at: int, extra: float) -> None:
 
 
 def damping_remark(numbers: Numbers, label: str, at: int) -> list[str]:
-    """A sentence where a damping ratio is not distinguishable from zero; at: its place in the values.
+    """Return a message if a damping ratio is not distinguishable from zero.
 
+    Args:
+        numbers: values.
+        label: number of the direction.
+        at: index of the damping ratio in the values.
     Raises:
-        NotIdentifiable: the motion grows, or its damping drowns in noise.
+        NotIdentifiable: the motion grows, or its damping is below the noise.
     """
     value, std = float(numbers.values[at]), float(np.sqrt(numbers.covariance[at, at]))
     if value < -2 * std:
@@ -143,7 +150,7 @@ def damping_remark(numbers: Numbers, label: str, at: int) -> list[str]:
 
 
 def with_stiffness(numbers: Numbers, mass: float | None) -> Numbers:
-    """k = M (2π f)² beside the frequencies."""
+    """Add the stiffnesses k = M (2π f)² to the frequencies."""
     if mass is None:
         return numbers
     names, rows = list(numbers.names), [np.eye(len(numbers.names))]

@@ -1,10 +1,10 @@
-"""What residuals say: are they white, how wide must intervals be if not, which term is missing.
+"""Tests of residuals: whiteness, widening of intervals for coloured residuals, score test for missing terms.
 
-A least-squares fit whose noise has the spectrum S(f) instead of a white one has parameters with
+The parameters of a least-squares fit whose noise has the spectrum S(f) have the variance
 
-    var = Σ_f |h(f)|² S(f),        h = the parameter's influence (a column of J (JᵀJ)⁻¹) in frequency,
+    var = Σ_f |h(f)|² S(f),        h = influence of the parameter (a column of J (JᵀJ)⁻¹) over frequency.
 
-so only noise in the modes' own band counts: hum at 100 Hz does no harm, slow wander does when damping is strong.
+Only noise in the band of the modes counts: hum at 100 Hz has no effect, slow wander has one if damping is strong.
 """
 
 from __future__ import annotations
@@ -12,22 +12,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtrc
 
-_SMOOTH = 33  # periodogram ordinates averaged; the scatter of a level is 1/sqrt(33)
+from identification.typed_scipy import uniform_filter1d
+
+_SMOOTH = 33  # number of averaged periodogram ordinates; the relative scatter of a level is 1/sqrt(33)
 _LAGS = 20
 
 
 def spectral_stretch(residuals: list[np.ndarray], influence: list[np.ndarray], chi2: float) -> np.ndarray:
-    """By how much each parameter's std must be multiplied for residuals that are not white of unit variance.
+    """Factor on the standard deviation of each parameter for residuals that are not white with unit variance.
 
     Args:
-        residuals: per channel, in standard deviations, in time order.
-        influence: per channel, shape (n, p).
-        chi2: χ² per degree of freedom of all of them.
+        residuals: residuals of each channel in standard deviations, in time order.
+        influence: influence of the residuals on the parameters for each channel, shape (n, p).
+        chi2: χ² per degree of freedom of all channels.
     Returns:
-        shape (p,), at least 1; it differs from sqrt(chi2) only by more than chance (three standard deviations).
+        Factors, shape (p,), at least 1. A factor differs from sqrt(chi2) only if the difference is significant (three
+        standard deviations).
     """
     coloured = np.zeros(influence[0].shape[1])
     white = np.zeros_like(coloured)
@@ -47,11 +49,11 @@ def spectral_stretch(residuals: list[np.ndarray], influence: list[np.ndarray], c
 
 @dataclass(frozen=True)
 class Whiteness:
-    """A portmanteau test on block residuals.
+    """Portmanteau test of block residuals.
 
     Attributes:
-        p: probability of so much correlation in white noise.
-        correlation: largest autocorrelation of lags 1 to 20, signed.
+        p: p value for white noise.
+        correlation: autocorrelation with the largest magnitude for lags 1 to 20, signed.
     """
 
     p: float
@@ -59,7 +61,7 @@ class Whiteness:
 
 
 def whiteness(residuals: list[np.ndarray]) -> Whiteness:
-    """Ljung–Box over 20 lags of all channels together."""
+    """Ljung–Box test over 20 lags of all channels together."""
     statistic, lags, largest = 0.0, 0, 0.0
     for residual in residuals:
         n = len(residual)
@@ -75,11 +77,11 @@ def whiteness(residuals: list[np.ndarray]) -> Whiteness:
 
 
 def gain_of(residual: np.ndarray, known: np.ndarray, extra: np.ndarray) -> float:
-    """By how much χ² would fall if columns were added to a fit (score test); exact for linear terms.
+    """Reduction of χ² if columns were added to a fit (score test); exact for linear terms.
 
     Args:
-        residual: shape (n,), of the fit.
-        known: columns along which the fit was already free, shape (n, k): amplitudes, drift and tangent.
+        residual: residual of the fit, shape (n,).
+        known: columns of the fit (amplitudes, drift, tangent), shape (n, k).
         extra: columns to add, shape (n, m).
     """
     columns = np.column_stack([known, extra])
@@ -92,5 +94,5 @@ def gain_of(residual: np.ndarray, known: np.ndarray, extra: np.ndarray) -> float
     own = gram[k:, k:] - gram[k:, :k] @ to_known
     left = right[k:] - to_known.T @ right[:k]
     values, vectors = np.linalg.eigh(own)
-    kept = values > 1e-9  # a column that the known ones span adds nothing
+    kept = values > 1e-9  # a column in the span of the known ones has no effect
     return float(np.sum((vectors[:, kept].T @ left) ** 2 / values[kept]))

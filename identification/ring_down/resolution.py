@@ -1,4 +1,4 @@
-"""Whether a record speaks of both directions, and whether their axes can be told apart."""
+"""Decision whether a record determines both directions, and whether their axes are resolved."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from identification.ring_down.modes import damped_periodogram, rate, without_mod
 from identification.ring_down.rungs import climbed
 from identification.samples import Averages
 
-RESOLVED_SPLIT = 0.1  # of a half-bandwidth
-RESOLVED_GAIN = 100.0
-CLOSE, _CERTAIN = 3.0, 0.1  # half-bandwidths; relative standard deviation of a split that is believed
-WALD_STD = np.radians(3.0)  # beyond, the axis angle's interval is no ellipse
+RESOLVED_SPLIT = 0.1  # smallest distance of resolved modes in half-bandwidths
+RESOLVED_GAIN = 100.0  # smallest gain of χ² by the second mode
+CLOSE, _MAX_SPLIT_STD = 3.0, 0.1  # distance of close modes in half-bandwidths; relative std of a significant distance
+WALD_STD = np.radians(3.0)  # largest std of an axis angle whose interval comes from the covariance
 _STEP = 1e-7  # of ln ω and ζ
-_NOTICED = 45.0  # of χ²: noise alone explains 2 ln of the number of cells searched, about 25
-WEAK = 0.25  # amplitude of the weaker sensor against the stronger
+_MIN_GAIN = 45.0  # of χ²: noise alone explains 2 ln(number of searched cells), about 25
+WEAK = 0.25  # amplitude of the weaker sensor over that of the stronger
 
 
 @dataclass(frozen=True)
 class Lone:
-    """The only direction that a record can speak of."""
+    """Single direction that a record determines, and the message about it."""
 
     axis: int
     sentence: str
 
 
 def lone_direction(decay: Decay) -> Lone | None:
-    """The direction when one sensor shows nothing of its own; None when the record, or several, hold both.
+    """Return the direction if one sensor shows no mode of its own; None if the records contain both directions.
 
-    The weaker sensor is asked whether anything is left once the stronger one's mode is taken out of it.
+    The criterion is the residual of the weaker sensor after removal of the stronger sensor's mode.
     """
     strong = stronger_sensor(decay, WEAK)
     if strong is None:
@@ -48,13 +48,13 @@ def lone_direction(decay: Decay) -> Lone | None:
         return None
     weak = coarse[1 - strong]
     rest = _without_strong(weak, fitted)
-    if _explained(_whitened(rest, fitted)) > _NOTICED * max(1.0, fitted.solution.chi2_per_dof):
+    if _explained(_whitened(rest, fitted)) > _MIN_GAIN * max(1.0, fitted.solution.chi2_per_dof):
         return None
-    return own_mode_missing(strong, _explained(weak) > _NOTICED)
+    return own_mode_missing(strong, _explained(weak) > _MIN_GAIN)
 
 
 def stronger_sensor(decay: Decay, ratio: float) -> int | None:
-    """The sensor of a single record whose motion exceeds the other's by more than 1/ratio; None where neither does."""
+    """Sensor of a single record whose motion exceeds the other's by more than 1/ratio, or None."""
     if len(decay.records) != 1 or len(decay.records[0]) < 2:
         return None
     coarse = decay.averages(COARSE_S)[0]
@@ -64,7 +64,12 @@ def stronger_sensor(decay: Decay, ratio: float) -> int | None:
 
 
 def own_mode_missing(strong: int, others: bool) -> Lone:
-    """A record in which the weaker sensor shows no mode of its own; others: but the stronger one's."""
+    """Result for a record whose weaker sensor shows no mode of its own.
+
+    Args:
+        strong: index of the stronger sensor.
+        others: whether the weaker sensor shows the stronger one's mode.
+    """
     axis = "xy"[1 - strong]
     if others:
         reason = f"axes not resolved: sensor {axis} shows the other's mode and none of its own"
@@ -74,25 +79,25 @@ def own_mode_missing(strong: int, others: bool) -> Lone:
 
 
 def not_of_the_pair(strong: int, omega: float) -> Lone:
-    """A record in which what seems the weaker mode moves in another direction than a mode of the pair can."""
+    """Result for a record whose weaker oscillation moves in another direction than a mode of the pair."""
     axis = "xy"[1 - strong]
     return Lone(
         strong,
-        f"direction {2 - strong} is not shown by this record: what rings at {omega / (2 * np.pi):.3g} Hz moves in "
-        f"another direction, or phase, than a mode square to direction {strong + 1} can (a floor, a cable?); "
+        f"direction {2 - strong} is not shown by this record: the oscillation at {omega / (2 * np.pi):.3g} Hz moves in "
+        f"another direction, or phase, than a mode perpendicular to direction {strong + 1} (a floor, a cable?); "
         f"direction {strong + 1} alone is fitted. Add a ring-down along {axis}",
     )
 
 
 def _alone(decay: Decay, axis: int) -> Fitted:
-    """One free mode in one sensor."""
+    """Fit of one free mode in one sensor."""
     own = decay.only(axis)
     valid = tuple(tuple(c.keep for c in channels) for channels in own.records)
     return climbed(Plan(False, "fast", Priors(), valid)(own), Priors(), True)
 
 
 def _without_strong(weak: Averages, fitted: Fitted) -> Averages:
-    """The weaker sensor with the stronger one's only mode, and an offset, regressed out."""
+    """Weaker sensor with the stronger one's mode and an offset removed by linear regression."""
     backbone = fitted.model.backbone
     if backbone is None:
         return without_modes(weak, [complex(rate(float(fitted.omegas[0]), float(fitted.zetas[0])))], weak.time_s[0])
@@ -105,7 +110,7 @@ def _without_strong(weak: Averages, fitted: Fitted) -> Averages:
 
 
 def _whitened(rest: Averages, fitted: Fitted) -> Averages:
-    """What is left of a sensor, its noise's correlation taken out."""
+    """Residual of a sensor with whitened noise."""
     width = float(np.median(np.diff(rest.time_s)))
     modes = [(w / (2 * np.pi), z * w / (2 * np.pi)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
     colour = colour_of(rest.value * rest.weight, rest.noise, width, modes)
@@ -116,20 +121,20 @@ def _whitened(rest: Averages, fitted: Fitted) -> Averages:
 
 
 def _explained(channel: Averages) -> float:
-    """χ² that the best decaying sinusoid explains."""
+    """Part of χ² that the best decaying sinusoid explains."""
     centred = channel.value - channel.value.mean()
     return damped_periodogram([[channel]]).share * float(np.sum((centred * channel.weight) ** 2))
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """Whether a turned pair's axes can be told apart.
+    """Resolution of a turned pair's axes.
 
     Attributes:
-        split, split_std: |λ1 − λ2| over the mean half-bandwidth ζω.
-        axis_std_rad: of the axis angle, from the data alone.
-        gain: of χ², over one mode in both sensors. An angle known to 3° makes it some hundreds; a small one means that
-            the second mode follows noise.
+        split, split_std: |λ1 − λ2| over the mean half-bandwidth ζω, and its standard deviation.
+        axis_std_rad: standard deviation of the axis angle from the data alone, rad.
+        gain: gain of χ² compared with one mode in both sensors. An angle with a standard deviation of 3° has a gain of
+            some hundreds. If the gain is small, the second mode follows noise.
     """
 
     split: float
@@ -139,29 +144,31 @@ class Resolution:
 
     @property
     def certain(self) -> bool:
-        """Whether the distance is known well enough to be believed."""
-        return self.split >= CLOSE or self.split_std <= _CERTAIN * self.split
+        """Whether the distance of the modes is significant."""
+        return self.split >= CLOSE or self.split_std <= _MAX_SPLIT_STD * self.split
 
     @property
     def resolved(self) -> bool:
-        """Two axes, with an angle known to 3° or better, and modes that stand apart beyond doubt."""
-        # a mode that has hardly any amplitude can be anywhere: it seems far off, and nobody knows how far
+        """Whether the standard deviation of the angle is at most 3° and the distance of the modes is significant."""
+        # a mode with a very small amplitude has an arbitrary rate, with a large distance of large uncertainty
         apart = self.split >= RESOLVED_SPLIT and self.certain
         return apart and self.axis_std_rad <= WALD_STD and self.gain >= RESOLVED_GAIN
 
 
 def resolution(fitted: Fitted, priors: Priors, stretch: float, gain: float) -> Resolution:
-    """How far apart the two modes are and how well their axes are known.
+    """Compute the distance of the two modes and the uncertainty of their axes.
 
     Args:
-        stretch: noise above white, as a factor of standard deviations.
-        gain: of χ², over one mode in both sensors.
+        fitted: solved fit of a turned pair.
+        priors: priors of the fit.
+        stretch: factor on standard deviations for noise above white noise.
+        gain: gain of χ² compared with one mode in both sensors.
     """
     covariance = fitted.solution.minimum.covariance
     precision = 1 / float(covariance[BETA, BETA]) - 1 / priors.axis_rad**2
     std = np.inf if precision <= 0 else precision**-0.5
     own = np.r_[fitted.omegas[0], fitted.zetas[0], fitted.omegas[1], fitted.zetas[1]]
-    # θ holds ln ω and ζ
+    # θ contains ln ω and ζ
     slope = np.array(
         [
             (_split(own + step) - _split(own - step)) / (2 * _STEP)
@@ -173,6 +180,6 @@ def resolution(fitted: Fitted, priors: Priors, stretch: float, gain: float) -> R
 
 
 def _split(modes: np.ndarray) -> float:
-    """Distance of two modes' rates in half-bandwidths; ω1, ζ1, ω2, ζ2."""
+    """Distance of the rates of two modes (ω1, ζ1, ω2, ζ2) in half-bandwidths."""
     lams = [rate(float(modes[0]), float(modes[1])), rate(float(modes[2]), float(modes[3]))]
     return float(abs(lams[0] - lams[1]) / np.mean([max(-lam.real, 1e-12) for lam in lams]))

@@ -1,4 +1,4 @@
-"""A solved ring-down made into what a reader gets: values, intervals, the chosen model and what speaks against it."""
+"""Result of a ring-down's fit: values, intervals, chosen model, and evidence against the model."""
 
 from __future__ import annotations
 
@@ -31,36 +31,36 @@ from identification.ring_down.scores import stretches
 from identification.rungs import Rung
 from identification.setting import ModelChoice, Setting
 
-_LEFT_OVER, _WRONG_CHI2 = 0.1, 10.0  # share of the signal and χ²/dof that mark a model that is none
-_TOO_LARGE = 1.3  # χ²/dof
-_WHITE_P = 1e-4
+_MAX_RESIDUAL_RATIO, _MAX_CHI2 = 0.1, 10.0  # residual over signal and χ²/dof; a model above both is rejected
+_LARGE_CHI2 = 1.3  # χ²/dof that yields a warning
+_MIN_WHITE_P = 1e-4
 
 
 @dataclass(frozen=True)
 class RingDownFit:
-    """What a ring-down says.
+    """Fit of a ring-down.
 
     Attributes:
         values: f1_Hz, zeta1 and, with a second mode, f2_Hz, zeta2, axis_angle_deg; with a mass k1_N_per_m, k2_N_per_m.
-        covariance: of the values in their order, shape (n, n).
-        warnings: what a reader must know.
-        curves: per record and channel, from the release on.
-        noise: white noise of one sample per channel, m.
-        residual_rms: rms of the block averages' residuals per channel, m.
-        chi2_per_dof: residuals against the white noise; 1 when the model is right.
-        release_s: where each record's fit begins.
-        intervals: 95 % interval of every value; from the profile likelihood where the covariance would mislead.
-        model: the smallest adequate model in words.
-        model_table: the models compared; criterion is BIC relative to the chosen one.
-        verdict: whether the residuals bear the model out, a sentence.
-        whiteness: of the residuals.
-        axes_resolved: with two modes, whether their axes can be told apart.
-        amplitude: per mode, damping and frequency over amplitude, where the decay is long enough.
-        nonlinear: the directions whose frequency or damping ratio depends on amplitude, as fitted; their values are
+        covariance: covariance of the values in their order, shape (n, n).
+        warnings: findings that limit the use of the values.
+        curves: curve of each record and channel, from the release on.
+        noise: white noise of one sample of each channel, m.
+        residual_rms: rms of the residuals of the block averages of each channel, m.
+        chi2_per_dof: χ² of the residuals per degree of freedom, relative to white noise; 1 for a correct model.
+        release_s: start of the fit in each record, s.
+        intervals: 95 % interval of every value, from the profile likelihood if the covariance is not sufficient.
+        model: description of the smallest adequate model.
+        model_table: compared models. The criterion is BIC relative to the chosen model.
+        verdict: sentence about the adequacy of the model.
+        whiteness: whiteness test of the residuals.
+        axes_resolved: whether the axes of two modes are distinguishable.
+        amplitude: damping and frequency over amplitude of each mode, if the decay is long enough.
+        nonlinear: directions whose frequency or damping ratio depends on amplitude, as fitted. Their values are
             those at zero amplitude.
-        setting: what was asked for.
-        settled: whether the iteration did; one that did not is refused, so always true.
-        terms: per direction, what of stiffness and damping depends on the motion, with what is only likely to.
+        setting: effort of the fit.
+        settled: whether the iteration converged. Always true, since other fits are rejected.
+        terms: amplitude dependence of stiffness and damping in each direction, including terms that are only likely.
     """
 
     values: dict[str, float]
@@ -85,13 +85,13 @@ class RingDownFit:
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviations by name (statistical; clocks not included)."""
+        """Standard deviations by name (statistical, without clock errors)."""
         return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
 
 @dataclass
 class Findings:
-    """What was asked for, and what was noticed on the way."""
+    """Options of a fit and the warnings collected so far."""
 
     setting: Setting
     priors: Priors
@@ -99,40 +99,41 @@ class Findings:
     warnings: list[str]
     without: frozenset[Rung] = frozenset()
 
-    def tell_left_out(self, count: int) -> None:
-        """Note outliers."""
+    def add_outliers(self, count: int) -> None:
+        """Add a warning with the number of outliers."""
         if count:
             self.warnings.append(f"{count} samples that no noise explains left out")
 
 
 def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: float = np.inf) -> RingDownFit:
-    """The fit as a reader gets it.
+    """Convert a solved fit to a RingDownFit.
 
     Args:
-        labels: the directions' numbers, "1" or "2" or both.
-        gain: of χ², that the second mode brings over one mode in both sensors.
+        fitted: solved fit.
+        findings: options and warnings so far.
+        labels: numbers of the directions, "1" or "2" or both.
+        gain: reduction of χ² by the second mode compared with one mode in both sensors.
     Raises:
-        FitFailed: no convergence, or the model leaves a good part of the signal.
-        NotIdentifiable: damping drowns in noise.
+        FitFailed: the fit did not converge, or the model leaves a large part of the signal.
+        NotIdentifiable: the damping is below the noise.
     """
     minimum = fitted.solution.minimum
     chi2 = fitted.solution.chi2_per_dof
     stretch = stretches(fitted)
-    warnings = [*findings.warnings, *_disturbances_said(fitted, labels)]
+    warnings = [*findings.warnings, *_disturbance_messages(fitted, labels)]
     found: Resolution | None = None
     if fitted.model.turned:
-        held = (
-            not minimum.converged and minimum.iterations == 1
-        )  # at an angle as good as any: there is no minimum in it
+        # the angle is held: χ² does not depend on it and has no minimum
+        held = not minimum.converged and minimum.iterations == 1
         found = resolution(fitted, findings.priors, float(stretch[BETA]), 0.0 if held else gain)
-    lost = not minimum.converged and (found is None or found.resolved)  # an angle that is anything has no minimum
+    lost = not minimum.converged and (found is None or found.resolved)  # an unresolved angle has no minimum
     if lost or not np.all(np.isfinite(minimum.theta)):
         raise FitFailed(
             f"ring-down: no convergence in {minimum.iterations} iterations"
             + (
                 f", and χ²/dof {chi2:.3g} is above 1.3: is it a free decay, and in metres?"
-                if chi2 > _TOO_LARGE
-                else f"; χ²/dof {chi2:.3g} speaks for the model, so the data leave its values open: record longer"
+                if chi2 > _LARGE_CHI2
+                else f"; χ²/dof {chi2:.3g} supports the model, but the data do not determine its values: record longer"
             )
         )
     curves, rms = _curves(fitted, chi2, _axes(labels))
@@ -151,7 +152,7 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
         warnings.append(_unresolved(found))
     white = whiteness([r for record in fitted.channel_residuals() for r in record])
     warnings += [choice.why for choice in table if choice.chosen and choice.why.startswith("but ")]
-    if chi2 > _TOO_LARGE:
+    if chi2 > _LARGE_CHI2:
         warnings.append(f"residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up")
     numbers = with_stiffness(numbers, findings.mass_kg)
     return RingDownFit(
@@ -166,7 +167,7 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
         intervals={n: (float(a), float(b)) for n, a, b in zip(numbers.names, numbers.low, numbers.high, strict=True)},
         model=next(choice.name for choice in table if choice.chosen),
         model_table=table,
-        verdict=_verdict(white, chi2, stretch, warnings, _coloured_said(fitted), other_law),
+        verdict=_verdict(white, chi2, stretch, warnings, _coloured_noise(fitted), other_law),
         whiteness=white,
         axes_resolved=found is None or found.resolved,
         amplitude=dependence,
@@ -176,8 +177,8 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     )
 
 
-def _disturbances_said(fitted: Fitted, labels: tuple[str, ...]) -> list[str]:
-    """Lines and wander by name; a lone sensor is that of its direction."""
+def _disturbance_messages(fitted: Fitted, labels: tuple[str, ...]) -> list[str]:
+    """Messages about lines and wander. A single sensor has the name of its direction."""
     found, axes = fitted.found_lines(), _axes(labels)
     lines = sentences([(a, lines) for own in found for a, lines in zip(axes, own, strict=True)])
     left = zip(fitted.model.records, fitted.plain_residuals(), strict=True)
@@ -190,28 +191,28 @@ def _axes(labels: tuple[str, ...]) -> str:
     return "xy" if len(labels) == 2 else "xy"[int(labels[0]) - 1]
 
 
-def _coloured_said(fitted: Fitted) -> str:
-    """How much noise is beyond the white part, "" where all is white."""
-    said = []
+def _coloured_noise(fitted: Fitted) -> str:
+    """Rms of the coloured noise of each channel as text; "" if all noise is white."""
+    parts: list[str] = []
     for record in fitted.model.records:
         for colour, channel in zip(record.colours, record.channels, strict=False):
             if colour is not None:
                 rms = colour.rms * colour.noise / float(np.sqrt(np.median(channel.count)))
-                said.append(f"{1e6 * rms:.2g} µm")
-    return f"{' and '.join(said)} rms in the means that are fitted" if said else ""
+                parts.append(f"{1e6 * rms:.2g} µm")
+    return f"{' and '.join(parts)} rms in the means that are fitted" if parts else ""
 
 
 def _curves(fitted: Fitted, chi2: float, axes: str) -> tuple[list[Curve], list[float]]:
-    curves, rms = [], []
+    curves, rms = list[Curve](), list[float]()
     for number, (record, residuals) in enumerate(zip(fitted.model.records, fitted.plain_residuals(), strict=True)):
         for axis, channel, metres in zip(axes, record.channels, residuals, strict=True):
             left_over = float(np.std(metres) / np.std(channel.value))
             white = float(np.std(1 / channel.weight) + np.mean(1 / channel.weight)) / float(np.std(channel.value))
-            if left_over > max(_LEFT_OVER, 2 * white) and chi2 > _WRONG_CHI2:
+            if left_over > max(_MAX_RESIDUAL_RATIO, 2 * white) and chi2 > _MAX_CHI2:
                 raise FitFailed(
                     f"ring-down: the model leaves {left_over:.0%} of sensor {axis}'s signal, above "
-                    f"{max(_LEFT_OVER, 2 * white):.0%}, at a χ²/dof of {chi2:.3g}, above {_WRONG_CHI2:g}: it moves as "
-                    f"no {fitted.model.modes} decaying modes do"
+                    f"{max(_MAX_RESIDUAL_RATIO, 2 * white):.0%}, at a χ²/dof of {chi2:.3g}, above {_MAX_CHI2:g}: the "
+                    f"motion is not a sum of {fitted.model.modes} decaying modes"
                 )
             rms.append(float(np.sqrt(np.mean(metres**2))))
             curves.append(
@@ -221,17 +222,17 @@ def _curves(fitted: Fitted, chi2: float, axes: str) -> tuple[list[Curve], list[f
 
 
 def _unresolved(found: Resolution) -> str:
-    why = []
+    why: list[str] = []
     if found.split < RESOLVED_SPLIT:
         why.append(f"the modes are {found.split:.2g} half-bandwidths apart, {RESOLVED_SPLIT:g} are needed")
     elif not found.certain:
-        why.append(f"the modes are {found.split:.2g} ± {found.split_std:.2g} half-bandwidths apart, not surely apart")
+        why.append(f"the modes are {found.split:.2g} ± {found.split_std:.2g} half-bandwidths apart, not significantly")
     if found.axis_std_rad > WALD_STD:
         angle = min(float(np.degrees(found.axis_std_rad)), 90.0)
         why.append(f"the axis angle stays uncertain by {angle:.2g}°, {np.degrees(WALD_STD):.2g}° are needed")
     if found.gain < RESOLVED_GAIN:
-        much = f"improves χ² by {found.gain:.3g} only" if found.gain > 0 else "explains no more"
-        why.append(f"a second mode {much} than one mode in both sensors, {RESOLVED_GAIN:g} are needed")
+        much = f"improves χ² by only {found.gain:.3g}" if found.gain > 0 else "does not improve χ²"
+        why.append(f"a second mode {much} compared with one mode in both sensors, {RESOLVED_GAIN:g} are needed")
     return f"axes not resolved: {'; '.join(why)}. Intervals are from the profile likelihood over the angle"
 
 
@@ -247,10 +248,10 @@ def _verdict(
         return "not adequate: the decay is not exponential; see damping over amplitude"
     if coloured:
         return f"the noise is not white, {coloured}; its spectrum is in the weights and in the intervals"
-    if white.p >= _WHITE_P and chi2 < 1.3:
+    if white.p >= _MIN_WHITE_P and chi2 < 1.3:
         return f"adequate: residuals are white (p = {white.p:.2g}, χ²/dof {chi2:.3g})"
     widest = float(np.max(stretch))
     how = f"p = {white.p:.1g}, largest autocorrelation {white.correlation:+.2f}, χ²/dof {chi2:.3g}"
     if widest > 1.05:
-        return f"doubtful: residuals are not white ({how}); intervals are {widest:.2g} times as wide for it"
+        return f"doubtful: residuals are not white ({how}); intervals are widened by a factor of {widest:.2g}"
     return f"adequate: residuals are not white ({how}), but not in the modes' band"

@@ -1,10 +1,10 @@
 # pyright: strict
-"""The rungs of a ring-down's ladder above constant rates: frequency, and damping ratio, that depend on amplitude.
+"""Terms of amplitude of a ring-down: selection of frequencies and damping ratios that depend on amplitude.
 
-Each mode has two: its frequency, its damping ratio. The one that lowers χ² most is taken as long as that is worth
-more than BIC asks; none is kept that is not certain in the end. Where one direction has a term, the other one is
-likely to have it too, even if its motion is too small to show it: it is then fitted there with a prior about zero,
-so that the interval of the value at zero amplitude covers it.
+Each mode has two possible terms, for its frequency and for its damping ratio. The term that reduces χ² most is added as
+long as the gain exceeds BIC's penalty. Terms that are not significant in the end are removed. If one direction has a
+term, the other direction is likely to have it too, even if its motion is too small to show it. It is then fitted there
+with a prior about zero, so that the interval of the value at zero amplitude covers it.
 """
 
 from __future__ import annotations
@@ -25,27 +25,29 @@ from identification.ring_down.modes import rate
 from identification.ring_down.residuals import gain_of
 from identification.ring_down.scores import known_columns, stretches
 
-_WORTH = 2.0  # of BIC, beyond 0: a term that is missed biases more than one that is not there costs
-_CHANCE = 1e-3  # that noise alone is worth a term, in a fit
-_CERTAIN = 3.0  # standard deviations
-_ALIKE = 2.0  # times one direction's term: what the other one's is likely to be at most
-_APART = 3.0  # half-bandwidths; of nearer modes a beat looks like rates that change
-_GROWS, _FAST = -1e-3, 0.25  # damping ratios between which an amplitude falls slowly against a cycle
-_MISFIT, _MOSTLY = 6.0, 0.7  # standard deviations of χ²/dof; share of what is beyond noise
-_BENT = (-0.02, -0.005, -0.001, 0.001, 0.005, 0.02)  # relative change of frequency at the largest amplitude
-_DRAGGED = (-0.5, 0.2, 0.5, 1.5)  # of ζ
-_LOOKS = 3  # iterations from each start
-_MEAN_SQUARE, _MEAN = 0.4, 0.6  # of the largest amplitude, over what tells the rates
+_MIN_BIC_GAIN = 2.0  # of BIC; small, since a missing term biases more than a superfluous one widens
+_FALSE_ALARM_RATE = 1e-3  # probability that noise alone adds a term to a fit
+_MIN_SIGNIFICANCE = 3.0  # standard deviations
+_PRIOR_RATIO = 2.0  # prior standard deviation of a direction's term over the other direction's term
+_MIN_SPLIT = 3.0  # half-bandwidths; the beat of closer modes looks like changing rates
+_MIN_ZETA, _MAX_ZETA = -1e-3, 0.25  # damping ratios for which the amplitude changes slowly over a cycle
+_MIN_MISFIT_STD, _MIN_EXPLAINED = 6.0, 0.7  # standard deviations of χ²/dof; explained share of the misfit
+_FREQUENCY_CHANGES = (-0.02, -0.005, -0.001, 0.001, 0.005, 0.02)  # relative, at the largest amplitude
+_DAMPING_CHANGES = (-0.5, 0.2, 0.5, 1.5)  # relative to ζ, at the largest amplitude
+_START_ITERATIONS = 3  # from each start value
+_MEAN_SQUARE, _MEAN = 0.4, 0.6  # of the relative amplitude over the part of the decay that determines the rates
 
 Taken = tuple[bool, ...]
 
 
 def climbed(fitted: Fitted, priors: Priors, first: bool) -> Fitted:
-    """The fit with the terms of amplitude that the data ask for, and without those that they no longer do.
+    """Add the terms of amplitude that the data require, and remove those that are not significant.
 
     Args:
-        priors: of a turned pair.
-        first: before lines and coloured noise are known: terms are taken only if they explain most of a misfit.
+        fitted: solved fit.
+        priors: priors of a turned pair.
+        first: whether lines and coloured noise are not yet known. Terms are then added only if they explain most of a
+            misfit.
     """
     if (first and not is_misfit(fitted)) or not _are_suited(fitted):
         return fitted
@@ -56,7 +58,7 @@ def climbed(fitted: Fitted, priors: Priors, first: bool) -> Fitted:
 
 
 def _highest(fitted: Fitted, priors: Priors) -> Fitted:
-    """The fit with one term after the other as long as they are worth it."""
+    """Add one term after the other as long as the gain exceeds the penalty."""
     for _ in range(2 * fitted.model.modes):
         higher = _next(fitted, priors)
         if higher is None:
@@ -66,14 +68,14 @@ def _highest(fitted: Fitted, priors: Priors) -> Fitted:
 
 
 def is_misfit(fitted: Fitted) -> bool:
-    """Whether χ² is beyond what noise makes it."""
+    """Whether χ² is significantly above its value for noise."""
     dof = _dof(fitted)
-    return fitted.chi2 - dof > _MISFIT * np.sqrt(2 * dof)
+    return fitted.chi2 - dof > _MIN_MISFIT_STD * np.sqrt(2 * dof)
 
 
 def explains(fitted: Fitted, other: Fitted) -> bool:
-    """Whether another fit explains most of what a fit leaves beyond noise."""
-    return fitted.chi2 - other.chi2 > _MOSTLY * (fitted.chi2 - _dof(fitted))
+    """Whether another fit explains most of the misfit of a fit."""
+    return fitted.chi2 - other.chi2 > _MIN_EXPLAINED * (fitted.chi2 - _dof(fitted))
 
 
 def _dof(fitted: Fitted) -> int:
@@ -81,20 +83,21 @@ def _dof(fitted: Fitted) -> int:
 
 
 def bent_leader(fitted: Fitted, priors: Priors) -> Fitted | None:
-    """The stronger mode of a turned pair as one mode in both sensors; None where its rates are constant."""
+    """Fit of the stronger mode of a turned pair as one mode in both sensors; None if its rates are constant."""
     alone = replace(fitted.model, modes=1, turned=False, delays=False, backbone=None)
     strong = 2 * int(np.argmax([mode_size(fitted, mode) for mode in range(2)]))
     single = _highest(solve(fitted.decay, alone, [fitted.theta[strong : strong + 2]], priors), priors)
     return single if single.model.backbone is not None else None
 
 
-def beside_leader(model: DecayModel, leader: Fitted, other: Floats, place: int) -> tuple[DecayModel, Floats]:
-    """A turned pair and start values from its stronger mode, fitted alone, and the other one's rates.
+def pair_with_leader(model: DecayModel, leader: Fitted, other: Floats, place: int) -> tuple[DecayModel, Floats]:
+    """Return a turned pair and its start values from the separate fit of its stronger mode and the other one's rates.
 
     Args:
-        leader: one mode whose rates depend on amplitude.
-        other: ln ω and ζ.
-        place: the leader's in the pair.
+        model: model of the pair.
+        leader: fit of one mode whose rates depend on amplitude.
+        other: ln ω and ζ of the other mode.
+        place: index of the leader in the pair.
     """
     own = leader.model.backbone
     assert own is not None
@@ -108,11 +111,11 @@ def beside_leader(model: DecayModel, leader: Fitted, other: Floats, place: int) 
 
 
 def _are_suited(fitted: Fitted) -> bool:
-    """Whether the modes' amplitudes fall slowly, and by themselves: averaging needs the one, telling them the other."""
-    if not np.all((fitted.zetas > _GROWS) & (fitted.zetas < _FAST)):
+    """Whether amplitudes change slowly, which averaging requires, and modes are separate, which resolution requires."""
+    if not np.all((fitted.zetas > _MIN_ZETA) & (fitted.zetas < _MAX_ZETA)):
         return False
     lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
-    return len(lams) < 2 or abs(lams[0] - lams[1]) > _APART * max(abs(lam.real) for lam in lams)
+    return len(lams) < 2 or abs(lams[0] - lams[1]) > _MIN_SPLIT * max(abs(lam.real) for lam in lams)
 
 
 def _taken(fitted: Fitted) -> Taken:
@@ -121,8 +124,9 @@ def _taken(fitted: Fitted) -> Taken:
 
 
 def _next(fitted: Fitted, priors: Priors) -> Fitted | None:
-    """The fit with the one more term that explains most; None where none is worth it."""
-    price = max(float(np.log(fitted.count)) + _WORTH, float(chdtri(1, _CHANCE / (2 * fitted.model.modes))))
+    """Fit with the additional term that explains most; None if no gain exceeds the penalty."""
+    chance = _FALSE_ALARM_RATE / (2 * fitted.model.modes)
+    price = max(float(np.log(fitted.count)) + _MIN_BIC_GAIN, float(chdtri(1, chance)))
     gains, taken = _gains(fitted), _taken(fitted)
     noise = max(1.0, fitted.solution.chi2_per_dof)
     worth = [i for i, gain in enumerate(gains) if not taken[i] and gain / noise > price]
@@ -130,12 +134,12 @@ def _next(fitted: Fitted, priors: Priors) -> Fitted | None:
     if not fits:
         return None
     best = min(fits, key=lambda f: f.chi2)
-    band = float(np.max(stretches(best)[: 2 * best.model.modes])) ** 2  # noise above white where the modes are
+    band = float(np.max(stretches(best)[: 2 * best.model.modes])) ** 2  # noise in the modes' band over white noise
     return best if (fitted.chi2 - best.chi2) / band > price else None
 
 
 def _gains(fitted: Fitted) -> Floats:
-    """By how much χ² would fall with each single term, shape (2 × modes,): score tests."""
+    """Reduction of χ² by each single term, shape (2 × modes,), from score tests."""
     model, theta = with_terms(
         fitted.model, fitted.theta, fitted.solution.coefficients, (True,) * (2 * fitted.model.modes)
     )
@@ -151,31 +155,31 @@ def _gains(fitted: Fitted) -> Floats:
 
 
 def _with(fitted: Fitted, index: int, priors: Priors) -> Fitted | None:
-    """The fit with one more term, from the best of some start values."""
+    """Fit with one more term, from the best of several start values."""
     taken = tuple(on or i == index for i, on in enumerate(_taken(fitted)))
     model, theta = with_terms(fitted.model, fitted.theta, fitted.solution.coefficients, taken)
     std = prior_std(model, priors)
-    looks: list[tuple[float, Floats]] = []
+    candidates: list[tuple[float, Floats]] = []
     for start in _starts(model, theta, index):
         if model.is_absurd(start):
             continue
         try:
-            found = solve_separable(model, start, np.zeros(model.size), std, _LOOKS).minimum
+            found = solve_separable(model, start, np.zeros(model.size), std, _START_ITERATIONS).minimum
         except FitFailed:
             continue
-        looks.append((found.cost, found.theta))
-    if not looks:
+        candidates.append((found.cost, found.theta))
+    if not candidates:
         return None
-    return solve(fitted.decay, model, [min(looks, key=lambda look: look[0])[1]], priors)
+    return solve(fitted.decay, model, [min(candidates, key=lambda one: one[0])[1]], priors)
 
 
 def _starts(model: DecayModel, theta: Floats, index: int) -> list[Floats]:
-    """θ with the rates at zero amplitude moved so that those over the whole decay stay."""
+    """Start values of θ: the rates at zero amplitude are shifted so that the mean rates over the decay are kept."""
     backbone, mode = model.backbone, index // 2
     assert backbone is not None
     level = backbone.largest_m[mode] / REFERENCE_M
     out = [theta]
-    for value in _DRAGGED if index % 2 else _BENT:
+    for value in _DAMPING_CHANGES if index % 2 else _FREQUENCY_CHANGES:
         own = theta.copy()
         if index % 2:
             change = value * abs(float(theta[2 * mode + 1]))
@@ -189,13 +193,13 @@ def _starts(model: DecayModel, theta: Floats, index: int) -> list[Floats]:
 
 
 def _certain(fitted: Fitted, priors: Priors) -> Fitted:
-    """The fit without terms that are not certain, the least certain left out first."""
+    """Fit without terms that are not significant. The least significant term is removed first."""
     while fitted.model.backbone is not None:
         model, taken = fitted.model, _taken(fitted)
         std = np.sqrt(np.diag(fitted.solution.minimum.covariance)) * stretches(fitted)
-        sure = np.abs(fitted.theta[model.tail :]) / std[model.tail :]
-        weak = min((i for i, on in enumerate(taken) if on), key=lambda i: float(sure[i]))
-        if sure[weak] > _CERTAIN:
+        significance = np.abs(fitted.theta[model.tail :]) / std[model.tail :]
+        weak = min((i for i, on in enumerate(taken) if on), key=lambda i: float(significance[i]))
+        if significance[weak] > _MIN_SIGNIFICANCE:
             return fitted
         left = tuple(on and i != weak for i, on in enumerate(taken))
         lower, theta = with_terms(model, fitted.theta, fitted.solution.coefficients, left)
@@ -204,14 +208,14 @@ def _certain(fitted: Fitted, priors: Priors) -> Fitted:
 
 
 def _with_plausible(fitted: Fitted, priors: Priors) -> Fitted:
-    """The fit with a term that one direction has opened in the other one too, as far as it is likely to be there."""
+    """Fit in which a term of one direction is also opened in the other one, with a prior of its likely size."""
     backbone, modes = fitted.model.backbone, fitted.model.modes
     if backbone is None or modes < 2:
         return fitted
     values, plausible = np.abs(fitted.theta[fitted.model.tail :]), np.zeros(2 * modes)
     for i, on in enumerate(backbone.taken):
         if not on:
-            plausible[i] = _ALIKE * max((float(values[j]) for j in range(i % 2, 2 * modes, 2)), default=0.0)
+            plausible[i] = _PRIOR_RATIO * max((float(values[j]) for j in range(i % 2, 2 * modes, 2)), default=0.0)
     if not plausible.any():
         return fitted
     return solve(

@@ -1,4 +1,4 @@
-"""What is known of every fit once: how far its intervals are stretched, and along which columns it may move."""
+"""Quantities that are computed once for each fit: stretch factors of its intervals, and the columns of its model."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from identification.ring_down.residuals import spectral_stretch
 
 @once_per_fit
 def stretches(fitted: Fitted) -> np.ndarray:
-    """By how much each parameter's std must be multiplied because residuals are larger than, or not, white noise."""
+    """Factor on the standard deviation of each parameter for residuals that exceed the noise or are not white."""
     residuals = [r for record in fitted.channel_residuals() for r in record]
     influence = fitted.solution.minimum.jacobian[: fitted.count] @ fitted.solution.minimum.covariance
     edges = np.cumsum([len(r) for r in residuals])[:-1]
@@ -19,8 +19,8 @@ def stretches(fitted: Fitted) -> np.ndarray:
 
 @once_per_fit
 def known_columns(fitted: Fitted) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Per record the columns that the fit moves along and its residual."""
-    known, residuals = [], []
+    """Columns of the fit (basis and tangent) and residual of each record."""
+    known, residuals = list[np.ndarray](), list[np.ndarray]()
     for block, c in zip(fitted.model(fitted.theta), fitted.solution.coefficients, strict=True):
         known.append(np.column_stack([block.basis, block.tangent(c)]))
         residuals.append(block.data - block.basis @ c)

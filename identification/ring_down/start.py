@@ -1,16 +1,18 @@
-"""Start values of a turned pair of modes; nobody has to give any.
+"""Automatic start values of a turned pair of modes.
 
-Well separated modes are read from the damped periodogram one after the other; a close pair, which has one peak only,
-from a matrix pencil over the decay, and from each sensor alone. Which mode is whose, and how far the axes are turned,
-follows from the modes' shapes. Least squares starts from the candidates that already explain most.
+Well separated modes come one after the other from the damped periodogram. A close pair has a single peak; its modes
+come from a matrix pencil over the decay and from each sensor alone. The assignment of the modes to the directions and
+the angle of the axes follow from the mode shapes. Least squares starts from the candidates with the smallest χ².
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.least_squares import solve_separable
 from identification.ring_down.model import BETA, DecayModel, DecayRecord
@@ -22,7 +24,7 @@ _ANGLES = np.radians(np.arange(-45.0, 45.1, 5.0))
 
 
 def pair_starts(model: DecayModel) -> list[np.ndarray]:
-    """Candidates of θ for a turned pair, the most promising first."""
+    """Candidates of θ for a turned pair in order of χ², smallest first."""
     records = model.records
     plain = [list(r.channels) for r in records]
     leader = damped_periodogram(plain)
@@ -43,12 +45,12 @@ def pair_starts(model: DecayModel) -> list[np.ndarray]:
 
 
 def _follower(records: Sequence[DecayRecord], lam: complex) -> complex:
-    """The strongest mode once one is taken out."""
+    """Strongest mode after another mode is removed."""
     return damped_periodogram([[without_modes(c, [lam], r.zero_s) for c in r.channels] for r in records]).lam
 
 
 def _refined(model: DecayModel, leader: Start) -> complex:
-    """The leader fitted by itself: its rest must not hide a much fainter mode."""
+    """Rate of the strongest mode from a fit of its own, since its residual could hide a much weaker mode."""
     alone = replace(model, modes=1, turned=False, delays=False)
     free = np.full(2, np.inf)
     start = np.array([np.log(leader.omega), leader.zeta])
@@ -57,9 +59,9 @@ def _refined(model: DecayModel, leader: Start) -> complex:
 
 
 def _costs_over_angle(records: Sequence[DecayRecord], pair: Sequence[complex]) -> np.ndarray:
-    """χ² of a pair of rates at each of some axis angles, amplitudes and offsets at their best; shape of _ANGLES.
+    """χ² of a pair of rates at each of the axis angles _ANGLES, minimised over amplitudes and offsets.
 
-    Every turned model is a combination of the same ten columns, so their Gram matrix is all that is needed.
+    Every turned model is a combination of the same ten columns, so that their Gram matrix suffices.
     """
     total = np.zeros(len(_ANGLES))
     for record in records:
@@ -75,12 +77,13 @@ def _costs_over_angle(records: Sequence[DecayRecord], pair: Sequence[complex]) -
             turn = _turn(float(beta))
             normal, side = turn.T @ gram @ turn, turn.T @ right
             ridge = 1e-11 * np.trace(normal) * np.eye(6)
-            total[k] += energy - float(side @ np.linalg.solve(normal + ridge, side))
+            best = cast(NDArray[np.float64], np.linalg.solve(normal + ridge, side))
+            total[k] += energy - float(side @ best)
     return total
 
 
 def _turn(beta: float) -> np.ndarray:
-    """From (a1, a2, both offsets) to each channel's own (mode 1, mode 2, offset), shape (10, 6)."""
+    """Matrix from (a1, a2, both offsets) to (mode 1, mode 2, offset) of each channel, shape (10, 6)."""
     out = np.zeros((10, 6))
     for part in range(2):
         out[part, part], out[2 + part, 2 + part] = np.cos(beta), np.sin(beta)
@@ -90,12 +93,13 @@ def _turn(beta: float) -> np.ndarray:
 
 
 def pencil_pairs(records: Sequence[DecayRecord], leader: Start) -> list[tuple[complex, complex]]:
-    """Two rates by a matrix pencil near the leader's, from each record's two channels together.
+    """Two rates close to the strongest mode, by a matrix pencil over both channels of each record.
 
-    Few cycles in the decay: the signals themselves, with an offset as a fifth exponential. Many: their envelopes,
-    shifted in frequency by the leader and averaged over whole cycles, so that the long record stays a small matrix.
+    For few cycles in the decay the pencil is applied to the signals, with an offset as a fifth exponential. For many
+    cycles it is applied to their envelopes, shifted by the frequency of the strongest mode and averaged over whole
+    cycles, which limits the size of the matrix.
     """
-    out = []
+    out: list[tuple[complex, complex]] = []
     for record in records:
         decay = max(-leader.lam.real, 1e-6)
         span = min(*(float(t[-1]) for t in record.times), 4.0 / decay)
@@ -125,7 +129,7 @@ def _with_times(record: DecayRecord) -> list[tuple[Averages, np.ndarray]]:
 
 
 def _mean_grid(channel: Averages, t: np.ndarray, step: float, count: int, shift: float) -> np.ndarray:
-    """Means over `count` steps of the channel's deviation from rest, shifted down by a frequency; gaps are zero."""
+    """Means over `count` steps of a channel's deviation from rest, shifted down by a frequency; zero in gaps."""
     label = np.maximum(np.floor(t / step), 0).astype(int)  # channels start a fraction of a block apart
     used = label < count
     value = (channel.value - np.mean(channel.value[3 * len(t) // 4 :]))[used] * np.exp(-1j * shift * t[used])
@@ -135,7 +139,7 @@ def _mean_grid(channel: Averages, t: np.ndarray, step: float, count: int, shift:
 
 
 def _pencil(rows: np.ndarray, order: int) -> np.ndarray:
-    """Poles z of signals Σ c z^k that share them, shape (order,); total least squares on the signal subspace."""
+    """Common poles z of signals Σ c z^k, shape (order,), by total least squares on the signal subspace."""
     n = rows.shape[1]
     length = n // 2
     blocks = [np.lib.stride_tricks.sliding_window_view(row, length).T for row in rows]

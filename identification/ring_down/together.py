@@ -1,5 +1,5 @@
 # pyright: strict
-"""All ring-downs of a campaign: each alone where it tells both directions apart, otherwise all of them in one fit."""
+"""Fit of all ring-downs of a campaign: separately if each resolves both directions, otherwise in one joint fit."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ from rig_configs.roles import AXIS_TOLERANCE_DEG
 
 @dataclass(frozen=True)
 class FoundRingDown:
-    """A fit of one ring-down, or of several together.
+    """Fit of one ring-down, or of several together.
 
     Attributes:
-        run: the run; of several, the first under all runs' names.
-        tests: of all runs.
-        mass_kg: total moving mass, as the fit took it.
+        run: fitted run. For several runs, the first one with the sources of all.
+        fit: fit.
+        tests: test names of all runs.
+        mass_kg: total moving mass of the fit, kg.
     """
 
     run: Run
@@ -36,30 +37,33 @@ class FoundRingDown:
 
     @property
     def estimate(self) -> Estimate:
-        """In the joint estimate's form."""
+        """The fit as an Estimate."""
         return ring_down_estimate(self.run, self.fit, self.mass_kg)
 
 
 def fit_ring_downs(
-    runs: Sequence[Run], mass_kg: float, setting: Setting, tell: Callable[[str], None], without: Collection[str] = ()
+    runs: Sequence[Run], mass_kg: float, setting: Setting, notify: Callable[[str], None], without: Collection[str] = ()
 ) -> tuple[list[FoundRingDown], list[str]]:
     """Fit ring-downs.
 
-    Turned sensors see the weak direction of a pull under the strong one, so that what fails alone may be shown by all.
+    Turned sensors measure the weak direction of a pull superposed on the strong one. A joint fit may therefore succeed
+    if the fit of a single run fails.
 
     Args:
-        mass_kg: total moving mass.
-        tell: told one line before each fit.
-        without: rungs of the ladder that are not taken.
+        runs: ring-downs.
+        mass_kg: total moving mass, kg.
+        setting: effort of the fits.
+        notify: called with one line of text before each fit.
+        without: rungs of the ladder that are not used.
     Returns:
-        What was found, and a sentence for each run or sensor that was left out.
+        Fits, and a message for each run or sensor that was left out.
     """
     found: list[FoundRingDown] = []
     alone: list[FoundRingDown] = []
     failed: dict[str, Run] = {}
     warnings: list[str] = []
     for recorded in runs:
-        tell(f"{recorded.test}: fitting {Path(recorded.source).name}")
+        notify(f"{recorded.test}: fitting {Path(recorded.source).name}")
         run, dead = living_lasers(recorded)
         warnings += dead
         has_both = bool(len(run.x_time_s) and len(run.y_time_s))
@@ -75,7 +79,7 @@ def fit_ring_downs(
             if has_both and abs(run.turn_deg) > AXIS_TOLERANCE_DEG:
                 failed[sentence] = run
     pairs = [one.run for one in alone] + list(failed.values())
-    if len(pairs) > 1 and (failed or any(not _tells_directions_apart(one.fit) for one in alone)):
+    if len(pairs) > 1 and (failed or any(not _resolves_directions(one.fit) for one in alone)):
         try:
             fit = as_mounted(fit_ring_down_runs(pairs, mass_kg, setting=setting, without=without), pairs[0].turn_deg)
         except IdentificationError as error:
@@ -86,11 +90,11 @@ def fit_ring_downs(
     return [*found, *alone], warnings
 
 
-def _tells_directions_apart(fit: RingDownFit) -> bool:
+def _resolves_directions(fit: RingDownFit) -> bool:
     return "axis_angle_deg" in fit.values and fit.std["axis_angle_deg"] < 1.0
 
 
 def _joined(runs: list[Run]) -> Run:
-    """The first run under all runs' names, for the joint fit's provenance; the least certain clocks count."""
+    """First run with the sources of all runs and their largest clock uncertainties, for the joint fit."""
     source = " + ".join(r.source for r in runs)
     return replace(runs[0], test="ring-down", source=source, **joined_rates(runs))

@@ -1,1 +1,1 @@
-"""Passage through both resonances: frequencies, damping ratios and the imbalance, whatever the ramp."""
+"""Estimation of frequencies, damping ratios and imbalance from a passage through both resonances, for any ramp."""

@@ -1,19 +1,17 @@
-"""The response of an oscillator whose rates depend on its motion to a rotating imbalance during a passage.
+"""Response of an oscillator with amplitude-dependent rates to a rotating imbalance during a passage.
 
     q̈ + 2ζω q̇ (1 + Q |q̇|) + ω² d (1 + H d²) = −b̈,    b = Re(B p),    d = q − Re(W p),    p = e^{iψ}
 
-from q = Re F, q̇ = Re(λF) at the drive's begin, with its derivatives by ln ω, ln ζ, B, F, H, Q and, where the shaft may
-be bent, W: each obeys the equation linearised along the motion. A measured phase is noisy and bears no derivatives, so
-what is marched is s = q + b and r = ṡ − 2ζω b,
+The start values are q = Re F, q̇ = Re(λF) at the start of the drive. The derivatives by ln ω, ln ζ, B, F, H, Q and, for
+a bent shaft, W obey the equation linearised along the motion. A measured phase is too noisy for derivatives. The
+integrated variables are therefore s = q + b and r = ṡ − 2ζω b,
 
     ṡ = r + 2ζω b,    ṙ = −2ζω ṡ − 2ζω Q |q̇| q̇ − ω² d (1 + H d²),
 
-which hold ψ̇ in Q's small part alone, where it is smoothed over a turn. Classical Runge–Kutta steps; between grid points
-a quintic Hermite polynomial for s and its derivatives. Source: docs/theory/run_up.md.
+which contain ψ̇ only in the small part of Q, where it is smoothed over a turn. The integration uses classical
+Runge–Kutta steps; s and its derivatives are interpolated by a quintic Hermite polynomial between grid points. Source:
+docs/theory/run_up.md.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
@@ -21,28 +19,32 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from identification.ring_down.modes import rate, rate_derivatives
 from identification.run_up.forced_oscillator import Drive
 from identification.run_up.slow_roll import Turning
 
-_SUBSTEPS = 4  # a step of the drive's grid: 64 a turn at the top speed, an error of the frequency of 3e-7 there
-_SMOOTHED = 16 * _SUBSTEPS  # half steps to either side of which ψ̇ is a mean: half a turn at the top speed
-_STRAIGHT, _BOWED = 9, 11  # the motion, its derivatives by ln ω, ln ζ, Re B, Im B, Re F, Im F, H, Q; Re W, Im W
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+_SUBSTEPS = 4  # per step of the drive's grid: 64 per turn at the top speed, frequency error 3e-7
+_SMOOTHED = 16 * _SUBSTEPS  # half steps to either side over which ψ̇ is averaged: half a turn at the top speed
+_STRAIGHT, _BOWED = 9, 11  # motion, derivatives by ln ω, ln ζ, Re B, Im B, Re F, Im F, H, Q; with Re W, Im W
 
 
 @dataclass(frozen=True)
 class BentResponse:
-    """What a sensor's blocks see of one direction's motion; real but where said, shape (n,) each.
+    """Motion of one direction in a sensor's blocks, shape (n,) each; real unless stated otherwise.
 
     Attributes:
         motion: q, m, averaged over the blocks.
         rate: q̇, m/s.
         by_omega, by_zeta: ∂q/∂ln ω, ∂q/∂ln ζ, m.
-        by_drive: complex, T with δq = Re(T δB), averaged.
-        by_free: complex, D with δq = Re(D δF), averaged.
+        by_drive: complex factor T with δq = Re(T δB), averaged.
+        by_free: complex factor D with δq = Re(D δF), averaged.
         by_terms: ∂q/∂H, ∂q/∂Q.
-        by_bow: complex, T with δq = Re(T δW); None for a straight shaft.
+        by_bow: complex factor T with δq = Re(T δW); None for a straight shaft.
     """
 
     motion: np.ndarray
@@ -66,17 +68,17 @@ def bent_response(
     free: complex,
     bow: complex | None = None,
 ) -> BentResponse:
-    """The motion of one direction as a sensor's blocks see it.
+    """Compute the motion of one direction in a sensor's blocks.
 
     Args:
-        spread_s2: variances of the times of the blocks' samples, shape (n,).
-        turn: p as the blocks see it.
-        drive: over their span.
-        force: of the drive, as forcing has it.
+        spread_s2: variances of the sample times of the blocks, s², shape (n,).
+        turn: block means of p.
+        drive: drive over the span of the blocks.
+        force: force of the drive by `forcing`.
         oscillator: ω, rad/s, and ζ.
         terms: H, 1/m², and Q, s/m.
         amplitude, free: B and F, m.
-        bow: W, m; None for a straight shaft, whose derivatives by it are not wanted.
+        bow: W, m; None for a straight shaft, without derivatives by W.
     """
     omega, zeta = oscillator
     unknowns = _STRAIGHT if bow is None else _BOWED
@@ -106,7 +108,7 @@ def bent_response(
 
 
 def forcing(drive: Drive) -> np.ndarray:
-    """p and iψ̇p, ψ̇ smoothed, at the ends and middles of all Runge–Kutta steps of a drive's grid, shape (n, 2)."""
+    """p and iψ̇p with smoothed ψ̇ at the ends and middles of all Runge–Kutta steps of a drive's grid, shape (n, 2)."""
     n = 2 * _SUBSTEPS * len(drive.phasor)
     times = drive.start_s + drive.step_s * np.arange(n + 1) / (2 * _SUBSTEPS)
     psi = drive.history.phase(times)[:, 0]
@@ -118,8 +120,18 @@ def forcing(drive: Drive) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rates(y, drive, amplitude, bow, omega, zeta, h, g, out):
-    """Rates of all unknowns (n, 2) into out (n, 2); drive: p and its rate."""
+def _rates(  # numba kernel: a settings object is not supported
+    y: Array,
+    drive: Complexes,
+    amplitude: complex,
+    bow: complex,
+    omega: float,
+    zeta: float,
+    h: float,
+    g: float,
+    out: Array,
+) -> None:
+    """Write the rates of all unknowns, shape (n, 2), to out, shape (n, 2); drive contains p and its rate."""
     p, turning = drive[0], drive[1]
     w2, damp = omega * omega, 2.0 * zeta * omega
     b = (amplitude * p).real
@@ -137,7 +149,7 @@ def _rates(y, drive, amplitude, bow, omega, zeta, h, g, out):
             out[i, 0] += damp * b
         elif i == 3:
             by_b, by_turning = p.real, turning.real
-        elif i == 4:  # T = ∂q/∂Re B − i ∂q/∂Im B: its imaginary part goes with Im p
+        elif i == 4:  # T = ∂q/∂Re B − i ∂q/∂Im B: its imaginary part is driven by Im p
             by_b, by_turning = p.imag, turning.imag
         out[i, 0] += damp * by_b
         out[i, 1] = -damp * out[i, 0] - c * (out[i, 0] - by_turning) - k * (y[i, 0] - by_b)
@@ -151,8 +163,19 @@ def _rates(y, drive, amplitude, bow, omega, zeta, h, g, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _march(drive, step, omega, zeta, h, g, amplitude, bow, start, grid):
-    """s and its derivatives on the drive's grid: value, rate, acceleration."""
+def _march(  # numba kernel: a settings object is not supported
+    drive: Complexes,
+    step: float,
+    omega: float,
+    zeta: float,
+    h: float,
+    g: float,
+    amplitude: complex,
+    bow: complex,
+    start: Array,
+    grid: Array,
+) -> None:
+    """Compute s and its derivatives on the drive's grid: value, rate, acceleration."""
     y, work = start.copy(), np.empty_like(start)
     unknowns = len(start)
     k = np.empty((4, unknowns, 2))
@@ -188,8 +211,8 @@ def _march(drive, step, omega, zeta, h, g, amplitude, bow, start, grid):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _seen(times, spread, start, step, grid):
-    """Block means of s and its derivatives and, last, its rate, shape (unknowns + 1, n)."""
+def _seen(times: Array, spread: Array, start: float, step: float, grid: Array) -> Array:
+    """Block means of s and its derivatives, and in the last row the rate of s, shape (unknowns + 1, n)."""
     unknowns = grid.shape[1]
     out = np.empty((unknowns + 1, len(times)))
     last = len(grid) - 2

@@ -1,8 +1,8 @@
 # pyright: strict
-"""A passage of a rig whose suspension depends on the motion, as a sensor sees it, linear about one motion.
+"""Passage of a rig with an amplitude-dependent suspension, as measured by a sensor and linearised about one motion.
 
-Each sensor's readings are its gain times the motion. In a sensor's own scale the equations hold with the terms as the
-ring-downs found them through the same sensor, so its gain drops out. Source: docs/theory/run_up.md.
+The readings of a sensor are its gain times the motion. In the scale of the sensor the equations are valid with the
+terms that ring-downs found with the same sensor, so that the gain cancels. Source: docs/theory/run_up.md.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from identification.run_up.slow_roll import turning
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-FREE = 2  # place of the free oscillations among a sensor's linear unknowns, after the imbalance's amplitude
-MOTION = 6  # first linear unknowns, which the motion depends on: amplitude, free oscillations of both modes; then a bow
+FREE = 2  # index of the free oscillations in a sensor's linear unknowns, after the amplitude of the imbalance
+MOTION = 6  # number of leading linear unknowns of the motion: amplitude, free oscillations of both modes; then a bow
 
 
 @dataclass(frozen=True)
 class KnownSuspension:
-    """What ring-downs have found before a passage.
+    """Parameters of the suspension from ring-downs, as start values of a passage.
 
     Attributes:
         terms: H1, H2 (1/m²), Q1, Q2 (s/m), shape (4,).
-        terms_std: standard deviations, 0 where there is none, shape (4,).
-        omegas, zetas: at zero amplitude, to start from.
-        angle_rad: from the stiffness x axis to the sensor x axis.
-        amplitude_m: eccentricity of all that turns by the rig file, against ψ: one of two places to start from.
+        terms_std: standard deviations of the terms, 0 for absent terms, shape (4,).
+        omegas, zetas: natural frequencies, rad/s, and damping ratios at zero amplitude.
+        angle_rad: angle from the stiffness x axis to the sensor x axis, rad.
+        amplitude_m: eccentricity of the rotor by the rig file relative to ψ, m; one of two start values.
     """
 
     terms: Array
@@ -45,15 +45,15 @@ class KnownSuspension:
 
 @dataclass(frozen=True)
 class Sensed:
-    """What a sensor sees of both modes, linear about a motion.
+    """Signal of both modes in a sensor, linearised about a motion.
 
     Attributes:
-        responses: as of linear oscillators: h goes with a change of the amplitude, the others with it as a whole.
-        whole: per mode the motion over its amplitude, complex.
-        offset: what the sensor shows beside its amplitudes times the responses, m, shape (n,).
-        by_terms: derivatives of what it shows by H1, H2, Q1, Q2, shape (n, 4).
-        by_ratio: derivative by ln of the gains' ratio, shape (n,).
-        bow: what goes with a change of the bow's amplitude, complex, shape (n,); zero for a straight shaft.
+        responses: responses of the modes: h is the derivative by the amplitude, the other fields are relative to it.
+        whole: motion of each mode over its amplitude, complex.
+        offset: signal minus the amplitudes times the responses, m, shape (n,).
+        by_terms: derivatives of the signal by H1, H2, Q1, Q2, shape (n, 4).
+        by_ratio: derivative of the signal by the logarithm of the gains' ratio, shape (n,).
+        bow: derivative by the amplitude of the bow, complex, shape (n,); zero for a straight shaft.
     """
 
     responses: list[Response]
@@ -66,12 +66,12 @@ class Sensed:
 
 @dataclass(frozen=True)
 class BentPassage:
-    """What a passage with terms needs beside its record.
+    """Additional data of a passage with an amplitude-dependent suspension.
 
     Attributes:
-        force: of the drive, as forcing has it.
-        amplitude_m: to start from.
-        starts: per sensor the linear unknowns last found that the motion depends on, to start from.
+        force: force of the drive by `forcing`.
+        amplitude_m: start value of the amplitude, m.
+        starts: sensor → linear unknowns of the motion that were last found, as start values.
     """
 
     force: Complex
@@ -80,7 +80,7 @@ class BentPassage:
 
     @classmethod
     def of(cls, drive: Drive, amplitude_m: complex) -> BentPassage:
-        """On a drive."""
+        """Build the data for a drive."""
         return cls(forcing(drive), amplitude_m)
 
     def sensed(
@@ -94,14 +94,17 @@ class BentPassage:
         instants: Instants,
         c: Array,
     ) -> Sensed:
-        """What a sensor sees about the motion of its linear unknowns.
+        """Linearise the signal of a sensor about the motion of its linear unknowns.
 
         Args:
+            drive: drive.
             axis: 0 for sensor x, 1 for y.
-            terms: H1, H2, Q1, Q2, each in its own sensor's scale.
-            gain_ratio: of sensor y over sensor x.
-            instants: of its blocks.
-            c: amplitude and free oscillations, and the bow's amplitude where the shaft may be bent, shape (6,) or (8,).
+            angle_rad: angle between stiffness axes and sensors, rad.
+            oscillators: ω, rad/s, and ζ of both modes.
+            terms: H1, H2, Q1, Q2, each in the scale of the sensor of its direction.
+            gain_ratio: gain of sensor y over that of sensor x.
+            instants: times of the sensor's blocks.
+            c: amplitude, free oscillations and, for a bent shaft, amplitude of the bow, shape (6,) or (8,), m.
         """
         cos, sin = float(np.cos(angle_rad)), float(np.sin(angle_rad))
         share = ((cos, sin), (-sin, cos))[axis]
@@ -112,10 +115,10 @@ class BentPassage:
         for mode, oscillator in enumerate(oscillators):
             toward = (1.0, -1j)[mode]
             b, bow = amplitude * toward, None if bowed is None else bowed * toward
-            own = mode == axis  # the other mode's free oscillation is seen too weakly to bend it
+            own = mode == axis  # the other mode's free oscillation is too weak for an amplitude dependence
             at = FREE + 2 * mode
             free = complex(c[at], c[at + 1]) / share[mode] if own else 0j
-            powers = (mode - axis) * np.array([2.0, 1.0])  # of the ratio: H goes with its square
+            powers = (mode - axis) * np.array([2.0, 1.0])  # exponents of the ratio: H scales with its square
             scale = gain_ratio**powers
             h, q = (scale * terms[[mode, 2 + mode]]).tolist()
             seen = bent_response(instants[1], turn, drive, self.force, oscillator, (h, q), b, free, bow)

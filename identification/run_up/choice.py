@@ -1,9 +1,9 @@
-"""The smallest adequate model of a passage, by χ² + k ln n.
+"""Selection of the smallest adequate model of a passage by χ² + k ln n.
 
-The fitted model (two resonances, turned axes, offset and slope) is compared with narrower and wider ones from its own
-linearisation: a constraint costs its Wald χ², further columns gain their score χ². Where a constraint is not clearly
-refused, the narrower model is fitted. Slope and axis angle stay free in the values even where none would do: the
-first costs nothing, the second's interval has to hold.
+The fitted model (two resonances, turned axes, offset and slope) is compared with narrower and wider models by its
+linearisation: a constraint increases χ² by its Wald statistic, further columns reduce it by their score statistic. If a
+constraint is not clearly rejected, the narrower model is fitted. The reported values are from a model with free slope
+and axis angle even if these are not significant: the slope has no cost, and the interval of the angle must be valid.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from identification.run_up.model import (
 from identification.rungs import Rung
 from identification.setting import ModelChoice, Setting
 
-_CLEAR = 200.0  # a Wald χ² beyond which refitting the narrower model tells nothing more
+_MAX_REFIT_CHI2 = 200.0  # Wald χ² above which the narrower model is rejected without a fit
 _CLOCK_STD = (10e-3, 10e-3, 1e-4, 1e-4)  # s, s, relative rates
 _RIPPLE_STD = (0.01,) * 4
 _RUNG_OF: Mapping[Rung, str] = {"wander": "cubic", "ripple": "ripple", "clocks": "clocks"}
@@ -35,14 +35,14 @@ _RUNG_OF: Mapping[Rung, str] = {"wander": "cubic", "ripple": "ripple", "clocks":
 
 @dataclass(frozen=True)
 class Comparison:
-    """Which model to report.
+    """Result of the model selection.
 
     Attributes:
-        structure: to report values from.
-        model: the smallest adequate one in words.
-        table: every model compared.
-        warnings: what the choice tells a reader.
-        gained: χ² + k ln n that the best wider model gains; not above 0 where none is taken.
+        structure: structure for the reported values.
+        model: description of the smallest adequate model.
+        table: compared models.
+        warnings: consequences of the selection.
+        gained: reduction of χ² + k ln n by the best wider model; not above 0 if none is selected.
     """
 
     structure: Structure
@@ -54,7 +54,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class _Other:
-    """A neighbour of the fitted model: χ² it adds (negative: gains), unknowns it adds."""
+    """Neighbour of the fitted model: its name, changes of χ² and of the number of unknowns, and the method."""
 
     name: str
     chi2: float
@@ -73,10 +73,12 @@ def compare(
     """Compare the fitted model with its neighbours.
 
     Args:
-        clocks_apart: whether delays are in the model already, or cannot be told from a wandering phase.
-        marks_only: whether the phase is known once a turn, so that it may hold ripple unseen.
-        setting: fast judges by the linearisation alone.
-        without: rungs that are not taken; the table has them all the same.
+        record: record of the passage.
+        design: linearised problem at the solution.
+        clocks_apart: whether the model already contains delays, or whether a wandering phase hides them.
+        marks_only: whether the phase is known once per turn, so that it may contain unknown ripple.
+        setting: effort; fast uses the linearisation only.
+        without: rungs that are not used. The table contains them nevertheless.
     """
     n, per_unknown = len(design.residual), float(np.log(len(design.residual)))
     noise = max(1.0, design.chi2 / max(1, n - design.unknowns))
@@ -96,7 +98,7 @@ def compare(
     for rung, key in _RUNG_OF.items():
         if rung in without and key in gain:
             gain[key] = min(gain[key], 0.0)
-    structure, warnings = design.structure, []
+    structure, warnings = design.structure, list[str]()
     if gain["single"] > 0:
         structure = structure.without(ANGLE)
         warnings.append(
@@ -143,7 +145,7 @@ def _table(
 
 
 def _flat(design: Design) -> _Other:
-    """Without the slopes, the last linear unknown of each sensor."""
+    """Model without slopes, the last linear unknown of each sensor."""
     p, k = design.nonlinear, len(design.coefficients[0])
     contrast = np.zeros((2, design.unknowns))
     contrast[0, p + k - 1] = contrast[1, -1] = 1.0
@@ -152,27 +154,27 @@ def _flat(design: Design) -> _Other:
 
 
 def alike(design: Design) -> bool:
-    """Whether one resonance would do for both directions."""
+    """Whether one resonance is sufficient for both directions."""
     other = _single(design)
     return other.chi2 + other.unknowns * np.log(len(design.residual)) < 0
 
 
 def _single(design: Design) -> _Other:
-    """Both directions with the same ω and ζ."""
+    """Model with the same ω and ζ for both directions."""
     theta, spread = design.structure.theta(design.phi), design.structure.spread
     rows = np.zeros((2, len(theta)))
     rows[range(2), OMEGAS[0] + np.arange(2)] = 1.0
     rows[range(2), OMEGAS[1] + np.arange(2)] = -1.0
     contrast = np.pad(rows @ spread, ((0, 0), (0, design.unknowns - design.nonlinear)))
-    fewer = 2 + 4 + int(spread[ANGLE].any())  # the second's free oscillation in either sensor, and the angle
+    fewer = 2 + 4 + int(spread[ANGLE].any())  # ω and ζ, free oscillations of the second mode, and the angle
     return _Other("one resonance for both directions", design.wald(contrast, rows @ theta), -fewer, "Wald")
 
 
 def _straight(record: RunUpRecord, design: Design, refit: bool) -> _Other:
-    """Stiffness axes along the sensors."""
+    """Model with stiffness axes along the sensors."""
     column = np.flatnonzero(design.structure.spread[ANGLE])[0]
     wald = float(design.phi[column] ** 2 / design.covariance[column, column])
-    if not refit or wald > _CLEAR:
+    if not refit or wald > _MAX_REFIT_CHI2:
         return _Other("axes along the sensors", wald, -1, "Wald")
     narrow = design.structure.without(ANGLE)
     start = np.delete(design.phi, column)
@@ -181,13 +183,13 @@ def _straight(record: RunUpRecord, design: Design, refit: bool) -> _Other:
 
 
 def _wider(record: RunUpRecord, design: Design, rows: slice, name: str) -> _Other:
-    """With further θ free."""
+    """Model with further free elements of θ."""
     columns = further_columns(record, design.structure, design.phi, rows)
     return _Other(name, -design.score(columns), columns.shape[1], "score")
 
 
 def _cubic_columns(record: RunUpRecord, design: Design) -> np.ndarray:
-    """s², s³ of either sensor, shape (n, 4), in standard deviations."""
+    """Columns s², s³ of both sensors, shape (n, 4), in standard deviations."""
     x, y = record.channels
     out = np.zeros((len(x.time_s) + len(y.time_s), 4))
     for i, (channel, rows) in enumerate(((x, slice(0, len(x.time_s))), (y, slice(len(x.time_s), None)))):

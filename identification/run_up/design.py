@@ -1,42 +1,44 @@
-"""Covariance at the solution: sensor noise, tests of wider and narrower models, and what the phase's noise adds.
+"""Covariance at the solution: sensor noise, tests of wider and narrower models, contribution of the phase's noise.
 
-All unknowns stand in one design matrix X, (φ, linear unknowns of x, of y); in standard deviations of the data an
-error r of the data moves them by C Xᵀ r with C = (XᵀX + prior)⁻¹. A phase error δψ(s) moves the data by what the
-oscillators make of i p δψ; its effect on an estimate is the same filter run backwards over the estimate's row of
-C Xᵀ.
+One design matrix X contains all unknowns (φ, linear unknowns of x, of y). An error r of the data, in standard
+deviations, moves them by C Xᵀ r with C = (XᵀX + prior)⁻¹. A phase error δψ(s) moves the data by the response of the
+oscillators to i p δψ. Its effect on an estimate is the same filter run backwards over the estimate's row of C Xᵀ.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numba import njit
-from scipy.ndimage import uniform_filter1d
+from numpy.typing import NDArray
 
 from dynamics.equations.speed_history import phase_at
 from identification.ring_down.modes import rate
 from identification.run_up.model import ANGLE, OMEGAS, ZETAS, RunUpRecord, Structure, run_up_blocks
 from identification.run_up.rotor_phase import RotorPhase
 from identification.samples import Averages
+from identification.typed_scipy import uniform_filter1d
 
-_SMOOTH = 33  # periodogram ordinates averaged
-_LEAST_LEFT = 0.2  # of the noise in a band
-_OFFSETS = 16  # draws of where a phase lies within an encoder's step
-_DRIFT_S = 0.25  # in which that is another: far longer than a beat, far shorter than a passage
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Indices = NDArray[np.int64]
+
+_SMOOTH = 33  # number of averaged periodogram ordinates
+_MIN_LEFT = 0.2  # of the noise in a band that a fit leaves
+_OFFSETS = 16  # random positions of a phase within an encoder's step
+_DRIFT_S = 0.25  # correlation time of these positions: longer than a beat, shorter than a passage
 
 
 @dataclass(frozen=True)
 class Design:
-    """The linearised problem at a solution.
+    """Linearised problem at a solution.
 
     Attributes:
-        structure, phi: where; θ = structure.theta(φ).
+        structure, phi: solution; θ = structure.theta(φ).
         matrix: X, shape (n, p + kx + ky); rows of x, then of y, in standard deviations.
-        residual: shape (n,).
+        residual: residual in standard deviations, shape (n,).
         covariance: C, priors included.
         coefficients: linear unknowns of x and y.
     """
@@ -50,42 +52,43 @@ class Design:
 
     @property
     def nonlinear(self) -> int:
-        """How many of the unknowns are φ."""
+        """Number of nonlinear unknowns φ."""
         return len(self.phi)
 
     @property
     def chi2(self) -> float:
-        """Squared residual, without priors."""
+        """Sum of squared residuals, without priors."""
         return float(self.residual @ self.residual)
 
     @property
     def unknowns(self) -> int:
-        """Columns of X."""
+        """Number of columns of X."""
         return self.matrix.shape[1]
 
     def wald(self, contrast: np.ndarray, offset: np.ndarray) -> float:
-        """χ² by which a narrower model would fit worse: contrast @ unknowns = offset at the solution, wanted zero."""
+        """Increase of χ² by the constraint contrast @ unknowns = 0, where offset is its value at the solution."""
         spread = contrast @ self.covariance @ contrast.T
         return float(offset @ np.linalg.lstsq(spread, offset, rcond=1e-12)[0])
 
     def score(self, more: np.ndarray) -> float:
-        """χ² by which further columns, shape (n, m), would fit better."""
+        """Reduction of χ² by further columns, shape (n, m)."""
         clean = more - self.matrix @ (self.covariance @ (self.matrix.T @ more))
         size = np.linalg.norm(clean, axis=0) + 1e-300
         keep = size > 1e-9 * (np.linalg.norm(more, axis=0) + 1e-300)
         clean = clean[:, keep] / size[keep]
         pull = clean.T @ self.residual
-        return float(pull @ np.linalg.lstsq(clean.T @ clean, pull, rcond=1e-10)[0])
+        best = cast(Array, np.linalg.lstsq(clean.T @ clean, pull, rcond=1e-10)[0])
+        return float(pull @ best)
 
 
 def design_at(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> Design:
-    """The linearised problem at φ."""
+    """Linearise the problem at φ."""
     blocks = run_up_blocks(record, structure, phi)
     p = len(phi)
     counts = [len(b.data) for b in blocks]
     widths = [b.basis.shape[1] for b in blocks]
     matrix = np.zeros((sum(counts), p + sum(widths)))
-    residual, coefficients = np.empty(sum(counts)), []
+    residual, coefficients = np.empty(sum(counts)), list[np.ndarray]()
     row, column = 0, p
     for block, count, width in zip(blocks, counts, widths, strict=True):
         c = _solve(block.basis, block.data)
@@ -104,13 +107,13 @@ def design_at(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> Des
 
 
 def imbalance_gains(record: RunUpRecord, design: Design) -> tuple[float, float]:
-    """χ² by which the response to what drives the suspension makes either sensor fit better than all else does.
+    """Reduction of χ² in sensors x and y by the driven response (imbalance and bow).
 
-    That is the imbalance, with a bow if there is one; all else: free oscillations, drift and run-out.
+    The reference is the fit of the other terms: free oscillations, drift and run-out.
     """
     driven = np.zeros(len(design.coefficients[0]), bool)
     driven[:2] = driven[design.structure.bow_at] = True
-    gains, row, column = [], 0, design.nonlinear
+    gains, row, column = list[float](), 0, design.nonlinear
     for channel, c in zip(record.channels, design.coefficients, strict=True):
         rows = slice(row, row + len(channel.time_s))
         basis, residual = design.matrix[rows, column : column + len(c)], design.residual[rows]
@@ -123,11 +126,12 @@ def imbalance_gains(record: RunUpRecord, design: Design) -> tuple[float, float]:
 
 def _solve(basis: np.ndarray, data: np.ndarray) -> np.ndarray:
     size = np.linalg.norm(basis, axis=0) + 1e-300
-    return np.linalg.lstsq(basis / size, data, rcond=1e-12)[0] / size
+    scaled = cast(Array, np.linalg.lstsq(basis / size, data, rcond=1e-12)[0])
+    return scaled / size
 
 
 def further_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray, rows: slice) -> np.ndarray:
-    """How further θ, so far zero, would move the data; shape (n, len(rows)), in standard deviations."""
+    """Columns of further elements of θ that are zero so far, shape (n, len(rows)), in standard deviations."""
     theta = structure.theta(phi)
     only = structure.only(rows, theta)
     blocks = run_up_blocks(record, only, theta[rows])
@@ -135,7 +139,7 @@ def further_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray, 
 
 
 def phase_noise_covariance(record: RunUpRecord, phase: RotorPhase, design: Design, jacobian: np.ndarray) -> np.ndarray:
-    """What the phase's noise adds to the covariance of jacobian @ unknowns, shape (k, k)."""
+    """Contribution of the phase's noise to the covariance of jacobian @ unknowns, shape (k, k)."""
     theta = design.structure.theta(design.phi)
     rows = jacobian @ design.covariance @ design.matrix.T
     cos, sin = np.cos(theta[ANGLE]), np.sin(theta[ANGLE])
@@ -151,7 +155,7 @@ def phase_noise_covariance(record: RunUpRecord, phase: RotorPhase, design: Desig
         bow = complex(*c[at.bow_at]) if at.bow else 0j
         mix = ((cos, sin), (-sin, cos))[axis]
         phasor = np.exp(1j * record.drive.history.phase(channel.time_s)[:, 0])
-        # run-out shows the phase's error as it is
+        # run-out shows the phase's error without filtering
         own = np.real(1j * phasor * run_out * (1.0, -1j)[axis]) * share
         for mode, turn in enumerate((1.0, -1j)):
             lam = rate(np.exp(theta[OMEGAS[mode]]), np.exp(theta[ZETAS[mode]]))
@@ -170,11 +174,12 @@ def phase_noise_covariance(record: RunUpRecord, phase: RotorPhase, design: Desig
 
 
 def excess_covariance(record: RunUpRecord, design: Design, jacobian: np.ndarray) -> np.ndarray:
-    """What noise beyond the white part adds to the covariance of jacobian @ unknowns, shape (k, k).
+    """Contribution of noise beyond the white part to the covariance of jacobian @ unknowns, shape (k, k).
 
-    Each row's influence on the data is held against the residuals' spectrum, so that slow noise counts for what is slow
-    and little for a resonance: Σ_f h(f) (S(f) − 1) h(f)*, S that of the noise in standard deviations of the white one.
-    The fit has taken some of the noise near the resonances; S is the residuals' power over the share that it left.
+    It is Σ_f h(f) (S(f) − 1) h(f)*, where h is the influence of the data on each row and S the spectrum of the noise in
+    standard deviations of the white noise. Slow noise thus affects slow terms and has little effect on a resonance. The
+    fit absorbs a part of the noise near the resonances. S is therefore the power of the residuals over the share of the
+    noise that the fit leaves.
     """
     scale = np.sqrt(np.diag(design.covariance)) + 1e-150
     values, vectors = np.linalg.eigh(design.covariance / np.outer(scale, scale))
@@ -189,7 +194,7 @@ def excess_covariance(record: RunUpRecord, design: Design, jacobian: np.ndarray)
         level = uniform_filter1d(np.abs(np.fft.rfft(design.residual[own], size)) ** 2, _SMOOTH, mode="nearest")
         fitted = (np.abs(np.fft.rfft(taken[own], size, axis=0)) ** 2).sum(axis=1)
         left = uniform_filter1d(count - fitted, _SMOOTH, mode="nearest")
-        excess = np.maximum(level / np.maximum(left, _LEAST_LEFT * count) - 1.0, 0.0)
+        excess = np.maximum(level / np.maximum(left, _MIN_LEFT * count) - 1.0, 0.0)
         share = np.fft.rfft(rows[:, own], size, axis=1)
         weight = np.r_[1.0, np.full(len(level) - 2, 2.0), 1.0] / size
         out += np.real((share * (excess * weight)) @ share.conj().T)
@@ -197,10 +202,10 @@ def excess_covariance(record: RunUpRecord, design: Design, jacobian: np.ndarray)
 
 
 def rounding_errors(phase: RotorPhase, channel: Averages) -> np.ndarray:
-    """An encoder's rounding in a channel's blocks, drawn several times; shape (n, draws), rad.
+    """Draws of an encoder's rounding error in a channel's blocks, shape (n, draws), rad.
 
-    It is no noise: the speed beats against steps and readings, and where it dwells at a simple ratio of the two the
-    mean of many readings is off by a good part of a step.
+    The rounding error is not white. The speed beats against steps and readings. While it stays close to a simple ratio
+    of the two, the mean of many readings has an error of a considerable part of a step.
     """
     time, rounding = channel.time_s, phase.rounding
     if rounding is None:
@@ -213,8 +218,10 @@ def rounding_errors(phase: RotorPhase, channel: Averages) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _rounded(times, block, knots, coefficients, step, blocks, offsets):
-    """Means over blocks of what rounding ψ + offset does, for offsets that drift from one row's to the next's."""
+def _rounded(
+    times: Array, block: Indices, knots: Array, coefficients: Array, step: float, blocks: int, offsets: Array
+) -> Array:
+    """Block means of the rounding error of ψ + offset, for offsets that change linearly between rows."""
     out = np.zeros((blocks, offsets.shape[1]))
     count = np.zeros(blocks)
     at = np.empty(3)
@@ -234,10 +241,12 @@ def _rounded(times, block, knots, coefficients, step, blocks, offsets):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _backwards(share, width, phasor, lam, driven, factor):
+def _backwards(
+    share: Array, width: Array, phasor: Complexes, lam: complex, driven: Complexes, factor: complex
+) -> Array:
     """Σ_j share_j ∂signal_j/∂ψ_i for every block i; share of shape (k, n).
 
-    An impulse of e^{iψ} is answered with (driven_0 e^{λt} − driven_1 e^{λ*t})/(λ − λ*), and at once with −factor.
+    The response to an impulse of e^{iψ} is (driven_0 e^{λt} − driven_1 e^{λ*t})/(λ − λ*), and −factor at the impulse.
     """
     count, n = share.shape
     out = np.empty((count, n))

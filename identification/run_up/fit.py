@@ -1,7 +1,7 @@
-"""Run-up and run-down: both resonances, damping ratios and the imbalance from one passage, whatever the ramp's rate.
+"""Fit of a run-up or run-down: both resonances, damping ratios and the imbalance from one passage, for any ramp rate.
 
-The full transient is fitted, so there is no sweep-rate bias; the half-power and the Vold–Kalman reading are given
-beside it for comparison. Model and estimator: docs/theory/run_up.md.
+The complete transient is fitted, so that the sweep rate causes no bias. The result also contains the half-power and
+the Vold–Kalman values for comparison. Model and estimator: docs/theory/run_up.md.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from daq.signals.clock_rates import rate_std_between
 from daq.signals.run import Run
@@ -41,18 +40,19 @@ from identification.run_up.sensors import sensor_averages
 from identification.run_up.slow_roll_choice import Doubt
 from identification.run_up.smallest_model import smallest_adequate
 from identification.rungs import Rung, held_back
-from identification.samples import correlation_inflation
+from identification.samples import Averages, correlation_inflation
 from identification.setting import Setting, check_setting
+from identification.typed_scipy import median_filter
 
 __all__ = ["RunUpFit", "fit_run_up", "fit_run_up_run", "run_up_estimate"]
 
-DELAY_STD_S = 10e-3  # between devices that keep clocks of their own
+DELAY_STD_S = 10e-3  # between devices with separate clocks
 _BLOCKS_PER_TURN = {"fast": 12.0, "balanced": 16.0, "reference": 40.0}
-_LEFT_OVER = 0.1  # share of the signal that marks a model that is none
-_TOO_QUIET = 0.85  # residuals over noise; chance keeps 200 of them within 5 %
-_WANDER = 1e-6  # rad²: a phase that walks farther by itself cannot tell whether the sensors lag
+_MAX_RESIDUAL_RATIO = 0.1  # residual over signal; a model above it is rejected
+_MIN_NOISE_RATIO = 0.85  # residuals over noise; 200 residuals of noise are within 5 % of 1
+_MAX_WANDER_RAD2 = 1e-6  # above it, the random walk of the phase hides a lag of the sensors
 _PAD_S = 0.05
-_WILD, _NEIGHBOURS, _MOST_WILD, _ROUNDS = 6.0, 51, 0.2, 6  # standard deviations, blocks, share, fits
+_OUTLIER_STD, _NEIGHBOURS, _MAX_OUTLIERS, _MAX_ROUNDS = 6.0, 51, 0.2, 6  # standard deviations, blocks, share, fits
 
 
 @on_one_thread
@@ -69,18 +69,19 @@ def fit_run_up(
 
     Args:
         time_s: shape (n,), ascending, s.
-        displacement_m: shape (n, 2), sensors x and y, m; NaN, railed samples and outliers are left out.
-        phase_rad: measured rotor phase ψ at the same samples, shape (n,), rad; ψ = 0 has the imbalance along +x. It
-            may be wrapped, noisy or quantised; its noise is measured and goes into the intervals.
-        delay_std_s: how far the sensors may lag behind the phase (filters, averaging), 1 σ; at 0 a lag is taken for
-            none unless the data show it.
-        setting: fast skips narrower models and profiles, reference averages least and gives every interval from the
-            likelihood's profile.
-        without: rungs of the ladder that are not taken (identification.rungs.RUNGS).
+        displacement_m: displacement of sensors x and y, shape (n, 2), m. NaN, samples at the rail and outliers are left
+            out.
+        phase_rad: measured rotor phase ψ at the same samples, shape (n,), rad. At ψ = 0 the imbalance points along +x.
+            The phase may be wrapped, noisy or quantised. Its noise is estimated and included in the intervals.
+        delay_std_s: standard deviation of the sensors' lag behind the phase (filters, averaging), s. For 0, a lag is
+            assumed to be absent unless the data require it.
+        setting: fast omits narrower models and profiles; reference uses the shortest blocks and takes every interval
+            from the profile likelihood.
+        without: rungs of the ladder that are not used (identification.rungs.RUNGS).
     Raises:
-        ValueError: no such rung.
-        NotIdentifiable: the speed passes no resonance, or too few samples.
-        FitFailed: no convergence, or a model that leaves much of the signal.
+        ValueError: a name in `without` is not a rung.
+        NotIdentifiable: the speed passes no resonance, or there are too few samples.
+        FitFailed: the fit did not converge, or the model leaves a large part of the signal.
     Source: docs/theory/run_up.md.
     """
     time, signals = np.asarray(time_s, float), np.asarray(displacement_m, float)
@@ -103,13 +104,16 @@ def fit_run_up(
 def fit_run_up_run(
     run: Run, *, setting: Setting = "balanced", known: KnownSuspension | None = None, without: Collection[str] = ()
 ) -> RunUpFit:
-    """The same on a recorded run: both sensors on their own clocks, the phase as recorded or from tachometer marks.
+    """Fit a recorded run. Each sensor has its own clock; the phase is recorded or comes from tachometer marks.
 
     Args:
-        known: how the suspension changes with the motion, by ring-downs; f and ζ are then those at zero amplitude.
+        run: run-up or run-down.
+        setting, without: as in fit_run_up.
+        known: amplitude dependence of the suspension from ring-downs. f and ζ are then those at zero amplitude.
     Raises:
-        NotIdentifiable: fewer than ten marks, or a passage that holds no resonance.
-        FitFailed: no convergence, or a model that leaves much of the signal.
+        ValueError: a name in `without` is not a rung.
+        NotIdentifiable: there are fewer than ten marks, or the passage contains no resonance.
+        FitFailed: the fit did not converge, or the model leaves a large part of the signal.
     """
     try:
         if len(run.phase_time_s):
@@ -119,7 +123,7 @@ def fit_run_up_run(
     except NotIdentifiable as error:
         raise NotIdentifiable(f"{run.source}: {error}") from error
     x, y = (rate_std_between(run, axis, "phase") for axis in ("x", "y"))
-    # a recording made elsewhere has one clock for all, however well its rate is known
+    # an imported recording has a common clock for all signals, independent of the uncertainty of its rate
     clocks = Clocks(DELAY_STD_S if max(x, y) > 0 else 0.0, (x, y))
     return _fit([(run.x_time_s, run.x_m), (run.y_time_s, run.y_m)], phase, clocks, setting, held_back(without), known)
 
@@ -139,13 +143,13 @@ def _fit(
         raise NotIdentifiable(f"sensors and phase share {max(0.0, end - start):.3g} s; a passage takes longer")
     drive = Drive.from_history(phase.history, start, end)
     pad = _PAD_S if clocks.apart else 0.0
-    channels, warnings = [], []
+    channels, warnings = list[Averages](), list[str]()
     for name, (time, value) in zip("xy", sensors, strict=True):
-        found, told = sensor_averages(
+        found, remarks = sensor_averages(
             name, time, value, (start + pad, end - pad), drive.top_rad_s, _BLOCKS_PER_TURN[setting]
         )
         channels.append(found)
-        warnings += told
+        warnings += remarks
     record = RunUpRecord(channels[0], channels[1], drive)
     slow_roll = "slow-roll" not in without
     structure = first_structure(drive, clocks)
@@ -153,14 +157,14 @@ def _fit(
         structure, solution = from_starts(record, structure, slow_roll)
     else:
         record, structure, solution = about_known(record, structure, known, slow_roll)
-    record, solution, told = _without_wild_blocks(record, structure, solution)
-    warnings += told
-    quieter, told = _noise_of_residuals(record, solution)
-    if told:
-        record, warnings = quieter, warnings + told
+    record, solution, remarks = _without_outlying_blocks(record, structure, solution)
+    warnings += remarks
+    quieter, remarks = _noise_of_residuals(record, solution)
+    if remarks:
+        record, warnings = quieter, warnings + remarks
         solution = solve(record, structure, solution.minimum.theta)
     design = design_at(record, structure, solution.minimum.theta)
-    lags_known = clocks.apart or phase.wander_density * (end - start) > _WANDER
+    lags_known = clocks.apart or phase.wander_density * (end - start) > _MAX_WANDER_RAD2
 
     def compared(at: Design) -> Comparison:
         return compare(record, at, lags_known, bool(np.isfinite(phase.mark_rad)), setting, without)
@@ -172,51 +176,51 @@ def _fit(
 
 
 def _noise_of_residuals(record: RunUpRecord, solution: Solution) -> tuple[RunUpRecord, list[str]]:
-    """The record with the residuals' noise where samples are so sparse that motion was taken for noise."""
-    channels, told = [], []
+    """Take the noise from the residuals if samples are so sparse that their differences contain the motion."""
+    channels, remarks = list[Averages](), list[str]()
     for name, channel, residual in zip("xy", record.channels, solution.residuals, strict=True):
         ratio = float(np.sqrt(np.mean(residual**2)))
-        quiet = ratio < _TOO_QUIET
+        quiet = ratio < _MIN_NOISE_RATIO
         noise = channel.noise * (max(ratio, 1e-9) if quiet else 1.0)
         channels.append(replace(channel, noise=noise))
         if quiet:
-            told.append(
+            remarks.append(
                 f"sensor {name}: differences of neighbouring samples show more than noise, as when they are sparse; "
-                f"{noise:.3g} m is taken from the residuals instead, so that χ² is no test of the model"
+                f"{noise:.3g} m is taken from the residuals instead, so that χ² does not test the model"
             )
-    return replace(record, x=channels[0], y=channels[1], recent={}), told
+    return replace(record, x=channels[0], y=channels[1], recent={}), remarks
 
 
-def _without_wild_blocks(
+def _without_outlying_blocks(
     record: RunUpRecord, structure: Structure, solution: Solution
 ) -> tuple[RunUpRecord, Solution, list[str]]:
-    """The fit without the blocks that hold outliers, which sparse samples near a resonance do not tell from motion.
+    """Fit without blocks that contain outliers, which sparse samples near a resonance do not distinguish from motion.
 
-    Wild is what stands off its neighbours' residuals: a model that is wrong there moves them all.
+    A block is an outlier if its residual differs from those of its neighbours. A wrong model would change all of them.
     """
     whole, lost = record, (0, 0)
-    for _ in range(_ROUNDS):
-        keep = []
+    for _ in range(_MAX_ROUNDS):
+        keep: list[np.ndarray] = []
         blocks = run_up_blocks(whole, structure, solution.minimum.theta)
         for block, coefficients in zip(blocks, solution.coefficients, strict=True):
             residual = np.abs(block.data - block.basis @ coefficients)
-            if residual.max() < _WILD:
+            if residual.max() < _OUTLIER_STD:
                 keep.append(np.ones(len(residual), bool))
                 continue
             level = median_filter(residual, _NEIGHBOURS) / 0.6745
-            keep.append(residual < _WILD * np.maximum(level, 1.0))
+            keep.append(residual < _OUTLIER_STD * np.maximum(level, 1.0))
         now = tuple(int(np.count_nonzero(~k)) for k in keep)
-        if now == lost or max(n / len(k) for n, k in zip(now, keep, strict=True)) > _MOST_WILD:
+        if now == lost or max(n / len(k) for n, k in zip(now, keep, strict=True)) > _MAX_OUTLIERS:
             break
         lost = now
         record = replace(whole, x=whole.channels[0].where(keep[0]), y=whole.channels[1].where(keep[1]), recent={})
         solution = solve(record, structure, solution.minimum.theta)
-    told = [
-        f"{n} blocks of sensor {name} left out, which hold what neither motion nor noise explains"
+    remarks = [
+        f"{n} blocks of sensor {name} left out, whose residuals neither motion nor noise explains"
         for name, n in zip("xy", lost, strict=True)
         if n
     ]
-    return record, solution, told
+    return record, solution, remarks
 
 
 def _result(
@@ -230,11 +234,11 @@ def _result(
     setting: Setting,
 ) -> RunUpFit:
     warnings = warnings + comparison.warnings
-    curves, correlated, rests = [], 1.0, []
+    curves, correlated, rests = list[Curve](), 1.0, list[tuple[str, Averages, np.ndarray]]()
     for axis, channel, residual in zip("xy", record.channels, solution.residuals, strict=True):
         metres = residual / channel.weight
         left = np.sqrt(max(0.0, float(np.var(metres) - np.mean(channel.weight**-2.0))))
-        if left > _LEFT_OVER * np.std(channel.value) and left > np.median(1 / channel.weight):
+        if left > _MAX_RESIDUAL_RATIO * np.std(channel.value) and left > np.median(1 / channel.weight):
             raise FitFailed(
                 f"run-up: beyond noise the model leaves {left / np.std(channel.value):.0%} of sensor {axis}'s signal; "
                 "is the phase the rotor's, and were the pendulums locked?"
@@ -254,18 +258,18 @@ def _result(
         )
     noise = max(1.0, chi2) * correlated**2
     gains = [gain / noise for gain in imbalance_gains(record, design)]
-    keep, told = determined(record.drive, names, values, covariance, (gains[0], gains[1]))
-    warnings += told
+    keep, remarks = determined(record.drive, names, values, covariance, (gains[0], gains[1]))
+    warnings += remarks
     if not solution.minimum.converged:
         warnings.append(
-            f"the run-up's fit had not settled after {solution.minimum.iterations} iterations; do not quote it"
+            f"the run-up's fit had not settled after {solution.minimum.iterations} iterations; do not use its values"
         )
     if chi2 > 1.3 and not slow:
         warnings.append(
             f"run-up residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up"
         )
     if correlated > 1.0 and not slow:
-        warnings.append(f"run-up residuals are correlated; standard deviations are {correlated:.3g} times as long")
+        warnings.append(f"run-up residuals are correlated; standard deviations are scaled up by {correlated:.3g}")
     terms, with_terms = _terms(record, phase, design, 1.0 if stretch is None else stretch)
     names, values, covariance = [names[i] for i in keep], values[keep], covariance[np.ix_(keep, keep)]
     warnings += slow_roll_sentences(names, values, covariance)
@@ -293,7 +297,7 @@ def _result(
 def _terms(
     record: RunUpRecord, phase: RotorPhase, design: Design, stretch: float
 ) -> tuple[list[DirectionTerms], np.ndarray]:
-    """The suspension's terms of each direction, and the covariance of all values with H1, H2, Q1, Q2, shape (n, 4)."""
+    """Terms of the suspension for each direction, and covariance of all values with H1, H2, Q1, Q2, shape (n, 4)."""
     jacobian = reported(design, phase.mark_rad)[2]
     if record.bent is None:
         return [], np.zeros((len(jacobian), 4))
@@ -317,11 +321,14 @@ def _terms(
 def _values(
     record: RunUpRecord, phase: RotorPhase, design: Design, stretch: float | None
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Names, values and covariance of the sensors' noise and the phase's.
+    """Names, values and covariance due to the noise of the sensors and of the phase.
 
     Args:
-        stretch: of the variance that white noise gives; None where slow noise counts by its spectrum: it is far from a
-            resonance, and what of it counts depends on the number.
+        record: record of the passage.
+        phase: rotor phase with its noise.
+        design: linearised problem at the solution.
+        stretch: factor on the variance from white noise; None for slow noise, which counts by its spectrum. Such noise
+            is far from a resonance, and its effect differs between the values.
     """
     names, values, jacobian = reported(design, phase.mark_rad)
     sensor_part = jacobian @ design.covariance @ jacobian.T

@@ -1,4 +1,4 @@
-"""The response of an oscillator to a rotating imbalance during a passage, exact in time, with sensitivities.
+"""Response of an oscillator to a rotating imbalance during a passage, exact in time, with sensitivities.
 
     ḧ + 2ζω ḣ + ω² h = u,        u = (ψ̇² − iψ̈) e^{iψ} = −d²/dt² e^{iψ}
 
@@ -6,13 +6,10 @@ Twice integrated by parts, with p = e^{iψ} and λ± the oscillator's two rates,
 
     h = g − p,      g = −(λ₊² z₊ − λ₋² z₋) / (λ₊ − λ₋),      z± = ∫ e^{λ±(t−s)} p(s) ds  (+ free oscillations),
 
-so the phase alone is needed and never differentiated: noise of a measured phase is not amplified. z and ∂z/∂λ march
-in steps whose homogeneous part is exact and whose integral is taken by three Gauss points: the step follows the
-fastest turn, not the damping or the sweep.
+so that only the phase is needed and never its derivatives: noise of a measured phase is not amplified. z and ∂z/∂λ are
+integrated in steps whose homogeneous part is exact and whose integral uses three Gauss points. The step depends on the
+fastest turn and not on the damping or the sweep.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
@@ -21,12 +18,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from dynamics.equations.speed_history import SpeedHistory, phase_at
 from identification.ring_down.modes import rate, rate_derivatives
 
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
 STEP_RAD = 0.4
-"""Turn within one step of the grid, rad: the integral is then exact to 1e-7, interpolation to 2e-7."""
+"""Rotation within one step of the grid, rad. The error of the integral is 1e-7, that of the interpolation 2e-7."""
 
 _GAUSS_AT = 0.5 * (1 + np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)]))
 _GAUSS_WEIGHT = np.array([5.0, 8.0, 5.0]) / 18.0
@@ -34,14 +35,14 @@ _GAUSS_WEIGHT = np.array([5.0, 8.0, 5.0]) / 18.0
 
 @dataclass(frozen=True)
 class Drive:
-    """e^{iψ} between two instants, where the marching needs it.
+    """Drive e^{iψ} between two instants, at the points of the integration.
 
     Attributes:
-        history: the phase.
-        start_s, step_s: the grid's first instant and its spacing, s.
+        history: history of the phase.
+        start_s, step_s: first instant of the grid and its spacing, s.
         phasor: e^{iψ} at the Gauss points of every step, shape (n, 3).
-        edge: e^{iψ} and its rate at the grid's n + 1 instants, shape (n + 1, 2), rad/s.
-        top_rad_s, low_rad_s: largest and smallest |ψ̇| on the grid.
+        edge: e^{iψ} and its rate (1/s) at the n + 1 instants of the grid, shape (n + 1, 2).
+        top_rad_s, low_rad_s: largest and smallest |ψ̇|, rad/s.
     """
 
     history: SpeedHistory
@@ -54,7 +55,7 @@ class Drive:
 
     @classmethod
     def from_history(cls, history: SpeedHistory, start_s: float, end_s: float, step_rad: float = STEP_RAD) -> Drive:
-        """The drive between two instants; its grid turns by at most step_rad a step."""
+        """Build the drive between two instants, with a rotation of at most step_rad per step."""
         speed = np.abs(history.phase(np.linspace(start_s, end_s, 4096))[:, 1])
         top = float(speed.max())
         n = max(8, int(np.ceil((end_s - start_s) * max(top, 1.0) / step_rad)))
@@ -67,7 +68,7 @@ class Drive:
         return cls(history, start_s, step, np.exp(1j * inside).reshape(n, 3), edge, top, float(speed.min()))
 
     def order(self, k: int) -> Drive:
-        """The drive of e^{ikψ}."""
+        """Return the drive of e^{ikψ}."""
         history = SpeedHistory(self.history.knots_s, k * self.history.coefficients)
         phasor, rates = self.phasor**k, self.edge[:, 1] / self.edge[:, 0]
         edge = self.edge[:, 0] ** k
@@ -75,19 +76,19 @@ class Drive:
 
     @property
     def end_s(self) -> float:
-        """The grid's last instant."""
+        """Last instant of the grid, s."""
         return self.start_s + self.step_s * len(self.phasor)
 
 
 @dataclass(frozen=True)
 class Response:
-    """What a sensor's blocks see of one oscillator, complex, shape (n,) each; averaged over the blocks.
+    """Response of one oscillator in a sensor's blocks, complex, shape (n,) each, averaged over the blocks.
 
     Attributes:
-        h: the forced response.
+        h: forced response.
         rate: ḣ (not averaged).
         by_omega, by_zeta: ∂h/∂ln ω, ∂h/∂ln ζ (not averaged).
-        decay, decay_slope: e^{λt} from the drive's start on, and its derivative with respect to λ.
+        decay, decay_slope: e^{λt} from the start of the drive, and its derivative by λ.
     """
 
     h: np.ndarray
@@ -99,32 +100,34 @@ class Response:
 
 
 def march(drive: Drive, omega: float, zeta: float, out: np.ndarray) -> None:
-    """g, ġ, g̈, then both sensitivities with their rates, on the drive's grid into out; shape (n + 1, 7).
+    """Compute g, ġ, g̈ and both sensitivities with their rates on the drive's grid, into `out` of shape (n + 1, 7).
 
-    What oscillated before the grid begins is a free oscillation, which a fit adds on its own.
+    An oscillation before the start of the grid is a free oscillation, which a fit contains as a separate term.
     """
     up = rate(omega, zeta)
     d_omega, d_zeta = rate_derivatives(omega, zeta)
-    lam = np.array([up, np.conj(up)])
+    lam: Complexes = np.array([up, np.conj(up)])
     turn = np.array([[d_omega, np.conj(d_omega)], [d_zeta, np.conj(d_zeta)]])
     rest = drive.step_s * (1 - _GAUSS_AT)
-    weights = drive.step_s * _GAUSS_WEIGHT * np.exp(lam[:, None] * rest)
+    weights = np.asarray(drive.step_s * _GAUSS_WEIGHT * np.exp(lam[:, None] * rest), np.complex128)
     _march(drive.phasor, drive.edge, drive.step_s, lam, turn, weights, weights * rest, out)
 
 
 Instants = tuple[np.ndarray, np.ndarray]
-"""Blocks' mean times, s, and the variances of their samples' times, s²; shape (n,) each."""
+"""Mean times of blocks, s, and variances of their sample times, s²; shape (n,) each."""
 
 
 def responses_at(
     when_s: np.ndarray, spread_s2: np.ndarray, drive: Drive, oscillators: list[tuple[float, float]]
 ) -> list[Response]:
-    """What blocks see of each oscillator (ω, ζ).
+    """Compute the response of each oscillator (ω, ζ) in blocks.
 
-    The mean of f over a block is f(t̄) + ½ v f'' with the mean time and the variance v of its samples.
+    The mean of f over a block is f(t̄) + ½ v f'' with the mean time t̄ and the variance v of its sample times.
 
     Args:
-        when_s, spread_s2: t̄ inside the drive's span, and v; shape (n,).
+        when_s, spread_s2: t̄ within the drive's span, s, and v, s²; shape (n,).
+        drive: drive.
+        oscillators: ω, rad/s, and ζ of each oscillator.
     """
     return responses_of([(when_s, spread_s2)], drive, oscillators)[0]
 
@@ -132,7 +135,7 @@ def responses_at(
 def responses_of(
     sensors: Sequence[Instants], drive: Drive, oscillators: list[tuple[float, float]]
 ) -> list[list[Response]]:
-    """The same for several sensors, marched once for all of them; sensors with the same blocks share the answer."""
+    """Compute the responses for several sensors from one integration. Sensors with equal blocks share the result."""
     grids = np.empty((len(oscillators), len(drive.edge), 7), dtype=np.complex128)
     for grid, (omega, zeta) in zip(grids, oscillators, strict=True):
         march(drive, omega, zeta, grid)
@@ -149,8 +152,17 @@ def responses_of(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _march(phasor, edge, step, lam, turn, weight, slope_weight, out):
-    """z, ∂z/∂λ per rate stepped along; g and its derivatives from them."""
+def _march(  # numba kernel: a settings object is not supported
+    phasor: Complexes,
+    edge: Complexes,
+    step: float,
+    lam: Complexes,
+    turn: Complexes,
+    weight: Complexes,
+    slope_weight: Complexes,
+    out: Complexes,
+) -> None:
+    """Step z and ∂z/∂λ of each rate, and compute g and its derivatives from them, into `out`."""
     n = len(phasor)
     gap = lam[0] - lam[1]
     square = lam[0] * lam[1]  # ω²
@@ -185,8 +197,17 @@ def _march(phasor, edge, step, lam, turn, weight, slope_weight, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _seen(times, spread, knots, coefficients, start, step, grids, lam):
-    """Quintic Hermite for g and its derivatives, cubic for the sensitivities; h = g − p."""
+def _seen(  # numba kernel: a settings object is not supported
+    times: Array,
+    spread: Array,
+    knots: Array,
+    coefficients: Array,
+    start: float,
+    step: float,
+    grids: Complexes,
+    lam: Complexes,
+) -> Complexes:
+    """Interpolate at blocks: quintic Hermite for g and its derivatives, cubic for the sensitivities; h = g − p."""
     modes, n = len(grids), len(times)
     out = np.empty((modes, 6, n), dtype=np.complex128)
     last = grids.shape[1] - 2

@@ -1,16 +1,17 @@
-"""The separable model of a passage: two forced oscillators seen by two rotated, delayed sensors.
+"""Separable model of a passage: two forced oscillators measured by two rotated and delayed sensors.
 
-The whole θ is (ln ω1, ln ζ1, ln ω2, ln ζ2, β, delay x, delay y, drift x, drift y, Re c1, Im c1, Re c2, Im c2). A
-sensor's sample stamped t shows the motion at t − delay − drift (t − middle): its clock against the phase's. Each sensor
-has its own complex amplitude (gain, and what the phase's zero leaves), free oscillations of both modes and a polynomial
-drift, all linear. A `Structure` says which of θ are free.
+The complete θ is (ln ω1, ln ζ1, ln ω2, ln ζ2, β, delay x, delay y, drift x, drift y, Re c1, Im c1, Re c2, Im c2). A
+sample of a sensor with time stamp t shows the motion at t − delay − drift (t − middle), which relates the clock of the
+sensor to that of the phase. The linear unknowns of each sensor are its complex amplitude (gain, zero of the phase), the
+free oscillations of both modes, and a polynomial drift. A `Structure` states which elements of θ are free.
 
-c1 and c2 are speed ripple between tachometer marks, which see one instant of each turn only: a phase of
+c1 and c2 are speed ripple between tachometer marks, which record one instant of each turn only: a phase of
 ψ + 2|c1| sin(ψ + arg c1) + 2|c2| sin(2ψ + arg c2) drives with e^{iψ} + c1 e^{2iψ} − c1* + c2 e^{3iψ} − c2* e^{−iψ}.
 
-A structure may add the slow roll, two complex amplitudes more per sensor, linear too (identification.run_up.slow_roll):
-run-out, which the sensor shows at any speed, and the answer of the suspension to a bent shaft. Where the suspension
-depends on the motion, that answer is part of the motion (identification.run_up.bent_passage).
+A structure may add the slow roll with two further linear complex amplitudes per sensor
+(identification.run_up.slow_roll): run-out, which the sensor shows at any speed, and the response of the suspension to a
+bent shaft. If the suspension depends on amplitude, that response is part of the motion
+(identification.run_up.bent_passage).
 """
 
 from __future__ import annotations
@@ -29,53 +30,55 @@ from identification.run_up.slow_roll import Turning, bow_answer, turning
 from identification.samples import Averages
 
 OMEGAS, ZETAS, ANGLE, DELAYS, DRIFTS, RIPPLE, PARAMETERS = (0, 2), (1, 3), 4, slice(5, 7), slice(7, 9), slice(9, 13), 13
-TERMS, RATIO = slice(13, 17), 17  # of θ where the suspension depends on the motion: H1, H2, Q1, Q2; ln of gain y over x
-AXIS_PRIOR_STD = np.radians(30.0)  # the data determine β; this only keeps x from being called y
-_SLOW_ROLL = 6  # linear unknowns of a sensor before it: the imbalance's amplitude, free oscillations
-_REMEMBERED = 2  # sets of responses: of the best θ and of the one tried after it
+TERMS, RATIO = slice(13, 17), 17  # of θ with an amplitude-dependent suspension: H1, H2, Q1, Q2; ln(gain y / gain x)
+AXIS_PRIOR_STD = np.radians(30.0)  # the data determine β; the prior only prevents an exchange of x and y
+_SLOW_ROLL = 6  # index of the slow roll in a sensor's linear unknowns, after the imbalance and the free oscillations
+_MAX_CACHED = 2  # sets of responses: for the best θ and for the one that is tried next
 _SHARES, _PARTS = (0.0, 0.25, 0.5, 0.75), (1.0, 0.5, 0.25, 0.1)  # of terms; of a step
-_FIRST, _NEWTON, _SETTLED = 4, 12, 1e-6  # steps; of the amplitude
+_MAX_FIRST_STEPS, _MAX_STEPS, _TOLERANCE = 4, 12, 1e-6  # Newton steps; step size relative to the amplitude
 CLOCKS = slice(DELAYS.start, DRIFTS.stop)
 
 
 @dataclass(frozen=True)
 class RunUpRecord:
-    """Both sensors' block averages and the drive that covers them.
+    """Block averages of both sensors and their drive.
 
     Attributes:
-        x, y: the block averages.
+        x, y: block averages of the sensors.
         drive: e^{iψ} over their span.
-        recent: responses last computed, as a solution is looked at several times.
-        bent: how the suspension changes with the motion; None where it does not.
+        recent: cache of the latest responses, since a solution is evaluated several times.
+        bent: amplitude dependence of the suspension; None for a linear one.
     """
 
     x: Averages
     y: Averages
     drive: Drive
-    recent: dict[tuple[float, ...], list[list[Response]]] = field(default_factory=dict, repr=False, compare=False)
+    recent: dict[tuple[float, ...], list[list[Response]]] = field(
+        default_factory=dict[tuple[float, ...], list[list[Response]]], repr=False, compare=False
+    )
     bent: BentPassage | None = None
 
     @property
     def channels(self) -> tuple[Averages, Averages]:
-        """x and y."""
+        """Block averages of x and y."""
         return self.x, self.y
 
     @property
     def middle_s(self) -> float:
-        """The middle of the drive's span."""
+        """Middle of the drive's span, s."""
         return 0.5 * (self.drive.start_s + self.drive.end_s)
 
     def when(self, theta: np.ndarray, axis: int) -> np.ndarray:
-        """When a sensor's blocks saw what they show, on the phase's clock; shape (n,), s."""
+        """Times of a sensor's blocks on the clock of the phase, shape (n,), s."""
         time = self.channels[axis].time_s
         return time - theta[DELAYS][axis] - theta[DRIFTS][axis] * (time - self.middle_s)
 
     def responses(self, theta: np.ndarray, oscillators: list[tuple[float, float]]) -> list[list[Response]]:
-        """What either sensor sees of each oscillator."""
+        """Responses of each oscillator in the blocks of each sensor, [sensor][oscillator]."""
         key = (*(value for one in oscillators for value in one), *theta[CLOCKS].tolist())
         if key not in self.recent:
             sensors = [(self.when(theta, axis), c.spread_s2) for axis, c in enumerate(self.channels)]
-            while len(self.recent) >= _REMEMBERED:
+            while len(self.recent) >= _MAX_CACHED:
                 del self.recent[next(iter(self.recent))]
             self.recent[key] = responses_of(sensors, self.drive, oscillators)
         return self.recent[key]
@@ -83,14 +86,14 @@ class RunUpRecord:
 
 @dataclass(frozen=True)
 class Structure:
-    """Which model: θ = base + spread @ φ, with a Gaussian prior of φ.
+    """Structure of a model: θ = base + spread @ φ, with a Gaussian prior of φ.
 
     Attributes:
-        base: shape (13,), with the suspension's terms (18,).
-        spread: shape (13 or 18, p), of zeros and ones.
-        prior, prior_std: of φ, shape (p,); std inf where nothing is known.
-        drift_order: of the sensors' polynomial drift.
-        run_out, bow: whether either is in the model.
+        base: shape (13,), or (18,) with the suspension's terms.
+        spread: matrix of zeros and ones, shape (13 or 18, p).
+        prior, prior_std: prior of φ, shape (p,). The std is inf without a prior.
+        drift_order: order of the sensors' polynomial drift.
+        run_out, bow: whether the model contains run-out and a bow.
     """
 
     base: np.ndarray
@@ -103,30 +106,30 @@ class Structure:
 
     @property
     def run_out_at(self) -> slice:
-        """Places of the run-out among a sensor's linear unknowns; empty without it."""
+        """Indices of the run-out in a sensor's linear unknowns; empty without it."""
         return slice(_SLOW_ROLL, _SLOW_ROLL + 2 * self.run_out)
 
     @property
     def bow_at(self) -> slice:
-        """Places of the bow among a sensor's linear unknowns; empty without it."""
+        """Indices of the bow in a sensor's linear unknowns; empty without it."""
         return slice(self.run_out_at.stop, self.run_out_at.stop + 2 * self.bow)
 
     @property
     def motion_at(self) -> np.ndarray:
-        """Places of the linear unknowns that a bent passage's motion depends on."""
+        """Indices of the linear unknowns on which the motion of a bent passage depends."""
         return np.r_[0:MOTION, self.bow_at]
 
     def theta(self, phi: np.ndarray) -> np.ndarray:
-        """The whole θ."""
+        """Complete θ of φ."""
         return self.base + self.spread @ phi
 
     def without(self, *rows: int) -> Structure:
-        """The same with some of θ fixed at zero."""
+        """Return the structure with some elements of θ fixed at zero."""
         keep = ~self.spread[list(rows)].any(axis=0)
         return replace(self, spread=self.spread[:, keep], prior=self.prior[keep], prior_std=self.prior_std[keep])
 
     def with_more(self, rows: slice, std: Sequence[float]) -> Structure:
-        """The same with further θ free, about zero within std."""
+        """Return the structure with further free elements of θ, with a prior of the given std about zero."""
         more = np.eye(len(self.base))[:, rows]
         return replace(
             self,
@@ -136,25 +139,25 @@ class Structure:
         )
 
     def only(self, rows: slice, theta: np.ndarray) -> Structure:
-        """Nothing free but these; the others at θ."""
+        """Return the structure in which only these elements are free; the others have the values of θ."""
         more = np.eye(len(self.base))[:, rows]
         base = theta - more @ theta[rows]
         return replace(self, base=base, spread=more, prior=theta[rows], prior_std=np.full(more.shape[1], np.inf))
 
     def project(self, theta: np.ndarray) -> np.ndarray:
-        """φ nearest to a θ."""
+        """Return the φ closest to a θ."""
         return np.linalg.lstsq(self.spread, theta - self.base, rcond=None)[0]
 
 
 def free_structure(prior: np.ndarray, prior_std: np.ndarray, drift_order: int) -> Structure:
-    """Every θ free whose prior standard deviation is not zero; the others stay at their prior."""
+    """Return a structure whose free elements are those with a non-zero prior std; the others equal their prior."""
     free = prior_std > 0
     base = np.where(free, 0.0, prior)
     return Structure(base, np.eye(len(prior))[:, free], prior[free], prior_std[free], drift_order)
 
 
 def run_up_blocks(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> list[Block]:
-    """The model at φ, one block per sensor."""
+    """Evaluate the model at φ, one block per sensor."""
     theta = structure.theta(phi)
     oscillators = oscillators_of(theta)
     if record.bent is not None:
@@ -170,17 +173,17 @@ def _bent_block(
     theta: np.ndarray,
     oscillators: list[tuple[float, float]],
 ) -> Block:
-    """A sensor's block, linear about the motion that its own linear unknowns make: Newton's method for these."""
+    """Block of a sensor, linearised about the motion of its own linear unknowns, which Newton's method determines."""
     about = partial(_about, record, bent, axis, structure, theta, oscillators)
     at = structure.motion_at
     if axis in bent.starts:
-        c, block, _ = _newton(about, at, _as_long(bent.starts[axis], len(at)), _NEWTON)
+        c, block, _ = _newton(about, at, _as_long(bent.starts[axis], len(at)), _MAX_STEPS)
     else:
         grown = linear_unknowns(_sensor_block(record, axis, structure, theta, oscillators))[at]
-        for share in _SHARES:  # out of the linear motion, as the terms grow
-            grown = _newton(partial(about, share=share), at, grown, _FIRST)[0]
+        for share in _SHARES:  # continuation from the linear motion to the complete terms
+            grown = _newton(partial(about, share=share), at, grown, _MAX_FIRST_STEPS)[0]
         nominal = _as_long(np.array([bent.amplitude_m.real, bent.amplitude_m.imag]), len(at))
-        tried = [_newton(about, at, start, _NEWTON) for start in (grown, nominal)]
+        tried = [_newton(about, at, start, _MAX_STEPS) for start in (grown, nominal)]
         c, block, _ = min(tried, key=lambda each: each[2])
     if np.all(np.isfinite(c)):
         bent.starts[axis] = c
@@ -197,7 +200,7 @@ def _about(
     c: np.ndarray,
     share: float = 1.0,
 ) -> Block:
-    """A sensor's block about the motion of given linear unknowns, with a share of the suspension's terms."""
+    """Block of a sensor, linearised about the motion of given linear unknowns, with a share of the terms."""
     instants = record.when(theta, axis), record.channels[axis].spread_s2
     own, ratio = share * theta[TERMS], float(np.exp(theta[RATIO]))
     sensed = bent.sensed(record.drive, axis, float(theta[ANGLE]), oscillators, own, ratio, instants, c)
@@ -205,24 +208,24 @@ def _about(
 
 
 def _as_long(c: np.ndarray, length: int) -> np.ndarray:
-    """Linear unknowns of another structure: without the bow, or with one of zero."""
+    """Adapt linear unknowns to a structure without a bow, or with a bow of zero."""
     return np.pad(c, (0, max(0, length - len(c))))[:length]
 
 
 def _newton(
     about: Callable[[np.ndarray], Block], at: np.ndarray, c: np.ndarray, most: int
 ) -> tuple[np.ndarray, Block, float]:
-    """The linear unknowns at which a block that is linear about them stays, the block, and what it leaves."""
+    """Linear unknowns that solve the block linearised about them, the block, and its sum of squared residuals."""
     block = about(c)
     left = _left(block, at, c)
     for _ in range(most):
         step = linear_unknowns(block)[at] - c
-        if not np.all(np.isfinite(step)) or np.max(np.abs(step)) < _SETTLED * np.hypot(*c[:2]):
+        if not np.all(np.isfinite(step)) or np.max(np.abs(step)) < _TOLERANCE * np.hypot(*c[:2]):
             break
         for part in _PARTS:
             trial = about(c + part * step)
             trial_left = _left(trial, at, c + part * step)
-            if trial_left < left * (1 + _SETTLED):
+            if trial_left < left * (1 + _TOLERANCE):
                 break
         else:
             break
@@ -231,8 +234,8 @@ def _newton(
 
 
 def _left(block: Block, at: np.ndarray, c: np.ndarray) -> float:
-    """Squares of what a block leaves of whose linear unknowns some are given."""
-    others = np.setdiff1d(np.arange(block.basis.shape[1]), at)
+    """Sum of squared residuals of a block for given values of some of its linear unknowns."""
+    others: np.ndarray = np.setdiff1d(np.arange(block.basis.shape[1]), at)
     rest = Block(block.data - block.basis[:, at] @ c, block.basis[:, others], block.tangent)
     left = rest.data - rest.basis @ linear_unknowns(rest)
     found = float(left @ left)
@@ -240,7 +243,7 @@ def _left(block: Block, at: np.ndarray, c: np.ndarray) -> float:
 
 
 def oscillators_of(theta: np.ndarray) -> list[tuple[float, float]]:
-    """ω and ζ of both modes."""
+    """Natural frequency ω, rad/s, and damping ratio ζ of both modes."""
     return [
         (float(np.exp(np.clip(theta[w], -3.0, 8.0))), float(np.exp(np.clip(theta[z], -16.0, -0.05))))
         for w, z in zip(OMEGAS, ZETAS, strict=True)
@@ -248,13 +251,13 @@ def oscillators_of(theta: np.ndarray) -> list[tuple[float, float]]:
 
 
 def drift_columns(structure: Structure, from_middle: np.ndarray) -> list[np.ndarray]:
-    """1, s, s² … with s from −1 to 1 over the record."""
+    """Columns 1, s, s² … with s from −1 to 1 over the record."""
     s = from_middle / max(float(np.abs(from_middle).max()), 1e-9)
     return [s**k for k in range(structure.drift_order + 1)]
 
 
 def _ripple(when_s: np.ndarray, channel: Averages, drive: Drive, oscillators: list[tuple[float, float]]) -> np.ndarray:
-    """∂h/∂(Re c1, Im c1, Re c2, Im c2) of either oscillator, shape (2, 4, n)."""
+    """Derivatives ∂h/∂(Re c1, Im c1, Re c2, Im c2) of both oscillators, shape (2, 4, n)."""
     back, second, third = (responses_at(when_s, channel.spread_s2, drive.order(k), oscillators) for k in (-1, 2, 3))
     return np.array([[s.h, 1j * s.h, t.h - b.h, 1j * (t.h + b.h)] for b, s, t in zip(back, second, third, strict=True)])
 
@@ -320,8 +323,8 @@ def _sensor_block(
     return Block(value * weight, basis, tangent)
 
 
-def _blocks_as_they_are(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> list[Block]:
-    """The model at φ about the motion last found, whatever else the structure lets free."""
+def _blocks_about_last(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> list[Block]:
+    """Model at φ, linearised about the motion that was last found, for a structure with other free elements."""
     bent = record.bent
     if bent is None or len(bent.starts) < len(record.channels):
         return run_up_blocks(record, structure, phi)
@@ -335,7 +338,7 @@ def _blocks_as_they_are(record: RunUpRecord, structure: Structure, phi: np.ndarr
 
 @dataclass(frozen=True)
 class _Slow:
-    """One part of the slow roll as a sensor shows it, complex, shape (n,), its rate and ∂/∂θ by row."""
+    """Part of the slow roll in a sensor's signal, complex, shape (n,), its rate, and its derivatives by index of θ."""
 
     signal: np.ndarray
     rate: np.ndarray
@@ -343,9 +346,9 @@ class _Slow:
 
 
 def slow_roll_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How run-out and bow, so far not in the model, would move the data: shape (n, 4) each, in standard deviations."""
+    """Columns of run-out and bow for a model without them, shape (n, 4) each, in standard deviations."""
     wider = replace(structure, run_out=True, bow=True)
-    blocks = _blocks_as_they_are(record, wider, phi)
+    blocks = _blocks_about_last(record, wider, phi)
     first = len(blocks[0].data)
     out = np.zeros((2, first + len(blocks[1].data), 4))
     for k, at in enumerate((wider.run_out_at, wider.bow_at)):
@@ -364,14 +367,20 @@ def _slow_roll(
     mixes: tuple[Sequence[complex], Sequence[complex]],
     given: Sensed | None,
 ) -> list[_Slow]:
-    """Run-out and bow, whichever the structure has; mixes: of both oscillators in a sensor, and its slope by β.
+    """Run-out and bow of the structure.
 
-    A bow is part of a bent passage's motion, whose derivatives go with its amplitude.
+    Args:
+        structure: model.
+        when_s, channel: times and blocks of the sensor.
+        drive, oscillators, seen: drive, oscillators and their responses.
+        axis: 0 for sensor x, 1 for y.
+        mixes: factors of both oscillators in the sensor, and their derivatives by β.
+        given: motion of a bent passage. The bow is part of it, and its derivatives are those of its amplitude.
     """
     if not (structure.run_out or structure.bow):
         return []
     turn: Turning = turning(drive, when_s, channel.spread_s2)
-    found = []
+    found: list[_Slow] = []
     if structure.run_out:
         own = (1.0, -1j)[axis]  # sensor x shows Re(r e^{iψ}), sensor y Im(r e^{iψ})
         found.append(_Slow(own * turn.phasor, own * turn.rate, {}))

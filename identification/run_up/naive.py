@@ -1,28 +1,27 @@
-"""What a peak's width and a Vold–Kalman filter would have said: readings that take the passage for a steady state.
+"""Half-power and Vold–Kalman estimates for comparison with the fit. Both treat the passage as a steady state.
 
-Both are biased by the sweep and stand beside the fit so that their users see by how much.
+Both are biased by the sweep. The comparison shows the size of the bias.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solveh_banded
-from scipy.ndimage import gaussian_filter1d
 
 from dynamics.equations.speed_history import SpeedHistory
 from identification.least_squares import minimise
 from identification.samples import Averages
+from identification.typed_scipy import gaussian_filter1d, solveh_banded
 
-_SMOOTHED_S = 0.25
-_VOLD_KALMAN_HZ = 0.5  # the filter's half-power bandwidth
-_POINTS = 400
+_SMOOTHED_S = 0.25  # standard deviation of the Gaussian filter
+_VOLD_KALMAN_HZ = 0.5  # half-power bandwidth of the filter
+_MAX_POINTS = 400
 
 
 def half_power(channel: Averages, history: SpeedHistory) -> tuple[float, float]:
-    """Frequency and damping ratio read off the peak and its width at 1/√2; what a hurried reader would find.
+    """Frequency and damping ratio from the peak and its width at 1/√2.
 
     Returns:
-        f in Hz, ζ; NaN where the curve has no two sides.
+        f in Hz and ζ; NaN if the curve does not fall below 1/√2 on both sides.
     """
     psi, speed, _ = history.phase(channel.time_s).T
     speed = np.abs(speed)
@@ -41,18 +40,18 @@ def half_power(channel: Averages, history: SpeedHistory) -> tuple[float, float]:
 
 
 def vold_kalman(channel: Averages, history: SpeedHistory) -> tuple[float, float]:
-    """f and ζ of a steady-state resonance curve through the Vold–Kalman amplitude of the first order.
+    """Frequency and damping ratio of a steady-state resonance curve through the first order's Vold–Kalman amplitude.
 
-    The second-generation filter with two poles: the complex amplitude a that minimises Σ|2 y e^{−iψ} − a|² +
-    r² Σ|∇² a|²; then |a| ∝ Ω² / |ω² − Ω² + 2iζωΩ| by least squares over the speeds.
+    The second-generation filter with two poles yields the complex amplitude a that minimises
+    Σ|2 y e^{−iψ} − a|² + r² Σ|∇² a|². |a| ∝ Ω² / |ω² − Ω² + 2iζωΩ| is then fitted over the speeds.
 
     Returns:
-        f in Hz, ζ; NaN where no such curve fits.
+        f in Hz and ζ; NaN if no such curve fits.
     """
     psi, speed, _ = history.phase(channel.time_s).T
     speed = np.abs(speed)
     size = np.abs(_envelope(channel, psi))
-    every = max(1, len(size) // _POINTS)
+    every = max(1, len(size) // _MAX_POINTS)
     inside = slice(len(size) // 50, -len(size) // 50, every)
     speed, size = speed[inside], size[inside]
     unit = 0.01 * float(size.max())
@@ -76,10 +75,10 @@ def vold_kalman(channel: Averages, history: SpeedHistory) -> tuple[float, float]
 
 
 def _envelope(channel: Averages, psi: np.ndarray) -> np.ndarray:
-    """The first order's complex amplitude at the blocks, shape (n,), m."""
+    """Complex amplitude of the first order at the blocks, shape (n,), m."""
     n = len(psi)
     step = float(np.median(np.diff(channel.time_s)))
-    # 1/(1 + r² (w·step)⁴) is a half at half the bandwidth
+    # 1/(1 + r² (w·step)⁴)² is one half at half the bandwidth
     r2 = (np.sqrt(2) - 1) / (np.pi * _VOLD_KALMAN_HZ * step) ** 4
     bands = np.zeros((3, n))
     bands[2] = 6.0
@@ -90,4 +89,4 @@ def _envelope(channel: Averages, psi: np.ndarray) -> np.ndarray:
     bands *= r2
     bands[2] += 1.0
     turned = 2 * (channel.value - np.mean(channel.value)) * np.exp(-1j * psi)
-    return solveh_banded(bands, turned, check_finite=False)
+    return solveh_banded(bands, np.asarray(turned, np.complex128))

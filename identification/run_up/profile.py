@@ -1,4 +1,4 @@
-"""Intervals from the likelihood's profile: where χ² with everything else refitted has risen by 1.96²."""
+"""Intervals from the profile likelihood: values at which χ², with all other unknowns fitted, has risen by 1.96²."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from identification.run_up.result import RunUpFit
 from identification.setting import Setting
 
 _RISE = 1.96**2
-_RESOLVED_DEG = 3.0  # 1 σ of β beyond which its cosine is no longer a straight line
+_MAX_ANGLE_STD_DEG = 3.0  # std of β above which the model is not linear in β
 
 
 def intervals(record: RunUpRecord, design: Design, fit: RunUpFit, setting: Setting) -> dict[str, tuple[float, float]]:
-    """95 % intervals: Wald's, or from the profile where the axes are badly resolved or the reference is asked for."""
+    """95 % intervals from the covariance, or from the profile for badly resolved axes and for the reference setting."""
     std = fit.std
     found = {n: (v - 1.96 * std[n], v + 1.96 * std[n]) for n, v in fit.values.items()}
-    badly_resolved = std.get("axis_angle_deg", 0.0) > _RESOLVED_DEG
+    badly_resolved = std.get("axis_angle_deg", 0.0) > _MAX_ANGLE_STD_DEG
     if setting == "fast" or not (badly_resolved or setting == "reference"):
         return found
     for row, name in enumerate(("f1_Hz", "zeta1", "f2_Hz", "zeta2", "axis_angle_deg")):
@@ -40,19 +40,21 @@ def intervals(record: RunUpRecord, design: Design, fit: RunUpFit, setting: Setti
 
 
 def profile_interval(record: RunUpRecord, design: Design, column: int, stretch: float) -> tuple[float, float]:
-    """The 95 % interval of one φ.
+    """95 % interval of one element of φ.
 
     Args:
-        column: which φ.
-        stretch: reported over Wald's standard deviation (noise beyond the sensors' white one): χ² may rise by its
-            square times as much.
+        record: record of the passage.
+        design: linearised problem at the solution.
+        column: index of the element.
+        stretch: reported standard deviation over that of the covariance (noise above white noise). The permitted rise
+            of χ² is multiplied by its square.
     Returns:
-        Lower and upper end; an end that four standard deviations do not reach stays there.
+        Lower and upper end, limited to four standard deviations.
     """
     std = float(np.sqrt(design.covariance[column, column]))
     rise = _RISE * stretch**2
     bottom = _chi2_at(record, design, column, float(design.phi[column]))
-    ends = []
+    ends: list[float] = []
     for sign in (-1.0, 1.0):
         low, high = 0.0, 4.0 * stretch
         guess = 1.96 * stretch
@@ -68,7 +70,7 @@ def profile_interval(record: RunUpRecord, design: Design, column: int, stretch: 
 
 
 def _chi2_at(record: RunUpRecord, design: Design, column: int, value: float) -> float:
-    """Squared residuals and priors with one φ held and the others refitted from their linear prediction."""
+    """Sum of squared residuals and priors with one element of φ held and the others fitted again."""
     structure = design.structure
     keep = np.arange(design.nonlinear) != column
     held = replace(

@@ -1,4 +1,4 @@
-"""Which numbers a passage reports: the unknowns in a reader's units, and which of them it determines."""
+"""Reported values of a passage: conversion of the unknowns to reported units, and selection of determined values."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from identification.run_up.design import Design
 from identification.run_up.forced_oscillator import Drive
 from identification.run_up.model import ANGLE, AXIS_PRIOR_STD, DELAYS, RIPPLE
 
-_FALSE_ALARM = 1e-5  # chance that noise alone passes for a resonance
+_FALSE_ALARM_RATE = 1e-5  # probability that noise alone counts as a resonance
 
 
 def reported(design: Design, mark_rad: float) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Names, values and ∂values/∂unknowns, shape (k, unknowns)."""
+    """Names, values, and derivatives ∂values/∂unknowns of shape (k, unknowns)."""
     structure, p = design.structure, design.nonlinear
     theta = structure.theta(design.phi)
     names = ["f1_Hz", "zeta1", "f2_Hz", "zeta2", "axis_angle_deg"]
     scale = np.r_[np.exp(theta[:4]) / np.array([2 * np.pi, 1, 2 * np.pi, 1]), np.degrees(1.0)]
     values = [*scale[:4], np.degrees(theta[ANGLE])]
-    rows = list(np.pad(scale[:, None] * structure.spread[:5], ((0, 0), (0, design.unknowns - p))))
+    rows: list[np.ndarray] = list(np.pad(scale[:, None] * structure.spread[:5], ((0, 0), (0, design.unknowns - p))))
     at = p
-    sizes, turns = [], []
-    # the marks hold the phase where they are; ripple between them is counted from there
+    sizes, turns = list[float](), list[float]()
+    # the phase is fixed at the marks; ripple between them is counted from there
     pull = 2 * np.array([np.sin(mark_rad), np.cos(mark_rad), np.sin(2 * mark_rad), np.cos(2 * mark_rad)])
     pull = np.degrees(np.nan_to_num(pull))
     for c in design.coefficients:
@@ -67,25 +67,27 @@ def _polar(c: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
 def determined(
     drive: Drive, names: list[str], values: np.ndarray, covariance: np.ndarray, gains: tuple[float, float]
 ) -> tuple[list[int], list[str]]:
-    """Which of the values the passage determines, and a sentence for each that it does not.
+    """Return the indices of the values that the passage determines, and a message for each other value.
 
     Args:
-        gains: χ² that the response to the imbalance gains in sensor x and y, in units of the residuals' own noise. The
-            frequency was searched for, so that the best of many chances has to be beaten: one for each that the
-            record's length tells apart.
+        drive: drive of the passage.
+        names, values, covariance: reported values.
+        gains: gain of χ² by the response to the imbalance in sensors x and y, in units of the residuals' noise. Since
+            the frequency was searched, the gain must exceed the best of many trials of noise, one for each frequency
+            that the duration of the record resolves.
     """
     chances = max(1.0, (drive.top_rad_s - drive.low_rad_s) * (drive.end_s - drive.start_s) / (2 * np.pi))
-    needed = 2 * np.log(chances / _FALSE_ALARM)
+    needed = 2 * np.log(chances / _FALSE_ALARM_RATE)
     value = dict(zip(names, values, strict=True))
     std = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
     left_out: set[str] = set()
-    warnings = []
+    warnings: list[str] = []
     for i in (1, 2):
         omega, zeta = 2 * np.pi * value[f"f{i}_Hz"], value[f"zeta{i}"]
-        sure = std[f"f{i}_Hz"] < 0.03 * value[f"f{i}_Hz"] and std[f"zeta{i}"] < 0.5 * zeta
+        precise = std[f"f{i}_Hz"] < 0.03 * value[f"f{i}_Hz"] and std[f"zeta{i}"] < 0.5 * zeta
         passed = drive.low_rad_s <= omega * (1 + zeta) and omega <= drive.top_rad_s * (1 + zeta)
         axis = "xy"[i - 1]
-        if not (sure and passed and gains[i - 1] > needed):
+        if not (precise and passed and gains[i - 1] > needed):
             left_out |= {f"f{i}_Hz", f"zeta{i}", f"amplitude_{axis}_m", f"phase_{axis}_deg", f"delay_{axis}_s"}
             warnings.append(
                 f"resonance {i} (sensor {axis}) is not identifiable: "
@@ -94,7 +96,7 @@ def determined(
                     "and does not pass it; record a passage that does"
                     if gains[i - 1] > needed
                     else f"the best one found gains χ² {gains[i - 1]:.3g}, chance alone up to {needed:.3g}; does the "
-                    "speed pass it, does the sensor see the disk, is the imbalance large enough?"
+                    "speed pass it, is the sensor aimed at the disk, is the imbalance large enough?"
                 )
             )
     if {"f1_Hz", "f2_Hz"} <= left_out:
@@ -103,7 +105,7 @@ def determined(
         left_out.add("axis_angle_deg")
     elif std["axis_angle_deg"] > 0.5 * np.degrees(AXIS_PRIOR_STD):
         left_out.add("axis_angle_deg")
-        warnings.append("axes not resolved: both directions are too much alike to tell their angle to the sensors")
+        warnings.append("axes not resolved: both directions are too similar to determine their angle to the sensors")
     return [i for i, n in enumerate(names) if n not in left_out], warnings
 
 
@@ -113,12 +115,13 @@ def either(
     instead: tuple[list[str], np.ndarray, np.ndarray],
     probability: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of values where another model may hold instead; what that one lacks stays as it is.
+    """Mean and covariance of values over two possible models. Values that the other model lacks are unchanged.
 
     Args:
-        one: values and covariance by the chosen model.
-        instead: names, values and covariance by the other one.
-        probability: of the other one.
+        names: names of the values.
+        one: values and covariance of the chosen model.
+        instead: names, values and covariance of the other model.
+        probability: probability of the other model.
     """
     values, covariance = one
     there = [instead[0].index(name) if name in instead[0] else -1 for name in names]
@@ -133,7 +136,7 @@ def either(
 
 
 def slow_roll_sentences(names: list[str], values: np.ndarray, covariance: np.ndarray) -> list[str]:
-    """What turns with the shaft beside the answer to the imbalance, in words; none where the model has none."""
+    """Messages about run-out and bow; empty if the model has neither."""
     value, std = dict(zip(names, values, strict=True)), dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
 
     def shown(kind: str) -> str:
@@ -143,15 +146,15 @@ def slow_roll_sentences(names: list[str], values: np.ndarray, covariance: np.nda
             for axis, size, angle in sizes
         )
 
-    told = []
+    messages: list[str] = []
     if "run_out_x_m" in value:
-        told.append(
+        messages.append(
             f"run-out: the sensors show {shown('run_out')} that turn with the shaft at any speed; it is fitted with "
             "the resonances, and is part of what the sensors are predicted to show"
         )
     if "bow_x_m" in value:
-        told.append(
+        messages.append(
             f"bow: the springs' rest position turns with the shaft, {shown('bow')}; its force is fitted with the "
             "imbalance's, and acts where points are predicted"
         )
-    return told
+    return messages

@@ -1,4 +1,4 @@
-"""What a passage says, and its translation into the rig's parameters."""
+"""Result of a passage's fit, and its conversion to the rig's parameters."""
 
 from __future__ import annotations
 
@@ -21,27 +21,29 @@ from rig_configs.suspension_terms import TERMS
 
 @dataclass(frozen=True)
 class RunUpFit:
-    """What a run-up or run-down says.
+    """Fit of a run-up or run-down.
 
     Attributes:
-        values: f1_Hz, zeta1, f2_Hz, zeta2 (of the stiffness axes nearest sensor x and y), axis_angle_deg,
-            amplitude_x_m, amplitude_y_m (eccentricity of everything that turns, as each sensor sees it), phase_x_deg,
-            phase_y_deg (of that eccentricity against ψ, seen from the first stiffness axis) and, where sensors and
-            phase keep different clocks, delay_x_s, delay_y_s (laser against phase). Where the passage shows a slow
-            roll: run_out_x_m, run_out_x_deg (sensor x shows Re(r e^{iψ}) at any speed, sensor y Im) and bow_x_m,
-            bow_x_deg (of the springs' rest position, seen from the first stiffness axis), the same for y. What the
-            passage does not determine is absent, and a warning says so.
-        covariance: shape (n, n), in the values' order; statistical, the phase's own noise included.
-        warnings: what a reader must know.
-        curves: both sensors.
-        half_power: the naive answer from the peak's width, per sensor: f_Hz and zeta; biased by the sweep.
-        noise, chi2_per_dof: white noise of one sample per sensor (m), residuals against it.
-        vold_kalman: per sensor f_Hz and zeta of a steady-state curve through the Vold–Kalman amplitude; biased too.
-        intervals: 95 % of each value, from the likelihood's profile where the axes are badly resolved.
-        model, model_table: the smallest adequate model, and what it was compared with (χ² + k ln n).
-        terms: how the suspension changes with the motion, per direction, where ring-downs showed that it does.
+        values: f1_Hz, zeta1, f2_Hz, zeta2 (of the stiffness axes closest to sensors x and y), axis_angle_deg,
+            amplitude_x_m, amplitude_y_m (eccentricity of the rotor as measured by each sensor), phase_x_deg,
+            phase_y_deg (of that eccentricity against ψ, from the first stiffness axis). With separate clocks of sensors
+            and phase also delay_x_s, delay_y_s (laser against phase). With a slow roll also run_out_x_m, run_out_x_deg
+            (sensor x shows Re(r e^{iψ}) at any speed, sensor y Im) and bow_x_m, bow_x_deg (of the springs' rest
+            position, from the first stiffness axis), and the same for y. Values that the passage does not determine are
+            absent; a warning names them.
+        covariance: shape (n, n), in the order of the values; statistical, including the noise of the phase.
+        warnings: findings that limit the use of the values.
+        curves: curves of both sensors.
+        half_power: f_Hz and zeta from the peak and its width, for each sensor; biased by the sweep.
+        noise: white noise of one sample of each sensor, m.
+        chi2_per_dof: χ² of the residuals per degree of freedom, relative to white noise.
+        vold_kalman: f_Hz and zeta of a steady-state curve through the Vold–Kalman amplitude, for each sensor; biased
+            by the sweep.
+        intervals: 95 % interval of each value, from the profile likelihood if the axes are badly resolved.
+        model, model_table: description of the smallest adequate model, and the compared models (χ² + k ln n).
+        terms: amplitude dependence of the suspension in each direction, if ring-downs determined one.
         with_terms: covariance of the values with H1, H2, Q1, Q2 of the terms, shape (n, 4).
-        settled: whether the iteration did; the values of one that did not are none to quote.
+        settled: whether the iteration converged. Values of other fits are not usable.
     """
 
     values: dict[str, float]
@@ -51,30 +53,33 @@ class RunUpFit:
     half_power: dict[str, tuple[float, float]]
     noise: list[float]
     chi2_per_dof: float
-    vold_kalman: dict[str, tuple[float, float]] = field(default_factory=dict)
-    intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
+    vold_kalman: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
+    intervals: dict[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     model: str = ""
-    model_table: list[ModelChoice] = field(default_factory=list)
+    model_table: list[ModelChoice] = field(default_factory=list[ModelChoice])
     settled: bool = True
     terms: list[DirectionTerms] = field(default_factory=list[DirectionTerms])
     with_terms: np.ndarray | None = None
 
     @property
     def std(self) -> dict[str, float]:
-        """Standard deviations by name (gains and clock rates not included)."""
+        """Standard deviations by name (without the errors of gains and clock rates)."""
         return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
 
 def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std: tuple[float, float]) -> Estimate:
-    """A run's fit as k1, k2, ζ1, ζ2 and S_P; what the passage does not determine is absent.
+    """Convert the fit of a run to k1, k2, ζ1, ζ2 and S_P. Parameters that the passage does not determine are absent.
 
-    The sensors see M_S A = |S_P + S_A e^{iθ3} + S_B e^{iθ4}| with the pendulums' locked angles as measured; S_P is
-    the positive solution. The sensors are weighted by their statistics and gains together.
+    The sensors measure M_S A = |S_P + S_A e^{iθ3} + S_B e^{iθ4}| with the measured angles of the locked pendulums. S_P
+    is the positive solution. The weights of the sensors follow from their statistical and gain errors.
 
     Args:
+        run: fitted run.
+        fit: its fit.
+        physics: masses and lengths.
         gain_std: relative standard uncertainty of the gains of laser x and y.
     Raises:
-        NotIdentifiable: the fit has no amplitude.
+        NotIdentifiable: the fit contains no resonance or no amplitude.
     """
     mass = physics.total_mass_kg
     seen = [i for i in range(2) if f"amplitude_{'xy'[i]}_m" in fit.values]
@@ -129,9 +134,11 @@ def _imbalance_slopes(
     """Derivatives of S_P = √(M_S² A² − Im²) − Re, Re + i Im = Σ S_j e^{iθ_j}, by the known numbers.
 
     Args:
-        theta: of the locked pendulums, shape (2,), rad.
+        theta: angles of the locked pendulums, shape (2,), rad.
+        physics: masses and lengths.
+        locked: Σ S_j e^{iθ_j}, kg m.
         slope: ∂S_P/∂(M_S A).
-        eccentricity_m: A.
+        eccentricity_m: eccentricity A, m.
     """
     found = dict.fromkeys(MASSES, slope * eccentricity_m)
     root = slope / (eccentricity_m * physics.total_mass_kg or 1.0)  # 1/(S_P + Re)
@@ -140,12 +147,12 @@ def _imbalance_slopes(
         by_moment = -locked.imag * sin * root - cos
         found[f"pendulums.{name}.mass_kg"] += by_moment * pendulum.length_m
         found[f"pendulums.{name}.length_m"] = by_moment * pendulum.mass_kg
-        found[zero] = pendulum.first_moment_kg_m * (locked.imag * cos * root - sin)  # a larger zero, a smaller angle
+        found[zero] = pendulum.first_moment_kg_m * (locked.imag * cos * root - sin)  # a larger zero reduces the angle
     return found
 
 
 def _locked_angles(run: Run) -> np.ndarray:
-    """θ3, θ4 of the locked pendulums, shape (2,), rad."""
+    """Angles θ3, θ4 of the locked pendulums, shape (2,), rad."""
     return np.mean(run.angle_rad, axis=0) if len(run.angle_rad) else np.array([0.0, np.pi])
 
 

@@ -1,16 +1,16 @@
 # pyright: strict
-"""What turns with the shaft at any speed: run-out of the measured surface, and a bent shaft.
+"""Slow roll, the displacement that turns with the shaft at any speed: run-out of the measured surface and a bent shaft.
 
-Run-out r adds r e^{iψ}. A bow b turns the place where the springs are at rest with the shaft,
+Run-out r adds r e^{iψ}. A bow b turns the rest position of the springs with the shaft,
 
     ḧ_b + 2ζω ḣ_b + ω² h_b = ω² e^{iψ},
 
-and the disk adds b h_b. With h the answer to the imbalance, driven by −d²/dt² e^{iψ}, h + e^{iψ} = g is driven by
-ω² e^{iψ} + 2ζω d/dt e^{iψ}, hence g = h_b + (2ζ/ω) ḣ_b, ġ = ḣ_b − 2ζω h, and
+and adds b h_b to the motion of the disk. Let h be the response to the imbalance, driven by −d²/dt² e^{iψ}. Then
+h + e^{iψ} = g is driven by ω² e^{iψ} + 2ζω d/dt e^{iψ}, hence g = h_b + (2ζ/ω) ḣ_b, ġ = ḣ_b − 2ζω h, and
 
-    h_b = g − (2ζ/ω) (ġ + 2ζω h),    ḣ_b = ġ + 2ζω h:
+    h_b = g − (2ζ/ω) (ġ + 2ζω h),    ḣ_b = ġ + 2ζω h.
 
-what has been computed for the imbalance is enough. Source: docs/theory/run_up.md.
+The response to the bow thus follows from that to the imbalance. Source: docs/theory/run_up.md.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Turning:
-    """e^{iψ} and its rate as blocks see them, shape (n,).
+    """Block means of e^{iψ} and its rate, shape (n,).
 
     Attributes:
-        phasor, rate: means over the blocks.
-        when_s: the blocks' times.
-        flat: how much smaller than its middle a block's mean of what turns with ψ is.
+        phasor: mean of e^{iψ} over each block.
+        rate: its rate, 1/s.
+        when_s: times of the blocks, s.
+        flat: ratio of the block mean of a quantity that turns with ψ to its value at the middle.
     """
 
     phasor: Complex
@@ -43,10 +44,11 @@ class Turning:
 
 
 def turning(drive: Drive, when_s: Array, spread_s2: Array) -> Turning:
-    """e^{iψ} over blocks.
+    """Average e^{iψ} over blocks.
 
     Args:
-        when_s, spread_s2: mean times and variances of the samples' times, shape (n,).
+        drive: drive.
+        when_s, spread_s2: mean times, s, and variances of the sample times, s², of the blocks, shape (n,).
     """
     psi, speed, acceleration = drive.history.phase(when_s).T
     p = np.exp(1j * psi)
@@ -56,7 +58,7 @@ def turning(drive: Drive, when_s: Array, spread_s2: Array) -> Turning:
 
 @dataclass(frozen=True)
 class BowAnswer:
-    """h_b, its rate, and its derivatives by ln ω and ln ζ, shape (n,)."""
+    """Response h_b to a bow, its rate, and its derivatives by ln ω and ln ζ, shape (n,)."""
 
     h: Complex
     rate: Complex
@@ -65,9 +67,9 @@ class BowAnswer:
 
 
 def bow_answer(seen: Response, turn: Turning, omega: float, zeta: float) -> BowAnswer:
-    """The answer to a bow from the one to the imbalance.
+    """Compute the response to a bow from the response to the imbalance.
 
-    The rates of ∂h/∂ln ω and ∂h/∂ln ζ come from differences of neighbouring blocks: they count 2ζ.
+    The rates of ∂h/∂ln ω and ∂h/∂ln ζ come from differences of neighbouring blocks; their factor is 2ζ.
     """
     lag, square = 2 * zeta / omega, 4 * zeta**2
     moved = seen.rate + turn.rate  # ġ

@@ -1,9 +1,9 @@
 # pyright: strict
-"""Whether a passage shows run-out, a bow, both or neither, by χ² + k ln n and by what is left.
+"""Selection of run-out, bow, both or neither for a passage, by χ² + k ln n and by the remaining misfit.
 
-Both are judged by their score first. Where that asks for one, every combination is fitted: far from the truth a
-straight line does not tell a bow from run-out. Noise is that of the best fit, with the correlation of its residuals. A
-slow roll that leaves most of what is beyond noise is none: something else is wrong with the model.
+Both are first judged by their score. If it requires one of them, every combination is fitted, since a linearisation
+far from the solution does not distinguish a bow from run-out. The noise is that of the best fit, including the
+correlation of its residuals. A slow roll that leaves most of the misfit is rejected: the model has another error.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from identification.setting import ModelChoice
 Array = NDArray[np.float64]
 Solve = Callable[[Structure, Array], Solution]
 
-_UNKNOWNS = 4  # a complex amplitude in either sensor
-_SHARE = 0.5  # of what is beyond noise
-_ALIKE = 10.0  # χ² within which run-out and bow are not told apart
+_UNKNOWNS = 4  # one complex amplitude per sensor
+_MIN_EXPLAINED = 0.5  # share of the misfit that a slow roll must explain
+_MIN_DIFFERENCE = 10.0  # of χ², below which run-out and bow are not distinguished
 _WORDS: Mapping[tuple[bool, bool], str] = {
     (True, False): "run-out",
     (False, True): "bow",
@@ -36,7 +36,7 @@ _WORDS: Mapping[tuple[bool, bool], str] = {
 
 @dataclass(frozen=True)
 class Doubt:
-    """A model that may hold in place of the chosen one, its solution and its probability."""
+    """Model that is not excluded instead of the chosen one, its solution and its probability."""
 
     structure: Structure
     solution: Solution
@@ -45,13 +45,13 @@ class Doubt:
 
 @dataclass(frozen=True)
 class SlowRollChoice:
-    """What a passage shows of a slow roll.
+    """Result of the selection.
 
     Attributes:
-        structure, solution: with it; as they were where there is none.
-        table: the rungs compared.
-        warnings: what the choice tells a reader.
-        doubt: the other of run-out and bow where the passage does not exclude it.
+        structure, solution: structure and solution with the slow roll, or the given ones without it.
+        table: compared rungs.
+        warnings: consequences of the selection.
+        doubt: model with the other one of run-out and bow, if the passage does not exclude it.
     """
 
     structure: Structure
@@ -64,12 +64,13 @@ class SlowRollChoice:
 def slow_roll_choice(
     record: RunUpRecord, design: Design, solution: Solution, solve: Solve, at_least: float = 0.0
 ) -> SlowRollChoice:
-    """Run-out, bow, both or neither.
+    """Select run-out, bow, both or neither.
 
     Args:
-        design, solution: of the fitted model; with both where it needed them to be found at all.
-        solve: fits a structure from φ.
-        at_least: what another rung gains by χ² + k ln n; a slow roll has to gain more.
+        record: record of the passage.
+        design, solution: linearisation and solution of the fitted model. It contains both if its fit required them.
+        solve: fit of a structure from start values of φ.
+        at_least: gain of another rung in χ² + k ln n. The slow roll must gain more.
     """
     fitted = design.structure
     if not (fitted.run_out or fitted.bow):
@@ -86,7 +87,7 @@ def slow_roll_choice(
 
 
 def _scores(record: RunUpRecord, design: Design) -> tuple[list[float], list[ModelChoice]]:
-    """What run-out, bow and both would gain, from the fitted model's own linearisation."""
+    """Gains of run-out, bow and both by the linearisation of the fitted model."""
     n = len(design.residual)
     run_out, bow = slow_roll_columns(record, design.structure, design.phi)
     scores = [design.score(columns) for columns in (run_out, bow, np.hstack([run_out, bow]))]
@@ -117,7 +118,7 @@ def _chosen(
     none = (False, False)
     best = min(criterion, key=lambda kind: criterion[kind])
     beyond = max(0.0, chi2[none] - n)
-    if chi2[none] - chi2[best] < _SHARE * beyond:
+    if chi2[none] - chi2[best] < _MIN_EXPLAINED * beyond:
         best = none
     table = [
         ModelChoice(
@@ -129,13 +130,13 @@ def _chosen(
         )
         for kind, word in _WORDS.items()
     ]
-    told: list[str] = []
+    warnings: list[str] = []
     other, doubt = (best[1], best[0]), None
     off = (chi2[other] - chi2[best]) / noise
-    if best[0] != best[1] and off < _ALIKE:
-        told.append(
-            f"the passage hardly tells {_WORDS[best]} from {_WORDS[other]} (χ² {off:+.3g}): intervals cover either; "
-            "a slower passage tells them apart"
+    if best[0] != best[1] and off < _MIN_DIFFERENCE:
+        warnings.append(
+            f"the passage hardly distinguishes {_WORDS[best]} from {_WORDS[other]} (χ² {off:+.3g}): intervals cover "
+            "both; a slower passage distinguishes them"
         )
         doubt = Doubt(models[other], fits[other], 1 / (1 + math.exp(0.5 * max(off, 0.0))))
-    return SlowRollChoice(models[best], fits[best], table, told, doubt)
+    return SlowRollChoice(models[best], fits[best], table, warnings, doubt)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Run-out and bow of a passage's fit as vectors against the rotor's phase."""
+"""Conversion of the run-out and bow of a passage's fit to vectors relative to the rotor's phase."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from rig_configs.slow_roll import SlowRoll
 
 Array = NDArray[np.float64]
 
+_MAX_DEVIATION_STD = 5.0  # standard deviations between two passages
+
 
 def slow_roll_of(fit: RunUpFit, source: str = "", digest: str = "") -> SlowRoll | None:
-    """What a fit has found; None where it has found nothing.
+    """Return the run-out and bow of a fit; None if it has neither.
 
-    Both sensors see one bow, each with its own gain: their weighted mean is taken.
+    Both sensors measure the same bow with different gains. The result is the weighted mean.
     """
     if "run_out_x_m" not in fit.values and "bow_x_m" not in fit.values:
         return None
@@ -45,28 +47,25 @@ def slow_roll_of(fit: RunUpFit, source: str = "", digest: str = "") -> SlowRoll 
 
 
 def slow_roll_of_all(found: Sequence[SlowRoll]) -> tuple[SlowRoll | None, list[str]]:
-    """Of several passages the one with the smallest uncertainty; a sentence where another one is far from it."""
+    """Return the slow roll with the smallest uncertainty, and a message for each other one that deviates from it."""
     if not found:
         return None, []
     best = min(found, key=lambda one: float(np.trace(one.covariance)))
-    told: list[str] = []
+    warnings: list[str] = []
     for other in found:
         off = other.values - best.values
         spread = np.sqrt(np.maximum(np.diag(other.covariance + best.covariance), 1e-18))
         worst = float(np.max(np.abs(off) / spread))
-        if worst > _APART:
-            told.append(
+        if worst > _MAX_DEVIATION_STD:
+            warnings.append(
                 f"{other.log} and {best.log} show different run-out or bow, by {worst:.3g} standard deviations; the "
                 "latter is taken. Were the lasers, the target or the shaft moved between them?"
             )
-    return best, told
-
-
-_APART = 5.0
+    return best, warnings
 
 
 def _mean_of(covariance: Array) -> Array:
-    """Weights (2, 4) of two vectors in the plane by what is known of them; zeros where both are 0."""
+    """Weights (2, 4) of two vectors in the plane by their covariance; zeros if a covariance is zero."""
     own = [float(np.trace(covariance[at, at])) for at in (slice(0, 2), slice(2, 4))]
     if min(own) <= 0.0:
         return np.zeros((2, 4))

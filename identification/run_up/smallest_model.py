@@ -1,5 +1,5 @@
 # pyright: strict
-"""The smallest adequate model of a passage: the slow roll's rungs and all others, one after the other."""
+"""Search of the smallest adequate model of a passage, with the slow roll and all other rungs in sequence."""
 
 from __future__ import annotations
 
@@ -21,12 +21,18 @@ def smallest_adequate(
     solve: Solve,
     slow_roll: bool = True,
 ) -> tuple[Solution, Design, Comparison, Doubt | None]:
-    """The smallest adequate model's solution, and what may hold in its place.
+    """Find the smallest adequate model.
 
-    Of a slow roll and the other rungs the one that gains more is first.
+    The slow roll is tried before the other rungs if it gains more than they do.
 
     Args:
-        slow_roll: whether there may be one.
+        record: record of the passage.
+        solution, design: solution of the fitted model and its linearisation.
+        compared: comparison of a model with its neighbours.
+        solve: fit of a structure from start values of φ.
+        slow_roll: whether a slow roll is permitted.
+    Returns:
+        Solution, linearisation and comparison of the model, and a model that is not excluded instead, or None.
     """
     comparison = compared(design)
     if not slow_roll:

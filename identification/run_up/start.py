@@ -1,43 +1,45 @@
-"""Start values for a passage without any prior guess and without sweep bias.
+"""Start values for a passage without prior information and without sweep bias.
 
-With X and P the Fourier transforms of a signal and of e^{iψ}'s real or imaginary part, oscillators of common
-denominator D(s) = sⁿ + d_{n−1} s^{n−1} + … answer a rotating imbalance with
+Let X and P be the Fourier transforms of a signal and of the real or imaginary part of e^{iψ}. The response of
+oscillators with the common denominator D(s) = sⁿ + d_{n−1} s^{n−1} + … to a rotating imbalance is
 
     D(s) X = −s² Σ N(s) P + E(s),        s = iw,
 
-where E holds what moved before and after the record. It is linear in D, N and E; a few rounds weighted by 1/|D| undo
-the weighting that multiplying the denominator out brought in. It holds for any sweep rate.
+where E contains the motion before and after the record. The equation is linear in D, N and E. A few iterations with the
+weight 1/|D| remove the weighting that results from the multiplication by D. The equation is valid for any sweep rate.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.errors import NotIdentifiable
 from identification.run_up.forced_oscillator import Drive, responses_of
 from identification.samples import Averages
 
-_PER_TURN = 16
+_SAMPLES_PER_TURN = 16
 _ROUNDS = 8
-_THINNED = 4  # every fourth block will do to compare start values
-_EXPLAINED = 0.03  # of the power left, and
-_LIKE_NOISE = 1.5  # χ² per block: no need to look further
-_BEYOND = (1.06, 1.2, 1.5, 2.0, 2.7, 4.0)  # of the fastest speed: where a resonance may be that is not passed
+_THINNED = 4  # every fourth block is sufficient to compare start values
+_MAX_UNEXPLAINED = 0.03  # share of the power, and
+_MAX_CHI2 = 1.5  # χ² per block, up to which the search ends
+_BEYOND = (1.06, 1.2, 1.5, 2.0, 2.7, 4.0)  # frequencies of a resonance that is not passed, over the fastest speed
 _BEYOND_ZETA = 0.02
-_FINER = (0.08, 0.025, 0.008)  # relative steps about the best of them, two to either side
+_FINER = (0.08, 0.025, 0.008)  # relative steps around the best of them, two to either side
 
 
 @dataclass(frozen=True)
 class RunUpStart:
-    """Where a fit may begin.
+    """Start values of a fit.
 
     Attributes:
-        omegas, zetas: of the direction nearest x, then of the one nearest y; rad/s and dimensionless.
-        angle_rad: stiffness axes against sensors.
-        cost: squared residual per block in standard deviations, with everything linear free in both sensors.
+        omegas, zetas: natural frequencies, rad/s, and damping ratios of the directions closest to x and to y.
+        angle_rad: angle between stiffness axes and sensors, rad.
+        cost: squared residual per block in standard deviations, with all linear unknowns free in both sensors.
     """
 
     omegas: tuple[float, float]
@@ -52,12 +54,15 @@ class RunUpStart:
 
 
 def run_up_starts(channels: Sequence[Averages], drive: Drive, thorough: bool = False) -> list[RunUpStart]:
-    """Start values from several denominators, best first.
+    """Return start values from several denominators, best first.
 
     Args:
-        thorough: look beyond the two sensors' common resonances even where those explain the signals.
+        channels: block averages of both sensors.
+        drive: drive.
+        thorough: whether other resonances are searched even if the common resonances of both sensors explain the
+            signals.
     Raises:
-        NotIdentifiable: no resonance in either sensor.
+        NotIdentifiable: neither sensor shows a resonance.
     """
     spectra = _Spectra.of(channels, drive)
     thinned = [c.where(np.arange(len(c.time_s)) % _THINNED == 0) for c in channels]
@@ -65,13 +70,13 @@ def run_up_starts(channels: Sequence[Averages], drive: Drive, thorough: bool = F
     starts = [_assigned(thinned, drive, pair) for pair in [spectra.modes([0, 1], 2)] if len(pair) == 2]
     single = spectra.modes([0, 1], 1)
     pairs = [[mode, mode] for mode in single]
-    if thorough or not starts or starts[0].cost > min(_LIKE_NOISE, _EXPLAINED * power):
+    if thorough or not starts or starts[0].cost > min(_MAX_CHI2, _MAX_UNEXPLAINED * power):
         alone = [spectra.modes([i], 1) for i in (0, 1)]
         pairs += [[a, b] for a in alone[0] for b in alone[1]]
-        unexplained = thorough or not starts or starts[0].cost > _EXPLAINED * power
-        # the tail of a resonance far away looks like a lag of the sensors, which only the fit itself knows of
+        unexplained = thorough or not starts or starts[0].cost > _MAX_UNEXPLAINED * power
+        # the tail of a distant resonance looks like a lag of the sensors, which only the fit contains
         beyond = _beyond(thinned, drive, list(dict.fromkeys((*single, *alone[0], *alone[1]))))
-        starts += [s for s in beyond if unexplained or s.cost < _LIKE_NOISE]
+        starts += [s for s in beyond if unexplained or s.cost < _MAX_CHI2]
     starts += [_assigned(thinned, drive, pair) for pair in pairs]
     if not starts:
         raise NotIdentifiable("neither sensor shows a resonance in this record; does the speed pass one?")
@@ -80,7 +85,7 @@ def run_up_starts(channels: Sequence[Averages], drive: Drive, thorough: bool = F
 
 @dataclass(frozen=True)
 class _Spectra:
-    """What is needed of the signals and the drive, at the frequencies of the speeds passed; s in units of scale."""
+    """Spectra of signals and drive at the frequencies of the passed speeds; s in units of scale."""
 
     s: np.ndarray
     scale: float
@@ -89,14 +94,14 @@ class _Spectra:
 
     @classmethod
     def of(cls, channels: Sequence[Averages], drive: Drive) -> _Spectra:
-        step = 2 * np.pi / drive.top_rad_s / _PER_TURN
+        step = 2 * np.pi / drive.top_rad_s / _SAMPLES_PER_TURN
         start = max(drive.start_s, *(c.time_s[0] for c in channels))
         end = min(drive.end_s, *(c.time_s[-1] for c in channels))
         t = np.arange(start, end, step)
         w = 2 * np.pi * np.fft.rfftfreq(len(t), step)
         band = (w > max(0.3 * drive.low_rad_s, 0.1 * drive.top_rad_s)) & (w < 1.15 * drive.top_rad_s)
         if np.count_nonzero(band) < 30:
-            raise NotIdentifiable("the run-up is too short to hold a resonance")
+            raise NotIdentifiable("the run-up is too short to contain a resonance")
         psi = drive.history.phase(t)[:, 0]
         signals = [np.fft.rfft(np.interp(t, c.time_s, c.value) - np.mean(c.value))[band] / c.noise for c in channels]
         scale = 0.5 * drive.top_rad_s
@@ -104,7 +109,7 @@ class _Spectra:
         return cls(1j * w[band] / scale, scale, signals, (phasor[0], phasor[1]))
 
     def modes(self, sensors: list[int], count: int) -> list[tuple[float, float]]:
-        """(ω, ζ) of up to count resonances common to some sensors."""
+        """(ω, ζ) of up to `count` resonances that are common to some sensors."""
         order = 2 * count
         powers = self.s[:, None] ** np.arange(order + 1)
         weight = 1 / np.abs(powers[:, order])
@@ -125,15 +130,16 @@ class _Spectra:
             weight = 1 / np.maximum(np.abs(powers[:, order] + powers[:, :order] @ denominator), 1e-6)
         roots = np.roots([1.0, *denominator[::-1]]) * self.scale
         roots = roots[roots.imag > 1e-3 * self.scale]
-        # a slightly negative damping is a small one, badly seen
+        # a slightly negative damping is a small one with an estimation error
         return [(float(abs(r)), float(np.clip(-r.real / abs(r), 3e-4, 0.6))) for r in roots]
 
 
 def _beyond(channels: Sequence[Averages], drive: Drive, modes: list[tuple[float, float]]) -> list[RunUpStart]:
-    """Starts whose second resonance is faster than the speeds passed, about its best frequency; none without modes.
+    """Start values with a second resonance above the passed speeds, at its best frequency; empty without modes.
 
-    It bends its sensor's signal only slightly, which tells its frequency roughly. Speed ripple may yet pass it at a
-    half of its frequency, and makes a narrow valley within that wide one: hence a search in ever finer steps.
+    Such a resonance changes the signal of its sensor only slightly and determines its frequency roughly. Speed ripple
+    may pass it at half its frequency, which causes a narrow minimum within a wide one. The frequency is therefore
+    searched in successively finer steps.
     """
 
     def at(mode: tuple[float, float], omega: float) -> tuple[RunUpStart, float, tuple[float, float]]:
@@ -154,12 +160,12 @@ def _real(columns: np.ndarray) -> np.ndarray:
 
 
 def _assigned(channels: Sequence[Averages], drive: Drive, pair: Sequence[tuple[float, float]]) -> RunUpStart:
-    """Which of two resonances belongs to which direction, and the angle between axes and sensors.
+    """Assign two resonances to the directions, and estimate the angle between axes and sensors.
 
-    Each sensor is written as a free sum of both responses; x = cos β Re(A h1) + sin β Im(A h2) and its turned
-    counterpart make their ratios ∓i tan β.
+    The signal of each sensor is fitted as a free sum of both responses. For x = cos β Re(A h1) + sin β Im(A h2) and its
+    turned counterpart, the ratios of the coefficients are ∓i tan β.
     """
-    cost, count, parts = 0.0, 0, []
+    cost, count, parts = 0.0, 0, list[complex]()
     sensors = responses_of([(c.time_s, c.spread_s2) for c in channels], drive, list(dict.fromkeys(pair)))
     for channel, answers in zip(channels, sensors, strict=True):
         since = channel.time_s - drive.start_s
@@ -169,7 +175,9 @@ def _assigned(channels: Sequence[Averages], drive: Drive, pair: Sequence[tuple[f
         basis = np.column_stack([*columns, np.ones_like(since), since]) * channel.weight[:, None]
         size = np.linalg.norm(basis, axis=0) + 1e-300
         normal = (basis / size).T @ (basis / size)
-        c = np.linalg.lstsq(normal, (basis / size).T @ (channel.value * channel.weight), rcond=1e-13)[0] / size
+        right = (basis / size).T @ (channel.value * channel.weight)
+        scaled = cast(NDArray[np.float64], np.linalg.lstsq(normal, right, rcond=1e-13)[0])
+        c = scaled / size
         residual = channel.value * channel.weight - basis @ c
         cost, count = cost + float(residual @ residual), count + len(residual)
         parts.append(complex(c[0], c[1]))
@@ -182,6 +190,6 @@ def _assigned(channels: Sequence[Averages], drive: Drive, pair: Sequence[tuple[f
         omega_a, omega_b, zeta_a, zeta_b = omega_b, omega_a, zeta_b, zeta_a
         x_a, x_b, y_a, y_b = x_b, x_a, y_b, y_a
     tangents = [(1j * x_b / x_a).real if x_a else 0.0, (1j * y_a / y_b).real if y_b else 0.0]
-    # the sensor whose ratio is smaller sees its own resonance better
+    # the sensor with the smaller ratio shows its own resonance better
     angle = float(np.arctan(min(tangents, key=abs)))
     return RunUpStart((omega_a, omega_b), (zeta_a, zeta_b), angle, cost / count)

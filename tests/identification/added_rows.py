@@ -1,4 +1,4 @@
-"""Rows of guided tests that are nobody's: added to the table while a test runs."""
+"""Rows of guided tests that belong to no package: added to the table while a test runs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from daq.guided_tests.table import Table
 
 
 def row(name: str, needs: tuple[str, ...], turns: bool, gives: tuple[str, ...] = ()) -> TestKind:
-    """A row of which identification knows no more than what it needs and gives; it cannot be run."""
+    """Row with the fields that identification uses (needs and gives). It cannot be run."""
 
     def table(asked: Asked) -> Table:
         raise NotImplementedError

@@ -1,4 +1,4 @@
-"""A run-up of a rig whose suspension depends on the motion, with the terms that ring-downs know."""
+"""Run-up of a rig with an amplitude-dependent suspension, with the terms from ring-downs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def true_terms(world: World) -> np.ndarray:
 
 
 def known_of(world: World) -> KnownSuspension:
-    """What ring-downs could have found, the terms 0.3 % off."""
+    """Possible result of ring-downs, with terms that are 0.3 % off."""
     m, physics, true = world.mechanics, world.rig.physics, true_terms(world)
     w1, w2 = (float(np.sqrt(k / m.mass_kg)) for k in m.stiffness_N_per_m)
     amplitude = complex(physics.imbalance_moment_kg_m / physics.total_mass_kg)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Clean records raise no alarm, and what is worth naming is named: thresholds against the law of their statistics."""
+"""Clean records raise no alarm, and relevant effects are reported: thresholds against the laws of their statistics."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ def ring_down(rng: np.random.Generator) -> tuple[Array, Array]:
     return signal, SIGMA * np.clip(rng.standard_normal(len(TIME)), -4.4, 4.4)
 
 
-@pytest.mark.parametrize(("far", "told"), [(5.6, 0), (6.6, 1)])
-def test_a_sample_is_an_outlier_only_beyond_the_farthest_that_chance_has(far: float, told: int) -> None:
+@pytest.mark.parametrize(("far", "count"), [(5.6, 0), (6.6, 1)])
+def test_a_sample_is_an_outlier_only_beyond_the_farthest_that_chance_has(far: float, count: int) -> None:
     signal, noise = ring_down(np.random.default_rng(11))
     noise[9000] = far * SIGMA
     fit = fit_ring_down(TIME, signal + noise)
-    assert len([w for w in fit.warnings if w.startswith("1 samples that no noise explains")]) == told
-    assert len(fit.warnings) == told
+    assert len([w for w in fit.warnings if w.startswith("1 samples that no noise explains")]) == count
+    assert len(fit.warnings) == count
 
 
 def test_noise_alone_is_explained_by_noise() -> None:
@@ -84,7 +84,7 @@ def test_noise_shows_no_line() -> None:
 
 
 def test_a_faint_line_is_found() -> None:
-    """2 µm beside a motion of 2 mm in noise of 4 µm at 4 kHz."""
+    """A line of 2 µm in addition to a motion of 2 mm in noise of 4 µm at 4 kHz."""
     rng = np.random.default_rng(2)
     time, found = np.arange(N_FOR_LINES) / 1000.0, 0
     signal = 2e-3 * np.exp(-0.02 * 2 * np.pi * 3 * time) * np.cos(2 * np.pi * 3 * time)
@@ -95,9 +95,9 @@ def test_a_faint_line_is_found() -> None:
     assert found >= 38
 
 
-@pytest.mark.parametrize(("angle", "told"), [(2.9, 0), (-2.9, 0), (3.0, 1), (-3.0, 1)])
-def test_sensors_are_called_turned_beyond_997_in_1000(angle: float, told: int) -> None:
-    assert len(mounting_remarks((angle, 4e-4), (0.0, 1.0))) == told
+@pytest.mark.parametrize(("angle", "count"), [(2.9, 0), (-2.9, 0), (3.0, 1), (-3.0, 1)])
+def test_sensors_are_called_turned_beyond_997_in_1000(angle: float, count: int) -> None:
+    assert len(mounting_remarks((angle, 4e-4), (0.0, 1.0))) == count
 
 
 def slow_ring_down(seed: int, hardening_per_m2: float = 0.0) -> Array:

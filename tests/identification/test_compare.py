@@ -1,4 +1,4 @@
-"""What changed, how sure, what limits it, and the history over files."""
+"""Comparison of parameter sets: changes, significance, limits, and the history over files."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def parameters_of(
 
 
 def changed(estimates: list[Estimate], name: str, share: float) -> list[Estimate]:
-    """The same with a parameter of the rig changed: every test that shows it moves."""
+    """Estimates with a changed parameter of the rig: the value of every test with this parameter changes."""
     for i, estimate in enumerate(estimates):
         if name in estimate.names:
             estimates = spoilt(estimates, i, name, share)
@@ -101,7 +101,7 @@ def test_changes_that_go_together_are_found_though_each_is_small() -> None:
     assert found.p < 1e-6
     assert "all together they did" in found.in_words()
     assert sum(c.share for c in found.changes) == pytest.approx(1)
-    # of files whose numbers were rounded to five digits nobody can know that
+    # not decidable for files whose numbers were rounded to five digits
     old, new = (
         IdentifiedParameters({n: float(f"{v:.5g}") for n, v in p.values.items()}, covariance) for p in (old, new)
     )
@@ -180,7 +180,7 @@ def test_p_is_uniform_however_the_logs_overlap(first: tuple[int, ...], second: t
 def test_a_campaign_against_its_own_beginning_has_not_changed(
     first: tuple[int, ...], second: tuple[int, ...], serial: str | None
 ) -> None:
-    """Whole campaigns with gains and clocks: a small p is no oftener than it may be, whatever is in both."""
+    """Campaigns with gains and clocks: small p values have at most their nominal frequency for any common part."""
     rng = np.random.default_rng([*first, 200, *second])
     p = []
     for _ in range(25):
@@ -222,7 +222,7 @@ def test_a_clock_common_to_what_stayed_and_what_came_is_no_change() -> None:
 
 
 def test_rounded_files_of_the_same_logs_have_not_changed(tmp_path: Path) -> None:
-    """What printing with few digits leaves is no change, in no direction, however well that one is known."""
+    """Rounding to few digits is not a change in any direction, for any uncertainty of that direction."""
     rng = np.random.default_rng(21)
     for digits in (4, 6, 9):
         estimates, _ = draw(rng)

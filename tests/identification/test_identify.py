@@ -1,4 +1,4 @@
-"""The whole: campaigns, subsets, a log that does not fit the others."""
+"""Identification of campaigns and of subsets, and of a campaign with one deviating log."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ TRUTHS = [
 @pytest.mark.parametrize("changes", TRUTHS)
 def test_a_campaign_meets_its_targets(changes: dict[str, object]) -> None:
     campaign = Campaign(11, dict(changes))
-    told: list[str] = []
-    found = identify(campaign.commissioning(), campaign.rig, told.append)
+    messages: list[str] = []
+    found = identify(campaign.commissioning(), campaign.rig, messages.append)
     assert len(found.warnings) == 1
     assert "does not exclude dry friction" in found.warnings[0]  # a lone spin-down cannot
-    assert len(told) == 4
+    assert len(messages) == 4
     assert list(found.parameters.values) == list(PARAMETER_UNITS)
     for name, true in campaign.truth.identified().items():
         std = found.parameters.std[name]
@@ -127,9 +127,9 @@ def test_a_log_that_is_not_whole_is_warned_of_once() -> None:
     found = identify(runs, campaign.rig)
     again = identify(runs, campaign.rig, earlier=found)
     for warnings in (found.warnings, again.warnings):
-        (told,) = [w for w in warnings if "not whole" in w]
-        assert told.startswith(f"{holed.source}: ")
-        assert told.endswith("place 4; and 2 more")
+        (message,) = [w for w in warnings if "not whole" in w]
+        assert message.startswith(f"{holed.source}: ")
+        assert message.endswith("place 4; and 2 more")
 
 
 def test_shared_errors_do_not_average_out() -> None:

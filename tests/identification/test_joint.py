@@ -1,4 +1,4 @@
-"""The joint estimate: false alarms, detection, robustness against one bad log, honest width where nobody can tell."""
+"""Joint estimate: false alarms, detection, robustness against one bad log, coverage if the bad log is unknown."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_somewhat_heavier_tails_do_not_flood_with_alarms() -> None:
 
 
 def test_detection_power_over_the_size_of_a_fault() -> None:
-    """One of three like tests off by a number of its own standard deviations: seen and rightly named."""
+    """One of three equal tests off by a number of its own standard deviations: detected and correctly named."""
     rng = np.random.default_rng(3)
     seen = {}
     for size in (4.0, 6.0, 8.0, 12.0):

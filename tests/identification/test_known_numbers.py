@@ -1,4 +1,4 @@
-"""How answers go with masses, lengths and zeros: by the formula, and by fits with the number changed."""
+"""Derivatives of identified values by masses, lengths and zeros: by the formula, and by fits with changed numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What identification takes from a test stands in the test's row; an added row needs no edit of the estimators."""
+"""The row of a test states what identification takes from it; an added row needs no change of the estimators."""
 
 from __future__ import annotations
 
@@ -98,8 +98,8 @@ def test_a_row_that_gives_nothing_is_passed_over_in_words(add: Add) -> None:
     add(row("slow-roll", ("x", "y", "phase"), turns=True))
     runout = dataclasses.replace(campaign.ring_down("x"), test="slow-roll")
     found = identify([runout, campaign.ring_down("x")], campaign.rig)
-    (told,) = [w for w in found.warnings if "passed over" in w]
-    assert told.startswith("slow-roll passed over: its row gives no parameter")
+    (message,) = [w for w in found.warnings if "passed over" in w]
+    assert message.startswith("slow-roll passed over: its row gives no parameter")
 
 
 def test_advice_names_tests_that_the_rig_can_do(add: Add) -> None:

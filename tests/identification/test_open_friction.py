@@ -13,7 +13,7 @@ from dynamics.equations.speed_history import SpeedHistory
 from identification import NotIdentifiable, fit_release, fit_spin_down_run
 from identification.errors import FitFailed
 from identification.estimate import Estimate
-from identification.joint.shared_friction import told, with_shared_friction
+from identification.joint.shared_friction import friction_messages, with_shared_friction
 from identification.joint.weighting import weighted
 from identification.pendulums.frictional_motion import frictional_motion
 from identification.pendulums.open_friction import OpenFriction, alone, inverse, pooled, together
@@ -161,7 +161,7 @@ def test_two_tests_share_their_friction_and_one_stands_alone() -> None:
     ]
     both, shared = with_shared_friction(own, fits)
     assert shared is not None
-    assert told(shared) == []
+    assert friction_messages(shared) == []
     assert {label for e in both for label in e.shared} == {"clock e", *(f"friction {k + 1}" for k in range(4))}
     true, joint = campaign.truth.identified(), weighted(both)
     assert np.all(np.abs(joint.values - [true[n] for n in NAMES]) < 4 * np.sqrt(np.diag(joint.covariance)))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from synthetic import Campaign
 
 from identification import fit_release
-from identification.joint.shared_friction import told
+from identification.joint.shared_friction import friction_messages
 from identification.pendulums.friction import Friction
 from identification.pendulums.open_friction import OpenFriction, pooled, together
 from identification.pendulums.suspension_knowledge import Knowledge
@@ -72,8 +72,8 @@ def test_friction_that_a_mass_explains_is_not_told_of() -> None:
     sharp = 0.25 * np.diag(UNIT**2)
     slope = {MASS: np.r_[0.0, 0.0, 8.0, 0.0, 0.0, 0.0] * UNIT / 1e-5}
     pair = [OpenFriction(friction, sharp, slope) for _ in range(2)]
-    assert told(together(pair)) != []
-    assert told(together(pair, None, [SOURCE])) == []
+    assert friction_messages(together(pair)) != []
+    assert friction_messages(together(pair, None, [SOURCE])) == []
     assert Friction.sure(pooled(pair)) is not None
     assert Friction.sure(pooled(pair, [SOURCE]).covering([SOURCE])) is None
 

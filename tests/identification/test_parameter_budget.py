@@ -1,4 +1,4 @@
-"""Budgets of identified parameters: variances sum up to the file's, and every source appears as what it is."""
+"""Budgets of identified parameters: variances sum to those of the file, and every source has its type."""
 
 from __future__ import annotations
 
@@ -122,9 +122,9 @@ def test_the_rotor_mass_is_the_main_source_of_a_stiffness_with_its_sensitivity()
     assert "known rotor.mass_kg" not in {row.source for row in budget_rows(found.budgets["zeta1"])}
     (note,) = found.notes
     assert "u(k1_N_per_m) is 7.18" in note
-    told = budget_json(found.budgets["k1_N_per_m"], 0.99)
-    assert told["k"] == pytest.approx(2.5758, abs=1e-4)
-    assert told["U95"] == pytest.approx(1.95996 * told["u"], rel=1e-5)  # type: ignore[operator]
+    row = budget_json(found.budgets["k1_N_per_m"], 0.99)
+    assert row["k"] == pytest.approx(2.5758, abs=1e-4)
+    assert row["U95"] == pytest.approx(1.95996 * row["u"], rel=1e-5)  # type: ignore[operator]
 
 
 def test_an_instrument_brings_its_distribution_and_degrees_of_freedom() -> None:

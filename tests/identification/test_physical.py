@@ -1,4 +1,4 @@
-"""What no rig can have is told and left out; what the same tests found besides is kept; every file can be loaded."""
+"""Impossible values are reported and left out; other values of the same tests are kept; every file can be loaded."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def test_a_reading_half_a_turn_from_its_lock_costs_s_p_alone(
     _, run, fit = run_up
     sound, nothing = sides(run, fit)
     assert nothing == []
-    found, (told,) = sides(turned(run, *shift), fit)
+    found, (message,) = sides(turned(run, *shift), fit)
     assert found.names == ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")
     assert np.array_equal(found.values, sound.values[:4])
-    assert f"{name} reads" in told
-    assert f"{sound.value('SP_kg_m'):.4g} kg m with half a turn more" in told
+    assert f"{name} reads" in message
+    assert f"{sound.value('SP_kg_m'):.4g} kg m with half a turn more" in message
 
 
 def test_all_else_goes_on_without_it(run_up: tuple[Campaign, Run, RunUpFit], tmp_path: Path) -> None:
@@ -61,16 +61,16 @@ def test_all_else_goes_on_without_it(run_up: tuple[Campaign, Run, RunUpFit], tmp
     load_rig("virtual", tmp_path / "parameters.toml")
 
 
-def test_a_laser_s_sign_and_an_index_mark_half_a_turn_off_are_told(run_up: tuple[Campaign, Run, RunUpFit]) -> None:
+def test_a_laser_s_sign_and_an_index_mark_half_a_turn_off_are_reported(run_up: tuple[Campaign, Run, RunUpFit]) -> None:
     _, run, fit = run_up
 
     def phases(**shift: float) -> RunUpFit:
         return dataclasses.replace(fit, values={n: v + shift.get(n, 0.0) for n, v in fit.values.items()})
 
-    mirrored, (told,) = sides(run, phases(phase_y_deg=180.0))
-    assert "laser y sees the imbalance opposite" in told
-    late, (told,) = sides(run, phases(phase_x_deg=-180.0, phase_y_deg=180.0))
-    assert "the index mark is half a turn off" in told
+    mirrored, (message,) = sides(run, phases(phase_y_deg=180.0))
+    assert "laser y shows the imbalance opposite" in message
+    late, (message,) = sides(run, phases(phase_x_deg=-180.0, phase_y_deg=180.0))
+    assert "the index mark is half a turn off" in message
     integrated = dataclasses.replace(run, phase_absolute=False)
     assert sides(integrated, phases(phase_x_deg=180.0, phase_y_deg=180.0))[1] == []
     for found in (mirrored, late):
@@ -94,15 +94,15 @@ def test_a_laser_s_sign_and_an_index_mark_half_a_turn_off_are_told(run_up: tuple
 def test_every_value_that_the_loader_refuses_is_left_out(tmp_path: Path, name: str, value: float) -> None:
     sound = "zeta2" if name != "zeta2" else "zeta1"
     estimate = Estimate("t", "a.mcap", (name, sound), np.array([value, 0.02]), np.diag([1e-10, 1e-10]))
-    kept, told = keep_physical(estimate, RIG)
+    kept, messages = keep_physical(estimate, RIG)
     assert kept is not None
     assert kept.names == (sound,)
-    assert name in told[0]
-    assert "left out" in told[0]
+    assert name in messages[0]
+    assert "left out" in messages[0]
     joint = IdentifiedParameters({name: value, sound: 0.02}, np.diag([1e-10, 1e-10]))
-    reduced, told = physical_parameters(joint, RIG)
+    reduced, messages = physical_parameters(joint, RIG)
     assert list(reduced.values) == [sound]
-    assert told
+    assert messages
     reduced.save(tmp_path / "p.toml")
     load_rig("virtual", tmp_path / "p.toml")
     alone, _ = keep_physical(Estimate("t", "a.mcap", (name,), np.array([value]), np.array([[1e-10]])), RIG)
@@ -111,6 +111,6 @@ def test_every_value_that_the_loader_refuses_is_left_out(tmp_path: Path, name: s
 
 def test_a_value_that_is_zero_within_its_uncertainty_is_told_as_such() -> None:
     estimate = Estimate("t", "a.mcap", ("c3_Nms_per_rad",), np.array([-1e-6]), np.array([[1e-12]]))
-    _, (told,) = keep_physical(estimate, RIG)
-    assert "zero within its uncertainty" in told
+    _, (message,) = keep_physical(estimate, RIG)
+    assert "zero within its uncertainty" in message
     assert refusal(RIG, "c3_Nms_per_rad", 1e-6) is None

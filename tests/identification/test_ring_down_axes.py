@@ -1,4 +1,4 @@
-"""Two modes in two turned sensors: angles to 20°, close pairs, what can't be told apart."""
+"""Two modes in two turned sensors: angles to 20°, close pairs, unresolved axes."""
 
 from __future__ import annotations
 

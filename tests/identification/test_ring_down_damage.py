@@ -1,4 +1,4 @@
-"""Ring-downs of spoilt records: outliers, dropouts, rails, drift, things before the release, wrong models."""
+"""Ring-downs of damaged records: outliers, dropouts, rails, drift, motion before the release, wrong models."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_motion_beyond_the_rail(zeta: float) -> None:
 @pytest.mark.parametrize(("f", "begin", "length", "phase"), [(4.7, 147, 126, 1.4), (2.5, 216, 60, 2.0)])
 @pytest.mark.parametrize("value", [0.0, np.nan, 5e-3])
 def test_a_gap_in_the_first_of_few_cycles(f: float, begin: int, length: int, phase: float, value: float) -> None:
-    """What is left of a strongly damped motion still has one frequency, which the gap must not hide from the start."""
+    """The remaining samples of a strongly damped motion have one frequency, which the start values must contain."""
     y = noisy(decay(TIME, f, 0.2, phase=phase))
     y[begin : begin + length] = value
     y[9000:9030] = y[15000:15030] = value

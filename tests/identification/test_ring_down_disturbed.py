@@ -1,4 +1,4 @@
-"""Ring-downs in a laboratory that is not quiet: hum, lines near modes, coloured noise, holds, faint cross sensors."""
+"""Ring-downs with disturbances: hum, lines close to modes, coloured noise, holds, weak signals of the other sensor."""
 
 from __future__ import annotations
 
@@ -228,10 +228,10 @@ def test_what_decays_within_a_period_is_no_mode(zeta: float) -> None:
 def test_an_unresolved_pair_is_given_the_criterion_that_it_fails() -> None:
     found = Resolution(split=61.0, split_std=0.2, axis_std_rad=np.radians(5.1), gain=4000.0)
     assert not found.resolved
-    said = _unresolved(found)
-    assert "uncertain by 5.1°, 3° are needed" in said
-    assert "half-bandwidths" not in said
-    assert "second mode" not in said
+    text = _unresolved(found)
+    assert "uncertain by 5.1°, 3° are needed" in text
+    assert "half-bandwidths" not in text
+    assert "second mode" not in text
 
 
 def one_over_f(count: int, seed: int) -> np.ndarray:
@@ -247,9 +247,9 @@ def one_over_f(count: int, seed: int) -> np.ndarray:
 def test_wander_of_a_laser_is_named_with_its_figures() -> None:
     t, signal, _ = pluck(1)
     noise = 1e-5 * one_over_f(len(t), 1) * [1.0, 0.0]  # of x alone
-    told = [w for w in fit_ring_down(t, signal + noise).warnings if "wanders" in w]
-    assert len(told) == 1
-    found = re.fullmatch(r"laser x wanders: ([0-9.]+) µm rms below 1 Hz, spectrum about 1/f.*", told[0])
+    warnings = [w for w in fit_ring_down(t, signal + noise).warnings if "wanders" in w]
+    assert len(warnings) == 1
+    found = re.fullmatch(r"laser x wanders: ([0-9.]+) µm rms below 1 Hz, spectrum about 1/f.*", warnings[0])
     assert found
     assert 2 < float(found[1]) < 10
 

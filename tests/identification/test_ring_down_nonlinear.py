@@ -23,7 +23,7 @@ NAMES = ("f1_Hz", "zeta1", "f2_Hz", "zeta2")
 
 
 def motion(f: float, zeta: float, start_m: float, t: np.ndarray, stiffness: float, damping: float) -> np.ndarray:
-    """q̈ + 2ζω q̇ + d2 |q̇| q̇ + ω² (1 + κ q²) q = 0 let go at rest; what is added at 2.5 mm, of k and of ζ."""
+    """q̈ + 2ζω q̇ + d2 |q̇| q̇ + ω² (1 + κ q²) q = 0 released from rest; additions to k and ζ at 2.5 mm, relative."""
     w, cubic, drag = 2 * np.pi * f, stiffness / PULL_M**2, 0.75 * np.pi * damping * zeta / PULL_M
 
     def slope(_: float, y: np.ndarray) -> list[float]:
@@ -62,15 +62,15 @@ def test_what_depends_on_amplitude_is_fitted_and_named(axis: int, stiffness: flo
     assert term.kinds == (*(["frequency"] if stiffness else []), *(["damping"] if damping else []))
     assert abs(term.cubic_stiffness_per_m2 - stiffness / PULL_M**2) <= 4 * term.cubic_stiffness_std
     assert abs(term.zeta_slope_per_m - damping * ZETA[axis] / PULL_M) <= 4 * term.zeta_slope_std
-    said = " ".join(fit.warnings)
-    assert (f"direction {axis + 1} {'hardens' if stiffness > 0 else 'softens'}" in said) == bool(stiffness)
-    assert (f"direction {axis + 1}'s damping grows with amplitude" in said) == bool(damping)
-    assert "depends on amplitude" not in said
+    text = " ".join(fit.warnings)
+    assert (f"direction {axis + 1} {'hardens' if stiffness > 0 else 'softens'}" in text) == bool(stiffness)
+    assert (f"direction {axis + 1}'s damping grows with amplitude" in text) == bool(damping)
+    assert "depends on amplitude" not in text
     assert f"direction {axis + 1}" in fit.model
 
 
 def test_a_direction_that_hardly_moves_covers_the_term_that_it_cannot_show() -> None:
-    """At 0.1 mm the damping ratio is 2 % above that at zero amplitude, which the motion there does not tell apart."""
+    """At 0.1 mm the damping ratio is 2 % above that at zero amplitude, which the motion there does not resolve."""
     for seed in range(3):
         t, signal = pluck(seed, 1, 0.0, 0.5, cross=0.04)
         fit = fit_ring_down(t, signal)
@@ -103,7 +103,7 @@ def test_a_line_beside_a_mode_is_no_spring() -> None:
 
 
 def test_dry_friction_is_another_law() -> None:
-    """The amplitude falls on a straight line besides: no cubic spring and no quadratic damping does that."""
+    """The amplitude also decreases linearly, which neither a cubic spring nor quadratic damping describes."""
     t, w, friction = np.arange(10_000) / 1000, 2 * np.pi * 4.0, 5e-5
     level = np.maximum((1e-3 + friction) * np.exp(-0.01 * w * t) - friction, 0.0)
     signal = level * np.cos(w * t + 0.3) + 4e-6 * np.random.default_rng(0).normal(size=len(t))

@@ -1,4 +1,4 @@
-"""Ring-downs that hold no decay, too fast a one, too few samples of one, or a dead sensor: said so, not numbers."""
+"""Rejected ring-downs: no decay, a decay that is too fast, too few samples, a dead sensor."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def test_run_up_covers_the_truth() -> None:
         z.append((fit.values["axis_angle_deg"] - 1.0) / fit.std["axis_angle_deg"])
     assert 0.5 < np.mean(np.abs(z) < 1) < 0.9
     assert np.max(np.abs(z)) < 4
-    # what a peak and its width, and a steady curve through the Vold–Kalman amplitude, would have said
+    # values from a peak and its width, and from a steady-state curve through the Vold–Kalman amplitude
     for naive in (fit.half_power, fit.vold_kalman):
         assert naive["x"][0] > 1.03 * fit.values["f1_Hz"]
         assert naive["x"][1] > 1.5 * fit.values["zeta1"]

@@ -28,7 +28,7 @@ def ramp(first_Hz: float, last_Hz: float, seconds: float) -> Speed:
 
 
 def coast(first_Hz: float, tau_s: float) -> Speed:
-    """A rotor left alone."""
+    """Speed of a rotor without drive."""
     a = 2 * np.pi * first_Hz
     return lambda t: (a * tau_s * (1 - np.exp(-t / tau_s)), a * np.exp(-t / tau_s), -a / tau_s * np.exp(-t / tau_s))
 
@@ -47,7 +47,7 @@ def rippled(speed: Speed, once: float, twice: float) -> Speed:
 
 @dataclass
 class Passage:
-    """A record to be: drawn noise, known truth."""
+    """Simulated record with known parameters and random noise."""
 
     speed: Speed
     seconds: float
@@ -362,7 +362,7 @@ def test_outliers_that_sparse_samples_hide_in_the_motion_are_left_out() -> None:
     )
     rng = np.random.default_rng(3)
     hit = rng.random(passage.signal.shape) < 0.01
-    hit[-1] = True  # which no neighbour after it tells
+    hit[-1] = True  # a sample without a following neighbour
     passage.signal[hit] = rng.uniform(-5e-3, 5e-3, np.count_nonzero(hit))
     fit = passage.fit()
     assert_covers(passage, fit)
@@ -443,7 +443,7 @@ def test_one_sensor_of_noise_alone_leaves_the_other_resonance() -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "said"),
+    ("damage", "message"),
     [
         (np.degrees, "is the phase in radians"),
         (lambda psi: 20 * psi, "Hz are expected at most"),
@@ -451,17 +451,19 @@ def test_one_sensor_of_noise_alone_leaves_the_other_resonance() -> None:
         (lambda psi: np.angle(np.exp(1j * np.random.default_rng(0).permutation(psi))), "in order"),
     ],
 )
-def test_a_phase_no_rotor_has_is_refused(damage: Callable[[np.ndarray], np.ndarray], said: str) -> None:
+def test_a_phase_no_rotor_has_is_refused(damage: Callable[[np.ndarray], np.ndarray], message: str) -> None:
     passage = Passage(ramp(0.5, 14.0, 10.0), 10.0)
-    with pytest.raises(NotIdentifiable, match=said):
+    with pytest.raises(NotIdentifiable, match=message):
         fit_run_up(passage.time, passage.signal, damage(passage.phase))
 
 
-@pytest.mark.parametrize(("reading", "said"), [(np.nan, "sensor y has 0 valid samples.* NaN"), (2e-3, "y is constant")])
-def test_a_dead_sensor_is_named(reading: float, said: str) -> None:
+@pytest.mark.parametrize(
+    ("reading", "message"), [(np.nan, "sensor y has 0 valid samples.* NaN"), (2e-3, "y is constant")]
+)
+def test_a_dead_sensor_is_named(reading: float, message: str) -> None:
     passage = Passage(ramp(0.5, 7.0, 10.0), 10.0)
     passage.signal[:, 1] = reading
-    with pytest.raises(NotIdentifiable, match=said):
+    with pytest.raises(NotIdentifiable, match=message):
         passage.fit()
 
 
@@ -531,7 +533,7 @@ def test_white_errors_of_marks_and_a_walk_of_the_phase_are_told_apart() -> None:
 
 
 def test_wander_of_the_lasers_is_named_and_covered() -> None:
-    """1/f noise of 20 µm rms: intervals hold the truth, and the quiet resonance is not blamed for what is slow."""
+    """1/f noise of 20 µm rms: intervals contain the truth, and slow noise does not widen the quiet resonance."""
     z = []
     for seed in range(4):
         passage = Passage(ramp(0.5, 7.0, 30.0), 30.0, seed=seed)

@@ -1,4 +1,4 @@
-"""Rungs of the model ladders that are held back: what the data ask for is then not taken."""
+"""Rungs of the model ladders that are held back: they are not used even if the data require them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def identified(test: str, effects: Effects, without: tuple[str, ...]) -> Identif
     return identify([record(world, SEED, test)], world.rig, without=without)
 
 
-def says(found: Identification, words: str) -> bool:
+def has_warning(found: Identification, words: str) -> bool:
     return any(words in warning for warning in found.warnings)
 
 
@@ -33,8 +33,8 @@ def says(found: Identification, words: str) -> bool:
 )
 def test_a_rung_that_is_held_back_is_not_taken(rung: str, test: str, effects: Effects, words: str) -> None:
     free, held = identified(test, effects, ()), identified(test, effects, (rung,))
-    assert says(free, words)
-    assert not says(held, words)
+    assert has_warning(free, words)
+    assert not has_warning(held, words)
     assert "without" not in free.parameters.provenance
     assert held.parameters.provenance["without"] == [rung]
     shared = set(free.parameters.values) & set(held.parameters.values)
@@ -62,12 +62,12 @@ def test_there_are_no_other_rungs() -> None:
 
 
 def test_friction_and_drag_held_back_leave_viscous_damping() -> None:
-    """A spin-down alone then gives c as if nothing else took the speed: the interval does not leave friction open."""
+    """A spin-down alone then gives c without friction: the interval does not contain its uncertainty."""
     free, held = identified("spin-down", Effects(), ()), identified("spin-down", Effects(), ("friction", "drag"))
     name = "c3_Nms_per_rad"
     assert held.parameters.std[name] < 0.3 * free.parameters.std[name]
     dry = Effects(dry=0.02)
-    assert says(identified("spin-down", dry, ()), "dry friction")
+    assert has_warning(identified("spin-down", dry, ()), "dry friction")
     with pytest.raises(NotIdentifiable, match="no model of the run-down follows"):
         identified("spin-down", dry, ("friction", "drag"))
 

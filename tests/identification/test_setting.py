@@ -1,4 +1,4 @@
-"""A setting or a mass that is none is refused in words, not with a KeyError or a negative stiffness."""
+"""An invalid setting or mass raises an error with an explanation, not a KeyError or a negative stiffness."""
 
 from __future__ import annotations
 

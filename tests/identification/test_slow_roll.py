@@ -1,4 +1,4 @@
-"""Run-out and a bent shaft: found in a run-up, told apart, named, kept, and none where there is none."""
+"""Run-out and a bent shaft: found in a run-up, distinguished, named and kept; absent in records without them."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_where_they_are_not_told_apart_the_interval_covers_either(run_out: compl
     passage = Crooked(quick, 15.0, run_out_m=(run_out, run_out), bow_m=bow)
     fit = passage.fit()
     assert_covers(passage, fit)
-    assert any("hardly tells" in w for w in fit.warnings)
+    assert any("hardly distinguishes" in w for w in fit.warnings)
     assert 0.5e-6 < fit.std["amplitude_x_m"] < 4e-6  # half the difference of both, 3 µm
 
 
@@ -191,10 +191,10 @@ def test_a_damaged_table_is_refused(tmp_path: Path, damage: str) -> None:
         IdentifiedParameters.load(path)
 
 
-def test_two_run_ups_that_differ_are_told() -> None:
+def test_two_run_ups_that_differ_are_reported() -> None:
     one, other = _roll([8e-5, 0, 0, 5e-5, 0, 0], [1e-7] * 6), _roll([2e-5, 0, 0, 5e-5, 0, 0], [2e-7] * 6)
-    best, told = slow_roll_of_all([other, one])
+    best, warnings = slow_roll_of_all([other, one])
     assert best is one
-    assert len(told) == 1
-    assert "different run-out" in told[0]
+    assert len(warnings) == 1
+    assert "different run-out" in warnings[0]
     assert slow_roll_of_all([one, one]) == (one, [])

@@ -1,4 +1,4 @@
-"""Two lasers at right angles that stand turned: their directions come from the rig file, the rest from the records."""
+"""Two perpendicular lasers that are turned: their directions come from the rig file, other values from the records."""
 
 from __future__ import annotations
 
@@ -36,7 +36,9 @@ def test_k_zeta_and_the_imbalance_are_found_whichever_way_the_lasers_stand(
         assert abs(value - truth[name]) < 3.5 * std[name], name
     assert found.axis_angle_deg == pytest.approx(angle, abs=0.01)
     passage = found.fits[-1].fit.values
-    assert abs(passage["phase_x_deg"]) < 3  # the index mark is where the rig file says: no quarter turn is left in it
+    assert (
+        abs(passage["phase_x_deg"]) < 3
+    )  # the index mark is at the angle of the rig file, without an error of a quarter turn
     assert not any("opposite" in warning or "direction_deg" in warning for warning in found.warnings)
 
 
@@ -83,7 +85,7 @@ def test_exchanged_directions_keep_their_numbers_together() -> None:
     assert low < named.values["axis_angle_deg"] < high
 
 
-def test_a_direction_that_the_record_contradicts_is_told() -> None:
+def test_a_direction_that_the_record_contradicts_is_reported() -> None:
     campaign = Campaign(1, axis_angle_deg=25.0)
     fit = fit_ring_down_runs([campaign.ring_down("x")], campaign.truth.total_mass_kg)
     found = as_mounted(fit, 45.0)
@@ -92,14 +94,14 @@ def test_a_direction_that_the_record_contradicts_is_told() -> None:
     assert "k1 and k2 are exchanged" in warning
 
 
-@pytest.mark.parametrize(("mounted_std", "told"), [(1.0, 1), (1.3, 0), (0.0, 1)])
-def test_sensors_that_stand_turned_by_more_than_the_rig_file_allows_are_told(mounted_std: float, told: int) -> None:
+@pytest.mark.parametrize(("mounted_std", "count"), [(1.0, 1), (1.3, 0), (0.0, 1)])
+def test_sensors_turned_by_more_than_the_rig_file_allows_are_reported(mounted_std: float, count: int) -> None:
     campaign = Campaign(1, axis_angle_deg=3.0)
     settings = [f"devices.laser_{axis}.direction_std_deg={mounted_std}" for axis in "xy"]
     rig = load_rig("virtual", settings=settings)
     found = identify([campaign.ring_down("x")], rig)
     warnings = [warning for warning in found.warnings if "direction_std_deg" in warning]
-    assert len(warnings) == told
+    assert len(warnings) == count
     assert all(f"at 0 ± {mounted_std:g}° by the rig file" in warning for warning in warnings)
     assert mounting_remarks((math.nan, math.nan), (0.0, mounted_std)) == []
 

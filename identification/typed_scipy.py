@@ -1,0 +1,59 @@
+# pyright: strict
+"""Functions of SciPy with the types that SciPy does not declare."""
+
+# SciPy has no types: its members are unknown, and each result has a cast
+# pyright: reportUnknownMemberType=false
+
+from __future__ import annotations
+
+from typing import Literal, cast
+
+import numpy as np
+import scipy.fft as _fft  # pyright: ignore[reportMissingTypeStubs]  # SciPy has no types
+import scipy.linalg as _linalg  # pyright: ignore[reportMissingTypeStubs]  # SciPy has no types
+import scipy.ndimage as _ndimage  # pyright: ignore[reportMissingTypeStubs]  # SciPy has no types
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Mode = Literal["reflect", "nearest"]
+
+
+def next_fast_len(count: int) -> int:
+    """Smallest length of at least `count` for which a real FFT is fast."""
+    return int(_fft.next_fast_len(count, real=True) or count)
+
+
+def median_filter(values: Array, size: int, mode: Mode = "reflect") -> Array:
+    """Running median over `size` values."""
+    return cast(Array, _ndimage.median_filter(values, size, mode=mode))
+
+
+def uniform_filter1d(values: Array, size: int, mode: Mode = "reflect") -> Array:
+    """Running mean over `size` values."""
+    return cast(Array, _ndimage.uniform_filter1d(values, size, mode=mode))
+
+
+def maximum_filter1d(values: Array, size: int) -> Array:
+    """Running maximum over `size` values."""
+    return cast(Array, _ndimage.maximum_filter1d(values, size))
+
+
+def minimum_filter1d(values: Array, size: int) -> Array:
+    """Running minimum over `size` values."""
+    return cast(Array, _ndimage.minimum_filter1d(values, size))
+
+
+def gaussian_filter1d(values: Complexes, sigma: float, truncate: float) -> Complexes:
+    """Gaussian filter with the standard deviation `sigma`, in values, cut off at `truncate` standard deviations."""
+    return cast(Complexes, _ndimage.gaussian_filter1d(values, sigma, truncate=truncate))
+
+
+def toeplitz(column: Array) -> Array:
+    """Symmetric Toeplitz matrix with a given first column."""
+    return cast(Array, _linalg.toeplitz(column))
+
+
+def solveh_banded(bands: Array, right: Complexes) -> Complexes:
+    """Solution of a Hermitian positive-definite banded system, `bands` in upper form."""
+    return cast(Complexes, _linalg.solveh_banded(bands, right, check_finite=False))
