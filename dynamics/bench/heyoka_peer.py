@@ -1,6 +1,6 @@
-"""The same equations in heyoka, a Taylor integrator: the reference and the peer of the benchmarks and tests.
+"""The equations of motion in heyoka, a Taylor integrator: reference and peer of the benchmarks and tests.
 
-heyoka has wheels for Linux only and is no dependency of the project; it is imported when asked for.
+heyoka has wheels for Linux only and is not a dependency of the project. It is imported at the first use.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ DOUBLE_TOLERANCE = 2.2e-16
 
 
 def heyoka() -> Any | None:
-    """The heyoka module, or None where it is not installed."""
+    """The heyoka module, or None if it is not installed."""
     try:
         return importlib.import_module("heyoka")
     except ImportError:
@@ -27,9 +27,10 @@ def heyoka() -> Any | None:
 
 
 def equations(parameters: RotorParameters, speed_rad_s: float, acceleration_rad_s2: float = 0.0) -> list[Any]:
-    """Both pendulums free, ψ = ω t + α t²/2; pairs of a variable and its rate.
+    """Pairs (variable, rate) for two free pendulums and ψ = ω t + α t²/2.
 
-    Written from the second-order form with a 4 × 4 mass matrix eliminated by hand, not from dynamics.equations.kernels.
+    The equations come from the second-order form by elimination of the 4 × 4 mass matrix, independent of
+    dynamics.equations.kernels.
     """
     hy = heyoka()
     if hy is None:
@@ -66,14 +67,14 @@ def equations(parameters: RotorParameters, speed_rad_s: float, acceleration_rad_
 def integrator(
     parameters: RotorParameters, speed_rad_s: float, start: NDArray[np.floating], tolerance: float = DOUBLE_TOLERANCE
 ) -> Any:
-    """A heyoka integrator of the motion, compiled."""
+    """Compiled heyoka integrator of the motion."""
     hy = heyoka()
     assert hy is not None
     return hy.taylor_adaptive(equations(parameters, speed_rad_s), start, tol=tolerance, compact_mode=True)
 
 
 def half_turn_integrator(parameters: RotorParameters, speed_rad_s: float) -> Any:
-    """A heyoka integrator of motion and all 64 variational states, compiled."""
+    """Compiled heyoka integrator of the motion and all 64 variational states."""
     hy = heyoka()
     assert hy is not None
     system = hy.var_ode_sys(equations(parameters, speed_rad_s), hy.var_args.vars, order=1)

@@ -1,7 +1,7 @@
 """heyoka compiled once for all parameters: the reference in 80 bits and the peer in double precision.
 
-The reference solves the equations to 1e-19 per step in extended precision, so that its error lies far below that of
-anything measured against it, heyoka's own double precision included. Extended precision is that of x86.
+The reference solves the equations to 1e-19 per step in extended precision. Its error is therefore far below the error
+of every method compared with it, including heyoka in double precision. Extended precision is that of x86.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dynamics.equations.parameters import RotorParameters
 EXTENDED_TOLERANCE = 1e-19
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _PI = np.longdouble("3.14159265358979323846264338327950288")
-_SPEED = 12  # index of ω behind the packed parameters that matter without shift, gravity and friction
+_SPEED = 12  # index of ω, after the packed parameters used without shift, gravity and friction
 
 Rig: TypeAlias = tuple[RotorParameters, float]
 """Parameters and a running speed in rad/s."""
@@ -38,7 +38,7 @@ def available() -> bool:
 
 @functools.cache
 def compiled(variational: bool, tolerance: float) -> Any:
-    """An integrator of the motion, or of motion and variational states; below 1e-16 in extended precision."""
+    """Integrator of the motion, or of motion and variational states; tolerances below 1e-16 use extended precision."""
     hy: Any = heyoka()
     par = hy.par
 
@@ -101,7 +101,7 @@ def end_state(
 
 
 def on_all_cores(one: Callable[[Any, int], Any], integrator: Any, count: int) -> list[Any]:
-    """one(integrator, i) for i below count, each thread with an integrator of its own (heyoka holds no lock)."""
+    """Results of one(integrator, i) for i < count. Each thread has its own integrator; heyoka releases the GIL."""
     cores = os.cpu_count() or 1
 
     def share(core: int) -> list[Any]:
@@ -114,7 +114,7 @@ def on_all_cores(one: Callable[[Any, int], Any], integrator: Any, count: int) ->
 
 
 def angle_error(found: NDArray[np.floating], true: NDArray[np.floating]) -> float:
-    """Larger error of θ3 and θ4, rad; states of shape (8,)."""
+    """Larger of the errors of θ3 and θ4, rad; both states have shape (8,)."""
     return float(np.max(np.abs(found[2:4] - true[2:4])))
 
 

@@ -1,4 +1,4 @@
-"""Every printed equation held against the derivation, cell by cell."""
+"""Comparison of every printed equation with the derivation, cell by cell."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from dynamics.derivation.linearised import ISOTROPIC, singular_point_equations, 
 
 @dataclass(frozen=True)
 class Deviation:
-    """One cell that is not what the energies give.
+    """One cell that differs from the derivation.
 
     Attributes:
-        row, column: place in the matrix, counted from 1; (1, 1) for a scalar equation.
-        printed, right: what the source has there, and what the energies give; normal form.
+        row, column: position in the matrix, counted from 1; (1, 1) for a scalar equation.
+        printed, right: the source's expression and the derived one, in normal form.
     """
 
     row: int
@@ -38,9 +38,9 @@ class Comparison:
     """One printed equation or matrix with its deviations.
 
     Attributes:
-        number: as in the source, "4-7".
-        subject: what it is.
-        deviations: the cells that differ; empty where the print agrees.
+        number: number in the source, for example "4-7".
+        subject: description of the equation.
+        deviations: cells that differ; empty if the equation is correct.
     """
 
     number: str
@@ -49,12 +49,12 @@ class Comparison:
 
     @property
     def agrees(self) -> bool:
-        """Whether nothing differs."""
+        """Whether no cell differs."""
         return not self.deviations
 
 
 def compare(number: str, subject: str, printed: sp.Expr | sp.Matrix, right: sp.Expr | sp.Matrix) -> Comparison:
-    """Compare two expressions, or two matrices of one shape, in normal form."""
+    """Compare two expressions, or two matrices of equal shape, in normal form."""
     left_cells, right_cells = (m.tolist() if isinstance(m, sp.MatrixBase) else [[m]] for m in (printed, right))
     found = []
     for i, (left_row, right_row) in enumerate(zip(left_cells, right_cells, strict=True)):
@@ -66,7 +66,7 @@ def compare(number: str, subject: str, printed: sp.Expr | sp.Matrix, right: sp.E
 
 
 def _rotor_alone_comparisons() -> list[Comparison]:
-    """Chapter 2: the rotor without pendulums; (3-33) and (3-34) belong to it."""
+    """Equations of chapter 2, the rotor without pendulums, with (3-33) and (3-34)."""
     alone = {s.M_A: 0, s.M_B: 0} | s.PLAIN | ISOTROPIC
     right = lagrange_equations().residual.subs(alone).flat()
     mass, c, k, omega = s.M_D + s.M_P, s.c1, s.k1, s.omega
@@ -110,7 +110,7 @@ def _rotor_alone_comparisons() -> list[Comparison]:
 
 
 def _same_above_resonance(printed: sp.Expr, right: sp.Expr) -> bool:
-    """Whether two phase lags are one at a speed above resonance."""
+    """Whether two expressions of the phase lag are equal at a speed above resonance."""
     at = {s.M_D: 7, s.M_P: 0.12, s.k1: 2500, s.c1: 10, s.omega: 60}
     return abs(float(printed.subs(at)) - float(right.subs(at))) < 1e-9
 
@@ -155,7 +155,7 @@ def _singular_point_comparisons() -> list[Comparison]:
 
 
 def _angle_comparisons() -> list[Comparison]:
-    """(3-21), (3-22) by what their arguments should be: sine and cosine that close the triangle of moments."""
+    """(3-21), (3-22): comparison of the printed arguments with sine and cosine of the triangle of moments."""
     S_A, S_B, S_P = s.S_A, s.S_B, s.S_P
     area = sp.sqrt(((S_A + S_B) ** 2 - S_P**2) * (S_P**2 - (S_A - S_B) ** 2))
     sines = (-area / (2 * S_P * S_A), area / (2 * S_P * S_B))
@@ -186,7 +186,7 @@ def _matrix_comparisons() -> list[Comparison]:
 
 @functools.cache
 def comparisons() -> tuple[Comparison, ...]:
-    """All printed equations that can be held against the derivation, in the source's order."""
+    """Comparisons of all printed equations with the derivation, in the source's order."""
     found = [
         *_rotor_alone_comparisons(),
         *_energy_comparisons(),
@@ -198,9 +198,9 @@ def comparisons() -> tuple[Comparison, ...]:
 
 
 def comparison(number: str) -> Comparison:
-    """The comparison of one printed equation.
+    """Comparison of one printed equation.
 
     Raises:
-        KeyError: no such number among those compared.
+        KeyError: no compared equation has this number.
     """
     return {c.number: c for c in comparisons()}[number]

@@ -1,9 +1,9 @@
 # pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOperatorIssue=false, reportCallIssue=false
-# SymPy's annotations are narrower than what it takes.
-"""The source's numbered definitions and methods: what each must fulfil, computed.
+# SymPy's annotations are narrower than its accepted arguments.
+"""The source's numbered definitions and methods, each verified by a property.
 
-`dynamics.derivation.comparison` holds equations against the derivation cell by cell. What is left are names, regions,
-forms and numerical methods: each is checked here by a property that it would not have if it were wrong.
+`dynamics.derivation.comparison` compares equations cell by cell. The remaining numbered items are names, regions, forms
+and numerical methods. Each is verified by a property that an incorrect definition would not have.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _FORM = "the derived matrices in this form obey it"
 
 @dataclass(frozen=True)
 class Checked:
-    """A definition or method of the source.
+    """A verified definition or method of the source.
 
     Attributes:
-        number: as in the source, "3-4".
-        subject: what it is.
-        agrees: whether it has the property.
-        how: the property, with numbers where there are any.
+        number: number in the source, for example "3-4".
+        subject: description of the item.
+        agrees: whether the property holds.
+        how: the property, with its numerical results.
     """
 
     number: str
@@ -51,7 +51,7 @@ class Checked:
 
 
 def _alone() -> tuple[sp.Expr, sp.Expr, sp.Expr]:
-    """Squared amplitude of the rotor alone, N² by (2-10), and e by (2-8)."""
+    """Squared amplitude of the rotor alone, N² from (2-10), and e from (2-8)."""
     mass, moment = s.M_D + s.M_P, s.M_P * s.P_3
     response = (s.k1 - mass * s.omega**2) ** 2 + (s.omega * s.c1) ** 2
     return s.omega**4 * moment**2 / response, mass**2 * s.omega**4 / response, moment / mass
@@ -84,7 +84,7 @@ def _chapter_two() -> list[Checked]:
             "2-8",
             "eccentricity, rotor alone",
             sp.simplify(far - reached) == 0,
-            "what the amplitude (2-6) tends to far above resonance",
+            "the limit of the amplitude (2-6) far above resonance",
         ),
         Checked(
             "2-11",
@@ -145,7 +145,7 @@ def _moments() -> list[Checked]:
 
 
 def lagrange_rows(kinetic: sp.Expr, potential: sp.Expr, dissipation: sp.Expr) -> list[sp.Expr]:
-    """(3-8) of given energies in the turning frame, Q_i = 0: four rows that vanish along a motion."""
+    """(3-8) applied to given energies in the rotating frame, Q_i = 0: four expressions that are zero along a motion."""
     coordinates = (s.Y1, s.Y2, s.theta3, s.theta4)
     rates = (s.dY1, s.dY2, s.dtheta3, s.dtheta4)
     accelerations = (s.ddY1, s.ddY2, s.ddtheta3, s.ddtheta4)
@@ -194,7 +194,7 @@ def _types() -> list[Checked]:
     found = [point for ratio in (0.8, 2.5) for point in singular_points(p, p.speed_rad_s(ratio))]
 
     def gaps(kind: str) -> list[tuple[float, float]]:
-        """Difference of the angles, and |z|, of the points of a type."""
+        """Difference of the angles (rad) and |z| (m) of the points of one type."""
         return [
             ((point.theta_rad[1] - point.theta_rad[0]) % (2 * math.pi), abs(point.z_m))
             for point in found

@@ -1,10 +1,10 @@
-"""The source's run-up script: what its two faults do to a release.
+"""Effect of the two faults of the source's run-up script on a release.
 
-(a) It evaluates the disk's accelerations before the pendulums', so θ̈3, θ̈4 are zero there: the pendulums feel the
-    disk, but their angular acceleration never pushes back.
-(b) While a pendulum is locked the script holds its angle and lets its speed state integrate on. The false speed acts
-    on the disk through S φ̇², and the pendulum starts with it when released.
-The script turns at full speed from the first instant, with the disk at rest: it holds no ramp.
+(a) The script evaluates the disk's accelerations before the pendulums' accelerations, so θ̈3, θ̈4 are zero in them.
+    The disk acts on the pendulums, but their angular acceleration does not act on the disk.
+(b) While a pendulum is locked, the script holds its angle but integrates its speed. This false speed acts on the disk
+    through S φ̇² and is the pendulum's initial speed at release.
+The script runs at full speed from the first instant, with the disk at rest. It contains no ramp.
 """
 
 # pyright: reportMissingParameterType=false
@@ -24,20 +24,20 @@ from dynamics.equations.parameters import RotorParameters
 
 @dataclass(frozen=True)
 class Faults:
-    """Which faults the equations have.
+    """Faults contained in the equations.
 
     Attributes:
-        no_push_back: (a) the disk's accelerations leave out θ̈3, θ̈4.
-        speed_runs_on: (b) a locked pendulum's speed state integrates.
+        without_reaction: fault (a), the disk's equations do not contain θ̈3, θ̈4.
+        integrates_locked_speed: fault (b), the speed of a locked pendulum is integrated.
     """
 
-    no_push_back: bool = False
-    speed_runs_on: bool = False
+    without_reaction: bool = False
+    integrates_locked_speed: bool = False
 
 
 @dataclass(frozen=True)
 class Release:
-    """A computed run: locked, released, settled or not.
+    """Computed motion of a release.
 
     Attributes:
         time_s: shape (n,), every tenth of a revolution.
@@ -51,12 +51,12 @@ class Release:
 
     @property
     def radius_m(self) -> np.ndarray:
-        """Distance of the disk centre from its place of rest, shape (n,)."""
+        """Distance of the disk centre from its rest position, m, shape (n,)."""
         return np.hypot(self.state[:, 0], self.state[:, 1])
 
     @property
     def speed_at_release_rad_s(self) -> tuple[float, float]:
-        """θ̇3, θ̇4 that the equations hold at the instant of release."""
+        """θ̇3, θ̇4 in the equations at the instant of release."""
         return float(self.state[self.released, 6]), float(self.state[self.released, 7])
 
     @property
@@ -65,25 +65,25 @@ class Release:
         return self.state[-50:, 2:4].mean(axis=0)
 
     def settling_time_s(self, band_rad: float = math.radians(1.0)) -> float:
-        """Time from release until both angles, averaged over a revolution, stay within the band round their end."""
+        """Time from release until both angles, averaged over a revolution, stay within the band about their end, s."""
         mean = np.column_stack([np.convolve(self.state[:, j], np.full(10, 0.1), "valid") for j in (2, 3)])
         outside = np.flatnonzero(np.any(np.abs(mean - mean[-1]) > band_rad, axis=1))
         return 0.0 if len(outside) == 0 else max(0.0, float(self.time_s[outside[-1]] - self.time_s[self.released]))
 
 
 @njit(cache=True, error_model="numpy")
-def script_rates(y, psi, omega, p, locked, no_push_back, speed_runs_on, out):
-    """Write dy/dt into out: the plain rig at constant speed, right or with the script's faults.
+def script_rates(y, psi, omega, p, locked, without_reaction, integrates_locked_speed, out):
+    """Write dy/dt to out: the plain rig at constant speed, correct or with the script's faults.
 
     Args:
         y, out: shape (8,).
         psi, omega: rotor phase (rad) and speed (rad/s).
         p: RotorParameters.packed().
         locked: whether both pendulums are locked.
-        no_push_back, speed_runs_on: the faults.
+        without_reaction, integrates_locked_speed: the faults.
     """
-    turning = not locked or speed_runs_on
-    coupled = turning and not no_push_back
+    turning = not locked or integrates_locked_speed
+    coupled = turning and not without_reaction
     fx = p[SP] * omega * omega * np.cos(psi) - p[K1] * y[0] - p[C1] * y[4]
     fy = p[SP] * omega * omega * np.sin(psi) - p[K2] * y[1] - p[C2] * y[5]
     mxx, mxy, myy = p[MASS], 0.0, p[MASS]
@@ -109,8 +109,8 @@ def script_rates(y, psi, omega, p, locked, no_push_back, speed_runs_on, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _run(y, omega, p, release_turns, turns, steps, no_push_back, speed_runs_on):
-    """States every tenth of a revolution by classical Runge–Kutta steps, `steps` a revolution (a multiple of ten)."""
+def _run(y, omega, p, release_turns, turns, steps, without_reaction, integrates_locked_speed):
+    """States every tenth of a revolution by classical Runge–Kutta with `steps` steps a revolution (multiple of ten)."""
     h = 2.0 * np.pi / omega / steps
     out = np.empty((10 * turns + 1, 8))
     out[0] = y
@@ -119,10 +119,10 @@ def _run(y, omega, p, release_turns, turns, steps, no_push_back, speed_runs_on):
         locked = i < release_turns * steps
         psi = 2.0 * np.pi * (i % steps) / steps
         half = omega * h / 2
-        script_rates(y, psi, omega, p, locked, no_push_back, speed_runs_on, k[0])
-        script_rates(y + h / 2 * k[0], psi + half, omega, p, locked, no_push_back, speed_runs_on, k[1])
-        script_rates(y + h / 2 * k[1], psi + half, omega, p, locked, no_push_back, speed_runs_on, k[2])
-        script_rates(y + h * k[2], psi + 2 * half, omega, p, locked, no_push_back, speed_runs_on, k[3])
+        script_rates(y, psi, omega, p, locked, without_reaction, integrates_locked_speed, k[0])
+        script_rates(y + h / 2 * k[0], psi + half, omega, p, locked, without_reaction, integrates_locked_speed, k[1])
+        script_rates(y + h / 2 * k[1], psi + half, omega, p, locked, without_reaction, integrates_locked_speed, k[2])
+        script_rates(y + h * k[2], psi + 2 * half, omega, p, locked, without_reaction, integrates_locked_speed, k[3])
         y = y + h / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])
         if (i + 1) % (steps // 10) == 0:
             out[(i + 1) // (steps // 10)] = y
@@ -137,14 +137,14 @@ def release(
     free_s: float = 60.0,
     steps_per_revolution: int = 200,
 ) -> Release:
-    """Turn at full speed from rest, pendulums locked at 0° and 180° + 0.001 rad as in the script; release; go on.
+    """Run at full speed from rest with pendulums locked at 0° and 180° + 0.001 rad, as in the script, and release.
 
     Args:
-        parameters: a plain rig: two pendulums, no pivot shift, gravity, dry friction or balls.
+        parameters: a plain rig: two pendulums; no pivot shift, gravity, dry friction or balls.
         speed_rad_s: running speed, rad/s.
-        faults: of the equations.
+        faults: faults of the equations.
         locked_s, free_s: times before and after the release, s (rounded up to whole revolutions).
-        steps_per_revolution: of the Runge–Kutta method; a multiple of 10.
+        steps_per_revolution: steps of the Runge–Kutta method; a multiple of 10.
     """
     turn = 2 * math.pi / speed_rad_s
     locked_turns, turns = math.ceil(locked_s / turn), math.ceil(locked_s / turn) + math.ceil(free_s / turn)
@@ -157,7 +157,7 @@ def release(
         locked_turns,
         turns,
         steps_per_revolution,
-        faults.no_push_back,
-        faults.speed_runs_on,
+        faults.without_reaction,
+        faults.integrates_locked_speed,
     )
     return Release(np.arange(len(state)) * turn / 10, state, 10 * locked_turns)

@@ -1,7 +1,7 @@
-"""The scheme of the source's programs (its appendix B) in the derivation's symbols, misprints kept.
+"""Scheme of the source's programs (its appendix B) in the derivation's symbols, with their misprints.
 
-The motion: what its generated file computes for Θ̈1, Θ̈2, Θ̈3, Θ̈4, in the turning frame, with the rotor accelerating.
-The matrix: what its generating program puts into the inertia matrix.
+Motion: the expressions of the generated file for Θ̈1, Θ̈2, Θ̈3, Θ̈4, in the rotating frame, with rotor acceleration.
+Matrix: the entries that the generating program writes to the inertia matrix.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from dynamics.derivation.symbols import (
     theta4,
 )
 
-# The generated file computes the disk's accelerations first; those of the pendulums still hold their zeros then
+# The generated file computes the disk's accelerations first; at that point those of the pendulums are zero
 NOT_YET_COMPUTED = {ddtheta3: sp.Integer(0), ddtheta4: sp.Integer(0)}
 
 
@@ -96,7 +96,7 @@ def residuals() -> sp.Matrix:
 
 @functools.cache
 def kinetic_energy_of_pendulum_a_as_listed() -> sp.Expr:
-    """½ M_A v² with the position of pendulum A turned by θ4, as the generating program has it; α = 0."""
+    """½ M_A v² with the position of pendulum A rotated by θ4, as in the generating program; α = 0."""
     a = sp.Matrix([Y1 + R_A * sp.cos(theta4), Y2 + R_A * sp.sin(theta4)])
     v = a.diff(Y1) * dY1 + a.diff(Y2) * dY2 + a.diff(theta4) * dtheta4 + omega * sp.Matrix([[0, -1], [1, 0]]) * a
     return S_A / R_A * v.dot(v) / 2

@@ -1,11 +1,11 @@
-"""Dry friction as a set-valued torque: which pendulum slides, which way, and which is stuck.
+"""Dry friction as a set-valued torque: which pendulum slides, in which direction, and which sticks.
 
-Friction holds a pendulum with any torque up to F φ̇² and opposes its sliding with exactly that (F = friction arm ×
-first moment, dynamics.equations.kernels). A pendulum is therefore in one of three modes: it slides forward (θ̇ > 0),
-slides backward, or is stuck (θ̇ = 0). While it is stuck it needs the torque
+Friction holds a pendulum with any torque up to F φ̇² and opposes its sliding with exactly that torque (F = friction arm
+× first moment, dynamics.equations.kernels). A pendulum is therefore in one of three modes: it slides forward (θ̇ > 0),
+slides backward, or sticks (θ̇ = 0). A sticking pendulum needs the torque
     T = S n·(p̈ + g ŷ) − D α
-to be held, and stays as long as |T| ≤ F ω². Within a mode the motion is smooth; modes change only at instants that
-the integrator locates (docs/theory/integration.md), so the sign of a small speed is never asked.
+and sticks as long as |T| ≤ F ω². Within a mode the motion is smooth. Modes change only at instants that the integrator
+locates (docs/theory/integration.md), so the sign of a small speed is never evaluated.
 """
 
 # pyright: reportMissingParameterType=false
@@ -27,7 +27,7 @@ Modes = tuple[int, int]
 
 @njit(cache=True, error_model="numpy")
 def needed_torque(pendulum, y, psi, omega, alpha, p, free_a, free_b, out):
-    """Torque that holds pendulum 0 (A) or 1 (B) at rest on the rotor, N m; out is scratch, shape (8,)."""
+    """Torque that holds pendulum 0 (A) or 1 (B) at rest on the rotor, N m. `out` is scratch, shape (8,)."""
     rates(y, psi, omega, alpha, p, free_a, free_b, out)
     phi = psi + y[2 + pendulum]
     sin_phi, cos_phi = np.sin(phi), np.cos(phi)
@@ -38,7 +38,7 @@ def needed_torque(pendulum, y, psi, omega, alpha, p, free_a, free_b, out):
 
 
 def with_modes(p: np.ndarray, modes: Modes, free: tuple[bool, bool]) -> tuple[np.ndarray, float, float]:
-    """Packed parameters and free flags for the kernels: friction signed by the direction, a stuck one not free."""
+    """Packed parameters with friction signed by direction, and free flags; a sticking pendulum is not free."""
     out = p.copy()
     for i in range(2):
         out[FA + i] = abs(p[FA + i]) * (-1.0 if modes[i] == BACKWARD else 1.0)
@@ -49,18 +49,19 @@ def with_modes(p: np.ndarray, modes: Modes, free: tuple[bool, bool]) -> tuple[np
 def modes_at(
     y: np.ndarray, phase: np.ndarray, p: np.ndarray, free: tuple[bool, bool], leaving: int | None = None
 ) -> Modes:
-    """Modes that friction allows at an instant; a pendulum with speed slides, one at rest on the rotor must be asked.
+    """Modes that friction permits at an instant.
 
-    For those at rest every combination is tried, stuck ones first, until one agrees with itself: the stuck within
-    their limit, the sliding accelerating the way they are said to slide. One pendulum's sliding changes the torque
-    on the other by at most the share S²/(J M_S) of it, which is why they must be asked together.
+    A pendulum with speed slides. For pendulums at rest on the rotor, all combinations are tried, sticking ones first.
+    The result is the first consistent combination: torques of sticking pendulums are within their limits, and sliding
+    pendulums accelerate in their direction. The sliding of one pendulum changes the torque on the other by at most the
+    fraction S²/(J M_S), so both must be considered together.
 
     Args:
         y: state, shape (8,), with θ̇ exactly 0 for a pendulum at rest on the rotor.
         phase: ψ (rad), ω (rad/s), α (rad/s²).
         p: packed parameters, friction not negative.
         free: which pendulums are released.
-        leaving: a pendulum whose stick was just found to end (its torque is at the limit, so rounding would decide).
+        leaving: pendulum whose sticking has just ended. Its torque is at the limit, where rounding would decide.
     Raises:
         NotConverged: the state is not finite.
     """
@@ -84,11 +85,11 @@ def modes_at(
                 continue
             limit = abs(p[FA + i]) * omega**2
             torque = needed_torque(i, y, psi, omega, alpha, packed, free_a, free_b, out)
-            # out now holds the rates: a slide must start the way it is said to
+            # out contains the rates: a slide must accelerate in its direction
             violation = abs(torque) - limit if modes[i] == STUCK else -modes[i] * out[6 + i] * p[JA + i]
             worst = max(worst, violation)
         if worst <= 0.0:
             return modes
         if worst < least:
             best, least = modes, worst
-    return best  # the least contradiction: rounding at the edge between two modes
+    return best  # smallest contradiction: rounding at the border between two modes

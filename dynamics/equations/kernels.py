@@ -6,15 +6,14 @@ rotor. The rotor's phase ψ and its rates ω, α are given functions of time.
 With e_i = (cos φ_i, sin φ_i), n_i = (sin φ_i, −cos φ_i), φ_i = ψ + θ_i, a free pendulum or ball obeys
     J_i θ̈_i = S_i n_i·(p̈ + g ŷ) − D_i α − c_i θ̇_i − d_i |θ̇_i| θ̇_i − F_i φ̇_i²,
     p̈ = q̈ + R_C (α (−sin ψ, cos ψ) − ω² (cos ψ, sin ψ)),
-and pushes the rotor with S_i (φ̇_i² e_i + φ̈_i n_i). D_i is J_i for a pendulum; F_i is the signed coefficient of dry
-friction while it slides forward (an integrator that follows friction turns its sign or locks the pendulum), d_i the
-drag of air that turns with the rotor. Putting
-the first into the second leaves two equations
+and loads the rotor with S_i (φ̇_i² e_i + φ̈_i n_i). D_i is J_i for a pendulum. F_i is the signed coefficient of dry
+friction of forward sliding (an integrator of friction changes its sign or locks the pendulum), d_i the drag of the air
+that rotates with the rotor. Substitution of the first equation in the second gives two equations
     (M_S 1 − Σ_free S_i²/J_i n_i n_iᵀ) q̈ = forces without q̈,
 whose matrix is positive definite because S_i²/J_i ≤ M_i < M_S. A locked pendulum has θ̇ = 0, θ̈ = 0.
-The springs of a bent shaft rest at b e^{iψ}, b = B_X + i B_Y. A spring stretched by u pulls with k u (1 + H u²), and a
-damper at the speed v resists with c v (1 + Q |v|); each direction has its own H and Q.
-The rates may be complex: a complex step gives exact derivatives of everything built on this function.
+The rest position of the springs of a bent shaft is b e^{iψ}, b = B_X + i B_Y. A spring stretched by u pulls with
+k u (1 + H u²), and a damper at the speed v resists with c v (1 + Q |v|). Each direction has its own H and Q.
+The rates may be complex: a complex step then gives exact derivatives of every result of this function.
 """
 
 # pyright: reportMissingParameterType=false
@@ -34,13 +33,13 @@ DIMENSION = 8
 
 @njit(cache=True, error_model="numpy")
 def size_of(x):
-    """|x| of a float; of a complex number what continues it beside the real axis."""
+    """|x| of a float; for a complex number its analytic continuation from the real axis."""
     return x if x.real >= 0.0 else -x
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _pendulum(theta, rate, psi, omega, alpha, free, s, j, c, d, f, air):
-    """Direction n, reduced mass, the push on the rotor and θ̈, both without what p̈ and gravity add."""
+    """Direction n, reduced mass, force on the rotor and θ̈, the last two without the terms of p̈ and gravity."""
     phi = psi + theta
     cos_phi, sin_phi = np.cos(phi), np.sin(phi)
     speed = omega + rate * free
@@ -53,7 +52,7 @@ def _pendulum(theta, rate, psi, omega, alpha, free, s, j, c, d, f, air):
 
 @njit(cache=True, error_model="numpy")
 def rates(y, psi, omega, alpha, p, free_a, free_b, out):
-    """Write dy/dt into out.
+    """Write dy/dt to out.
 
     Args:
         y, out: shape (8,), float or complex.
@@ -72,7 +71,7 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
     # acceleration of the pivot relative to the disk centre, gravity as an upward acceleration
     rx = -p[RC] * (alpha * sin_psi + w2 * cos_psi)
     ry = p[RC] * (alpha * cos_psi - w2 * sin_psi) + p[GRAVITY]
-    # the springs' stretch, from where they rest
+    # stretch of the springs from their rest position
     ux, uy = y[0] - (p[BX] * cos_psi - p[BY] * sin_psi), y[1] - (p[BX] * sin_psi + p[BY] * cos_psi)
     dot_a = nax * rx + nay * ry
     dot_b = nbx * rx + nby * ry
@@ -109,7 +108,7 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
 
 @njit(cache=True, error_model="numpy")
 def jacobian(y, psi, omega, alpha, p, free_a, free_b, out):
-    """∂(dy/dt)/∂y by complex steps (exact to rounding) into out, shape (8, 8)."""
+    """Write ∂(dy/dt)/∂y, shape (8, 8), to out, by complex steps (exact to rounding)."""
     z = y.astype(np.complex128)
     f = np.empty(8, dtype=np.complex128)
     for j in range(8):
@@ -122,7 +121,7 @@ def jacobian(y, psi, omega, alpha, p, free_a, free_b, out):
 
 @njit(cache=True, error_model="numpy")
 def rk4_step(y, h, phase0, phase1, phase2, p, free_a, free_b, k1, k2, k3, k4, work):
-    """Advance y by h in place with the classical fourth-order step.
+    """Advance y by h in place with one classical fourth-order step.
 
     Args:
         phase0, phase1, phase2: (ψ, ω, α) at the start, the middle and the end of the step.

@@ -1,7 +1,7 @@
-"""The right-hand side of dynamics.equations.kernels in half the time, for the integrator's innermost loop.
+"""Right-hand side of dynamics.equations.kernels in half the time, for the integrator's innermost loop.
 
-The same equations, gathered by pendulum, with a sine and cosine from one argument reduction and two polynomials: the
-library's two calls for each of three angles cost more than all the rest. Tests hold the two functions equal.
+The equations are the same, grouped by pendulum. Sine and cosine come from one argument reduction and two polynomials:
+the library's two calls for each of three angles take longer than all other operations. Tests compare both functions.
 """
 
 # pyright: reportMissingParameterType=false
@@ -54,7 +54,7 @@ _C4, _C5, _C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.1359
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def real_sine_cosine(x):
-    """(sin x, cos x) of a float, as near as x itself is given."""
+    """(sin x, cos x) of a float, to the accuracy of x."""
     turns = np.floor(x * 0.63661977236758134308 + 0.5)
     r = (x - turns * _QUARTER) - turns * _QUARTER_REST
     z = r * r
@@ -67,7 +67,7 @@ def real_sine_cosine(x):
 
 
 def sine_cosine(x):
-    """(sin x, cos x) of a float (quickly) or a complex number (by the library)."""
+    """(sin x, cos x): by `real_sine_cosine` for a float, by the library for a complex number."""
     return np.sin(x), np.cos(x)
 
 
@@ -75,12 +75,12 @@ def sine_cosine(x):
 def _sine_cosine(x):
     if isinstance(x, types.Complex):
         return lambda x: (np.sin(x), np.cos(x))
-    return lambda x: real_sine_cosine(x)  # noqa: PLW0108 - numba asks for a function with this signature
+    return lambda x: real_sine_cosine(x)  # noqa: PLW0108 - numba requires a function with this signature
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def quick_rates(y, psi, omega, alpha, p, free_a, free_b, out, row):
-    """Write dy/dt into out[row], out of shape (n, 8); the other arguments as for dynamics.equations.kernels.rates."""
+    """Write dy/dt to out[row], out of shape (n, 8). Other arguments as for dynamics.equations.kernels.rates."""
     sin_a, cos_a = sine_cosine(psi + y[2])
     sin_b, cos_b = sine_cosine(psi + y[3])
     sin_r, cos_r = real_sine_cosine(psi)
@@ -92,11 +92,11 @@ def quick_rates(y, psi, omega, alpha, p, free_a, free_b, out, row):
     own_a = -share_a * (p[DA] * alpha + (p[CA] + p[AA] * size_of(y[6])) * y[6] + p[FA] * wa * wa)
     own_b = -share_b * (p[DB] * alpha + (p[CB] + p[AB] * size_of(y[7])) * y[7] + p[FB] * wb * wb)
     mass_a, mass_b = share_a * p[SA] * p[SA], share_b * p[SB] * p[SB]
-    # push of each pendulum along its arm and along n = (sin φ, −cos φ)
+    # force of each pendulum along its arm and along n = (sin φ, −cos φ)
     along_a, along_b = p[SA] * wa * wa, p[SB] * wb * wb
     across_a = p[SA] * (alpha + own_a) + mass_a * (sin_a * rx - cos_a * ry)
     across_b = p[SB] * (alpha + own_b) + mass_b * (sin_b * rx - cos_b * ry)
-    # the springs' stretch, from where they rest
+    # stretch of the springs from their rest position
     ux, uy = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
     fx = p[SP] * (w2 * cos_r + alpha * sin_r)
     fx -= p[C1] * y[4] * (1.0 + p[QX] * size_of(y[4])) + p[K1] * ux * (1.0 + p[HX] * ux * ux)

@@ -1,4 +1,4 @@
-"""The rotor's phase over time, given: constant speed, a ramp, or a measured history."""
+"""Prescribed phase of the rotor over time: constant speed, a ramp, or a measured history."""
 
 # pyright: reportMissingParameterType=false
 # Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from dynamics.arguments import need_number, numbers
+from dynamics.arguments import check_number, real_array
 from dynamics.errors import OutsideDomain
 
 
 @dataclass(frozen=True)
 class SpeedHistory:
-    """The rotor's phase as a piecewise cubic of time; constant speed outside its range.
+    """The rotor's phase as a piecewise cubic of time, with constant speed outside its range.
 
     Attributes:
         knots_s: shape (m + 1,), ascending, s.
@@ -29,13 +29,13 @@ class SpeedHistory:
     @classmethod
     def constant(cls, speed_rad_s: float, phase_rad: float = 0.0, at_s: float = 0.0) -> SpeedHistory:
         """Constant speed with a given phase at one instant."""
-        _need_finite(speed_rad_s=speed_rad_s, phase_rad=phase_rad, at_s=at_s)
+        _check_finite(speed_rad_s=speed_rad_s, phase_rad=phase_rad, at_s=at_s)
         return cls(np.array([at_s, at_s + 1.0]), np.array([[phase_rad, speed_rad_s, 0.0, 0.0]]))
 
     @classmethod
     def ramp(cls, from_rad_s: float, to_rad_s: float, duration_s: float, phase_rad: float = 0.0) -> SpeedHistory:
-        """A linear ramp from t = 0 on, then constant speed."""
-        _need_finite(from_rad_s=from_rad_s, to_rad_s=to_rad_s, duration_s=duration_s, phase_rad=phase_rad)
+        """Linear ramp that starts at t = 0, then constant speed."""
+        _check_finite(from_rad_s=from_rad_s, to_rad_s=to_rad_s, duration_s=duration_s, phase_rad=phase_rad)
         if duration_s <= 0:
             raise OutsideDomain(f"a ramp's duration must be above 0 s, got {duration_s!r}")
         slope = (to_rad_s - from_rad_s) / duration_s
@@ -48,9 +48,9 @@ class SpeedHistory:
         Args:
             time_s, phase_rad: shape (n,), n ≥ 4, time strictly ascending.
         Raises:
-            OutsideDomain: fewer than four marks or time not ascending.
+            OutsideDomain: fewer than four marks, or time not ascending.
         """
-        time_s, phase_rad = numbers("time_s", time_s), numbers("phase_rad", phase_rad)
+        time_s, phase_rad = real_array("time_s", time_s), real_array("phase_rad", phase_rad)
         if time_s.ndim != 1 or phase_rad.ndim != 1:
             raise OutsideDomain(
                 f"marks of a speed history: expected one row of each, got {time_s.shape}, {phase_rad.shape}"
@@ -61,23 +61,23 @@ class SpeedHistory:
             )
         if not (np.all(np.isfinite(time_s)) and np.all(np.isfinite(phase_rad)) and np.all(np.diff(time_s) > 0)):
             raise OutsideDomain("the marks of a speed history must be finite and strictly ascending in time")
-        from scipy.interpolate import CubicSpline  # noqa: PLC0415 (half a second to import, and only measured speeds need it)
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415 (the import takes 0.5 s; only measured speeds use it)
 
         spline = CubicSpline(time_s, phase_rad)
         return cls(np.asarray(time_s, float), np.ascontiguousarray(spline.c[::-1].T))
 
     def phase(self, time_s: np.ndarray | float) -> np.ndarray:
         """ψ in rad at the given times; shape (n, 3): phase, speed (rad/s), acceleration (rad/s²)."""
-        return _phases(np.atleast_1d(numbers("time_s", time_s)), self.knots_s, self.coefficients)
+        return _phases(np.atleast_1d(real_array("time_s", time_s)), self.knots_s, self.coefficients)
 
 
-def _need_finite(**values: float) -> None:
-    """Refuse what is no number.
+def _check_finite(**values: float) -> None:
+    """Check that each value is a finite real number.
 
     Raises:
-        OutsideDomain: names the value.
+        OutsideDomain: a value is not. The message contains its name.
     """
-    need_number(**values)
+    check_number(**values)
     for name, value in values.items():
         if not np.isfinite(value):
             raise OutsideDomain(f"{name} must be finite, got {value!r}")
@@ -85,7 +85,7 @@ def _need_finite(**values: float) -> None:
 
 @njit(cache=True, error_model="numpy")
 def phase_at(t, segment, knots, coefficients, out):
-    """(ψ, ω, α) at t into out; returns the segment found (a hint for the next call)."""
+    """Write (ψ, ω, α) at t to out. Returns the segment, a hint for the next call."""
     last = len(knots) - 2
     while segment < last and t >= knots[segment + 1]:
         segment += 1
@@ -93,7 +93,7 @@ def phase_at(t, segment, knots, coefficients, out):
         segment -= 1
     c = coefficients[segment]
     s = t - knots[segment]
-    if t < knots[0] or t > knots[last + 1]:  # constant speed outside
+    if t < knots[0] or t > knots[last + 1]:  # constant speed outside the range
         edge = 0.0 if t < knots[0] else knots[last + 1] - knots[segment]
         speed = c[1] + edge * (2 * c[2] + edge * 3 * c[3])
         out[0] = c[0] + edge * (c[1] + edge * (c[2] + edge * c[3])) + speed * (s - edge)

@@ -1,4 +1,4 @@
-"""The motion by classical Runge–Kutta steps of a given length: predictable, the same for every trial of a fit."""
+"""Motion by classical Runge–Kutta steps of a given length. The steps are the same for every trial of a fit."""
 
 # pyright: reportMissingParameterType=false
 # Compiled functions: numba takes their types from the arguments, and their docstrings tell them.

@@ -1,9 +1,9 @@
-"""How a motion changes with parameters and start state, by differentiating the integrator's own arithmetic.
+"""Derivatives of a motion by parameters and start state, through differentiation of the integrator's arithmetic.
 
-The run that meets the accuracy leaves its steps. Explicit steps are taken again with complex numbers, one parameter
-moved by iε: the imaginary part over ε is the derivative of what was computed, exact to rounding, because ε = 10⁻³⁰
-squared vanishes. Implicit steps are differentiated through their stage equations: the stages are known, so their
-derivatives solve a linear system, one for all parameters.
+The steps of the run that meets the accuracy are recorded. Explicit steps are repeated with complex numbers, one
+parameter shifted by iε. The imaginary part over ε is the derivative of the computed result, exact to rounding, because
+the square of ε = 10⁻³⁰ vanishes. Implicit steps are differentiated through their stage equations: the stages are known,
+so their derivatives solve one linear system for all parameters.
 """
 
 # pyright: reportMissingParameterType=false
@@ -41,9 +41,9 @@ def sensitivities(
     accuracy: float = 1e-6,
     method: str | None = None,
 ) -> tuple[Motion, np.ndarray]:
-    """A motion and its derivatives.
+    """Simulate a motion and its derivatives.
 
-    Where the scene gives no start state, the locked orbit's own dependence on the parameters is contained.
+    If the scene has no start state, the derivatives include the dependence of the locked orbit on the parameters.
 
     Args:
         parameters: the rig, or its rotor parameters.
@@ -53,7 +53,7 @@ def sensitivities(
     Returns:
         The motion, and ∂state/∂parameter in SI, shape (len(time_s), 8, len(names)).
     Raises:
-        OutsideDomain: an unknown name, or dry friction (the instants of its switches move with the parameters).
+        OutsideDomain: an unknown name, or dry friction (the instants of its mode changes depend on the parameters).
         NotConverged: as for simulate.
     """
     physics, times = physics_of(parameters), instants(time_s)
@@ -62,7 +62,7 @@ def sensitivities(
     directions = _directions(physics, scene, float(times[0]), names)
     motion = simulate(physics, scene, times, accuracy, method, dense=True, resolved=True)
     out = np.zeros((len(times), 8, len(names)))
-    if motion.polynomials is None:  # no time passes
+    if motion.polynomials is None:  # zero duration
         out[:] = directions[1].T
         return motion, out
     arrays = PhaseSegments.of(scene.history).arrays[:3]
@@ -97,7 +97,7 @@ def packed_derivatives(parameters: RotorParameters) -> dict[str, np.ndarray]:
 def _directions(
     physics: RotorParameters, scene: Scene, begin: float, names: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What each name moves: packed parameters, shape (n, 26), and start state, shape (n, 8)."""
+    """Derivatives of packed parameters, shape (n, 26), and of the start state, shape (n, 8), by each name."""
     packed, starts = packed_derivatives(physics), {}
     if scene.start is None:
         psi, speed, _ = PhaseSegments.of(scene.history).phase(begin)
@@ -112,8 +112,8 @@ def _directions(
     )
 
 
-def _locked_rates_rest(start: np.ndarray, piece: Piece) -> None:
-    """A locked pendulum has no speed of its own, whatever the start state says."""
+def _clear_locked_rates(start: np.ndarray, piece: Piece) -> None:
+    """Set the start rate of a locked pendulum to zero."""
     start[..., 6] *= piece.free_a
     start[..., 7] *= piece.free_b
 
@@ -125,7 +125,7 @@ def _repeat_explicit(
     out = np.zeros((len(times), 8, len(packed)))
     for column in range(len(packed)):
         y = kept.coefficients[0, 0] + 1j * _EPSILON * starts[column]
-        _locked_rates_rest(y, pieces[0])
+        _clear_locked_rates(y, pieces[0])
         states = np.empty((len(times), 8), dtype=np.complex128)
         done = _write_until(times, kept.spans[0, 0], states, y, 0)
         for piece in pieces:
@@ -142,7 +142,7 @@ def _repeat_implicit(
 ) -> np.ndarray:
     kept, pieces = _kept(motion)
     dy = starts.copy()
-    _locked_rates_rest(dy, pieces[0])
+    _clear_locked_rates(dy, pieces[0])
     out = np.zeros((len(times), len(packed), 8))
     done = 0
     while done < len(times) and times[done] <= kept.spans[0, 0]:
@@ -176,7 +176,7 @@ def _last_segment(end, segment, knots):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _explicit_again(y, spans, end_s, system, times, done, states):
-    """Take recorded steps with a complex state, shape (8,), advanced in place; returns the samples written."""
+    """Repeat recorded steps with a complex state, shape (8,), advanced in place; returns the number of samples."""
     p, free_a, free_b, knots, origins, cubics = system
     k, polynomial = np.zeros((16, 8), dtype=np.complex128), np.zeros((8, 8), dtype=np.complex128)
     end, work = np.empty(8, dtype=np.complex128), np.empty(8, dtype=np.complex128)
@@ -200,7 +200,7 @@ def _explicit_again(y, spans, end_s, system, times, done, states):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _implicit_again(dy, spans, coefficients, system, packed, times, done, out):
-    """Carry derivatives, shape (n, 8), through recorded implicit steps; returns the samples written."""
+    """Propagate derivatives, shape (n, 8), through recorded implicit steps; returns the number of samples."""
     knots = system[3]
     dz, polynomial = np.empty((len(dy), 5, 8)), np.zeros((8, 8))
     z, segment = np.empty((5, 8)), 0

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.arguments import need_number, numbers
+from dynamics.arguments import check_number, real_array
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RotorParameters, physics_of
@@ -96,7 +96,7 @@ def plane_map(
             shift or a bow, with which no state is at rest.
         NotConverged: a point whose multiplier can't be had even roughly; the message names it.
     """
-    x, y = (np.atleast_1d(numbers(name, values)) for name, values in (("x", x), ("y", y)))
+    x, y = (np.atleast_1d(real_array(name, values)) for name, values in (("x", x), ("y", y)))
     if x.ndim != 1 or y.ndim != 1 or not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
         raise OutsideDomain(f"x and y must be one-dimensional and finite, got {x!r} and {y!r}")
     _need_size(len(x), len(y), accuracy)
@@ -105,7 +105,7 @@ def plane_map(
 
 
 def _need_size(columns: int, rows: int, accuracy: float) -> None:
-    need_number(accuracy=accuracy)
+    check_number(accuracy=accuracy)
     if not _FINEST <= accuracy <= 0.1:
         raise OutsideDomain(f"accuracy must lie in {_FINEST:g} … 0.1, got {accuracy!r}")
     if columns * rows > _MOST_POINTS:
@@ -134,8 +134,8 @@ def stability_map(
         NotConverged: a point whose multiplier can't be had even roughly; the message names it.
     """
     speeds, stiffness = (
-        np.atleast_1d(numbers("speed_ratios", speed_ratios)),
-        np.atleast_1d(numbers("stiffness_ratios", stiffness_ratios)),
+        np.atleast_1d(real_array("speed_ratios", speed_ratios)),
+        np.atleast_1d(real_array("stiffness_ratios", stiffness_ratios)),
     )
     for name, values in (("speed_ratios", speeds), ("stiffness_ratios", stiffness)):
         if values.ndim != 1 or not np.all(np.isfinite(values) & (values > 0)):

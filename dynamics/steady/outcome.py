@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.arguments import need_number, need_pair
+from dynamics.arguments import check_number, check_pair
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.scene import Scene
 from dynamics.equations.speed_history import SpeedHistory
@@ -105,8 +105,8 @@ def release_outcome(
         NotConverged: the motion can't be integrated.
     """
     p = physics_of(rig)
-    need_number(speed_rad_s=speed_rad_s, accuracy=accuracy)
-    need_pair(from_rad=from_rad)
+    check_number(speed_rad_s=speed_rad_s, accuracy=accuracy)
+    check_pair(from_rad=from_rad)
     if not 0 < speed_rad_s < math.inf:
         raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
     if not (0 < accuracy <= 1e-5):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.arguments import need_number
+from dynamics.arguments import check_number
 from dynamics.equations.linearised import rotating_frame
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
@@ -37,7 +37,7 @@ def point_eigenvalues(
     Source: the source's (3-26) to (3-32), with the matrix derived from its energies (dynamics.equations.linearised).
     """
     p = physics_of(rig)
-    need_number(speed_rad_s=speed_rad_s)
+    check_number(speed_rad_s=speed_rad_s)
     if not 0 < speed_rad_s < math.inf:
         raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
     if not (p.a.present and p.b.present):

@@ -21,7 +21,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.arguments import numbers
+from dynamics.arguments import real_array
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.steady.singular_points import dynamic_stiffness
@@ -59,7 +59,7 @@ def damping_at_loss(share: float, speed_ratio: Array) -> Array:
     Raises:
         OutsideDomain: a share or a speed ratio outside this.
     """
-    ratio, tangent = numbers("speed_ratio", speed_ratio), _tangent(share)
+    ratio, tangent = real_array("speed_ratio", speed_ratio), _tangent(share)
     if not np.all((ratio > 0) & np.isfinite(ratio)):
         raise OutsideDomain(f"speed ratios: expected finite values above 0, got {speed_ratio!r}")
     if tangent == math.inf:
@@ -78,7 +78,7 @@ def speeds_at_loss(share: float, zeta: Array) -> tuple[Array, Array]:
     Raises:
         OutsideDomain: a share or a damping ratio outside this.
     """
-    damping, tangent = numbers("zeta", zeta), _tangent(share)
+    damping, tangent = real_array("zeta", zeta), _tangent(share)
     if not np.all((damping >= 0) & np.isfinite(damping)):
         raise OutsideDomain(f"damping ratios: expected finite values not below 0, got {zeta!r}")
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -114,7 +114,7 @@ def point_losses(rig: RotorParameters | object) -> tuple[PointLoss, PointLoss]:
 
 def _tangent(share: float) -> float:
     """tan β of sin β = share; inf from 1 on."""
-    (value,) = numbers("share", [share])
+    (value,) = real_array("share", [share])
     if not value >= 0:
         raise OutsideDomain(f"share S_P/S_T: expected a value not below 0, got {share!r}")
     return math.inf if value >= 1 else float(value / math.sqrt((1 - value) * (1 + value)))

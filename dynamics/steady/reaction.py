@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.arguments import need_number
+from dynamics.arguments import check_number
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.scene import Scene
 from dynamics.equations.speed_history import SpeedHistory
@@ -73,7 +73,7 @@ def reaction(
     Raises:
         OutsideDomain: the rig has no stable state to start from, or a share or a time outside.
     """
-    need_number(speed_rad_s=speed_rad_s, share=share)
+    check_number(speed_rad_s=speed_rad_s, share=share)
     if not 0 < share < 1:
         raise OutsideDomain(f"share must lie between 0 and 1, got {share!r}")
     old, new = physics_of(rig), physics_of(changed)

@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.arguments import need_number, need_pair
+from dynamics.arguments import check_number, check_pair
 from dynamics.equations.balancing import balanced_angles, balancing_region
 from dynamics.equations.linearised import along, rotating_frame, type_one
 from dynamics.equations.model import AUTONOMOUS, CLOSED_FORM, Model, choose_model
@@ -62,7 +62,7 @@ def steady_states(
     """
     parameters = physics_of(rig)
     check_request(speed_rad_s, accuracy)
-    need_pair(released=released, locked_at_rad=locked_at_rad)
+    check_pair(released=released, locked_at_rad=locked_at_rad)
     model = choose_model(parameters, released, at_least=at_least)
     points = singular_points(parameters, speed_rad_s, released, locked_at_rad)
     search = _Search()
@@ -194,7 +194,7 @@ def check_request(speed_rad_s: float, accuracy: float) -> None:
     Raises:
         OutsideDomain: speed not above 0 and finite, accuracy not within 1e-12 … 0.1.
     """
-    need_number(speed_rad_s=speed_rad_s, accuracy=accuracy)
+    check_number(speed_rad_s=speed_rad_s, accuracy=accuracy)
     if not 0 < speed_rad_s < math.inf:
         raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
     if not 1e-12 <= accuracy <= 0.1:

@@ -156,6 +156,6 @@ def test_a_page_begins_with_them() -> None:
     rows = [row("fast", 1.0, 1.0), row("balanced", 2.0, 1.0)]
     text = markdown(tables.page(rows, [], machine, ["a note"]))
     lines = [line for line in text.splitlines() if line]
-    assert lines[1] == "What to take, by this run's rows:"
+    assert lines[1] == "Recommended settings, from the rows of this run:"
     assert lines[2].startswith("- ring-down: take fast; ")
     assert text.index("take fast") < text.index("a note") < text.index("| fit | fast |")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.arguments import need_number
+from dynamics.arguments import check_number
 from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.ends import End, packed
 from dynamics.steady.basins.pursuit import APART, CAUGHT, END, FACTS, RADIUS, SETTLED, TURNS_A, TURNS_B, pursue
@@ -89,7 +89,7 @@ def follow(
     Raises:
         OutsideDomain: numbers that mean nothing.
     """
-    need_number(seconds=seconds, stated_error_rad=stated_error_rad)
+    check_number(seconds=seconds, stated_error_rad=stated_error_rad)
     if not 0 < seconds < math.inf:
         raise OutsideDomain(f"seconds must be finite and above 0, got {seconds!r}")
     if not 0 < stated_error_rad <= 0.1 * _APART_RAD:

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.arguments import need_number
+from dynamics.arguments import check_number
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.phase_segments import PhaseSegments
 from dynamics.equations.speed_history import SpeedHistory
@@ -54,7 +54,7 @@ class Turning:
             OutsideDomain: a speed that is none, no pendulum, dry friction, or motions too stiff for explicit steps.
         """
         p = physics_of(rig)
-        need_number(speed_rad_s=speed_rad_s)
+        check_number(speed_rad_s=speed_rad_s)
         if not 0 < speed_rad_s < math.inf:
             raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
         if not (p.a.present or p.b.present):
