@@ -61,12 +61,12 @@ def load_compiler() -> None:
     if "numba.np.arraymath" in sys.modules or "scipy.linalg" in sys.modules:
         return
     linalg: Any = importlib.import_module("numba.np.linalg")
-    asked = linalg.ensure_blas
+    original = linalg.ensure_blas
     linalg.ensure_blas = getattr(linalg, "_check_lapack_int_width", lambda: None)
     try:
         importlib.import_module("numba.np.arraymath")
     finally:
-        linalg.ensure_blas = asked
+        linalg.ensure_blas = original
 
 
 def source_digest() -> str:

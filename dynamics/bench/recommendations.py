@@ -52,13 +52,13 @@ def recommended_accuracies(rows: Sequence[Measurement]) -> list[Recommendation]:
     """
     by_service: dict[str, list[tuple[float, Measurement]]] = {}
     for row in rows:
-        accuracy = _asked(row)
+        accuracy = _requested_accuracy(row)
         if row.automatic and accuracy is not None:
             by_service.setdefault(row.service, []).append((accuracy, row))
     return [_of_service(service, found) for service, found in by_service.items()]
 
 
-def _asked(row: Measurement) -> float | None:
+def _requested_accuracy(row: Measurement) -> float | None:
     """Accuracy requested from the service, or None for rows without an accuracy."""
     for part in row.setting.split(","):
         words = part.split()
@@ -70,16 +70,16 @@ def _asked(row: Measurement) -> float | None:
 def _of_service(service: str, rows: Sequence[tuple[float, Measurement]]) -> Recommendation:
     cases = {row.case for _, row in rows}
     cases_of: dict[float, set[str]] = {}
-    for asked, row in rows:
-        cases_of.setdefault(asked, set()).add(row.case)
-    accuracies = sorted((asked for asked, own in cases_of.items() if own == cases), reverse=True)
-    ours = {asked: [row for a, row in rows if a == asked] for asked in accuracies}
+    for requested, row in rows:
+        cases_of.setdefault(requested, set()).add(row.case)
+    accuracies = sorted((requested for requested, own in cases_of.items() if own == cases), reverse=True)
+    ours = {requested: [row for a, row in rows if a == requested] for requested in accuracies}
     if len(accuracies) < 2:
         known = f"only accuracy {accuracies[0]:.0e} was" if accuracies else "no accuracy was in all cases"
         return Recommendation(service, None, f"{service}: no recommendation, {known} measured{_peers(rows)}")
     if any(row.true_error is None for _, row in rows):
         return Recommendation(service, None, f"{service}: no recommendation, true errors are not known in this run")
-    seconds = {asked: {row.case: row.seconds for row in ours[asked]} for asked in accuracies}
+    seconds = {requested: {row.case: row.seconds for row in ours[requested]} for requested in accuracies}
     cheapest = min(accuracies, key=lambda a: median(seconds[a].values()))
     ratio = {a: median(seconds[a][case] / seconds[cheapest][case] for case in cases) for a in accuracies}
     figures = {f"accuracy {a:.0e}": {"time": ratio[a], "error": _span(ours[a])} for a in accuracies}
@@ -115,7 +115,7 @@ def _span(rows: Sequence[Measurement]) -> tuple[float, float]:
 
 
 def _peers(rows: Sequence[tuple[float, Measurement]]) -> str:
-    """Text on rows in which a peer is faster and at least as exact; empty if there is none."""
+    """Text on rows in which a peer is faster and at least as exact; otherwise empty."""
     behind = [row.peer_ratio for _, row in rows if row.peer_ratio is not None and row.peer_ratio > 1.0]
     compared = sum(row.peer_ratio is not None for _, row in rows)
     if not behind:

@@ -32,13 +32,13 @@ class Measurement:
         seconds: median time of one unit, s.
         per: the unit: "point", "run", "call" or "process".
         true_error: difference from the reference: of the largest multiplier relative to max(1, modulus), or of an
-            angle at the end in rad. None if there is no reference.
+            angle at the end in rad. None without a reference.
         error_estimate: error bound returned by the method, or None.
         peer: whether the method belongs to another project.
         automatic: whether this is the service called by users, which selects method and steps and bounds its error.
         front, front_of_all: whether the row is on the front of the project's own methods, of all methods.
         peer_ratio: time divided by the time of the fastest peer of the case that is at least as exact. None for peers
-            and if there is no such peer.
+            and without such a peer.
     """
 
     service: str

@@ -9,7 +9,7 @@ locates (docs/theory/integration.md), so the sign of a small speed is never eval
 """
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A matrix that is periodic in the rotor's phase, as a Fourier series: input of all Floquet methods."""
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 

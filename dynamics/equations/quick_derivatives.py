@@ -1,7 +1,7 @@
 """Derivatives of the accelerations by the state, in closed form: one eighth of the cost of complex steps."""
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Prescribed phase of the rotor over time: constant speed, a ramp, or a measured history."""
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Motion by classical Runge–Kutta steps of a given length. The steps are the same for every trial of a fit."""
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 

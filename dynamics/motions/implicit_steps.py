@@ -11,7 +11,7 @@ with h⁶ like the polynomial's error, so a tolerance has the same meaning at ev
 """
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 

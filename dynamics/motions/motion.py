@@ -1,7 +1,7 @@
 """A computed motion: states at the output instants and, if kept, the polynomials between them."""
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ so their derivatives solve one linear system for all parameters.
 """
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""Newton's method on the balance of a motion's Fourier coefficients, all of it compiled.
+"""Newton's method for the balance of a motion's Fourier coefficients, all of it compiled.
 
-x, y and the angles are sums of cosines and sines at n equally spaced phases; the forces are evaluated at those phases
-and transformed back. What Newton's method solves is ω² u″ − acceleration = 0 in coefficients.
+x, y and the angles are sums of cosines and sines at n equally spaced phases. The forces are evaluated at those phases
+and transformed back. Newton's method solves ω² u″ − acceleration = 0 in coefficients.
 """
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ from dynamics.equations.kernels import rates
 from dynamics.equations.quick_derivatives import rate_derivatives
 
 _ITERATIONS = 25
-_LONGEST_TURN = 0.3  # rad: Newton's step of an angle is cut to this
+_LONGEST_TURN = 0.3  # rad: largest Newton step of an angle
 
 
 class Basis(NamedTuple):
     """Trigonometric functions at n phases.
 
     Attributes:
-        value, slope: of each function (columns) at each phase, shape (n, n); transform: values to coefficients.
-        order: of each function, shape (n,); sine: which of them are sines.
+        value, slope: values and derivatives of each function (columns) at each phase, shape (n, n).
+        transform: matrix from values to coefficients, shape (n, n).
+        order: order of each function, shape (n,).
+        sine: whether each function is a sine, shape (n,).
     """
 
     value: NDArray[np.float64]
@@ -39,7 +41,7 @@ class Basis(NamedTuple):
 
 
 def _basis(phase: NDArray[np.floating], orders: NDArray[np.integer]) -> Basis:
-    """cos and sin of the given orders at equally spaced phases; the highest sine, which vanishes there, left out."""
+    """cos and sin of the given orders at equally spaced phases, without the highest sine, which vanishes there."""
     functions = [(k, sine) for k in orders.tolist() for sine in (False, True) if k > 0 or not sine][: len(phase)]
     order, sine = np.array([k for k, _ in functions], float), np.array([s for _, s in functions])
     angle = phase[:, None] * order
@@ -50,7 +52,7 @@ def _basis(phase: NDArray[np.floating], orders: NDArray[np.integer]) -> Basis:
 
 
 class Grid:
-    """Phases and bases of one resolution; half a revolution where the motion has that symmetry."""
+    """Phases and bases of one resolution, over half a revolution if the motion has that symmetry."""
 
     def __init__(self, half: int, symmetric: bool) -> None:
         self.symmetric = symmetric
@@ -65,7 +67,7 @@ class Grid:
     @staticmethod
     @functools.lru_cache(maxsize=16)
     def of(half: int, symmetric: bool) -> Grid:
-        """The grid with `half` phases in half a revolution; made once."""
+        """The grid with `half` phases in half a revolution. It is cached."""
         return Grid(half, symmetric)
 
     def whole(self, states: NDArray[np.floating]) -> NDArray[np.floating]:
@@ -75,7 +77,7 @@ class Grid:
         return np.concatenate([states, states * [-1, -1, 1, 1, -1, -1, 1, 1]])
 
     def coefficients(self, positions: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Coefficients (n, 4) of positions (m, 4) sampled over a whole revolution, interpolated as need be."""
+        """Coefficients (n, 4) of positions (m, 4) sampled over a whole revolution, interpolated if necessary."""
         m = len(positions)
         spectrum = np.fft.rfft(positions, axis=0) * (2.0 / m)
         spectrum[0] *= 0.5
@@ -97,15 +99,15 @@ def solve_balance(
     start: NDArray[np.floating],
     least_size_m: float,
 ) -> tuple[NDArray[np.floating], float] | None:
-    """Newton's method from a guess.
+    """Solve the balance by Newton's method from a guess.
 
     Args:
         packed: parameters in the order of the compiled kernels, without dry friction.
         free: which pendulums move.
         start: coefficients of x, y, θ3, θ4, shape (n, 4).
-        least_size_m: what x, y are held against at least.
+        least_size_m: smallest scale of x, y, m.
     Returns:
-        States (n, 8) over the grid and the last step's size (rad, and of x, y relative to the orbit), or None.
+        States (n, 8) over the grid and the size of the last step (rad; x, y relative to the orbit), or None.
     """
     kept = np.array([0, 1] + [2 + i for i in range(2) if free[i]])
     states, c = np.empty((grid.n, 8)), np.array(start, float, order="C")
@@ -116,7 +118,7 @@ def solve_balance(
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _sample(c, bases, speed, states):
-    """States (n, 8) at the phases from coefficients (n, 4)."""
+    """Write states (n, 8) at the phases from coefficients (n, 4) to states."""
     n = len(c)
     for i in range(4):
         value, slope, _, _ = bases[i // 2]
@@ -144,10 +146,10 @@ def _add_block(transform, factor, value, rate_factor, slope, matrix, top, left):
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, right):
-    """Newton's matrix (m n, m n) and right-hand side (m n,) of the balance, in units (4,), for m kept coordinates.
+    """Write Newton's matrix (m n, m n) and right-hand side (m n,), in units (4,), for m kept coordinates.
 
     Args:
-        work: scratch; rates (8,), accelerations (n, 4), their derivatives (4, 8, n), those of one phase (4, 8).
+        work: scratch; rates (8,), accelerations (n, 4), their derivatives (4, 8, n), those at one phase (4, 8).
     """
     out, accelerations, slopes, one = work
     n = len(c)
@@ -161,7 +163,7 @@ def _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, righ
             accelerations[j, i] = out[4 + i]
             for k in range(8):
                 slopes[i, k, j] = one[i, k] * (speed if k >= 4 else 1.0)
-    for row in range(len(right)):  # a slice assignment takes numba long to compile
+    for row in range(len(right)):  # numba compiles a slice assignment slowly
         for column in range(len(right)):
             matrix[row, column] = 0.0
     for r in range(len(kept)):
@@ -184,7 +186,7 @@ def _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, righ
 
 @njit(cache=True, error_model="numpy")
 def _scale_rows(matrix, right):
-    """Bring the rows to one size; False where one is empty or not finite."""
+    """Scale the rows to equal size. False if a row is zero or not finite."""
     for i in range(len(right)):
         size = 0.0
         for j in range(len(right)):
@@ -202,7 +204,7 @@ def _scale_rows(matrix, right):
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _eliminate(a, b):
-    """Solve a x = b by elimination with the largest pivot of each column; x into b. False where a is singular."""
+    """Solve a x = b by elimination with column pivoting; x is written to b. False if a is singular."""
     n = len(b)
     for k in range(n):
         pivot = k
@@ -232,7 +234,7 @@ def _eliminate(a, b):
 
 @njit(cache=True, error_model="numpy")
 def _solve(matrix, right):
-    """Solution into right; False where there is none."""
+    """Write the solution to right. False if it does not exist."""
     if not _scale_rows(matrix, right):
         return False
     if not _eliminate(matrix, right):
@@ -250,7 +252,7 @@ def _newton(c, bases, phase, speed, p, kept, least_size, states):
     Args:
         states: shape (n, 8), filled.
     Returns:
-        Size of the last step (rad, and of x, y relative to the orbit); −1 where the iteration does not converge.
+        Size of the last step (rad; x, y relative to the orbit), or −1 if the iteration does not converge.
     """
     n, m = len(c), len(kept)
     work = (np.empty(8), np.empty((n, 4)), np.empty((4, 8, n)), np.empty((4, 8)))

@@ -1,4 +1,4 @@
-"""States over one revolution of a rotor whose pendulums rest on it."""
+"""States over one revolution of a rotor whose pendulums are at rest on it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TURN = np.exp(2j * np.pi * np.arange(PHASES) / PHASES)
 
 
 def _held(x: complex, y: complex, speed_rad_s: float, theta_rad: tuple[float, float]) -> NDArray[np.floating]:
-    """States (PHASES, 8) of x = Re(x e^{iψ}), y = Im(y e^{iψ}) with the pendulums held."""
+    """States (PHASES, 8) of x = Re(x e^{iψ}), y = Im(y e^{iψ}) with locked pendulums."""
     states, whirl_x, whirl_y = np.zeros((PHASES, 8)), x * _TURN, y * _TURN
     states[:, 0], states[:, 1] = whirl_x.real, whirl_y.imag
     states[:, 2:4] = theta_rad
@@ -30,7 +30,8 @@ def circular_whirl(speed_rad_s: float, point: SingularPoint) -> NDArray[np.float
 def locked_whirl(
     parameters: RotorParameters, speed_rad_s: float, theta_rad: tuple[float, float]
 ) -> NDArray[np.floating]:
-    """States (PHASES, 8) of the locked orbit (its first order), sag under gravity included, pendulums held."""
+    """States (PHASES, 8) of the locked orbit (first order), including the static deflection under gravity."""
+
     x, y = locked_orbit(parameters, speed_rad_s, *theta_rad)
     states = _held(x, y, speed_rad_s, theta_rad)
     states[:, 1] -= parameters.total_mass_kg * parameters.gravity_m_per_s2 / parameters.k2_N_per_m

@@ -1,7 +1,7 @@
-"""Chebyshev collocation on equal panels: spectral in the panel, an independent check of the step-by-step methods.
+"""Chebyshev collocation on equal panels: spectral in the panel, independent of the step-by-step methods.
 
-On the Chebyshev–Lobatto points of a panel the derivative of the interpolating polynomial equals A(ψ) Y at every
-point but the first, where Y is given.
+On the Chebyshev–Lobatto points of a panel the derivative of the interpolating polynomial equals A(ψ) Y at every point
+except the first, where Y is given.
 Source: L. N. Trefethen, Spectral Methods in MATLAB (SIAM 2000), chapter 6 (differentiation matrix).
 """
 
@@ -19,7 +19,7 @@ ORDER = DEGREE
 
 
 def _differentiation(degree: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Points ascending on [−1, 1] and the differentiation matrix, both of degree + 1."""
+    """Points in ascending order on [−1, 1] and the differentiation matrix, both of size degree + 1."""
     points = -np.cos(np.pi * np.arange(degree + 1) / degree)
     c = np.ones(degree + 1)
     c[0] = c[-1] = 2.0

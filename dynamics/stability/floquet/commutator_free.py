@@ -1,13 +1,13 @@
 """Commutator-free Magnus integrator of order 4: two exponentials a step, no commutator.
 
     y ← exp(h(a₋ A1 + a₊ A2)) exp(h(a₊ A1 + a₋ A2)) y,   a± = 1/4 ± √3/6, at the two Gauss points.
-A commutator multiplies the fastest rate into the step's error; without one a stiff constant part does no harm, and
-the oscillations beside it are followed exactly. For stiff and undamped at once.
+A commutator would multiply the step's error by the fastest rate. Without it a stiff constant part does not increase
+the error, and the oscillations are integrated exactly. The method suits motions that are stiff and undamped at once.
 Source: S. Blanes, P. C. Moan, Applied Numerical Mathematics 56 (2006) 1519.
 """
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 

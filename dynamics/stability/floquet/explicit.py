@@ -1,7 +1,7 @@
-"""Explicit Runge–Kutta of order 8 with equal steps, all columns at once: the first choice unless stiff or very slow."""
+"""Explicit Runge–Kutta of order 8 with equal steps, all columns at once: default unless stiff or very slow."""
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ NAME = "explicit"
 ORDER = 8
 
 
-_COLUMNS = 8  # side by side: a number that the compiler knows fills its vectors
+_COLUMNS = 8  # processed together; a constant lets the compiler use full vectors
 
 
 @njit(cache=True, error_model="numpy")
 def _real_series(series):
-    """Real parts, then minus imaginary ones, of the coefficients: A(ψ) = Σ_p wave_p part_p; shape (2m + 1, n²)."""
+    """Real parts, then negative imaginary parts, of the coefficients: A(ψ) = Σ_p wave_p part_p; shape (2m + 1, n²)."""
     orders, n = series.shape[0], series.shape[1]
     parts = np.empty((2 * orders - 1, n * n))
     for k in range(orders):
@@ -36,7 +36,7 @@ def _real_series(series):
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _matrix_at(parts, c, s, a):
-    """A(ψ) into a, shape (n²,), from c = cos ψ and s = sin ψ; those of multiples of ψ by turning on."""
+    """Write A(ψ) to a, shape (n²,), from c = cos ψ and s = sin ψ; multiples of ψ by the addition theorem."""
     x, y = 1.0, 0.0
     for i in range(len(a)):
         a[i] = parts[0, i]
@@ -48,7 +48,7 @@ def _matrix_at(parts, c, s, a):
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def _times(a, y, out):
-    """out = a y with a (n²,), y and out (n · 8,): the rows' zeros (half of them are unit rows) cost nothing."""
+    """out = a y with a (n²,), y and out (n · 8,). Zeros of a row are skipped; half of the rows are unit rows."""
     n = len(y) // _COLUMNS
     for i in range(n):
         row = out[i * _COLUMNS : (i + 1) * _COLUMNS]

@@ -1,13 +1,13 @@
-"""Radau IIA collocation with five stages (order 9): for stiff matrices, however stiff.
+"""Radau IIA collocation with five stages (order 9): for stiff matrices of any stiffness.
 
-The stage values solve Y_i − h Σ_j a_ij A(ψ_j) Y_j = y, one linear system a step; the last stage is the end of the
-step. The method is L-stable: a rate of −10¹³ /s leaves nothing behind and asks for no short step. Rows are scaled to
-size one before elimination, so that a fast pendulum's row does not drown the others.
+The stage values solve Y_i − h Σ_j a_ij A(ψ_j) Y_j = y, one linear system a step. The last stage is the end of the step.
+The method is L-stable: a mode with a rate of −10¹³ /s vanishes and does not limit the step. Rows are scaled to size one
+before elimination, so that the row of a fast pendulum does not dominate the others.
 Source: Hairer, Wanner, Solving Ordinary Differential Equations II (Springer 1996), section IV.5.
 """
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 
@@ -67,6 +67,6 @@ def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
     """See MonodromyMethod."""
     try:
         fundamental = _fundamental(per_radian(matrix), span_rad(matrix), steps)
-    except np.linalg.LinAlgError:  # a step for which 1/h is an eigenvalue: another step number will do
+    except np.linalg.LinAlgError:  # 1/h is an eigenvalue at this step; another number of steps succeeds
         fundamental = np.full((matrix.dimension, matrix.dimension), np.nan)
     return turned(matrix, fundamental)

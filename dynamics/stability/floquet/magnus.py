@@ -1,13 +1,13 @@
-"""Magnus integrators: each step one exponential of a commutator series at Gauss points.
+"""Magnus integrators: each step is one exponential of a commutator series at Gauss points.
 
-The constant part of A(ψ), however fast, is followed exactly; only its change within a step costs accuracy.
+The constant part of A(ψ) is integrated exactly at any rate. Only its change within a step causes an error.
 Source: Blanes, Casas, Oteo, Ros, The Magnus expansion and some of its applications, Physics Reports 470 (2009),
 section 5.4: with α1 = h A(mid), α2 = √15/3 h (A3 − A1), α3 = 10/3 h (A3 − 2 A2 + A1) at the three Gauss points,
     C1 = [α1, α2],  C2 = −1/60 [α1, 2 α3 + C1],  Ω = α1 + α3/12 + 1/240 [−20 α1 − α3 + C1, α2 + C2]   (order 6).
 """
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 

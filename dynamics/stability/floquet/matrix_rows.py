@@ -1,7 +1,7 @@
-"""Largest multipliers along rows of a map whose half-turn matrices are interpolated."""
+"""Largest multipliers along rows of a map, from interpolated half-turn matrices."""
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from dynamics.stability.floquet.lanes import EPS, largest, sensitive
 from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
 
-_SIDE = 4  # points whose sums are taken side by side
+_SIDE = 4  # number of points whose sums are computed together
 
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
 def _four_matrices(row, weights, start, out):
-    """Weighted sums of a row's matrices, shape (nodes, n²), at four points into out (4, n²)."""
+    """Write weighted sums of a row's matrices, shape (nodes, n²), at four points to out (4, n²)."""
     last = weights.shape[0] - 1
     a, b, c, d = start, min(start + 1, last), min(start + 2, last), min(start + 3, last)
     out[:] = 0.0
@@ -33,7 +33,7 @@ def _four_matrices(row, weights, start, out):
 
 @njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
 def weighted_sum(nodes, weights, out):
-    """Weighted sum of rows of nodes, shape (rows, n), into out (n,)."""
+    """Write the weighted sum of rows of nodes, shape (rows, n), to out (n,)."""
     out[:] = 0.0
     for j in range(nodes.shape[0]):
         weight = weights[j]
@@ -50,14 +50,14 @@ def multipliers_of_rows(
     found: NDArray[np.floating],
     errors: NDArray[np.floating],
 ) -> None:
-    """Largest multipliers over a revolution along rows.
+    """Compute the largest multipliers over a revolution along rows.
 
     Args:
         nodes: matrices of the nodes, shape (n_v, n_u, n²).
-        weights_v: of the rows of nodes in each row of points, shape (rows, n_v).
-        weights_u: of the columns of nodes at each column of points, shape (columns, n_u).
+        weights_v: weights of the rows of nodes in each row of points, shape (rows, n_v).
+        weights_u: weights of the columns of nodes at each column of points, shape (columns, n_u).
         error: bound on the Frobenius norm of an interpolated matrix's error.
-        found, errors: shape (rows, columns), filled; NaN where the eigenvalues did not come out.
+        found, errors: shape (rows, columns), filled; NaN where the eigenvalues did not converge.
     """
     n_v, n_u, entries = nodes.shape
     flat, row = nodes.reshape(n_v, n_u * entries), np.empty(n_u * entries)
@@ -88,14 +88,14 @@ def eigenvalues_at(
     weights_u: NDArray[np.floating],
     values: NDArray[np.complexfloating],
 ) -> None:
-    """Eigenvalues of interpolated matrices at scattered points, those of one row after another.
+    """Compute eigenvalues of interpolated matrices at scattered points, in order of their rows.
 
     Args:
         nodes: matrices of the nodes, shape (n_v, n_u, n²).
-        weights_v: of the rows of nodes in each row of points, shape (rows, n_v).
-        row_of: each point's row, rising, shape (points,).
-        weights_u: of the columns of nodes at each point, shape (points, n_u).
-        values: shape (points, n), filled; NaN where they did not come out.
+        weights_v: weights of the rows of nodes in each row of points, shape (rows, n_v).
+        row_of: row of each point, ascending, shape (points,).
+        weights_u: weights of the columns of nodes at each point, shape (points, n_u).
+        values: shape (points, n), filled; NaN where the eigenvalues did not converge.
     """
     n_v, n_u, entries = nodes.shape
     flat, row = nodes.reshape(n_v, n_u * entries), np.empty(n_u * entries)
@@ -114,7 +114,7 @@ def eigenvalues_at(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _chebyshev_weights(share, weights):
-    """Values of the Lagrange polynomials of the Chebyshev points of the first kind at a place, −1 … 1 (barycentric)."""
+    """Values of the Lagrange polynomials of the Chebyshev points of the first kind at −1 … 1 (barycentric formula)."""
     n, total = len(weights), 0.0
     if n == 1:
         weights[0] = 1.0
@@ -134,11 +134,11 @@ def _chebyshev_weights(share, weights):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def largest_eigenvalue_there(nodes: NDArray[np.floating], share_u: float, share_v: float) -> complex:
-    """Eigenvalue of largest modulus of the interpolated matrix at one point; NaN where none came out.
+    """Eigenvalue of largest modulus of the interpolated matrix at one point; NaN if the iteration did not converge.
 
     Args:
         nodes: matrices of the nodes, shape (n_v, n_u, n²).
-        share_u, share_v: where the point lies in the rectangle, −1 … 1 along each side.
+        share_u, share_v: position of the point in the rectangle, −1 … 1 along each side.
     """
     n_v, n_u, entries = nodes.shape
     weights_v, weights_u = np.empty(n_v), np.empty(n_u)

@@ -1,12 +1,12 @@
-"""The matrix held constant over each step: a product of exponentials, second order.
+"""The matrix is constant over each step: a product of exponentials, second order.
 
-Whether it is held at the value in the middle or at the end of the step is a shift in phase by half a step, a
-similarity transform of the monodromy matrix: the multipliers are the same.
+The value at the middle or at the end of the step differs by a phase shift of half a step. This is a similarity
+transform of the monodromy matrix, so the multipliers are the same.
 Source: the piecewise-constant scheme of C. S. Hsu (1974); here each exponential is computed to rounding.
 """
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def _fundamental(series, span, steps, offset):
 
 
 def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
-    """See MonodromyMethod. The matrix is held at its value in the middle of each step."""
+    """See MonodromyMethod. The matrix has its value at the middle of each step."""
     return turned(matrix, _fundamental(per_radian(matrix), span_rad(matrix), steps, 0.5))
 
 
 def sampled_at_ends(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
-    """The same with the matrix held at its value at the end of each step: other matrix, same multipliers."""
+    """Monodromy matrix with the matrix's value at the end of each step; the multipliers are the same."""
     return turned(matrix, _fundamental(per_radian(matrix), span_rad(matrix), steps, 1.0))

@@ -1,17 +1,17 @@
-"""Compiled eigenvalues of one small real matrix: a LAPACK call would cost ten times as much at this size.
+"""Compiled eigenvalues of one small real matrix. At this size a LAPACK call takes ten times as long.
 
 Source: the EISPACK routines elmhes and hqr (B. T. Smith et al., Matrix Eigensystem Routines, Springer 1976).
 """
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-_MOST_SWEEPS = 60
+_MAX_SWEEPS = 60
 _EPS = 2.220446049250313e-16
 
 
@@ -114,7 +114,7 @@ def _double_shift_sweep(a, low, top, x, y, w):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _start_of_block(a, top, norm):
-    """First row of the unreduced block that ends at top; the subdiagonal before it is set to zero."""
+    """First row of the unreduced block that ends at top. The subdiagonal before it is set to zero."""
     low = top
     while low > 0:
         size = abs(a[low - 1, low - 1]) + abs(a[low, low])
@@ -142,13 +142,13 @@ def _pair(x, y, w, shift):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def eigenvalues(a, values):
-    """Eigenvalues of a real matrix.
+    """Compute the eigenvalues of a real matrix.
 
     Args:
-        a: shape (n, n); destroyed.
+        a: shape (n, n); overwritten.
         values: complex, shape (n,), filled.
     Returns:
-        Whether the iteration converged; values are not to be used otherwise.
+        Whether the iteration converged. Otherwise the values are invalid.
     """
     n = a.shape[0]
     norm = 0.0
@@ -171,7 +171,7 @@ def eigenvalues(a, values):
             values[top - 1], values[top] = _pair(x, y, w, shift)
             top, sweeps = top - 2, 0
             continue
-        if sweeps == _MOST_SWEEPS:
+        if sweeps == _MAX_SWEEPS:
             return False
         if sweeps in (10, 20):
             shift += x

@@ -1,7 +1,7 @@
 """Compiled arithmetic of small matrices: products and the exponential."""
 
 # pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import math
 import numpy as np
 from numba import njit
 
-_DEGREE = 16  # of the Taylor polynomial: at norm 0.8 what is left out is 0.8^17/17! = 6e-17
+_DEGREE = 16  # of the Taylor polynomial: at norm 0.8 the remainder is 0.8^17/17! = 6e-17
 _NORM = 0.8
 _WEIGHTS = np.array([1.0 / math.factorial(k) for k in range(_DEGREE + 1)])
 
 
 @njit(cache=True, error_model="numpy")
 def multiply(a, b, out):
-    """out = a b for square matrices; out must be neither of them."""
+    """out = a b for square matrices; out must be a different array."""
     n = a.shape[0]
     for i in range(n):
         for j in range(n):
@@ -47,7 +47,7 @@ def _copy(factor, a, out):
 
 @njit(cache=True, error_model="numpy")
 def _squarings(a):
-    """How often a must be halved for its row-sum norm to come under the Taylor polynomial's limit."""
+    """Number of halvings of a that brings its row-sum norm below the limit of the Taylor polynomial."""
     norm = 0.0
     for i in range(a.shape[0]):
         row = 0.0
@@ -63,7 +63,7 @@ def _squarings(a):
 
 @njit(cache=True, error_model="numpy")
 def exponential(a, work, out):
-    """exp(a) by scaling and squaring of the Taylor polynomial of degree 16 (Paterson and Stockmeyer: six products).
+    """Write exp(a) to out: scaling and squaring of the degree-16 Taylor polynomial (Paterson–Stockmeyer, six products).
 
     Args:
         a: shape (n, n), left unchanged.

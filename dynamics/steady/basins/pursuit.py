@@ -1,11 +1,11 @@
 # pyright: strict, reportMissingParameterType=false, reportUnknownParameterType=false, reportUnknownVariableType=false
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportMissingTypeArgument=false
 # pyright: reportUntypedFunctionDecorator=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
-"""A release followed revolution by revolution until a stable motion has caught it: the compiled part.
+# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
+"""Simulation of a release, revolution by revolution, until it enters the region of a stable motion: compiled part.
 
-Two runs go side by side: the release itself, and one that starts a stated error beside it and takes coarser steps. As
-long as they stay close, the release's own error is far smaller still; once they have come apart, the end is chance.
+Two runs are computed: the release, and a neighbour at the stated error with coarser steps. While they stay close, the
+release's own error is much smaller than their distance. Once they separate, the end is not determined.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _TAU = 2 * math.pi
 
 @njit(cache=True, error_model="numpy")
 def steps_needed(y, omega, pace, step_rad):
-    """Steps of the next revolution: step_rad of the fastest oscillation each.
+    """Number of steps of the next revolution, step_rad of the fastest oscillation each.
 
     Args:
-        pace: the fastest rate of suspension and damping, rad/s.
+        pace: fastest rate of suspension and damping, rad/s.
     """
     fastest = max(pace, omega + max(abs(y[6]), abs(y[7])))
     return max(4, math.ceil(_TAU * fastest / (omega * step_rad)))
@@ -36,10 +36,10 @@ def steps_needed(y, omega, pace, step_rad):
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
 def advance(y, omega, steps, system, k, end, phase, orbit):
-    """One revolution of the rotor from ψ = 0, in place.
+    """Advance the state by one revolution of the rotor from ψ = 0, in place.
 
     Args:
-        y: shape (8,), angles counted on.
+        y: shape (8,), angles not reduced.
         orbit: mean x, y, x² + y² and angles of A and B at the ends of the steps, shape (5,).
     """
     p, free_a, free_b = system[0], system[1], system[2]
@@ -60,7 +60,7 @@ def advance(y, omega, steps, system, k, end, phase, orbit):
 
 @njit(cache=True, error_model="numpy")
 def within(angle):
-    """The same angle in −π … π."""
+    """The angle reduced to −π … π."""
     return angle - _TAU * math.floor(angle / _TAU + 0.5)
 
 
@@ -77,12 +77,12 @@ def _form(away, form):
 
 @njit(cache=True, error_model="numpy")
 def deviation(y, number, ends, away):
-    """Deviation of a state from an end's nearest point into away; its quadratic form, 1 on the region's rim.
+    """Write the deviation of a state from an end's nearest point to away; returns its form, 1 on the region's rim.
 
     Args:
-        ends: (points (r, 8), forms (r, 8, 8), first row of each end (n + 1,), lead (n,), sheets (n,), …). Of an end
-            with lead −1 the rows are its points; of another they lie along a closed curve, evenly over the angle of
-            the lead pendulum, which turns `sheets` times.
+        ends: (points (r, 8), forms (r, 8, 8), first row of each end (n + 1,), lead (n,), sheets (n,), …). The rows of
+            an end with lead −1 are its points. Otherwise they lie along a closed curve, evenly spaced over the angle of
+            the lead pendulum, which makes `sheets` turns.
     """
     points, forms, first, lead, sheets = ends[0], ends[1], ends[2], ends[3], ends[4]
     best, trial = np.inf, np.empty(8)
@@ -127,7 +127,7 @@ def _distance(away, scale):
 
 @njit(cache=True, error_model="numpy")
 def _caught_by(y, ends, share, away):
-    """The end whose region's inner part holds the state, −1 for none."""
+    """Number of the end whose inner region contains the state, or −1."""
     for number in range(len(ends[3])):
         if deviation(y, number, ends, away) <= share:
             return number
@@ -135,24 +135,24 @@ def _caught_by(y, ends, share, away):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def pursue(y, beside, turns, motion, ends, units, limits, facts):
-    """Follow one release; its end state is left in y.
+def pursue(y, neighbour, turns, motion, ends, units, limits, facts):
+    """Simulate one release. Its final state is written to y.
 
     Args:
-        y, beside: states at ψ = 0 of the release and of its neighbour, shape (8,).
-        turns: revolutions to follow it, at least 1.
-        motion: (ω, the fastest rate, lengths of the steps of both, system), as for steps_needed and advance.
+        y, neighbour: states at ψ = 0 of the release and of its neighbour, shape (8,).
+        turns: number of revolutions, at least 1.
+        motion: (ω, fastest rate, step lengths of both, system), as for steps_needed and advance.
         ends: as for deviation, and (turn maps (n, 8, 8), values below which these hold (n,), values at which an end
-            is near (n,), its own mean radius (n,)).
-        units: of the distance between both, shape (8,).
-        limits: (share of a region that catches, distance at which the two are apart, revolutions to go on for).
-        facts: what was found, shape (FACTS,): number of the end or −1, revolutions until caught and until settled
-            (nan: never), largest distance of both before that, rms radius in the last revolution, turns of A and B.
+            counts as near (n,), its own mean radius (n,)).
+        units: units of the distance of the two states, shape (8,).
+        limits: (fraction of a region that catches, distance at which the two are separated, additional revolutions).
+        facts: results, shape (FACTS,): number of the end or −1, revolutions until caught and until settled (NaN:
+            never), largest distance of the two before that, rms radius in the last revolution, turns of A and B.
     """
     work = (np.zeros((16, 8)), np.empty(8), np.empty(3))
     orbit, begin_a, begin_b = np.zeros(5), y[2], y[3]
     facts[CAUGHT], facts[SETTLED], facts[APART] = np.nan, np.nan, 0.0
-    number, done = _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit)
+    number, done = _chase(y, neighbour, turns, motion, ends, units, limits, facts, work, orbit)
     facts[END], facts[RADIUS] = number, _radius_of(orbit)
     if number >= 0:
         facts[CAUGHT] = done
@@ -166,24 +166,24 @@ def _radius_of(orbit):
 
 
 @njit(cache=True, error_model="numpy")
-def _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit):
-    """Revolutions of release and neighbour until an end has caught both: (its number or −1, revolutions)."""
+def _chase(y, neighbour, turns, motion, ends, units, limits, facts, work, orbit):
+    """Simulate release and neighbour until both are in the region of an end: (its number or −1, revolutions)."""
     omega, pace, steps_rad, system = motion
     share, apart = limits[0], limits[1]
     gap, other = np.empty(8), np.zeros(5)
     done = 0
     while True:
         number = _caught_by(y, ends, share, gap)
-        if number >= 0 and (facts[APART] > apart or deviation(beside, number, ends, gap) <= 1.0):
+        if number >= 0 and (facts[APART] > apart or deviation(neighbour, number, ends, gap) <= 1.0):
             return number, done
         if done >= turns:
             return -1, done
         advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, work[0], work[1], work[2], orbit)
         if facts[APART] <= apart:
-            steps = steps_needed(beside, omega, pace, steps_rad[1])
-            advance(beside, omega, steps, system, work[0], work[1], work[2], other)
+            steps = steps_needed(neighbour, omega, pace, steps_rad[1])
+            advance(neighbour, omega, steps, system, work[0], work[1], work[2], other)
             for i in range(8):
-                gap[i] = y[i] - beside[i]
+                gap[i] = y[i] - neighbour[i]
             facts[APART] = max(facts[APART], _distance(gap, units))
             if not facts[APART] <= apart:
                 facts[APART] = np.inf
@@ -192,7 +192,7 @@ def _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit):
 
 @njit(cache=True, error_model="numpy")
 def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
-    """On from where an end has caught a release, in coarse steps, until it is near and the time is over."""
+    """Continue a caught release in coarse steps until it is near its end and the simulated time is over."""
     omega, pace, steps_rad, system = motion
     straight, near, last = ends[6][number], ends[7][number], turns + limits[2]
     away = np.empty(8)
@@ -205,7 +205,7 @@ def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
         value = deviation(y, number, ends, away)
     if value <= near:
         facts[SETTLED] = done
-    if ends[3][number] >= 0 or straight < 0.0:  # slipping: its own mean, for that of one revolution beats
+    if ends[3][number] >= 0 or straight < 0.0:  # slipping: its own mean; that of one revolution fluctuates
         if done < turns:
             facts[RADIUS] = ends[8][number]
         return
@@ -213,14 +213,14 @@ def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
         return
     early = done < turns
     _glide(y, away, value, number, done, turns, last, ends, facts)
-    if early:  # the last revolution, from where the turn map has come to
+    if early:  # the last revolution, from the state reached by the turn map
         advance(y, omega, steps_needed(y, omega, pace, steps_rad[1]), system, work[0], work[1], work[2], orbit)
         facts[RADIUS] = _radius_of(orbit)
 
 
 @njit(cache=True, error_model="numpy")
 def _glide(y, away, value, number, done, turns, last, ends, facts):
-    """The rest of the way by the turn map: the state a revolution before the time is over into y, and when near."""
+    """Continue by the turn map. The state a revolution before the end of the time is written to y."""
     turn_map, near, form = ends[5][number], ends[7][number], ends[1][ends[2][number]]
     base, then, shown = y - away, np.empty(8), max(done, turns - 1)
     while done < shown or (near < value and done < last):
