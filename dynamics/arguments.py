@@ -7,8 +7,8 @@ from __future__ import annotations
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.errors import OutsideDomain
 
 
@@ -39,7 +39,7 @@ def check_pair(**values: object) -> None:
             raise OutsideDomain(f"{name}: expected two values, for A and for B, got {value!r}")
 
 
-def real_array(name: str, value: object) -> NDArray[np.float64]:
+def real_array(name: str, value: object) -> Array:
     """Convert a value to a C-contiguous array of float64.
 
     Raises:

@@ -18,11 +18,49 @@ import shutil
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar, overload
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _COMPILED = ("dynamics", "identification", "daq/virtual_rig")
 _MAX_UNUSED_S = 60 * 86400.0  # directories of other versions that were not used for this time are removed, s
+
+
+@overload
+def compiled(function: Callable[P, R], /) -> Callable[P, R]: ...
+
+
+@overload
+def compiled(
+    *, nogil: bool = False, contract: bool = False, inline: bool = False
+) -> Callable[[Callable[P, R]], Callable[P, R]]: ...
+
+
+def compiled(
+    function: Callable[..., Any] | None = None, /, *, nogil: bool = False, contract: bool = False, inline: bool = False
+) -> Callable[..., Any]:
+    """Compile a function with numba when it is first called. The code is cached between runs.
+
+    The decorator keeps the function's signature for type checkers. numba itself ignores the annotations and compiles
+    one version for each combination of argument types. A division by zero yields inf or NaN, as in numpy.
+
+    Args:
+        function: the function, for use without parentheses.
+        nogil: release the interpreter lock during the call.
+        contract: let the compiler merge a product and a sum into one operation, which is rounded once.
+        inline: insert the function's code into its callers before their types are inferred.
+    """
+    numba: Any = importlib.import_module("numba")
+    options: dict[str, Any] = {"cache": True, "error_model": "numpy", "nogil": nogil}
+    if contract:
+        options["fastmath"] = {"contract"}
+    if inline:
+        options["inline"] = "always"
+    decorate: Callable[..., Any] = numba.njit(**options)
+    return decorate if function is None else decorate(function)
 
 
 def keep_compiled_code() -> Path | None:

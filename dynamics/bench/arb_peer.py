@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from scipy.special import roots_jacobi
 
+from dynamics.arrays import Complex
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.errors import NotConverged, OutsideDomain
 
@@ -95,7 +96,7 @@ def balanced_directions(parameters: RotorParameters) -> list[tuple[Any, Any]]:
         raise OutsideDomain(f"no balanced state: the moments {sides} kg m form no triangle; choose S_P between them")
     if p == 0:
         return [(arb(0), arb(1)), (arb(0), arb(-1))]
-    found = []
+    found: list[tuple[Any, Any]] = []
     for near, far, sign in (
         (gaps[0] * gaps[2], gaps[1] * (a + b + p), 1),
         (gaps[1] * gaps[2], gaps[0] * (a + b + p), -1),
@@ -125,11 +126,11 @@ class _System:
         """The matrix at a phase given as a ball."""
         return self.mean + self.even * (2 * phase).cos() + self.odd * (2 * phase).sin()
 
-    def rates(self) -> np.ndarray:
+    def rates(self) -> Complex:
         """Eigenvalues at twelve phases, per radian of rotor phase, in double precision."""
         arb = flint().arb
         n = self.dimension
-        found = []
+        found: list[Complex] = []
         for phase in np.linspace(0.0, math.pi, 12, endpoint=False):
             entries = self.at(arb(float(phase)))
             found.append(np.linalg.eigvals(np.array([[float(entries[i, j]) for j in range(n)] for i in range(n)])))
@@ -275,7 +276,7 @@ def _radau_nodes(stages: int) -> list[Any]:
             (module.arb_poly([0, 2 * n + 1]) * legendre[n] - n * legendre[n - 1]) * (module.arb(1) / (n + 1))
         )
     zero_at = legendre[stages - 1] - legendre[stages]
-    slope, nodes = zero_at.derivative(), []
+    slope, nodes = zero_at.derivative(), list[Any]()
     for start in roots_jacobi(stages - 1, 1, 0)[0]:
         x = module.arb(float(start))
         for _ in range(7):
@@ -286,7 +287,7 @@ def _radau_nodes(stages: int) -> list[Any]:
 
 def _differentiation(nodes: list[Any]) -> list[list[Any]]:
     """Derivatives at the nodes of the Lagrange polynomials of the nodes."""
-    weights = []
+    weights: list[Any] = []
     for i, here in enumerate(nodes):
         product = flint().arb(1)
         for j, there in enumerate(nodes):

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dynamics.arrays import Array
 from dynamics.bench.records import Measurement
 
 SPEED_RATIO, DURATION_S, ACCURACY = 1.6, 20.0, 1e-9
@@ -33,7 +34,7 @@ _TIMEOUT_S = 300
 
 def process_rows(with_heyoka: bool, repeats: int) -> list[Measurement]:
     """Wall time of whole processes without and with a compilation cache, and of heyoka, which has no cache."""
-    rows = []
+    rows: list[Measurement] = []
     for case, arguments in _CASES.items():
         with tempfile.TemporaryDirectory() as empty:
             first = _seconds(arguments, empty)
@@ -62,7 +63,7 @@ def _seconds(arguments: Sequence[str], cache: str | None = None) -> float:
     return time.perf_counter() - start
 
 
-def first_release(*, with_heyoka: bool) -> np.ndarray:
+def first_release(*, with_heyoka: bool) -> Array:
     """θ3 and θ4 at the end of the release, shape (2,). The function imports only what the release needs."""
     from dynamics.bench import heyoka_peer  # noqa: PLC0415 (the imports are part of the measured time)
     from dynamics.equations.parameters import Pendulum, RotorParameters  # noqa: PLC0415

@@ -10,8 +10,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.parameters import RotorParameters
 
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
@@ -45,7 +45,7 @@ def equations(parameters: RotorParameters, speed_rad_s: float, acceleration_rad_
     fx = -c1 * vx - p.k1_N_per_m * x + p.forcing_moment_kg_m * (omega * omega * cp + al * sp)
     fy = -c2 * vy - p.k2_N_per_m * y + p.forcing_moment_kg_m * (omega * omega * sp - al * cp) - mass * g
     mxx, mxy, myy = mass, 0.0, mass
-    torques = []
+    torques: list[tuple[Any, Any, Any, Any]] = []
     for angle, rate, pendulum in ((a, va, p.a), (b, vb, p.b)):
         s, j, d = pendulum.first_moment_kg_m, pendulum.inertia_kg_m2, pendulum.drive_inertia_kg_m2
         cos, sin = hy.cos(psi + angle), hy.sin(psi + angle)
@@ -65,7 +65,7 @@ def equations(parameters: RotorParameters, speed_rad_s: float, acceleration_rad_
 
 
 def integrator(
-    parameters: RotorParameters, speed_rad_s: float, start: NDArray[np.floating], tolerance: float = DOUBLE_TOLERANCE
+    parameters: RotorParameters, speed_rad_s: float, start: Array, tolerance: float = DOUBLE_TOLERANCE
 ) -> Any:
     """Compiled heyoka integrator of the motion."""
     hy = heyoka()
@@ -81,14 +81,12 @@ def half_turn_integrator(parameters: RotorParameters, speed_rad_s: float) -> Any
     return hy.taylor_adaptive(system, np.zeros(8), tol=DOUBLE_TOLERANCE, compact_mode=True)
 
 
-def multipliers(
-    parameters: RotorParameters, speed_rad_s: float, start: NDArray[np.floating], compiled: Any | None = None
-) -> NDArray[np.complexfloating]:
+def multipliers(parameters: RotorParameters, speed_rad_s: float, start: Array, compiled: Any | None = None) -> Complex:
     """Multipliers over one revolution of the motion from a state at ψ = 0; no gravity. Shape (8,), largest first."""
     ta = half_turn_integrator(parameters, speed_rad_s) if compiled is None else compiled
     ta.time = 0.0
     ta.state[:8] = start
     ta.state[8:] = np.eye(8).ravel()
     ta.propagate_until(math.pi / speed_rad_s)
-    values = np.linalg.eigvals(_TURN[:, None] * ta.state[8:].reshape(8, 8)) ** 2
+    values: Complex = np.linalg.eigvals(_TURN[:, None] * ta.state[8:].reshape(8, 8)) ** 2
     return values[np.argsort(-np.abs(values))]

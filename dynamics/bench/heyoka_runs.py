@@ -16,8 +16,8 @@ from types import SimpleNamespace
 from typing import Any, TypeAlias, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.bench.heyoka_peer import equations, heyoka
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.parameters import RotorParameters
@@ -89,9 +89,7 @@ def largest_multiplier(rig: Rig, tolerance: float, integrator: Any | None = None
     return float(np.max(np.abs(np.linalg.eigvals(half)))) ** 2
 
 
-def end_state(
-    rig: Rig, start: NDArray[np.floating], duration_s: float, tolerance: float, integrator: Any | None = None
-) -> NDArray[np.floating]:
+def end_state(rig: Rig, start: Array, duration_s: float, tolerance: float, integrator: Any | None = None) -> Array:
     """State after a time at constant speed, ψ = 0 at the start; shape (8,)."""
     ta = compiled(False, tolerance) if integrator is None else integrator
     number = _set(ta, rig)
@@ -113,7 +111,7 @@ def on_all_cores(one: Callable[[Any, int], Any], integrator: Any, count: int) ->
     return [shares[i % cores][i // cores] for i in range(count)]
 
 
-def angle_error(found: NDArray[np.floating], true: NDArray[np.floating]) -> float:
+def angle_error(found: Array, true: Array) -> float:
     """Larger of the errors of θ3 and θ4, rad; both states have shape (8,)."""
     return float(np.max(np.abs(found[2:4] - true[2:4])))
 

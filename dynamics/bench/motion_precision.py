@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from dynamics.arrays import Array
 from dynamics.bench import heyoka_runs
 from dynamics.bench.heyoka_runs import Rig
 from dynamics.bench.records import Measurement
@@ -61,7 +61,7 @@ def motion_rows(
     if heyoka_runs.available():
         true = heyoka_runs.end_state(rig, start, duration_s, heyoka_runs.EXTENDED_TOLERANCE)
     bench = _Case(case, rig, scene, start, duration_s, true, repeats)
-    rows = []
+    rows: list[Measurement | None] = []
     for method in ("explicit", "implicit"):
         rows += [bench.own(method, tolerance) for tolerance in tolerances]
     rows += [bench.fixed(per_cycle) for per_cycle in (32, 128, 512, 2048)[: len(tolerances)]]
@@ -80,17 +80,15 @@ class _Case:
         name: str,
         rig: Rig,
         scene: Scene,
-        start: NDArray[np.floating],
+        start: Array,
         duration_s: float,
-        true: NDArray[np.floating] | None,
+        true: Array | None,
         repeats: int,
     ) -> None:
         self.name, self.rig, self.scene, self.start = name, rig, scene, start
         self.times, self.true, self.repeats = np.array([0.0, duration_s]), true, repeats
 
-    def _row(
-        self, method: str, setting: str, end: Callable[[], NDArray[np.floating]], peer: bool = False
-    ) -> Measurement:
+    def _row(self, method: str, setting: str, end: Callable[[], Array], peer: bool = False) -> Measurement:
         state = end()
         error = None if self.true is None else heyoka_runs.angle_error(state, self.true)
         useful = error is None or error < _MAX_USEFUL_ERROR_RAD
@@ -148,11 +146,11 @@ class _Case:
         """scipy's integrator with the compiled right-hand side."""
         packed, speed, out = self.rig[0].packed(), self.rig[1], np.empty(8)
 
-        def right(t: float, y: NDArray[np.floating]) -> NDArray[np.floating]:
+        def right(t: float, y: Array) -> Array:
             rates(y, speed * t, speed, 0.0, packed, 1.0, 1.0, out)
             return out.copy()
 
-        def end() -> NDArray[np.floating]:
+        def end() -> Array:
             return solve_ivp(right, self.times, self.start, method, rtol=tolerance, atol=1e-3 * tolerance).y[:, -1]
 
         return self._row(f"scipy {method}", f"tolerance {tolerance:.0e}", end, peer=True)

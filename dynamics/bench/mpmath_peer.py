@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from typing import Any
 
-import mpmath
+import mpmath as untyped_mpmath
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.linearised import PeriodicMatrix
 
+mpmath: Any = untyped_mpmath  # mpmath has no annotations
 DIGITS = 30
 _ORDER = 40
 _REACH, _LONGEST = 1.0, 0.4  # bounds on ‖B‖ times the step and on the step itself, rad: the rest is below 1e-20
@@ -46,7 +48,7 @@ def largest_multiplier(matrix: PeriodicMatrix) -> float | None:
         return float(max(abs(v) for v in values) ** (2 if half else 1))
 
 
-def _numbers(values: NDArray[np.floating]) -> NDArray[Any]:
+def _numbers(values: Array) -> NDArray[Any]:
     """The array with mpmath numbers as entries."""
     return np.vectorize(mpmath.mpf, otypes=[object])(values)
 

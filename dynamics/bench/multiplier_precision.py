@@ -52,7 +52,7 @@ def multiplier_rows(
         true = heyoka_runs.largest_multiplier(rig, heyoka_runs.EXTENDED_TOLERANCE)
     else:
         true = mpmath_peer.largest_multiplier(balanced(matrix))
-    rows = []
+    rows: list[Measurement] = []
     for method in METHODS.values():
         rows += _method_rows(case, balanced(matrix), method, true, longest_s, repeats)
     for accuracy in accuracies:

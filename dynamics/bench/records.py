@@ -141,7 +141,7 @@ def compared(rows: Iterable[Row], alike: float = ROUNDING) -> list[Row]:
 
 def _front(rows: Sequence[Comparable], members: Iterable[int], alike: float) -> set[int]:
     """Members that are more exact than every faster member. Empty if no member has a true error."""
-    front, best = set(), math.inf
+    front, best = set[int](), math.inf
     known = [(rows[i].seconds, error, i) for i in members if (error := rows[i].true_error) is not None]
     for _, error, i in sorted(known):
         if max(error, alike) < best:

@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 
+from dynamics.arrays import Array
 from dynamics.bench import heyoka_runs
 from dynamics.bench.heyoka_runs import Rig
 from dynamics.bench.motion_precision import release
@@ -49,7 +50,7 @@ def map_rows(
     seconds = median_seconds(lambda: stability_map(parameters, speeds, stiffness, accuracy), repeats) / points
     places = np.random.default_rng(_SEED).choice(points, min(sample, points), replace=False)
     rigs = [_rig_at(parameters, found, int(i)) for i in places]
-    error, rows = None, []
+    error, rows = None, list[Measurement]()
     if heyoka_runs.available():
         true, _ = _heyoka_multipliers(rigs, heyoka_runs.EXTENDED_TOLERANCE)
         values = found.multiplier_max.ravel()[places]
@@ -99,7 +100,7 @@ def batch_rows(parameters: RotorParameters, speed_ratio: float, runs: int, durat
     if not np.all(found.ok):
         case += f", {int(np.sum(~found.ok))} refused"
     seconds = median_seconds(lambda: simulate_batch(sets, scenes, times, accuracy, last_only=True), 3)
-    ends, rows, error = found.states[:, -1], [], None
+    ends, rows, error = found.states[:, -1], list[Measurement](), None
     if heyoka_runs.available():
         judged = [i for i in range(min(runs, _JUDGED_RUNS)) if found.ok[i]]
         true = {i: _end(rigs[i], scenes[i].start, duration_s, heyoka_runs.EXTENDED_TOLERANCE) for i in judged}
@@ -119,13 +120,13 @@ def batch_rows(parameters: RotorParameters, speed_ratio: float, runs: int, durat
     return [own, *rows]
 
 
-def _end(rig: Rig, start: np.ndarray | None, duration_s: float, tolerance: float, own: object = None) -> np.ndarray:
+def _end(rig: Rig, start: Array | None, duration_s: float, tolerance: float, own: object = None) -> Array:
     return heyoka_runs.end_state(rig, np.array(start), duration_s, tolerance, own)
 
 
 def steady_state_rows(points: dict[str, Rig], accuracy: float, repeats: int) -> list[Measurement]:
     """Rows of all steady states at each point. The error is that of the balanced state's largest multiplier."""
-    rows = []
+    rows: list[Measurement] = []
     for name, (parameters, speed) in points.items():
         found = steady_states(parameters, speed, accuracy)
         balanced = [s for s in found if s.type == "I"]

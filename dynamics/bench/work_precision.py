@@ -141,7 +141,7 @@ def stages(
 
 def targets(rows: Iterable[Measurement]) -> list[Target]:
     """Measured figures with their targets."""
-    rows, found = list(rows), []
+    rows, found = list(rows), list[Target]()
     for row in rows:
         if row.peer:
             continue

@@ -5,12 +5,11 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 
-import sympy as sp
-
 from dynamics.derivation import source_equations as source
 from dynamics.derivation import symbols as s
 from dynamics.derivation.lagrange import energies, lagrange_equations, rotating_frame_equations
 from dynamics.derivation.linearised import ISOTROPIC, singular_point_equations, singular_point_matrices
+from dynamics.derivation.symbols import Expr, Matrix, sp
 
 
 @dataclass(frozen=True)
@@ -24,11 +23,11 @@ class Deviation:
 
     row: int
     column: int
-    printed: sp.Expr
-    right: sp.Expr
+    printed: Expr
+    right: Expr
 
     @property
-    def surplus(self) -> sp.Expr:
+    def surplus(self) -> Expr:
         """printed − right."""
         return s.normal_form(self.printed - self.right)
 
@@ -53,10 +52,10 @@ class Comparison:
         return not self.deviations
 
 
-def compare(number: str, subject: str, printed: sp.Expr | sp.Matrix, right: sp.Expr | sp.Matrix) -> Comparison:
+def compare(number: str, subject: str, printed: Expr | Matrix, right: Expr | Matrix) -> Comparison:
     """Compare two expressions, or two matrices of equal shape, in normal form."""
     left_cells, right_cells = (m.tolist() if isinstance(m, sp.MatrixBase) else [[m]] for m in (printed, right))
-    found = []
+    found: list[Deviation] = []
     for i, (left_row, right_row) in enumerate(zip(left_cells, right_cells, strict=True)):
         for j, (left, ours) in enumerate(zip(left_row, right_row, strict=True)):
             theirs, belongs = s.in_moments(left), s.in_moments(ours)
@@ -77,7 +76,7 @@ def _rotor_alone_comparisons() -> list[Comparison]:
     lag = sp.atan(omega * c / (mass * (k / mass - omega**2))), sp.atan2(omega * c, k - mass * omega**2)
     eccentricity = moment / mass, s.S_P / s.M_S
 
-    def equal(number: str, subject: str, printed: sp.Expr, ours: sp.Expr) -> Comparison:
+    def equal(number: str, subject: str, printed: Expr, ours: Expr) -> Comparison:
         found = () if sp.simplify(printed - ours) == 0 else (Deviation(1, 1, printed, ours),)
         return Comparison(number, subject, found)
 
@@ -109,7 +108,7 @@ def _rotor_alone_comparisons() -> list[Comparison]:
     ]
 
 
-def _same_above_resonance(printed: sp.Expr, right: sp.Expr) -> bool:
+def _same_above_resonance(printed: Expr, right: Expr) -> bool:
     """Whether two expressions of the phase lag are equal at a speed above resonance."""
     at = {s.M_D: 7, s.M_P: 0.12, s.k1: 2500, s.c1: 10, s.omega: 60}
     return abs(float(printed.subs(at)) - float(right.subs(at))) < 1e-9
@@ -160,7 +159,7 @@ def _angle_comparisons() -> list[Comparison]:
     area = sp.sqrt(((S_A + S_B) ** 2 - S_P**2) * (S_P**2 - (S_A - S_B) ** 2))
     sines = (-area / (2 * S_P * S_A), area / (2 * S_P * S_B))
     cosines = ((S_B**2 - S_A**2 - S_P**2) / (2 * S_P * S_A), (S_A**2 - S_B**2 - S_P**2) / (2 * S_P * S_B))
-    found = []
+    found: list[Comparison] = []
     for n, printed in enumerate(source.balanced_angle_arguments()):
         deviations = tuple(
             Deviation(1, i + 1, theirs, ours)
@@ -177,7 +176,7 @@ def _matrix_comparisons() -> list[Comparison]:
     third = (source.INERTIA, source.DAMPING_ISOTROPIC, source.STIFFNESS_ISOTROPIC)
     fourth = (source.INERTIA, source.DAMPING, source.STIFFNESS)
     names = ("[M]", "[D + G]", "[K + N]")
-    found = []
+    found: list[Comparison] = []
     for chapter, first, printed, ours in ((3, 27, third, isotropic), (4, 15, fourth, right)):
         cells = (ours.inertia, ours.damping, ours.stiffness)
         found += [compare(f"{chapter}-{first + i}", names[i], printed[i], cells[i]) for i in range(3)]

@@ -1,5 +1,3 @@
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOperatorIssue=false, reportCallIssue=false
-# SymPy's annotations are narrower than its accepted arguments.
 """The source's numbered definitions and methods, each verified by a property.
 
 `dynamics.derivation.comparison` compares equations cell by cell. The remaining numbered items are names, regions, forms
@@ -16,14 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.integrate
 import scipy.linalg
-import sympy as sp
 
+from dynamics.arrays import Array
 from dynamics.derivation import source_equations as source
 from dynamics.derivation import symbols as s
 from dynamics.derivation.comparison import compare
 from dynamics.derivation.effects import POINTS, NumericMotion, rig, variants
 from dynamics.derivation.lagrange import lagrange_equations, rotating_frame_equations
 from dynamics.derivation.linearised import ISOTROPIC
+from dynamics.derivation.symbols import Expr, sp
 from dynamics.equations.balancing import balanced_angles, closing_angles
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.steady.singular_points import singular_points
@@ -50,7 +49,7 @@ class Checked:
     how: str
 
 
-def _alone() -> tuple[sp.Expr, sp.Expr, sp.Expr]:
+def _alone() -> tuple[Expr, Expr, Expr]:
     """Squared amplitude of the rotor alone, N² from (2-10), and e from (2-8)."""
     mass, moment = s.M_D + s.M_P, s.M_P * s.P_3
     response = (s.k1 - mass * s.omega**2) ** 2 + (s.omega * s.c1) ** 2
@@ -144,12 +143,12 @@ def _moments() -> list[Checked]:
     ]
 
 
-def lagrange_rows(kinetic: sp.Expr, potential: sp.Expr, dissipation: sp.Expr) -> list[sp.Expr]:
+def lagrange_rows(kinetic: Expr, potential: Expr, dissipation: Expr) -> list[Expr]:
     """(3-8) applied to given energies in the rotating frame, Q_i = 0: four expressions that are zero along a motion."""
     coordinates = (s.Y1, s.Y2, s.theta3, s.theta4)
     rates = (s.dY1, s.dY2, s.dtheta3, s.dtheta4)
     accelerations = (s.ddY1, s.ddY2, s.ddtheta3, s.ddtheta4)
-    rows = []
+    rows: list[Expr] = []
     for q, dq in zip(coordinates, rates, strict=True):
         momentum = sp.diff(kinetic, dq)
         change = (
@@ -247,7 +246,7 @@ def _first_order() -> list[Checked]:
 
 def _matrices(
     motion: NumericMotion, p: RotorParameters, psi: float, omega: float, angles: tuple[float, float]
-) -> list[np.ndarray]:
+) -> list[Array]:
     moments = p.total_mass_kg, p.a.first_moment_kg_m, p.b.first_moment_kg_m, p.imbalance_moment_kg_m
     return motion.matrices(p, psi, omega, (0.0, 0.0, *angles), moments)
 
@@ -256,13 +255,13 @@ def _floquet() -> list[Checked]:
     motion, p = variants()["derived"], rig()
     omega, angles = p.speed_rad_s(POINTS["B"]), balanced_angles(p)[0]
 
-    def a(t: float) -> np.ndarray:
+    def a(t: float) -> Array:
         return motion.system(p, omega * t, omega, (0.0, 0.0, *angles))
 
     period, h = 2 * math.pi / omega, 1e-6
     ends = [0.4 * period, 0.4 * period + h, 0.4 * period + 2 * h]
 
-    def phi(until: float) -> np.ndarray:
+    def phi(until: float) -> Array:
         run = scipy.integrate.solve_ivp(
             lambda t, y: (a(t) @ y.reshape(8, 8)).ravel(),
             (0.0, until),

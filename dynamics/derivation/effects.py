@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import scipy.linalg
-import sympy as sp
 
+from dynamics.arrays import Array
 from dynamics.derivation import source_equations as source
 from dynamics.derivation import symbols as s
 from dynamics.derivation.comparison import comparison
@@ -17,6 +18,7 @@ from dynamics.derivation.lagrange import rotating_frame_equations
 from dynamics.derivation.linearised import ISOTROPIC, LinearMotion, at_rest, linearised, singular_point_matrices
 from dynamics.derivation.scenes import rig_values
 from dynamics.derivation.source_listing import CELL_1_4_AS_LISTED
+from dynamics.derivation.symbols import sp
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.steady.singular_points import singular_points
@@ -66,9 +68,9 @@ class NumericMotion:
 
     def __init__(self, linear: LinearMotion) -> None:
         matrices = [linear.inertia, linear.damping, linear.stiffness]
-        self._evaluate = sp.lambdify(_ARGUMENTS, matrices, "numpy", cse=True)
+        self._evaluate: Callable[..., Any] = sp.lambdify(_ARGUMENTS, matrices, "numpy", cse=True)
 
-    def system(self, p: RotorParameters, psi: float, omega: float, state: Sequence[float]) -> np.ndarray:
+    def system(self, p: RotorParameters, psi: float, omega: float, state: Sequence[float]) -> Array:
         """[A] of the first-order system, shape (8, 8).
 
         Args:
@@ -83,23 +85,23 @@ class NumericMotion:
 
     def matrices(
         self, p: RotorParameters, psi: float, omega: float, state: Sequence[float], moments: Sequence[float]
-    ) -> list[np.ndarray]:
+    ) -> list[Array]:
         """[M], [D + G], [K + N], shape (4, 4) each. Arguments as for `system`; moments are M_S, S_A, S_B, S_P."""
         found = self._evaluate(psi, omega, *state, *moments, *rig_values(p).values())
         return [np.array(matrix, float) for matrix in found]
 
-    def type_i_harmonics(self, p: RotorParameters, omega: float) -> np.ndarray:
+    def type_i_harmonics(self, p: RotorParameters, omega: float) -> Array:
         """[A] = [A0] + [A1] cos 2ψ + [A2] sin 2ψ about Type I, shape (3, 8, 8). There are no other harmonics."""
         state = (0.0, 0.0, *balanced_angles(p)[0])
         start, eighth, quarter = (self.system(p, psi, omega, state) for psi in (0.0, math.pi / 4, math.pi / 2))
         mean = (start + quarter) / 2
         return np.array([mean, start - mean, eighth - mean])
 
-    def multipliers(self, p: RotorParameters, speed_ratios: Iterable[float], steps: int = 400) -> np.ndarray:
+    def multipliers(self, p: RotorParameters, speed_ratios: Iterable[float], steps: int = 400) -> Array:
         """Largest modulus of the Type I multipliers over one revolution, shape (n,)."""
         return np.max(np.abs(self.spectra(p, speed_ratios, steps)), axis=-1)
 
-    def spectra(self, p: RotorParameters, speed_ratios: Iterable[float], steps: int = 400) -> np.ndarray:
+    def spectra(self, p: RotorParameters, speed_ratios: Iterable[float], steps: int = 400) -> Array:
         """All Type I multipliers over one revolution, complex, shape (n, 8).
 
         Classical Runge–Kutta over half a revolution, for all speeds at once. With 400 steps the error is about 1e-8 at
@@ -140,7 +142,7 @@ class NumericMotion:
         return float(np.max(np.linalg.eigvals(self.system(p, 0.0, omega, state)).real))
 
 
-def _at(harmonics: np.ndarray, psi: float) -> np.ndarray:
+def _at(harmonics: Array, psi: float) -> Array:
     return (
         harmonics[..., 0, :, :]
         + math.cos(2 * psi) * harmonics[..., 1, :, :]

@@ -11,9 +11,8 @@ import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import sympy as sp
-
 from dynamics.derivation import symbols as s
+from dynamics.derivation.symbols import Expr, Matrix, Symbol, sp
 
 
 @dataclass(frozen=True)
@@ -26,14 +25,14 @@ class Equations:
         coordinates, rates, accelerations: four symbols each; the first two in m, the others in rad.
     """
 
-    mass_matrix: sp.Matrix
-    right_side: sp.Matrix
-    coordinates: tuple[sp.Symbol, ...]
-    rates: tuple[sp.Symbol, ...]
-    accelerations: tuple[sp.Symbol, ...]
+    mass_matrix: Matrix
+    right_side: Matrix
+    coordinates: tuple[Symbol, ...]
+    rates: tuple[Symbol, ...]
+    accelerations: tuple[Symbol, ...]
 
     @property
-    def residual(self) -> sp.Matrix:
+    def residual(self) -> Matrix:
         """mass_matrix · accelerations − right_side, shape (4, 1): zero along a motion."""
         return self.mass_matrix * sp.Matrix(self.accelerations) - self.right_side
 
@@ -48,13 +47,13 @@ class Energies:
         forces: the four generalised forces of dry friction, N and N m.
     """
 
-    kinetic: sp.Expr
-    potential: sp.Expr
-    dissipation: sp.Expr
-    forces: tuple[sp.Expr, ...]
+    kinetic: Expr
+    potential: Expr
+    dissipation: Expr
+    forces: tuple[Expr, ...]
 
 
-def _coordinates(turning: bool) -> tuple[tuple[sp.Symbol, ...], ...]:
+def _coordinates(turning: bool) -> tuple[tuple[Symbol, ...], ...]:
     if turning:
         return (
             (s.Y1, s.Y2, s.theta3, s.theta4),
@@ -79,10 +78,10 @@ def energies(turning: bool = False) -> Energies:
     quarter_turn = sp.Matrix([[0, -1], [1, 0]])
     turn = sp.Matrix([[sp.cos(frame), -sp.sin(frame)], [sp.sin(frame), sp.cos(frame)]])
 
-    def velocity(position: sp.Matrix) -> sp.Matrix:
+    def velocity(position: Matrix) -> Matrix:
         return total_derivative(position, coordinates, rates) + frame_rate * quarter_turn * position
 
-    def direction(angle: sp.Expr) -> sp.Matrix:
+    def direction(angle: Expr) -> Matrix:
         return sp.Matrix([sp.cos(angle - frame), sp.sin(angle - frame)])
 
     centre = sp.Matrix(coordinates[:2])
@@ -92,7 +91,7 @@ def energies(turning: bool = False) -> Energies:
     # The brass weights that compensate the shift have the first moment −(M_A + M_B) R_C and no mass
     kinetic -= s.compensated * (s.M_A + s.M_B) * s.R_C * v_centre.dot(velocity(direction(s.psi)))
     potential = s.g * (s.M_D + s.M_P) * (turn * centre)[1]
-    forces: list[sp.Expr] = [sp.Integer(0), sp.Integer(0)]
+    forces: list[Expr] = [sp.Integer(0), sp.Integer(0)]
     arms = (
         (s.theta3, s.dtheta3, s.M_A, s.R_A, s.r_A, s.kappa_A, s.h_A, s.sign_A),
         (s.theta4, s.dtheta4, s.M_B, s.R_B, s.r_B, s.kappa_B, s.h_B, s.sign_B),
@@ -110,7 +109,7 @@ def energies(turning: bool = False) -> Energies:
     return Energies(kinetic, potential, lost / 2, tuple(forces))
 
 
-def total_derivative(expression: sp.Matrix, coordinates: Sequence[sp.Symbol], rates: Sequence[sp.Symbol]) -> sp.Matrix:
+def total_derivative(expression: Matrix, coordinates: Sequence[Symbol], rates: Sequence[Symbol]) -> Matrix:
     """d/dt of a matrix that contains coordinates, ψ and ω but no rates."""
     change = expression.diff(s.psi) * s.omega + expression.diff(s.omega) * s.alpha
     for coordinate, rate in zip(coordinates, rates, strict=True):

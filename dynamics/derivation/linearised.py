@@ -9,14 +9,15 @@ is half a revolution.
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
-
-import sympy as sp
+from typing import Any
 
 from dynamics.derivation import symbols as s
 from dynamics.derivation.lagrange import Equations, rotating_frame_equations
+from dynamics.derivation.symbols import Expr, Matrix
 
-ISOTROPIC: dict[sp.Expr, sp.Expr] = {s.k2: s.k1, s.c2: s.c1}
+ISOTROPIC: dict[Expr, Expr] = {s.k2: s.k1, s.c2: s.c1}
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,11 @@ class LinearMotion:
         stiffness: [K + N], elastic and non-conservative (circulatory) terms.
     """
 
-    inertia: sp.Matrix
-    damping: sp.Matrix
-    stiffness: sp.Matrix
+    inertia: Matrix
+    damping: Matrix
+    stiffness: Matrix
 
-    def subs(self, values: dict) -> LinearMotion:
+    def subs(self, values: Mapping[Expr, Any]) -> LinearMotion:
         """The matrices with substituted values, in normal form."""
         return LinearMotion(
             *(m.subs(values).applyfunc(s.normal_form) for m in (self.inertia, self.damping, self.stiffness))
@@ -44,7 +45,7 @@ class LinearMotion:
         return LinearMotion(*(m.applyfunc(s.in_moments) for m in (self.inertia, self.damping, self.stiffness)))
 
 
-def linearised(residual: sp.Matrix, equations: Equations) -> LinearMotion:
+def linearised(residual: Matrix, equations: Equations) -> LinearMotion:
     """Derivatives of four equations of motion at a general state. Coordinates, rates, accelerations stay symbols.
 
     Args:
@@ -58,7 +59,7 @@ def linearised(residual: sp.Matrix, equations: Equations) -> LinearMotion:
     )
 
 
-def at_rest(equations: Equations) -> dict[sp.Expr, int]:
+def at_rest(equations: Equations) -> dict[Expr, int]:
     """Substitution of zero for rates and accelerations: a state at rest in the equations' frame."""
     return dict.fromkeys((*equations.rates, *equations.accelerations), 0)
 
@@ -74,7 +75,7 @@ def singular_point_matrices() -> LinearMotion:
 
 
 @functools.cache
-def singular_point_equations() -> sp.Matrix:
+def singular_point_equations() -> Matrix:
     """Conditions of a state at rest in the rotating frame, shape (4, 1), = 0; plain rig, constant speed.
 
     With unequal springs or dampers the first two contain ψ, so only Y1 = Y2 = 0 satisfies them at all times.

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import functools
 import math
+from typing import Any
 
 import numpy as np
-from scipy.optimize import root_scalar
+import scipy.optimize
 
 from dynamics.derivation.effects import (
     NOMINAL_MOMENT_KG_M,
@@ -22,9 +23,9 @@ from dynamics.steady.singular_points import dynamic_stiffness
 
 FAULTS = {
     "right equations": Faults(),
-    "(a) no push back": Faults(without_reaction=True),
-    "(b) speed runs on": Faults(integrates_locked_speed=True),
-    "(a) and (b), the script": Faults(without_reaction=True, integrates_locked_speed=True),
+    "(a) no push back": Faults(no_push_back=True),
+    "(b) speed runs on": Faults(speed_runs_on=True),
+    "(a) and (b), the script": Faults(no_push_back=True, speed_runs_on=True),
 }
 # Regions of balancing capability: S_P (kg m), mass of pendulum B (kg)
 REGIONS = {
@@ -51,7 +52,7 @@ def isotropic_growth_rates() -> dict[str, dict[str, float]]:
         "III, S_P = 0.012 kg m, Ω = 2.5": (rig(1, 0.05, 0.012), 2.5, "III"),
         "II, M_BB = 0.019 kg, S_P = 0.001 kg m, Ω = 2.5": (rig(1, 0.05, 0.001, 0.019), 2.5, "II"),
     }
-    found = {}
+    found: dict[str, dict[str, float]] = {}
     for name, (p, ratio, kind) in cases.items():
         omega = p.speed_rad_s(ratio)
         states = states_at_rest(p, omega)[kind]
@@ -66,7 +67,7 @@ def isotropic_growth_rates() -> dict[str, dict[str, float]]:
 @functools.cache
 def stable_types() -> dict[tuple[str, float], list[str]]:
     """Types with a stable solution by region and speed ratio; equal springs, ζ = 0.02."""
-    derived, found = isotropic_variants()["derived"], {}
+    derived, found = isotropic_variants()["derived"], dict[tuple[str, float], list[str]]()
     for region, (moment, mass_b) in REGIONS.items():
         p = rig(1, 0.02, moment, mass_b)
         for ratio in (0.8, 2.5):
@@ -98,7 +99,7 @@ def type_ii_against_none(share: float) -> float:
 
 def settling_times_s(damping: tuple[float, ...]) -> list[float]:
     """Time constants of the slowest Type I motion at B for given c34 (N m s/rad), s."""
-    found = []
+    found: list[float] = []
     for c in damping:
         p = rig(damping=(c, c))
         multiplier = variants()["derived"].piecewise_multiplier(p, POINTS["B"], 100, 0.5)
@@ -120,10 +121,11 @@ def border_shift(slack: float = 1e-5) -> tuple[float, float]:
     motion, p = variants()["derived"], rig()
 
     def border(limit: float) -> float:
-        found = root_scalar(
-            lambda ratio: motion.multipliers(p, [ratio], 200)[0] - limit, bracket=(0.9, 1.6), xtol=1e-12
-        )
-        return float(found.root)
+        def excess(ratio: float) -> float:
+            return float(motion.multipliers(p, [ratio], 200)[0] - limit)
+
+        solve: Any = scipy.optimize.root_scalar
+        return float(solve(excess, bracket=(0.9, 1.6), xtol=1e-12).root)
 
     right = border(1.0)
     return right, border(1.0 + slack) - right

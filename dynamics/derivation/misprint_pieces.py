@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sympy as sp
-
 from dynamics.derivation.comparison import Comparison, comparison
 from dynamics.derivation.symbols import (
     M_P,
@@ -12,6 +10,7 @@ from dynamics.derivation.symbols import (
     S_P,
     Y1,
     Y2,
+    Expr,
     c1,
     c2,
     ddtheta3,
@@ -22,10 +21,11 @@ from dynamics.derivation.symbols import (
     normal_form,
     omega,
     psi,
+    sp,
     theta3,
 )
 
-Piece = tuple[sp.Expr, sp.Expr]
+Piece = tuple[Expr, Expr]
 _s, _c = sp.sin(psi), sp.cos(psi)
 
 # Equations of several terms, in the order of their terms. Zero on the left: the term is missing in print.
@@ -56,13 +56,13 @@ PIECES: dict[str, tuple[Piece, ...]] = {
 }
 
 
-def unexplained(number: str) -> sp.Expr:
+def unexplained(number: str) -> Expr:
     """Deviation of an equation minus its listed terms: zero if the list is complete."""
     (deviation,) = comparison(number).deviations
     return normal_form(deviation.surplus - sum(printed - right for printed, right in PIECES[number]))
 
 
-def in_double_angle(expression: sp.Expr) -> sp.Expr:
+def in_double_angle(expression: Expr) -> Expr:
     """Cell with cos²ψ and sinψ cosψ written in cos 2ψ and sin 2ψ, which shows its period; other cells unchanged."""
     if not expression.has(psi):
         return expression
@@ -70,7 +70,7 @@ def in_double_angle(expression: sp.Expr) -> sp.Expr:
     return sp.collect(sp.expand(double), [sp.cos(2 * psi), sp.sin(2 * psi)])
 
 
-def formula(expression: sp.Expr) -> str:
+def formula(expression: Expr) -> str:
     """LaTeX of an expression between dollar signs."""
     return f"${sp.latex(expression)}$"
 

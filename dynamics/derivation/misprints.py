@@ -115,7 +115,7 @@ def verdicts() -> list[str]:
 
 def equation_details() -> list[str]:
     """Each equation that deviates, with its terms or cells."""
-    lines = []
+    lines: list[str] = []
     for c in comparisons():
         if not c.agrees:
             lines += [f"### ({c.number}) {c.subject}", *details(c), *REMARKS.get(c.number, []), ""]

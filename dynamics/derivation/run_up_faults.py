@@ -7,17 +7,15 @@
 The script runs at full speed from the first instant, with the disk at rest. It contains no ramp.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import C1, C2, CA, CB, JA, JB, K1, K2, MASS, SA, SB, SP
 from dynamics.equations.parameters import RotorParameters
 
@@ -27,12 +25,12 @@ class Faults:
     """Faults contained in the equations.
 
     Attributes:
-        without_reaction: fault (a), the disk's equations do not contain θ̈3, θ̈4.
-        integrates_locked_speed: fault (b), the speed of a locked pendulum is integrated.
+        no_push_back: fault (a), the disk's equations do not contain θ̈3, θ̈4.
+        speed_runs_on: fault (b), the speed of a locked pendulum is integrated.
     """
 
-    without_reaction: bool = False
-    integrates_locked_speed: bool = False
+    no_push_back: bool = False
+    speed_runs_on: bool = False
 
 
 @dataclass(frozen=True)
@@ -45,12 +43,12 @@ class Release:
         released: index of the instant of release.
     """
 
-    time_s: np.ndarray
-    state: np.ndarray
+    time_s: Array
+    state: Array
     released: int
 
     @property
-    def radius_m(self) -> np.ndarray:
+    def radius_m(self) -> Array:
         """Distance of the disk centre from its rest position, m, shape (n,)."""
         return np.hypot(self.state[:, 0], self.state[:, 1])
 
@@ -60,7 +58,7 @@ class Release:
         return float(self.state[self.released, 6]), float(self.state[self.released, 7])
 
     @property
-    def final_angles_rad(self) -> np.ndarray:
+    def final_angles_rad(self) -> Array:
         """Means of θ3, θ4 over the last five revolutions, not reduced, shape (2,)."""
         return self.state[-50:, 2:4].mean(axis=0)
 
@@ -71,8 +69,17 @@ class Release:
         return 0.0 if len(outside) == 0 else max(0.0, float(self.time_s[outside[-1]] - self.time_s[self.released]))
 
 
-@njit(cache=True, error_model="numpy")
-def script_rates(y, psi, omega, p, locked, without_reaction, integrates_locked_speed, out):
+@compiled
+def script_rates(
+    y: Array,
+    psi: float,
+    omega: float,
+    p: Array,
+    locked: bool,
+    no_push_back: bool,
+    speed_runs_on: bool,
+    out: Array,
+) -> None:
     """Write dy/dt to out: the plain rig at constant speed, correct or with the script's faults.
 
     Args:
@@ -80,10 +87,10 @@ def script_rates(y, psi, omega, p, locked, without_reaction, integrates_locked_s
         psi, omega: rotor phase (rad) and speed (rad/s).
         p: RotorParameters.packed().
         locked: whether both pendulums are locked.
-        without_reaction, integrates_locked_speed: the faults.
+        no_push_back, speed_runs_on: the faults.
     """
-    turning = not locked or integrates_locked_speed
-    coupled = turning and not without_reaction
+    turning = not locked or speed_runs_on
+    coupled = turning and not no_push_back
     fx = p[SP] * omega * omega * np.cos(psi) - p[K1] * y[0] - p[C1] * y[4]
     fy = p[SP] * omega * omega * np.sin(psi) - p[K2] * y[1] - p[C2] * y[5]
     mxx, mxy, myy = p[MASS], 0.0, p[MASS]
@@ -108,8 +115,17 @@ def script_rates(y, psi, omega, p, locked, without_reaction, integrates_locked_s
         out[7] = (p[SB] * (np.sin(psi + y[3]) * ax - np.cos(psi + y[3]) * ay) - p[CB] * y[7]) / p[JB]
 
 
-@njit(cache=True, error_model="numpy")
-def _run(y, omega, p, release_turns, turns, steps, without_reaction, integrates_locked_speed):
+@compiled
+def _run(
+    y: Array,
+    omega: float,
+    p: Array,
+    release_turns: int,
+    turns: int,
+    steps: int,
+    no_push_back: bool,
+    speed_runs_on: bool,
+) -> Array:
     """States every tenth of a revolution by classical Runge–Kutta with `steps` steps a revolution (multiple of ten)."""
     h = 2.0 * np.pi / omega / steps
     out = np.empty((10 * turns + 1, 8))
@@ -119,10 +135,10 @@ def _run(y, omega, p, release_turns, turns, steps, without_reaction, integrates_
         locked = i < release_turns * steps
         psi = 2.0 * np.pi * (i % steps) / steps
         half = omega * h / 2
-        script_rates(y, psi, omega, p, locked, without_reaction, integrates_locked_speed, k[0])
-        script_rates(y + h / 2 * k[0], psi + half, omega, p, locked, without_reaction, integrates_locked_speed, k[1])
-        script_rates(y + h / 2 * k[1], psi + half, omega, p, locked, without_reaction, integrates_locked_speed, k[2])
-        script_rates(y + h * k[2], psi + 2 * half, omega, p, locked, without_reaction, integrates_locked_speed, k[3])
+        script_rates(y, psi, omega, p, locked, no_push_back, speed_runs_on, k[0])
+        script_rates(y + h / 2 * k[0], psi + half, omega, p, locked, no_push_back, speed_runs_on, k[1])
+        script_rates(y + h / 2 * k[1], psi + half, omega, p, locked, no_push_back, speed_runs_on, k[2])
+        script_rates(y + h * k[2], psi + 2 * half, omega, p, locked, no_push_back, speed_runs_on, k[3])
         y = y + h / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])
         if (i + 1) % (steps // 10) == 0:
             out[(i + 1) // (steps // 10)] = y
@@ -157,7 +173,7 @@ def release(
         locked_turns,
         turns,
         steps_per_revolution,
-        faults.without_reaction,
-        faults.integrates_locked_speed,
+        faults.no_push_back,
+        faults.speed_runs_on,
     )
     return Release(np.arange(len(state)) * turn / 10, state, 10 * locked_turns)

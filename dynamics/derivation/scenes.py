@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-
-import sympy as sp
+from typing import Any
 
 from dynamics.derivation import symbols as s
 from dynamics.derivation.lagrange import Equations
 from dynamics.derivation.linearised import linearised
+from dynamics.derivation.symbols import Expr, sp
 from dynamics.equations.parameters import Pendulum, RotorParameters
 
 
-def rig_values(parameters: RotorParameters, sliding: tuple[int, int] = (1, 1)) -> dict[sp.Expr, float]:
+def rig_values(parameters: RotorParameters, sliding: tuple[int, int] = (1, 1)) -> dict[Expr, float]:
     """Values of the rig for the derivation's symbols, in the order of `symbols.RIG`.
 
     Args:
@@ -65,7 +65,7 @@ def moving_rows(parameters: RotorParameters, released: tuple[bool, bool]) -> lis
 
 
 @functools.cache
-def compiled(build: Callable[[], Equations]) -> Callable:
+def compiled(build: Callable[[], Equations]) -> Callable[..., Any]:
     """(mass matrix, right side, |right side|, ∂residual/∂coordinates, ∂residual/∂rates) as an mpmath function.
 
     |right side| is the sum of the absolute values of its terms: the scale of rounding errors.

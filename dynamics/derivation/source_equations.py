@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import sympy as sp
-
 from dynamics.derivation.symbols import (
     M_P,
     M_S,
@@ -22,6 +20,8 @@ from dynamics.derivation.symbols import (
     S_P,
     Y1,
     Y2,
+    Expr,
+    Matrix,
     c1,
     c2,
     c3,
@@ -38,6 +38,7 @@ from dynamics.derivation.symbols import (
     k2,
     omega,
     psi,
+    sp,
     theta3,
     theta4,
 )
@@ -103,16 +104,16 @@ DISSIPATION = (
 )
 
 
-def _push_1(theta: sp.Expr, rate: sp.Expr, acceleration: sp.Expr) -> sp.Expr:
+def _push_1(theta: Expr, rate: Expr, acceleration: Expr) -> Expr:
     return 2 * omega * cos(theta) * rate + sin(theta) * acceleration + omega**2 * cos(theta) + cos(theta) * rate**2
 
 
-def _push_2(theta: sp.Expr, rate: sp.Expr, acceleration: sp.Expr, sign: int) -> sp.Expr:
+def _push_2(theta: Expr, rate: Expr, acceleration: Expr, sign: int) -> Expr:
     turned = sign * cos(theta) * acceleration
     return 2 * omega * sin(theta) * rate + turned + omega**2 * sin(theta) + sin(theta) * rate**2
 
 
-def _pendulum(S: sp.Expr, R: sp.Expr, theta: sp.Expr, rate: sp.Expr, acceleration: sp.Expr, c: sp.Expr) -> sp.Expr:
+def _pendulum(S: Expr, R: Expr, theta: Expr, rate: Expr, acceleration: Expr, c: Expr) -> Expr:
     inside = (
         -sin(theta) * ddY1
         + R * acceleration
@@ -191,7 +192,7 @@ EQUATION_4_11 = (
 )
 
 
-def balanced_angle_arguments() -> tuple[tuple[sp.Expr, sp.Expr], tuple[sp.Expr, sp.Expr]]:
+def balanced_angle_arguments() -> tuple[tuple[Expr, Expr], tuple[Expr, Expr]]:
     """(3-21), (3-22): the two arguments of the four-quadrant arc tangent for θ3 and for θ4."""
     A, B = (S_A + S_B - S_P) * (S_A + S_B + S_P), (S_A - S_B - S_P) * (S_A - S_B + S_P)
     root = sp.sqrt(-A * B)
@@ -210,7 +211,7 @@ INERTIA = sp.Matrix(
 )
 
 
-def _pendulum_cells(disk: Sequence[Sequence[sp.Expr]], last: Sequence[sp.Expr], rate: bool) -> sp.Matrix:
+def _pendulum_cells(disk: Sequence[Sequence[Expr]], last: Sequence[Expr], rate: bool) -> Matrix:
     """Cells common to chapters 3 and 4: pendulum columns and rows of [D + G] (rate) or [K + N]."""
     if rate:
         right = (

@@ -6,7 +6,17 @@ functions of time. `dynamics.derivation.lagrange` defines which is the time deri
 
 from __future__ import annotations
 
-import sympy as sp
+from typing import Any, TypeAlias
+
+import sympy
+
+sp: Any = sympy  # SymPy annotates only a part of its functions and methods
+Expr: TypeAlias = Any
+"""sympy.Expr"""
+Matrix: TypeAlias = Any
+"""sympy.Matrix"""
+Symbol: TypeAlias = Any
+"""sympy.Symbol"""
 
 # Masses (kg), lengths (m), suspension (N/m, N s/m), damping of the pendulums (N m s/rad), gravity (m/s²)
 M_D, M_P, P_3, M_A, R_A, M_B, R_B = sp.symbols("M_D M_P P_3 M_A R_A M_B R_B", positive=True)
@@ -60,10 +70,10 @@ RIG = (
 PHASE = (psi, omega, alpha)
 
 # Quantities that a plain rig does not have: pivot shift, gravity, dry friction, balls, rotor acceleration
-PLAIN: dict[sp.Expr, int] = dict.fromkeys((R_C, compensated, g, h_A, h_B, kappa_A, kappa_B, alpha), 0)
+PLAIN: dict[Expr, int] = dict.fromkeys((R_C, compensated, g, h_A, h_B, kappa_A, kappa_B, alpha), 0)
 
 
-def normal_form(expression: sp.Expr) -> sp.Expr:
+def normal_form(expression: Expr) -> Expr:
     """Expanded sum without sin² or higher powers of sines. It is zero exactly if the expression is zero.
 
     Args:
@@ -80,7 +90,7 @@ def normal_form(expression: sp.Expr) -> sp.Expr:
         expanded = sp.expand(expanded.xreplace(lowered))
 
 
-def in_moments(expression: sp.Expr) -> sp.Expr:
+def in_moments(expression: Expr) -> Expr:
     """Normal form written with M_S, S_A, S_B, S_P instead of M_D, M_A, M_B, P_3."""
 
     shorter = {M_D: M_S - M_P - M_A - M_B, M_A: S_A / R_A, M_B: S_B / R_B, P_3: S_P / M_P}

@@ -8,16 +8,14 @@ and sticks as long as |T| ≤ F ω². Within a mode the motion is smooth. Modes 
 locates (docs/theory/integration.md), so the sign of a small speed is never evaluated.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 from itertools import product
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import DA, FA, GRAVITY, JA, RC, SA, rates
 from dynamics.errors import NotConverged
 
@@ -25,8 +23,10 @@ FORWARD, BACKWARD, STUCK = 1, -1, 0
 Modes = tuple[int, int]
 
 
-@njit(cache=True, error_model="numpy")
-def needed_torque(pendulum, y, psi, omega, alpha, p, free_a, free_b, out):
+@compiled
+def needed_torque(
+    pendulum: int, y: Array, psi: float, omega: float, alpha: float, p: Array, free_a: float, free_b: float, out: Array
+) -> float:
     """Torque that holds pendulum 0 (A) or 1 (B) at rest on the rotor, N m. `out` is scratch, shape (8,)."""
     rates(y, psi, omega, alpha, p, free_a, free_b, out)
     phi = psi + y[2 + pendulum]
@@ -37,7 +37,7 @@ def needed_torque(pendulum, y, psi, omega, alpha, p, free_a, free_b, out):
     return p[SA + pendulum] * (sin_phi * px - cos_phi * py) - p[DA + pendulum] * alpha
 
 
-def with_modes(p: np.ndarray, modes: Modes, free: tuple[bool, bool]) -> tuple[np.ndarray, float, float]:
+def with_modes(p: Array, modes: Modes, free: tuple[bool, bool]) -> tuple[Array, float, float]:
     """Packed parameters with friction signed by direction, and free flags; a sticking pendulum is not free."""
     out = p.copy()
     for i in range(2):
@@ -46,9 +46,7 @@ def with_modes(p: np.ndarray, modes: Modes, free: tuple[bool, bool]) -> tuple[np
     return out, free_a, free_b
 
 
-def modes_at(
-    y: np.ndarray, phase: np.ndarray, p: np.ndarray, free: tuple[bool, bool], leaving: int | None = None
-) -> Modes:
+def modes_at(y: Array, phase: Array, p: Array, free: tuple[bool, bool], leaving: int | None = None) -> Modes:
     """Modes that friction permits at an instant.
 
     A pendulum with speed slides. For pendulums at rest on the rotor, all combinations are tried, sticking ones first.
@@ -68,7 +66,7 @@ def modes_at(
     if not np.all(np.isfinite(y)):
         raise NotConverged(f"friction: no mode fits a state that is not finite: {y}")
     psi, omega, alpha = (float(v) for v in phase)
-    choices = []
+    choices: list[tuple[int, ...]] = []
     for i in range(2):
         if not free[i] or p[FA + i] == 0.0:
             choices.append((STUCK,))
@@ -77,7 +75,8 @@ def modes_at(
         else:
             choices.append((FORWARD, BACKWARD) if i == leaving else (STUCK, FORWARD, BACKWARD))
     out, best, least = np.empty(8), (STUCK, STUCK), np.inf
-    for modes in sorted(product(*choices), key=lambda m: abs(m[0]) + abs(m[1])):
+    pairs = [(a, b) for a, b in product(choices[0], choices[1])]
+    for modes in sorted(pairs, key=lambda m: abs(m[0]) + abs(m[1])):
         packed, free_a, free_b = with_modes(p, modes, free)
         worst = 0.0
         for i in range(2):

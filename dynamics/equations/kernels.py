@@ -16,13 +16,12 @@ k u (1 + H u²), and a damper at the speed v resists with c v (1 + Q |v|). Each 
 The rates may be complex: a complex step then gives exact derivatives of every result of this function.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dynamics.arrays import Array, Numbers
+from dynamics.compiled_code import compiled
 
 # Order of the packed parameters (RotorParameters.packed)
 MASS, K1, K2, C1, C2, SA, SB, SP, JA, JB, CA, CB, RC, DA, DB, FA, FB, GRAVITY, BX, BY = range(20)
@@ -31,14 +30,27 @@ PACKED = 26
 DIMENSION = 8
 
 
-@njit(cache=True, error_model="numpy")
-def size_of(x):
+@compiled
+def size_of(x: complex) -> complex:
     """|x| of a float; for a complex number its analytic continuation from the real axis."""
     return x if x.real >= 0.0 else -x
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _pendulum(theta, rate, psi, omega, alpha, free, s, j, c, d, f, air):
+@compiled(inline=True)
+def _pendulum(  # twelve arguments: numba inlines the call, so a tuple of them would cost its construction
+    theta: complex,
+    rate: complex,
+    psi: float,
+    omega: float,
+    alpha: float,
+    free: float,
+    s: complex,
+    j: complex,
+    c: complex,
+    d: complex,
+    f: complex,
+    air: complex,
+) -> tuple[complex, complex, complex, complex, complex, complex]:
     """Direction n, reduced mass, force on the rotor and θ̈, the last two without the terms of p̈ and gravity."""
     phi = psi + theta
     cos_phi, sin_phi = np.cos(phi), np.sin(phi)
@@ -50,8 +62,10 @@ def _pendulum(theta, rate, psi, omega, alpha, free, s, j, c, d, f, air):
     return sin_phi, -cos_phi, free * s * s / j, fx, fy, bare
 
 
-@njit(cache=True, error_model="numpy")
-def rates(y, psi, omega, alpha, p, free_a, free_b, out):
+@compiled
+def rates(
+    y: Numbers, psi: float, omega: float, alpha: float, p: Numbers, free_a: float, free_b: float, out: Numbers
+) -> None:
     """Write dy/dt to out.
 
     Args:
@@ -106,8 +120,10 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
     out[7] = free_b * (p[SB] * (nbx * ax + nby * ay + dot_b) / p[JB] + bare_b)
 
 
-@njit(cache=True, error_model="numpy")
-def jacobian(y, psi, omega, alpha, p, free_a, free_b, out):
+@compiled
+def jacobian(
+    y: Array, psi: float, omega: float, alpha: float, p: Array, free_a: float, free_b: float, out: Array
+) -> None:
     """Write ∂(dy/dt)/∂y, shape (8, 8), to out, by complex steps (exact to rounding)."""
     z = y.astype(np.complex128)
     f = np.empty(8, dtype=np.complex128)
@@ -119,8 +135,22 @@ def jacobian(y, psi, omega, alpha, p, free_a, free_b, out):
         z[j] = y[j]
 
 
-@njit(cache=True, error_model="numpy")
-def rk4_step(y, h, phase0, phase1, phase2, p, free_a, free_b, k1, k2, k3, k4, work):
+@compiled
+def rk4_step(
+    y: Array,
+    h: float,
+    phase0: Array,
+    phase1: Array,
+    phase2: Array,
+    p: Array,
+    free_a: float,
+    free_b: float,
+    k1: Array,
+    k2: Array,
+    k3: Array,
+    k4: Array,
+    work: Array,
+) -> None:
     """Advance y by h in place with one classical fourth-order step.
 
     Args:

@@ -4,15 +4,13 @@ State y = (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4) with the disk centre in the s
 constant, and only the pendulums' small contribution rotates with the rotor. Derivations: docs/theory/stability.md.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import C1, CA, FA, FB, JA, K1, MASS, SA, jacobian
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.periodic_matrix import PeriodicMatrix, turning
@@ -30,8 +28,8 @@ def kept_states(parameters: RotorParameters, released: tuple[bool, bool] = (True
     return np.flatnonzero(np.array([True, True, *free] * 2))
 
 
-@njit(cache=True, error_model="numpy")
-def _resting_harmonics(p, theta3, theta4, w, h):
+@compiled
+def _resting_harmonics(p: Array, theta3: float, theta4: float, w: float, h: Complex) -> None:
     """Write harmonics 0, 1 and 2 of A(ψ) about the balanced state to h, shape (3, 8, 8), which must contain zeros.
 
     Args:
@@ -95,8 +93,8 @@ def type_one(parameters: RotorParameters, theta3: float, theta4: float, speed_ra
     return PeriodicMatrix(np.ascontiguousarray(h[:, kept][:, :, kept]), speed_rad_s, _TURN[kept])
 
 
-@njit(cache=True, error_model="numpy")
-def _matrices_along(states, speed, p, free_a, free_b, matrices):
+@compiled
+def _matrices_along(states: Array, speed: float, p: Array, free_a: float, free_b: float, matrices: Array) -> None:
     """Write ∂(dy/dt)/∂y at equally spaced phases of a revolution, shape (n, 8, 8), for states of shape (n, 8)."""
     for i in range(len(states)):
         matrix = matrices[i]
@@ -110,7 +108,7 @@ def _matrices_along(states, speed, p, free_a, free_b, matrices):
 
 def along(
     parameters: RotorParameters,
-    states: NDArray[np.floating],
+    states: Array,
     speed_rad_s: float,
     released: tuple[bool, bool] = (True, True),
     most_harmonics: int | None = None,
@@ -162,7 +160,7 @@ def along(
     )
 
 
-def _highest_order(spectrum: NDArray[np.complexfloating], size: NDArray[np.floating]) -> int:
+def _highest_order(spectrum: Complex, size: Array) -> int:
     """The highest order above the rounding of the states and of the matrix.
 
     Args:
@@ -179,7 +177,7 @@ def _highest_order(spectrum: NDArray[np.complexfloating], size: NDArray[np.float
     return int(np.max(np.flatnonzero(np.any(amplitude > floor, axis=(1, 2))), initial=0))
 
 
-def _repeats_after_half(states: NDArray[np.floating]) -> bool:
+def _repeats_after_half(states: Array) -> bool:
     """Whether x, y change sign after half a revolution and the angles do not, within the accuracy of the orbit."""
     half = len(states) // 2
     apart = np.abs(states[half:] - _TURN * states[:half]).max(axis=0)
@@ -188,7 +186,7 @@ def _repeats_after_half(states: NDArray[np.floating]) -> bool:
     return bool(np.all(apart <= 1e-7 * scale + 1e-300))
 
 
-def _resampled(states: NDArray[np.floating], phases: int) -> NDArray[np.floating]:
+def _resampled(states: Array, phases: int) -> Array:
     """The states' trigonometric interpolant at more phases of a whole revolution, shape (phases, 8)."""
     have = len(states)
     if phases == have:
@@ -202,7 +200,7 @@ def _resampled(states: NDArray[np.floating], phases: int) -> NDArray[np.floating
 
 def rotating_frame(
     parameters: RotorParameters,
-    state: NDArray[np.floating],
+    state: Array,
     speed_rad_s: float,
     released: tuple[bool, bool] = (True, True),
 ) -> PeriodicMatrix:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynamics.arrays import Array
 from dynamics.errors import OutsideDomain
 
 _MIN_VALUE, _MAX_VALUE = 1e-15, 1e15  # SI; bounds of all parameters, far outside any rig
@@ -282,7 +283,7 @@ class RotorParameters:
         shift = 0.0 if self.pivot_shift_compensated else (self.a.mass_kg + self.b.mass_kg) * self.pivot_shift_m
         return self.imbalance_moment_kg_m + shift
 
-    def packed(self) -> np.ndarray:
+    def packed(self) -> Array:
         """Parameters in the order of the compiled kernels (dynamics.equations.kernels), shape (26,)."""
         a, b = self.a, self.b
         return np.array(

@@ -1,24 +1,21 @@
 """A matrix that is periodic in the rotor's phase, as a Fourier series: input of all Floquet methods."""
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.errors import OutsideDomain
 
 _EPS = float(np.finfo(float).eps)
 
 
-@njit(cache=True, error_model="numpy")
-def evaluate(series, phase, out):
+@compiled
+def evaluate(series: Complex, phase: float, out: Array) -> None:
     """Write A(ψ) = Re Σ_k series[k] e^{ikψ} to out; series complex (m + 1, n, n), out (n, n)."""
     n = series.shape[1]
     for i in range(n):
@@ -44,9 +41,9 @@ class PeriodicMatrix:
         OutsideDomain: the speed is not finite and above 0, or the harmonics are not finite or have a wrong shape.
     """
 
-    harmonics: NDArray[np.complexfloating]
+    harmonics: Complex
     speed_rad_s: float
-    turn: NDArray[np.floating] | None
+    turn: Array | None
 
     def __post_init__(self) -> None:
         shape = self.harmonics.shape
@@ -67,7 +64,7 @@ class PeriodicMatrix:
         """Number of states n."""
         return self.harmonics.shape[1]
 
-    def at(self, phase_rad: float) -> NDArray[np.floating]:
+    def at(self, phase_rad: float) -> Array:
         """A(ψ), shape (n, n), 1/s."""
         wave = np.exp(1j * phase_rad * np.arange(len(self.harmonics)))
         return np.real(np.einsum("k,kij->ij", wave, self.harmonics))
@@ -88,7 +85,7 @@ class PeriodicMatrix:
         return PeriodicMatrix(start.astype(complex)[None], self.speed_rad_s, None)
 
 
-def turning(n: int) -> NDArray[np.floating]:
+def turning(n: int) -> Array:
     """G: derivative of the rotation of (x, y) and (ẋ, ẏ) at angle zero, shape (n, n)."""
     g = np.zeros((n, n))
     for i in (0, n // 2):
@@ -96,8 +93,8 @@ def turning(n: int) -> NDArray[np.floating]:
     return g
 
 
-@njit(cache=True, error_model="numpy")
-def _turn_pairs(a, c, s):
+@compiled
+def _turn_pairs(a: Array, c: float, s: float) -> None:
     """Replace a by Rᵀ a R; R rotates the pairs (0, 1) and (n/2, n/2 + 1) by an angle with cosine c and sine s."""
     n = a.shape[0]
     for first in (0, n // 2):
@@ -110,8 +107,8 @@ def _turn_pairs(a, c, s):
             a[first, column], a[first + 1, column] = c * upper + s * lower, c * lower - s * upper
 
 
-@njit(cache=True, error_model="numpy")
-def _turned_sizes(a, c, s):
+@compiled
+def _turned_sizes(a: Array, c: float, s: float) -> None:
     """Replace a, a matrix of absolute values, by |R|ᵀ a |R|: bound on the sums of the terms of Rᵀ A R."""
     n = a.shape[0]
     for first in (0, n // 2):
@@ -124,8 +121,8 @@ def _turned_sizes(a, c, s):
             a[first, column], a[first + 1, column] = c * upper + s * lower, c * lower + s * upper
 
 
-@njit(cache=True, error_model="numpy")
-def _constant_on_rotor(series, start):
+@compiled
+def _constant_on_rotor(series: Complex, start: Array) -> bool:
     """Whether Rᵀ A(ψ) R is equal to A(0) within rounding at all phases. A(0) is written to start, shape (n, n)."""
     n, phases = start.shape[0], 2 * series.shape[0] + 1
     evaluate(series, 0.0, start)

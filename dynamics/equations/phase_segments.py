@@ -5,16 +5,14 @@ so that a method can evaluate any instant on the segment of its step. At the kno
 has the acceleration of the ramp and the step after it has none.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.equations.speed_history import SpeedHistory
 
 
@@ -29,10 +27,10 @@ class PhaseSegments:
         jumps: shape (n, 2): jumps of the acceleration (rad/s²) and of its rate (rad/s³) at each knot.
     """
 
-    knots: np.ndarray
-    origins: np.ndarray
-    cubics: np.ndarray
-    jumps: np.ndarray
+    knots: Array
+    origins: Array
+    cubics: Array
+    jumps: Array
 
     @classmethod
     def of(cls, history: SpeedHistory) -> PhaseSegments:
@@ -50,27 +48,27 @@ class PhaseSegments:
         return cls(knots, origins, cubics, jumps)
 
     @property
-    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
         """knots, origins, cubics, jumps: arguments of compiled functions."""
         return self.knots, self.origins, self.cubics, self.jumps
 
-    def phase(self, time_s: float) -> np.ndarray:
+    def phase(self, time_s: float) -> Array:
         """ψ (rad), ω (rad/s), α (rad/s²) at one instant, at a knot their values after it; shape (3,)."""
         out = np.empty(3)
         phase_within(time_s, 0, len(self.knots), self.knots, self.origins, self.cubics, out)
         return out
 
 
-@njit(cache=True, error_model="numpy")
-def segment_of(t, segment, knots):
+@compiled
+def segment_of(t: float, segment: int, knots: Array) -> int:
     """Segment that contains t (at a knot the later one), searched upwards from a given segment."""
     while segment < len(knots) and t >= knots[segment]:
         segment += 1
     return segment
 
 
-@njit(cache=True, error_model="numpy")
-def phase_within(t, first, last, knots, origins, cubics, out):
+@compiled
+def phase_within(t: float, first: int, last: int, knots: Array, origins: Array, cubics: Array, out: Array) -> None:
     """Write (ψ, ω, α) at t to out, for a step that covers the segments first … last."""
     segment = first
     while segment < last and t >= knots[segment]:
@@ -82,12 +80,12 @@ def phase_within(t, first, last, knots, origins, cubics, out):
     out[2] = 2.0 * c2 + 6.0 * c3 * s
 
 
-def speed_crossings(segments: PhaseSegments, level_rad_s: float, from_s: float, to_s: float) -> np.ndarray:
+def speed_crossings(segments: PhaseSegments, level_rad_s: float, from_s: float, to_s: float) -> Array:
     """Instants in [from_s, to_s] at which the speed crosses a level, ascending, s (exact: the speed is quadratic)."""
-    edges, found = np.concatenate([[-np.inf], segments.knots, [np.inf]]), []
+    edges, found = np.concatenate([[-np.inf], segments.knots, [np.inf]]), list[float]()
     for j in np.flatnonzero(np.any(segments.cubics[:, 2:] != 0.0, axis=1)):
         _, c1, c2, c3 = segments.cubics[j]
         roots = np.roots(np.trim_zeros([3 * c3, 2 * c2, c1 - level_rad_s], "f"))
         at = segments.origins[j] + roots[np.abs(roots.imag) == 0].real
         found.extend(at[(at >= edges[j]) & (at <= edges[j + 1]) & (at >= from_s) & (at <= to_s)].tolist())
-    return np.unique(found)
+    return np.unique(np.array(found, np.float64))

@@ -1,12 +1,9 @@
 """Derivatives of the accelerations by the state, in closed form: one eighth of the cost of complex steps."""
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
-from numba import njit
-
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import (
     AA,
     BX,
@@ -30,8 +27,8 @@ from dynamics.equations.kernels import (
 from dynamics.equations.quick_rates import real_sine_cosine
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def rate_derivatives(y, psi, omega, p, free_a, free_b, out):
+@compiled(contract=True)
+def rate_derivatives(y: Array, psi: float, omega: float, p: Array, free_a: float, free_b: float, out: Array) -> None:
     """Write the derivatives of the accelerations of dynamics.equations.quick_rates by the state, shape (4, 8), to out.
 
     Args:

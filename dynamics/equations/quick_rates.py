@@ -4,15 +4,14 @@ The equations are the same, grouped by pendulum. Sine and cosine come from one a
 the library's two calls for each of three angles take longer than all other operations. Tests compare both functions.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 
+from dynamics.arrays import Numbers
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import (
     AA,
     AB,
@@ -52,8 +51,8 @@ _C1, _C2, _C3 = 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015
 _C4, _C5, _C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def real_sine_cosine(x):
+@compiled(contract=True)
+def real_sine_cosine(x: float) -> tuple[float, float]:
     """(sin x, cos x) of a float, to the accuracy of x."""
     turns = np.floor(x * 0.63661977236758134308 + 0.5)
     r = (x - turns * _QUARTER) - turns * _QUARTER_REST
@@ -78,8 +77,10 @@ def _sine_cosine(x):
     return lambda x: real_sine_cosine(x)  # noqa: PLW0108 - numba requires a function with this signature
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def quick_rates(y, psi, omega, alpha, p, free_a, free_b, out, row):
+@compiled(contract=True)
+def quick_rates(
+    y: Numbers, psi: float, omega: float, alpha: float, p: Numbers, free_a: float, free_b: float, out: Numbers, row: int
+) -> None:
     """Write dy/dt to out[row], out of shape (n, 8). Other arguments as for dynamics.equations.kernels.rates."""
     sin_a, cos_a = sine_cosine(psi + y[2])
     sin_b, cos_b = sine_cosine(psi + y[3])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.arguments import check_number, check_pair, real_array
+from dynamics.arrays import Array
 from dynamics.equations.phase_segments import PhaseSegments, speed_crossings
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
@@ -27,7 +28,7 @@ class Scene:
 
     history: SpeedHistory
     released: tuple[bool, bool] = (True, True)
-    start: np.ndarray | None = None
+    start: Array | None = None
     release_time_s: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:

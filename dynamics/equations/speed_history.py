@@ -1,16 +1,14 @@
 """Prescribed phase of the rotor over time: constant speed, a ramp, or a measured history."""
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from dynamics.arguments import check_number, real_array
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.errors import OutsideDomain
 
 
@@ -23,8 +21,8 @@ class SpeedHistory:
         coefficients: shape (m, 4): ψ = c0 + c1 s + c2 s² + c3 s³ with s = t − knot, rad.
     """
 
-    knots_s: np.ndarray
-    coefficients: np.ndarray
+    knots_s: Array
+    coefficients: Array
 
     @classmethod
     def constant(cls, speed_rad_s: float, phase_rad: float = 0.0, at_s: float = 0.0) -> SpeedHistory:
@@ -42,7 +40,7 @@ class SpeedHistory:
         return cls(np.array([0.0, duration_s]), np.array([[phase_rad, from_rad_s, slope / 2, 0.0]]))
 
     @classmethod
-    def from_phases(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> SpeedHistory:
+    def from_phases(cls, time_s: Array, phase_rad: Array) -> SpeedHistory:
         """Twice differentiable interpolation of measured phases (tachometer marks).
 
         Args:
@@ -66,7 +64,7 @@ class SpeedHistory:
         spline = CubicSpline(time_s, phase_rad)
         return cls(np.asarray(time_s, float), np.ascontiguousarray(spline.c[::-1].T))
 
-    def phase(self, time_s: np.ndarray | float) -> np.ndarray:
+    def phase(self, time_s: Array | float) -> Array:
         """ψ in rad at the given times; shape (n, 3): phase, speed (rad/s), acceleration (rad/s²)."""
         return _phases(np.atleast_1d(real_array("time_s", time_s)), self.knots_s, self.coefficients)
 
@@ -83,8 +81,8 @@ def _check_finite(**values: float) -> None:
             raise OutsideDomain(f"{name} must be finite, got {value!r}")
 
 
-@njit(cache=True, error_model="numpy")
-def phase_at(t, segment, knots, coefficients, out):
+@compiled
+def phase_at(t: float, segment: int, knots: Array, coefficients: Array, out: Array) -> int:
     """Write (ψ, ω, α) at t to out. Returns the segment, a hint for the next call."""
     last = len(knots) - 2
     while segment < last and t >= knots[segment + 1]:
@@ -105,8 +103,8 @@ def phase_at(t, segment, knots, coefficients, out):
     return segment
 
 
-@njit(cache=True, error_model="numpy")
-def _phases(times, knots, coefficients):
+@compiled
+def _phases(times: Array, knots: Array, coefficients: Array) -> Array:
     out = np.empty((len(times), 3))
     segment = 0
     for i in range(len(times)):

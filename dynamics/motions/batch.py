@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynamics.arrays import Array, Flags
 from dynamics.equations.scene import Scene
 from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.integrate import WORK_LIMIT, simulate
@@ -30,13 +31,13 @@ class BatchMotion:
         failures: error message of each run, or None for a successful one.
     """
 
-    time_s: np.ndarray
-    states: np.ndarray
-    error_estimates: np.ndarray
+    time_s: Array
+    states: Array
+    error_estimates: Array
     failures: tuple[str | None, ...]
 
     @property
-    def ok(self) -> np.ndarray:
+    def ok(self) -> Flags:
         """Which runs succeeded, shape (runs,)."""
         return np.array([f is None for f in self.failures], dtype=bool)
 
@@ -44,7 +45,7 @@ class BatchMotion:
 def simulate_batch(
     parameters: Sequence[object],
     scenes: Scene | Sequence[Scene],
-    time_s: np.ndarray | float,
+    time_s: Array | float,
     accuracy: float = 1e-6,
     progress: Callable[[int, int], None] | None = None,
     *,

@@ -8,13 +8,14 @@ compares them with scipy's.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from dynamics.arrays import Array
 
 STAGES = 12
 DENSE_STAGES = 16  # the twelve, the end of the step, three more for the interpolant
 
 
-def _filled(rows: dict[int, dict[int, float]], shape: tuple[int, int]) -> NDArray[np.floating]:
+def _filled(rows: dict[int, dict[int, float]], shape: tuple[int, int]) -> Array:
     """Matrix from its nonzero entries."""
     found = np.zeros(shape)
     for i, row in rows.items():

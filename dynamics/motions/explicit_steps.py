@@ -6,14 +6,12 @@ Ordinary Differential Equations I, II.10). The stages accept floats and complex 
 states the same arithmetic computes derivatives.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array, Numbers, System
+from dynamics.compiled_code import compiled
 from dynamics.equations.phase_segments import phase_within
 from dynamics.equations.quick_rates import quick_rates
 from dynamics.motions.dormand_prince import DENSE_NODES, DENSE_STAGES, DENSE_STEPS, ERROR_3, ERROR_5, INTERPOLANT
@@ -29,8 +27,20 @@ POWERS = 8
 ORDER = 8
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _stages(begin, end, y, t, h, first, last, system, k, work, phase):
+@compiled(contract=True)
+def _stages(
+    begin: int,
+    end: int,
+    y: Numbers,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: System,
+    k: Numbers,
+    work: Numbers,
+    phase: Array,
+) -> None:
     """Compute stages begin … end − 1: write their rates to k and the last state to work."""
     p, free_a, free_b, knots, origins, cubics = system
     for row in range(begin, end):
@@ -51,8 +61,10 @@ def _stages(begin, end, y, t, h, first, last, system, k, work, phase):
         quick_rates(work, phase[0], phase[1], phase[2], p, free_a, free_b, k, row)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def explicit_step(y, t, h, first, last, system, k, end, phase):
+@compiled(contract=True)
+def explicit_step(
+    y: Numbers, t: float, h: float, first: int, last: int, system: System, k: Numbers, end: Numbers, phase: Array
+) -> None:
     """Write the state after one step to end and the rates there to k[12].
 
     Args:
@@ -65,8 +77,8 @@ def explicit_step(y, t, h, first, last, system, k, end, phase):
     _stages(1, 13, y, t, h, first, last, system, k, end, phase)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def explicit_error(h, k, scale):
+@compiled(contract=True)
+def explicit_error(h: float, k: Array, scale: Array) -> float:
     """Estimated local error of the step: root mean square over scale, shape (8,)."""
     five = three = 0.0
     for i in range(8):
@@ -81,8 +93,20 @@ def explicit_error(h, k, scale):
     return abs(h) * five / np.sqrt(8.0 * (five + 0.01 * three))
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def explicit_polynomial(y, end, t, h, first, last, system, k, work, phase, coefficients):
+@compiled(contract=True)
+def explicit_polynomial(
+    y: Numbers,
+    end: Numbers,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: System,
+    k: Numbers,
+    work: Numbers,
+    phase: Array,
+    coefficients: Numbers,
+) -> None:
     """Write the motion over the step as powers of (time − t)/h to coefficients, shape (8 powers, 8)."""
     _stages(13, 16, y, t, h, first, last, system, k, work, phase)
     zero = 0.0 * y[0]
@@ -109,8 +133,8 @@ def explicit_polynomial(y, end, t, h, first, last, system, k, work, phase, coeff
         coefficients[7, i] = -f6
 
 
-@njit(cache=True, error_model="numpy")  # without contraction, so that all callers get identical bits
-def evaluate(coefficients, x, out):
+@compiled  # without contraction, so that all callers get identical bits
+def evaluate(coefficients: Numbers, x: float, out: Numbers) -> None:
     """Write a step's polynomial at x = (time − t)/h to out, shape (8,)."""
     for i in range(8):
         value = coefficients[7, i]

@@ -6,12 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,12 @@ pendulum at rest slides in the next step if the torque that would hold it exceed
 locates these instants and bounds its error; docs/theory/integration.md.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.equations.friction import needed_torque
 from dynamics.equations.kernels import FA, rk4_step
 from dynamics.equations.parameters import RotorParameters
@@ -22,8 +20,8 @@ from dynamics.equations.speed_history import phase_at
 from dynamics.errors import OutsideDomain
 
 
-@njit(cache=True, error_model="numpy")
-def choose_modes(y, phase, p, free, modes, scratch):
+@compiled
+def choose_modes(y: Array, phase: Array, p: Array, free: Array, modes: Array, scratch: Array) -> None:
     """Write the mode of each pendulum in the next step to modes: 1 forward, −1 backward, 0 sticking.
 
     A locked pendulum or one without friction has the mode 1; the packed friction then has no effect.
@@ -49,8 +47,23 @@ def choose_modes(y, phase, p, free, modes, scratch):
             modes[i] = np.sign(torque)
 
 
-@njit(cache=True, error_model="numpy")
-def friction_step(y, h, phase0, phase1, phase2, p, free, modes, signed, k1, k2, k3, k4, work):
+@compiled
+def friction_step(
+    y: Array,
+    h: float,
+    phase0: Array,
+    phase1: Array,
+    phase2: Array,
+    p: Array,
+    free: Array,
+    modes: Array,
+    signed: Array,
+    k1: Array,
+    k2: Array,
+    k3: Array,
+    k4: Array,
+    work: Array,
+) -> None:
     """Advance y by h in place with dry friction, otherwise as `rk4_step`.
 
     Args:
@@ -68,8 +81,10 @@ def friction_step(y, h, phase0, phase1, phase2, p, free, modes, signed, k1, k2, 
             y[6 + i] = 0.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _march(y, times, h, knots, coefficients, p, free, out):
+@compiled(nogil=True)
+def _march(
+    y: Array, times: Array, h: float, knots: Array, coefficients: Array, p: Array, free: Array, out: Array
+) -> None:
     """Write states at the times to out, shape (n, 8), by equal steps of at most h between them."""
     scratch, phases = np.empty((5, 8)), np.empty((3, 3))
     modes, signed = np.empty(2), p.copy()
@@ -101,7 +116,7 @@ def _march(y, times, h, knots, coefficients, p, free, out):
         out[i] = y
 
 
-def fixed_states(parameters: RotorParameters, scene: Scene, time_s: np.ndarray, step_s: float) -> np.ndarray:
+def fixed_states(parameters: RotorParameters, scene: Scene, time_s: Array, step_s: float) -> Array:
     """Motion by fixed steps, without an error bound: for motions that cannot be computed to an accuracy.
 
     Args:

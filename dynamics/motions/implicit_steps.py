@@ -10,14 +10,12 @@ method, multiplied by (1 − h γ0 J)⁻¹ to be bounded for stiff components, i
 with h⁶ like the polynomial's error, so a tolerance has the same meaning at every instant of the step.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array, Complex, Indices, System
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import jacobian, rates
 from dynamics.equations.phase_segments import phase_within
 from dynamics.equations.quick_rates import quick_rates
@@ -28,7 +26,7 @@ _MAX_ITERATIONS = 12
 _MAX_NEWTON_ERROR = 0.02  # remaining Newton error of a stage, in tolerances
 
 
-def _method() -> tuple[np.ndarray, ...]:
+def _method() -> tuple[Array, ...]:
     """Nodes, A⁻¹, its eigenvalues and vectors, error weights and the interpolation matrix, derived from the nodes."""
     legendre = np.polynomial.legendre.Legendre.basis
     nodes = np.sort((legendre(SOLVED) - legendre(SOLVED - 1)).roots().real + 1.0) / 2.0
@@ -56,8 +54,8 @@ def _method() -> tuple[np.ndarray, ...]:
 NODES, _INVERSE, _EIGENVALUE, _VECTORS, _BACK, _ERROR, _INTERPOLATION = _method()
 
 
-@njit(cache=True, error_model="numpy")
-def _factor(m, pivot):
+@compiled
+def _factor(m: Complex, pivot: Indices) -> bool:
     """LU factors of m, shape (8, 8), in place with row exchanges; False if m is singular."""
     for c in range(8):
         best, at = 0.0, c
@@ -78,8 +76,8 @@ def _factor(m, pivot):
     return True
 
 
-@njit(cache=True, error_model="numpy")
-def _solve(m, pivot, b):
+@compiled
+def _solve(m: Complex, pivot: Indices, b: Complex) -> None:
     """Solve with the factors of _factor; b is replaced by the solution, shape (8,)."""
     for c in range(8):
         b[c], b[pivot[c]] = b[pivot[c]], b[c]
@@ -92,8 +90,19 @@ def _solve(m, pivot, b):
         b[c] /= m[c, c]
 
 
-@njit(cache=True, error_model="numpy")
-def _residuals(y, t, h, first, last, system, z, stage, phase, residual):
+@compiled
+def _residuals(
+    y: Array,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: System,
+    z: Array,
+    stage: Array,
+    phase: Array,
+    residual: Array,
+) -> None:
     """Write f(y + Z) − A⁻¹ Z / h to residual, shape (5, 8)."""
     p, free_a, free_b, knots, origins, cubics = system
     for j in range(5):
@@ -106,8 +115,8 @@ def _residuals(y, t, h, first, last, system, z, stage, phase, residual):
                 residual[j, i] -= _INVERSE[j, other] / h * z[other, i]
 
 
-@njit(cache=True, error_model="numpy")
-def _correct(residual, lu, pivot, scale, w, z):
+@compiled
+def _correct(residual: Array, lu: Complex, pivot: Indices, scale: Array, w: Complex, z: Array) -> float:
     """One simplified Newton correction of the stages; returns its root mean square over scale."""
     for e in range(3):
         for i in range(8):
@@ -126,8 +135,20 @@ def _correct(residual, lu, pivot, scale, w, z):
     return np.sqrt(size / 40.0)
 
 
-@njit(cache=True, error_model="numpy")
-def _newton(y, t, h, first, last, system, scale, lu, pivot, z, phase):
+@compiled
+def _newton(
+    y: Array,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: System,
+    scale: Array,
+    lu: Complex,
+    pivot: Indices,
+    z: Array,
+    phase: Array,
+) -> bool:
     """Solve for the stages in place. True if the remaining Newton error is far below the tolerance."""
     residual, stage = np.empty((5, 8)), np.empty(8)
     w = np.empty((3, 8), dtype=np.complex128)
@@ -145,8 +166,23 @@ def _newton(y, t, h, first, last, system, scale, lu, pivot, z, phase):
     return False
 
 
-@njit(cache=True, error_model="numpy")
-def implicit_step(y, t, h, first, last, system, scale, rate, j, lu, pivot, z, end, phase):
+@compiled
+def implicit_step(
+    y: Array,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: System,
+    scale: Array,
+    rate: Array,
+    j: Array,
+    lu: Complex,
+    pivot: Indices,
+    z: Array,
+    end: Array,
+    phase: Array,
+) -> float:
     """Write the state after one step to end. Returns the estimated error over scale, or −1 if Newton's method fails.
 
     Args:
@@ -179,16 +215,16 @@ def implicit_step(y, t, h, first, last, system, scale, rate, j, lu, pivot, z, en
     return _norm(error, scale)
 
 
-@njit(cache=True, error_model="numpy")
-def _norm(error, scale):
+@compiled
+def _norm(error: Complex, scale: Array) -> float:
     total = 0.0
     for i in range(8):
         total += (error[i].real / scale[i]) ** 2
     return np.sqrt(total / 8.0)
 
 
-@njit(cache=True, error_model="numpy")
-def implicit_polynomial(y, z, coefficients):
+@compiled
+def implicit_polynomial(y: Array, z: Array, coefficients: Array) -> None:
     """Write the motion over the step as powers of (time − t)/h, shape (8 powers, 8). The last two powers are zero."""
     for i in range(8):
         coefficients[0, i] = y[i]
@@ -200,8 +236,8 @@ def implicit_polynomial(y, z, coefficients):
             coefficients[power + 1, i] = total
 
 
-@njit(cache=True, error_model="numpy")
-def guess_stages(coefficients, ratio, end, z):
+@compiled
+def guess_stages(coefficients: Array, ratio: float, end: Array, z: Array) -> None:
     """Initial stages of the next step from the last step's polynomial; ratio is next over last step length."""
     for s in range(5):
         x = 1.0 + NODES[s] * ratio
@@ -212,16 +248,18 @@ def guess_stages(coefficients, ratio, end, z):
             z[s, i] = value - end[i]
 
 
-@njit(cache=True, error_model="numpy")
-def jacobian_at(y, t, first, last, system, phase, j):
+@compiled
+def jacobian_at(y: Array, t: float, first: int, last: int, system: System, phase: Array, j: Array) -> None:
     """Write the Jacobian of the rates at one instant to j, shape (8, 8)."""
     p, free_a, free_b, knots, origins, cubics = system
     phase_within(t, first, last, knots, origins, cubics, phase)
     jacobian(y, phase[0], phase[1], phase[2], p, free_a, free_b, j)
 
 
-@njit(cache=True, error_model="numpy")
-def differentiate_stages(stages, t, h, first, last, system, packed, dy, dz):
+@compiled
+def differentiate_stages(
+    stages: Array, t: float, h: float, first: int, last: int, system: System, packed: Array, dy: Array, dz: Array
+) -> None:
     """Derivatives of the stages of a recorded step, from the stage equations.
 
     A⁻¹ Z / h = f(y + Z, p) gives A⁻¹ δZ / h − J_j δZ_j = J_j δy + (∂f/∂p) δp, linear in δZ.

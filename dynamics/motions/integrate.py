@@ -12,6 +12,7 @@ import dataclasses
 import numpy as np
 
 from dynamics.arguments import check_number
+from dynamics.arrays import Array
 from dynamics.equations.parameters import physics_of
 from dynamics.equations.scene import Scene
 from dynamics.errors import NotConverged, OutsideDomain
@@ -48,7 +49,7 @@ _STRONG_GROWTH = 300.0  # ratio of error to tolerance above which two difference
 def simulate(
     parameters: object,
     scene: Scene,
-    time_s: np.ndarray | float,
+    time_s: Array | float,
     accuracy: float = 1e-6,
     method: str | None = None,
     *,
@@ -161,7 +162,7 @@ def _converge(
 ) -> tuple[Trajectory, float, int]:
     """Repeat the run with decreasing tolerances until the bound holds. Returns last run, bound, number of all steps."""
     coarse = run(setup.problem, tolerance, implicit, work_limit)
-    work, ratio, bounds, growths = coarse.tried, _RATIO, [], []
+    work, ratio, bounds, growths = coarse.tried, _RATIO, list[float](), list[float]()
     for _ in range(_MAX_RUNS):
         fine_tolerance = max(tolerance / ratio, _FINEST)
         fine = run(setup.problem, fine_tolerance, implicit, work_limit - work, dense)
@@ -196,6 +197,6 @@ def _rounding(setup: Setup, fine: Trajectory) -> float:
     return 4 * np.finfo(float).eps * (1.0 + max(abs(p) for p in phases) + float(angles))
 
 
-def _distance(setup: Setup, one: np.ndarray, other: np.ndarray) -> float:
+def _distance(setup: Setup, one: Array, other: Array) -> float:
     gap = np.abs(one[:, :4] - other[:, :4]) / setup.problem.weights[:4]
     return float(np.max(gap)) if np.all(np.isfinite(gap)) else np.inf

@@ -7,8 +7,8 @@ The motion has a closed form if the suspension is linear. Otherwise it is comput
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.motions.nonlinear_whirl import Direction, whirl_orders
@@ -51,7 +51,7 @@ def locked_orbit(
 
 def locked_orders(
     p: RotorParameters, speed_rad_s: float, theta3_rad: float, theta4_rad: float
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+) -> tuple[Complex, Complex]:
     """All orders of x and y with the pendulums locked, x = Re Σ x_k e^{ikψ} and y alike, static deflection included.
 
     Raises:
@@ -77,7 +77,7 @@ def locked_orders(
 
 def locked_state(
     parameters: RotorParameters, speed_rad_s: float, phase_rad: float, theta3_rad: float, theta4_rad: float
-) -> np.ndarray:
+) -> Array:
     """State (8,) on the locked orbit at one phase, with the deflection −M_S g/k2 under gravity; start of a release."""
     if not parameters.suspension_is_linear:
         rows = list[tuple[float, float]]()
@@ -94,7 +94,7 @@ def locked_state(
 
 def locked_state_derivatives(
     parameters: RotorParameters, speed_rad_s: float, phase_rad: float, theta3_rad: float, theta4_rad: float
-) -> dict[str, np.ndarray]:
+) -> dict[str, Array]:
     """∂(locked_state)/∂(identified parameter), each of shape (8,): derivative of the quotient F/(k − M ω² + iωc)."""
     p, w = parameters, speed_rad_s
     if not p.suspension_is_linear:
@@ -117,9 +117,9 @@ def locked_state_derivatives(
     return out
 
 
-def _differences(p: RotorParameters, speed: float, phase: float, theta3: float, theta4: float) -> dict[str, np.ndarray]:
+def _differences(p: RotorParameters, speed: float, phase: float, theta3: float, theta4: float) -> dict[str, Array]:
     """The derivatives for a suspension that is not linear, by central differences."""
-    out = dict[str, np.ndarray]()
+    out = dict[str, Array]()
     for name, value in p.identified().items():
         h = _SHARE * value or _SHARE
         ends = [
@@ -129,7 +129,7 @@ def _differences(p: RotorParameters, speed: float, phase: float, theta3: float, 
     return out
 
 
-def _on_orbit(x: complex, y: complex, speed: float, phase: float, theta3: float, theta4: float) -> np.ndarray:
+def _on_orbit(x: complex, y: complex, speed: float, phase: float, theta3: float, theta4: float) -> Array:
     turn = np.exp(1j * phase)
     rate = 1j * speed * turn
     return np.array([(x * turn).real, (y * turn).imag, theta3, theta4, (rate * x).real, (rate * y).imag, 0.0, 0.0])

@@ -3,14 +3,12 @@
 One function is used by both methods. They differ only in the arithmetic of a step.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array, System
+from dynamics.compiled_code import compiled
 from dynamics.equations.friction import needed_torque
 from dynamics.equations.kernels import FA, rates
 from dynamics.equations.phase_segments import phase_within, segment_of
@@ -27,8 +25,10 @@ _SLACK = 3.0  # speed, in tolerances, below which the sign of a slide that has j
 _MAX_KNOT_ERROR = 0.05  # error of a step across a knot, in tolerances
 
 
-@njit(cache=True, error_model="numpy")
-def _margin(pendulum, watch, y, t, first, last, system, work, phase):
+@compiled
+def _margin(
+    pendulum: int, watch: int, y: Array, t: float, first: int, last: int, system: System, work: Array, phase: Array
+) -> float:
     """Distance of a pendulum from the end of its mode; positive within the mode."""
     if watch != WATCH_STUCK:
         return watch * y[6 + pendulum]
@@ -38,8 +38,21 @@ def _margin(pendulum, watch, y, t, first, last, system, work, phase):
     return abs(p[FA + pendulum]) * phase[1] * phase[1] - abs(torque)
 
 
-@njit(cache=True, error_model="numpy")
-def _mode_end(pendulum, watch, slack, t, h, first, last, system, polynomial, y, work, phase):
+@compiled
+def _mode_end(
+    pendulum: int,
+    watch: int,
+    slack: float,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: System,
+    polynomial: Array,
+    y: Array,
+    work: Array,
+    phase: Array,
+) -> float:
     """Fraction of the step at which a pendulum's mode ends, located to rounding; 2.0 if it does not end.
 
     The speed of a slide that has just begun is below the error of its step. Its sign is not evaluated below slack.
@@ -63,8 +76,10 @@ def _mode_end(pendulum, watch, slack, t, h, first, last, system, polynomial, y, 
     return 2.0
 
 
-@njit(cache=True, error_model="numpy")
-def _landing(t, h, limit, segment, knots, jumps, tolerance):
+@compiled
+def _landing(
+    t: float, h: float, limit: float, segment: int, knots: Array, jumps: Array, tolerance: float
+) -> tuple[float, int]:
     """(end of the step, segment there). The step ends at a knot if crossing it would exceed its tolerance."""
     end, last = min(t + h, limit), segment
     if limit - end < 0.05 * h:
@@ -77,8 +92,21 @@ def _landing(t, h, limit, segment, knots, jumps, tolerance):
     return end, last
 
 
-@njit(cache=True, error_model="numpy")
-def _earliest_mode_end(watch, slack, t, h, first, last, system, polynomial, weights, work, phase, y):
+@compiled
+def _earliest_mode_end(
+    watch: tuple[int, int],
+    slack: float,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: System,
+    polynomial: Array,
+    weights: Array,
+    work: Array,
+    phase: Array,
+    y: Array,
+) -> tuple[int, float]:
     """(result of the march, fraction of the step at which a mode ends); (REACHED, 1) if neither mode ends."""
     ended, share = REACHED, 1.0
     for pendulum in range(2):
@@ -90,8 +118,8 @@ def _earliest_mode_end(watch, slack, t, h, first, last, system, polynomial, weig
     return ended, share
 
 
-@njit(cache=True, error_model="numpy")
-def _guess(y, polynomial, h, last_h, z):
+@compiled
+def _guess(y: Array, polynomial: Array, h: float, last_h: float, z: Array) -> None:
     """Initial stages of an implicit step: the last step's polynomial extrapolated, or zero."""
     if last_h > 0.0:
         guess_stages(polynomial, h / last_h, y, z)
@@ -99,32 +127,49 @@ def _guess(y, polynomial, h, last_h, z):
         z.fill(0.0)
 
 
-@njit(cache=True, error_model="numpy")
-def _after_rejection(h, error, exponent):
+@compiled
+def _after_rejection(h: float, error: float, exponent: float) -> float:
     if 0.0 <= error < np.inf:
         return h * max(0.2, 0.9 * error**-exponent)
     return 0.2 * h
 
 
-@njit(cache=True, error_model="numpy")
-def _after_success(h, proposed, error, last_error, rejected, exponent):
+@compiled
+def _after_success(
+    h: float, proposed: float, error: float, last_error: float, rejected: bool, exponent: float
+) -> float:
     """Next step, from the error and its trend. A step shortened by a limit does not shorten the next one."""
     growth = 0.9 * max(error, 1e-10) ** (-0.75 * exponent) * max(last_error, 1e-4) ** (0.3 * exponent)
     grown = h * min(1.0 if rejected else 6.0, max(0.3, growth))
     return max(proposed, grown) if h < 0.999 * proposed else grown
 
 
-@njit(cache=True, error_model="numpy")
-def _rates_here(y, t, segment, system, phase, k):
+@compiled
+def _rates_here(y: Array, t: float, segment: int, system: System, phase: Array, k: Array) -> None:
     p, free_a, free_b, knots, origins, cubics = system
     phase_within(t, segment, segment, knots, origins, cubics, phase)
     rates(y, phase[0], phase[1], phase[2], p, free_a, free_b, k[0])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled(nogil=True)
 def march(  # noqa: PLR0912, PLR0915 - one function: split, the loop's state would be passed in each call
-    y, t, limit, h, stiff, tolerance, weights, system, jumps, longest, watch, times, done, out, store, most_steps
-):
+    y: Array,
+    t: float,
+    limit: float,
+    h: float,
+    stiff: int | None,
+    tolerance: float,
+    weights: Array,
+    system: System,
+    jumps: Array,
+    longest: float,
+    watch: tuple[int, int],
+    times: Array,
+    done: int,
+    out: Array,
+    store: tuple[Array, Array],
+    most_steps: int,
+) -> tuple[int, float, float, int, int, int]:
     """Advance the state from t to limit within one mode.
 
     Args:

@@ -1,15 +1,13 @@
 """A computed motion: states at the output instants and, if kept, the polynomials between them."""
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.errors import OutsideDomain
 from dynamics.motions.explicit_steps import evaluate
 
@@ -41,7 +39,7 @@ class Piece:
 
     first: int
     last: int
-    packed: np.ndarray
+    packed: Array
     free_a: float
     free_b: float
 
@@ -58,8 +56,8 @@ class Polynomials:
         pieces: parameters and free pendulums of the steps.
     """
 
-    spans: np.ndarray
-    coefficients: np.ndarray
+    spans: Array
+    coefficients: Array
     end_s: float
     pieces: tuple[Piece, ...]
 
@@ -82,8 +80,8 @@ class Motion:
         polynomials: the motion between the instants, or None if it was not kept.
     """
 
-    time_s: np.ndarray
-    state: np.ndarray
+    time_s: Array
+    state: Array
     error_estimate: float
     step_s: float
     method: str = "explicit"
@@ -94,16 +92,16 @@ class Motion:
     polynomials: Polynomials | None = field(default=None, repr=False)
 
     @property
-    def displacement_m(self) -> np.ndarray:
+    def displacement_m(self) -> Array:
         """Disk centre x, y, m; shape (n, 2)."""
         return self.state[:, :2]
 
     @property
-    def angles_rad(self) -> np.ndarray:
+    def angles_rad(self) -> Array:
         """θ3, θ4, rad; shape (n, 2)."""
         return self.state[:, 2:4]
 
-    def at(self, time_s: np.ndarray | float) -> np.ndarray:
+    def at(self, time_s: Array | float) -> Array:
         """States at arbitrary instants within the motion, shape (n, 8).
 
         Raises:
@@ -117,7 +115,7 @@ class Motion:
         _interpolate(times, kept.spans, kept.coefficients, out)
         return out
 
-    def crossings(self, component: int, level: float, direction: int = 0) -> np.ndarray:
+    def crossings(self, component: int, level: float, direction: int = 0) -> Array:
         """Instants at which a component of the state crosses a level, ascending, s.
 
         Each step is searched between four points, so two crossings within a quarter of a step may be missed.
@@ -139,25 +137,25 @@ class Motion:
         return self.polynomials
 
 
-@njit(cache=True, error_model="numpy")
-def _interpolate(times, spans, coefficients, out):
+@compiled
+def _interpolate(times: Array, spans: Array, coefficients: Array, out: Array) -> None:
     starts = spans[:, 0]
     for i in range(len(times)):
         step = max(0, np.searchsorted(starts, times[i], side="right") - 1)
         evaluate(coefficients[step], (times[i] - spans[step, 0]) / spans[step, 1], out[i])
 
 
-@njit(cache=True, error_model="numpy")
-def _height(polynomial, x, level):
+@compiled
+def _height(polynomial: Array, x: float, level: float) -> float:
     value = polynomial[7]
     for power in range(6, -1, -1):
         value = value * x + polynomial[power]
     return value - level
 
 
-@njit(cache=True, error_model="numpy")
-def _crossings(spans, ends, polynomials, level, direction):
-    found = []
+@compiled
+def _crossings(spans: Array, ends: Array, polynomials: Array, level: float, direction: int) -> Array:
+    found: list[float] = []
     below = _height(polynomials[0], 0.0, level)  # the last nonzero height, kept across the steps
     for step in range(len(spans)):
         polynomial, start, width = polynomials[step], spans[step, 0], spans[step, 1]

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics.arguments import real_array
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.phase_segments import PhaseSegments, speed_crossings
 from dynamics.equations.scene import Scene
@@ -38,7 +40,7 @@ class Setup:
     """
 
     problem: Problem
-    wanted: np.ndarray
+    wanted: NDArray[np.intp]
     arm_m: float
     damping: float
     oscillation: float
@@ -69,7 +71,7 @@ class Setup:
         )
 
 
-def instants(time_s: np.ndarray | float) -> np.ndarray:
+def instants(time_s: Array | float) -> Array:
     """Output instants from an argument: an array unchanged, a number as a duration from 0 with 200 samples a second.
 
     Raises:
@@ -87,7 +89,7 @@ def instants(time_s: np.ndarray | float) -> np.ndarray:
     return times
 
 
-def motion_problem(parameters: RotorParameters, scene: Scene, times: np.ndarray, resolved: bool = False) -> Setup:
+def motion_problem(parameters: RotorParameters, scene: Scene, times: Array, resolved: bool = False) -> Setup:
     """Problem of one run. With `resolved`, steps are at most one radian of the fastest oscillation.
 
     Raises:
@@ -125,7 +127,7 @@ def motion_problem(parameters: RotorParameters, scene: Scene, times: np.ndarray,
     )
 
 
-def _check_locked_rates(start: np.ndarray, free_from: tuple[float, float], begin: float) -> None:
+def _check_locked_rates(start: Array, free_from: tuple[float, float], begin: float) -> None:
     """Check that a locked pendulum has no start rate, which the lock would discard.
 
     Raises:

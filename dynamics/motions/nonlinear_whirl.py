@@ -14,12 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.errors import OutsideDomain
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _MIN_PHASES, _MAX_PHASES = 32, 256  # phases of a revolution
 _SHARES = (0.25, 0.5, 0.75, 1.0)  # fractions of the nonlinear terms

@@ -6,9 +6,6 @@ the square of ε = 10⁻³⁰ vanishes. Implicit steps are differentiated throug
 so their derivatives solve one linear system for all parameters.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import os
@@ -16,8 +13,9 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array, Complex, Numbers, System
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import C1, C2, CA, CB, FA, FB, K1, K2, MASS, PACKED, SP, rates
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.phase_segments import PhaseSegments, phase_within, segment_of
@@ -36,11 +34,11 @@ _EPSILON = 1e-30
 def sensitivities(
     parameters: object,
     scene: Scene,
-    time_s: np.ndarray | float,
+    time_s: Array | float,
     names: Sequence[str],
     accuracy: float = 1e-6,
     method: str | None = None,
-) -> tuple[Motion, np.ndarray]:
+) -> tuple[Motion, Array]:
     """Simulate a motion and its derivatives.
 
     If the scene has no start state, the derivatives include the dependence of the locked orbit on the parameters.
@@ -79,7 +77,7 @@ def sensitivities(
     return motion, out
 
 
-def packed_derivatives(parameters: RotorParameters) -> dict[str, np.ndarray]:
+def packed_derivatives(parameters: RotorParameters) -> dict[str, Array]:
     """∂(RotorParameters.packed)/∂(identified parameter), each of shape (26,): c = 2 ζ sqrt(k M_S) by the chain rule."""
     p = parameters.packed()
     unit = np.eye(len(p))
@@ -94,9 +92,7 @@ def packed_derivatives(parameters: RotorParameters) -> dict[str, np.ndarray]:
     }
 
 
-def _directions(
-    physics: RotorParameters, scene: Scene, begin: float, names: Sequence[str]
-) -> tuple[np.ndarray, np.ndarray]:
+def _directions(physics: RotorParameters, scene: Scene, begin: float, names: Sequence[str]) -> tuple[Array, Array]:
     """Derivatives of packed parameters, shape (n, 26), and of the start state, shape (n, 8), by each name."""
     packed, starts = packed_derivatives(physics), {}
     if scene.start is None:
@@ -112,15 +108,15 @@ def _directions(
     )
 
 
-def _clear_locked_rates(start: np.ndarray, piece: Piece) -> None:
+def _clear_locked_rates(start: Numbers, piece: Piece) -> None:
     """Set the start rate of a locked pendulum to zero."""
     start[..., 6] *= piece.free_a
     start[..., 7] *= piece.free_b
 
 
 def _repeat_explicit(
-    motion: Motion, times: np.ndarray, packed: np.ndarray, starts: np.ndarray, arrays: tuple[np.ndarray, ...]
-) -> np.ndarray:
+    motion: Motion, times: Array, packed: Array, starts: Array, arrays: tuple[Array, Array, Array]
+) -> Array:
     kept, pieces = _kept(motion)
     out = np.zeros((len(times), 8, len(packed)))
     for column in range(len(packed)):
@@ -138,8 +134,8 @@ def _repeat_explicit(
 
 
 def _repeat_implicit(
-    motion: Motion, times: np.ndarray, packed: np.ndarray, starts: np.ndarray, arrays: tuple[np.ndarray, ...]
-) -> np.ndarray:
+    motion: Motion, times: Array, packed: Array, starts: Array, arrays: tuple[Array, Array, Array]
+) -> Array:
     kept, pieces = _kept(motion)
     dy = starts.copy()
     _clear_locked_rates(dy, pieces[0])
@@ -160,22 +156,24 @@ def _kept(motion: Motion) -> tuple[Polynomials, tuple[Piece, ...]]:
     return motion.polynomials, motion.polynomials.pieces
 
 
-def _write_until(times: np.ndarray, begin: float, states: np.ndarray, y: np.ndarray, done: int) -> int:
+def _write_until(times: Array, begin: float, states: Numbers, y: Numbers, done: int) -> int:
     while done < len(times) and times[done] <= begin:
         states[done] = y
         done += 1
     return done
 
 
-@njit(cache=True, error_model="numpy")
-def _last_segment(end, segment, knots):
+@compiled
+def _last_segment(end: float, segment: int, knots: Array) -> int:
     while segment < len(knots) and knots[segment] < end:
         segment += 1
     return segment
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _explicit_again(y, spans, end_s, system, times, done, states):
+@compiled(nogil=True)
+def _explicit_again(
+    y: Complex, spans: Array, end_s: float, system: System, times: Array, done: int, states: Complex
+) -> int:
     """Repeat recorded steps with a complex state, shape (8,), advanced in place; returns the number of samples."""
     p, free_a, free_b, knots, origins, cubics = system
     k, polynomial = np.zeros((16, 8), dtype=np.complex128), np.zeros((8, 8), dtype=np.complex128)
@@ -198,8 +196,10 @@ def _explicit_again(y, spans, end_s, system, times, done, states):
     return done
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _implicit_again(dy, spans, coefficients, system, packed, times, done, out):
+@compiled(nogil=True)
+def _implicit_again(
+    dy: Array, spans: Array, coefficients: Array, system: System, packed: Array, times: Array, done: int, out: Array
+) -> int:
     """Propagate derivatives, shape (n, 8), through recorded implicit steps; returns the number of samples."""
     knots = system[3]
     dz, polynomial = np.empty((len(dy), 5, 8)), np.zeros((8, 8))

@@ -17,16 +17,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Flags
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.scene import Scene
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.motions.friction_steps import fixed_states
 from dynamics.motions.integrate import simulate
-
-Array = NDArray[np.float64]
 
 ACCURACY = 1e-3
 """Accuracy of the simulated angles, rad. It is low because only the end state is used."""
@@ -53,7 +51,7 @@ class StartUpEnds:
     theta_rad: Array
     amplitude_m: Array
     drift_rad: Array
-    followed: NDArray[np.bool_]
+    followed: Flags
 
 
 def start_ups_from_rest(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dynamics.arrays import Array
 from dynamics.equations.friction import BACKWARD, FORWARD, STUCK, Modes, modes_at, with_modes
 from dynamics.equations.kernels import FA
 from dynamics.equations.phase_segments import PhaseSegments
@@ -47,12 +48,12 @@ class Problem:
         longest_step_s: longest permitted step, s.
     """
 
-    start: np.ndarray
-    times: np.ndarray
-    packed: np.ndarray
+    start: Array
+    times: Array
+    packed: Array
     segments: PhaseSegments
     free_from: tuple[float, float]
-    weights: np.ndarray
+    weights: Array
     pace: float
     longest_step_s: float = np.inf
 
@@ -66,10 +67,10 @@ class Problem:
 class Trajectory:
     """Result of a run. `polynomials` is None unless they were requested."""
 
-    states: np.ndarray
+    states: Array
     steps: int = 0
     tried: int = 0
-    events: list[Event] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list[Event])
     polynomials: Polynomials | None = None
 
 
@@ -92,7 +93,7 @@ class _Run:
         self.y, self.t = problem.start.copy(), float(problem.times[0])
         self.h, self.done = 0.1 / problem.pace, 0
         self.out = Trajectory(np.empty((len(problem.times), 8)))
-        self.kept: list[tuple[np.ndarray, np.ndarray]] = []
+        self.kept: list[tuple[Array, Array]] = []
         self.pieces: list[Piece] = []
         self.switches_at, self.switches = self.t, 0
 
@@ -158,7 +159,7 @@ class _Run:
                 "start from a slightly different state or change the friction slightly"
             )
 
-    def _march(self, packed: np.ndarray, free_a: float, free_b: float, watch: tuple[int, int], limit: float) -> int:
+    def _march(self, packed: Array, free_a: float, free_b: float, watch: tuple[int, int], limit: float) -> int:
         problem, out = self.problem, self.out
         s = problem.segments
         system = (packed, free_a, free_b, s.knots, s.origins, s.cubics)

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.floating]
+from dynamics.arrays import Array, Complex, Flags
+
 Integers = NDArray[np.int64]
 Excess = Callable[[Array, Array], Array]
 """max|μ| − 1 at x and y, shape (points,) each; NaN where the balanced state does not exist."""
@@ -46,7 +47,7 @@ class Lattice:
         """Values of y on rows of points; fractional rows are permitted."""
         return _between(self.y_range, np.asarray(j, float) / self.rows, self.logarithmic[1])
 
-    def places(self, at: NDArray[np.complexfloating]) -> tuple[Array, Array]:
+    def places(self, at: Complex) -> tuple[Array, Array]:
         """x and y of points of the unit square that represents the range."""
         return self.x(at.real * self.columns), self.y(at.imag * self.rows)
 
@@ -140,7 +141,7 @@ def _corners(known: KnownPoints, i: Integers, j: Integers, size: int) -> Array:
     return known.at(i[:, None] + steps[:, 0], j[:, None] + steps[:, 1])
 
 
-def _can_contain_a_border(excess: Array, finite: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _can_contain_a_border(excess: Array, finite: Flags) -> Flags:
     """Cells whose corners are not clearly on one side, and cells in which the balanced state ceases to exist."""
     whole = np.all(finite, axis=1)
     spread = np.ptp(np.where(finite, excess, 0.0), axis=1)

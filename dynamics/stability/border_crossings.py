@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Flags
 from dynamics.stability.border_cells import BorderCells, Excess, Integers, Lattice
 
 _ROUNDS = 80
 _NARROW = 1e-13  # accuracy of a crossing's position, relative to the side
-Array = NDArray[np.floating]
 
 # Side k leads from corner k to corner k + 1, anticlockwise: lower point of the side from that of the cell; vertical
 _SIDE_I, _SIDE_J = np.array([0, 1, 0, 0]), np.array([0, 0, 1, 0])
@@ -51,7 +51,7 @@ def crossings_of(lattice: Lattice, cells: BorderCells, excess: Excess) -> Crossi
 
 def _located(
     lattice: Lattice, sides: Integers, cells: BorderCells, keys: Integers, excess: Excess
-) -> tuple[Integers, Integers, NDArray[np.bool_], Array]:
+) -> tuple[Integers, Integers, Flags, Array]:
     """Lower points of sides, whether they are vertical, and the position of the crossing on them, 0 … 1.
 
     The Illinois method runs on all sides at once, with a bisection every fourth iteration.
@@ -102,7 +102,7 @@ def roots(function: Callable[[NDArray[np.intp], Array], Array], low: Array, high
     return root
 
 
-def _stable_shares(below: NDArray[np.bool_], crossed: NDArray[np.bool_], share: Array) -> Array:
+def _stable_shares(below: Flags, crossed: Flags, share: Array) -> Array:
     """Area of the stable polygon in each cell, corners and crossings joined by straight lines, shape (cells,)."""
     along = np.where(np.arange(4) < 2, share, 1 - share)
     x = _SIDES_X[:, :1].T, (_SIDES_X[:, :1] + (_SIDES_X[:, 1:] * along.T)).T

@@ -20,12 +20,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex, Flags
 from dynamics.stability.border_crossings import roots
 from dynamics.stability.border_following import SHORTEST
 
-Array = NDArray[np.floating]
-Complex = NDArray[np.complexfloating]
-Flags = NDArray[np.bool_]
 Slopes = Callable[[Complex], tuple[Complex, Complex, Complex]]
 """λ, ∂λ/∂X and ∂λ/∂Y at points X + i Y of the unit square, shape (points,) each. Of a pair the one with Im λ ≥ 0."""
 

@@ -14,8 +14,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.errors import OutsideDomain
 from dynamics.stability.border_cells import KnownPoints, Lattice, border_cells
 from dynamics.stability.border_crossings import Crossings, crossings_of
@@ -32,8 +32,6 @@ _SPACING = 1 / 4000
 _STEP = 1e-6  # of the unit square: step for derivatives of the coordinates
 _REAL = 1e-9  # |Im μ| below which a multiplier counts as real
 
-Array = NDArray[np.floating]
-Complex = NDArray[np.complexfloating]
 Span = tuple[float, float]
 DIVERGENCE, FLUTTER, DOUBLING = "divergence", "flutter", "period doubling"
 """Loss of stability: a multiplier leaves the unit circle at +1; a complex pair leaves it; one leaves it at −1."""

@@ -9,16 +9,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import DynamicsError, NoBalancedState, NotConverged
 from dynamics.stability.floquet import floquet_multipliers
 from dynamics.stability.map_rigs import MapRigs
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)

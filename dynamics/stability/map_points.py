@@ -10,13 +10,14 @@ from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.stability.floquet.lanes import LANES, half_turn_matrices, largest_multipliers
 from dynamics.stability.map_rigs import MapRigs
 
 LADDER = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512)  # steps per half revolution
 _BATCH = 128 * LANES  # number of points per task
 _NODES = 16 * LANES  # number of points per task if only matrices are computed
-Done = Callable[[NDArray[np.intp], NDArray[np.floating], NDArray[np.floating]], None]
+Done = Callable[[NDArray[np.intp], Array, Array], None]
 """Called with finished points, their multipliers and bounds."""
 
 
@@ -41,9 +42,7 @@ def explicit_multipliers(pool: ThreadPoolExecutor, rigs: MapRigs, accuracy: floa
     return np.flatnonzero(rung >= 0)
 
 
-def half_turns(
-    pool: ThreadPoolExecutor, rigs: MapRigs, units: NDArray[np.floating], steps: int
-) -> NDArray[np.floating]:
+def half_turns(pool: ThreadPoolExecutor, rigs: MapRigs, units: Array, steps: int) -> Array:
     """D Φ(π) of every point, shape (points, 8, 8).
 
     All points take the same number of steps. The error of the steps is therefore a polynomial in the rigs' numbers and
@@ -77,16 +76,16 @@ def _first_rung(rigs: MapRigs, accuracy: float) -> NDArray[np.intp]:
 
 def _batches(
     pool: ThreadPoolExecutor,
-    numbers: NDArray[np.floating],
-    units: NDArray[np.floating],
+    numbers: Array,
+    units: Array,
     points: NDArray[np.intp],
     steps: int,
-) -> Iterable[tuple[NDArray[np.intp], NDArray[np.floating], NDArray[np.floating]]]:
+) -> Iterable[tuple[NDArray[np.intp], Array, Array]]:
     """Run points with one number of steps on all cores. Each batch is yielded when it is finished."""
     if len(points) == 0:
         return
     size = max(LANES, min(_BATCH, -(-len(points) // (2 * LANES)) * LANES))
-    pending: dict[Future[None], tuple[NDArray[np.intp], NDArray[np.floating], NDArray[np.floating]]] = {}
+    pending: dict[Future[None], tuple[NDArray[np.intp], Array, Array]] = {}
     for start in range(0, len(points), size):
         batch = points[start : start + size]
         found, errors = np.empty(len(batch)), np.empty(len(batch))
@@ -97,7 +96,7 @@ def _batches(
         yield pending[future]
 
 
-def _next_rung(i: int, found: NDArray[np.floating], errors: NDArray[np.floating], accuracy: float) -> NDArray[np.intp]:
+def _next_rung(i: int, found: Array, errors: Array, accuracy: float) -> NDArray[np.intp]:
     """Next index for points that missed the accuracy with LADDER[i] steps. The error decreases with the 8th power."""
     factor = np.nan_to_num((errors / (accuracy * np.maximum(1.0, found))) ** (1 / 8), nan=2.0, posinf=2.0)
     steps = LADDER[i] * np.minimum(1.1 * factor, 4.0)

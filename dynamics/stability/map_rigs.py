@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.stability.floquet.lanes import NUMBERS, half_turn_matrices
 from dynamics.stability.floquet.matrix_rows import multipliers_of_rows
 from dynamics.stability.floquet.matrix_surface import MatrixSurface, fit_surface, nodes_needed
@@ -28,7 +29,6 @@ _STEP_ERROR = 1e-7  # … this constant, measured on the nominal rig at Ω = 0.3
 _MAX_STEPS = 1024
 
 Indices = NDArray[np.intp]
-Array = NDArray[np.floating]
 Span = tuple[float, float]
 
 

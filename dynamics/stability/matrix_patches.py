@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex, Flags
 from dynamics.stability.floquet.matrix_rows import eigenvalues_at, largest_eigenvalue_there
 from dynamics.stability.floquet.matrix_slopes import largest_with_slopes
 from dynamics.stability.floquet.matrix_surface import MatrixSurface
@@ -20,9 +20,8 @@ _SLACK = 1e-12  # relative tolerance of a rectangle's sides
 _BATCH = 512  # number of points per task
 _SMALLEST = 1 / 64  # smallest side of a rectangle relative to the range; below it the matrix counts as not smooth
 
-Array = NDArray[np.floating]
 Span = tuple[float, float]
-_Values = Callable[[MatrixSurface, Array, Array], NDArray[np.complexfloating]]
+_Values = Callable[[MatrixSurface, Array, Array], Complex]
 
 
 @dataclass(frozen=True)
@@ -39,23 +38,21 @@ class MatrixPatches:
     surfaces: tuple[MatrixSurface, ...]
     bare: tuple[tuple[Span, Span], ...]
 
-    def eigenvalues(self, pool: ThreadPoolExecutor, x: Array, y: Array) -> NDArray[np.complexfloating]:
+    def eigenvalues(self, pool: ThreadPoolExecutor, x: Array, y: Array) -> Complex:
         """Eigenvalues of D Φ(π), whose squares are the multipliers, largest modulus first, shape (points, 8).
 
         NaN in bare rectangles.
         """
         return self._on_surfaces(pool, _values, 8, x, y)
 
-    def with_slopes(self, pool: ThreadPoolExecutor, x: Array, y: Array) -> NDArray[np.complexfloating]:
+    def with_slopes(self, pool: ThreadPoolExecutor, x: Array, y: Array) -> Complex:
         """The largest eigenvalue λ with ∂λ/∂u and ∂λ/∂v, u and v the plane's coordinates, shape (points, 3).
 
         Of a pair the one with Im λ ≥ 0; NaN in bare rectangles.
         """
         return self._on_surfaces(pool, _with_slopes, 3, x, y)
 
-    def _on_surfaces(
-        self, pool: ThreadPoolExecutor, values_of: _Values, count: int, x: Array, y: Array
-    ) -> NDArray[np.complexfloating]:
+    def _on_surfaces(self, pool: ThreadPoolExecutor, values_of: _Values, count: int, x: Array, y: Array) -> Complex:
         """Results of a function at points, shape (points, count), each from the rectangle that contains the point."""
         u, v = self.plane.x.of(x), self.plane.y.of(y)
         found = np.full((len(u), count), np.nan, complex)
@@ -128,12 +125,12 @@ def _share(span: Span, value: float) -> float:
     return 0.0 if span[0] == span[1] else (2 * value - span[0] - span[1]) / (span[1] - span[0])
 
 
-def _inside(span: Span, values: Array) -> NDArray[np.bool_]:
+def _inside(span: Span, values: Array) -> Flags:
     slack = _SLACK * (abs(span[0]) + abs(span[1]))
     return (values >= span[0] - slack) & (values <= span[1] + slack)
 
 
-def _values(surface: MatrixSurface, u: Array, v: Array) -> NDArray[np.complexfloating]:
+def _values(surface: MatrixSurface, u: Array, v: Array) -> Complex:
     """Eigenvalues at points sorted by v, shape (points, n)."""
     rows, row = np.unique(v, return_inverse=True)
     nodes = surface.nodes.reshape(*surface.nodes.shape[:2], -1)
@@ -142,7 +139,7 @@ def _values(surface: MatrixSurface, u: Array, v: Array) -> NDArray[np.complexflo
     return np.take_along_axis(values, np.argsort(-np.abs(values), axis=1), 1)
 
 
-def _with_slopes(surface: MatrixSurface, u: Array, v: Array) -> NDArray[np.complexfloating]:
+def _with_slopes(surface: MatrixSurface, u: Array, v: Array) -> Complex:
     """Largest eigenvalues at points with their derivatives, shape (points, 3)."""
     found = np.empty((len(u), 3), complex)
     weights = surface.weights_v(v), surface.slopes_v(v), surface.weights_u(u), surface.slopes_u(u)

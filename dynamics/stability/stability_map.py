@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.arguments import check_number, real_array
+from dynamics.arrays import Array, Flags
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RotorParameters, physics_of
@@ -40,10 +41,10 @@ class StabilityMap:
     """
 
     plane: Plane
-    x: NDArray[np.floating]
-    y: NDArray[np.floating]
-    multiplier_max: NDArray[np.floating]
-    error_estimate: NDArray[np.floating]
+    x: Array
+    y: Array
+    multiplier_max: Array
+    error_estimate: Array
     counts: tuple[int, int, int]
     accuracy: float
 
@@ -61,7 +62,7 @@ class StabilityMap:
         return int(np.count_nonzero(self.error_estimate > self.accuracy * np.maximum(1.0, self.multiplier_max)))
 
     @property
-    def stable(self) -> NDArray[np.bool_]:
+    def stable(self) -> Flags:
         """Whether the largest multiplier is inside the unit circle by more than its error, shape (m, n).
 
         A NaN error estimate counts as zero: such a point lies between points with an error estimate.
@@ -69,7 +70,7 @@ class StabilityMap:
         return self.multiplier_max + np.nan_to_num(self.error_estimate) < 1.0
 
     @property
-    def decay_rate_per_s(self) -> NDArray[np.floating]:
+    def decay_rate_per_s(self) -> Array:
         """Decay rate of disturbances, −ln(multiplier_max) over the time of a revolution, 1/s, shape (m, n)."""
         grid = np.meshgrid(self.x, self.y)
         speeds = self.plane.speeds_rad_s(*(part.ravel() for part in grid)).reshape(self.multiplier_max.shape)
@@ -78,8 +79,8 @@ class StabilityMap:
 
 def plane_map(
     plane: Plane,
-    x: NDArray[np.floating],
-    y: NDArray[np.floating],
+    x: Array,
+    y: Array,
     accuracy: float = 1e-8,
     progress: Callable[[float], None] | None = None,
     threads: int | None = None,
@@ -101,7 +102,7 @@ def plane_map(
     if x.ndim != 1 or y.ndim != 1 or not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
         raise OutsideDomain(f"x and y must be one-dimensional and finite, got {x!r} and {y!r}")
     _check_size(len(x), len(y), accuracy)
-    found, errors, counts = multipliers_on_grid(plane, x, y, accuracy, progress or (lambda share: None), threads)
+    found, errors, counts = multipliers_on_grid(plane, x, y, accuracy, progress or _ignore, threads)
     return StabilityMap(plane, x, y, found, errors, counts, accuracy)
 
 
@@ -115,8 +116,8 @@ def _check_size(columns: int, rows: int, accuracy: float) -> None:
 
 def stability_map(
     rig: RotorParameters | object,
-    speed_ratios: NDArray[np.floating],
-    stiffness_ratios: NDArray[np.floating],
+    speed_ratios: Array,
+    stiffness_ratios: Array,
     accuracy: float = 1e-8,
     progress: Callable[[float], None] | None = None,
 ) -> StabilityMap:
@@ -154,18 +155,18 @@ def stability_map(
         raise NoBalancedState("no balanced state to map: it needs |S_A − S_B| ≤ S_P ≤ S_A + S_B")
     type_one(parameters, *angles[0], parameters.speed_rad_s(1.0))  # raises OutsideDomain for gravity or a pivot shift
     plane = SpeedStiffnessPlane(parameters, angles[0])
-    found, errors, counts = multipliers_on_grid(plane, speeds, stiffness, accuracy, progress or (lambda share: None))
+    found, errors, counts = multipliers_on_grid(plane, speeds, stiffness, accuracy, progress or _ignore)
     return StabilityMap(plane, speeds, stiffness, found, errors, counts, accuracy)
 
 
 def multipliers_on_grid(
     plane: Plane,
-    x: NDArray[np.floating],
-    y: NDArray[np.floating],
+    x: Array,
+    y: Array,
     accuracy: float,
     progress: Callable[[float], None],
     threads: int | None = None,
-) -> tuple[NDArray[np.floating], NDArray[np.floating], tuple[int, int, int]]:
+) -> tuple[Array, Array, tuple[int, int, int]]:
     """Compute the largest multipliers of Type I on a grid of a plane.
 
     Args:
@@ -198,11 +199,11 @@ def multipliers_on_grid(
 
 def multipliers_at_points(
     plane: Plane,
-    x: NDArray[np.floating],
-    y: NDArray[np.floating],
+    x: Array,
+    y: Array,
     accuracy: float,
     progress: Callable[[float], None] | None = None,
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+) -> tuple[Array, Array]:
     """Compute the largest multipliers of Type I at scattered points.
 
     Args:
@@ -214,7 +215,7 @@ def multipliers_at_points(
         NotConverged: the multiplier of a point cannot be computed even with a low accuracy.
     """
     found, errors = np.full((2, len(x)), np.nan)
-    notify = progress or (lambda share: None)
+    notify = progress or _ignore
     with _threads() as pool:
         left = _explicit(pool, plane, x, y, np.arange(len(x)), accuracy, found, errors, notify)
     for point in left.tolist():
@@ -223,8 +224,12 @@ def multipliers_at_points(
     return found, errors
 
 
+def _ignore(share: float) -> None:
+    del share
+
+
 @contextmanager
-def _threads(count: int | None = None) -> Iterator[ThreadPoolExecutor]:
+def _threads(count: int | None = None) -> Generator[ThreadPoolExecutor]:
     """Pool of threads, by default one per core. If the work is interrupted, waiting tasks are cancelled."""
     pool = ThreadPoolExecutor(max_workers=count or cores())
     try:
@@ -238,12 +243,12 @@ def _threads(count: int | None = None) -> Iterator[ThreadPoolExecutor]:
 def _explicit(
     pool: ThreadPoolExecutor,
     plane: Plane,
-    x: NDArray[np.floating],
-    y: NDArray[np.floating],
+    x: Array,
+    y: Array,
     rest: NDArray[np.intp],
     accuracy: float,
-    found: NDArray[np.floating],
-    errors: NDArray[np.floating],
+    found: Array,
+    errors: Array,
     progress: Callable[[float], None],
 ) -> NDArray[np.intp]:
     """Compute remaining points by explicit steps. Returns the points for which they are not suitable."""
@@ -253,7 +258,7 @@ def _explicit(
     there = np.flatnonzero(~np.isnan(rigs.theta_rad).any(axis=0))
     rest, rigs = rest[there], rigs.at(there)
 
-    def done(batch: NDArray[np.intp], multipliers: NDArray[np.floating], bounds: NDArray[np.floating]) -> None:
+    def done(batch: NDArray[np.intp], multipliers: Array, bounds: Array) -> None:
         found.reshape(-1)[rest[batch]], errors.reshape(-1)[rest[batch]] = multipliers, bounds
         progress(float(1 - np.isnan(found).mean()))
 

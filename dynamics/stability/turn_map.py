@@ -5,17 +5,14 @@ derivatives by the initial state: K' = J (Y' + h Σ a K'), J the derivatives of 
 result is the derivative of the same arithmetic, exact to rounding, at an eighth of the cost of complex steps.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, System
+from dynamics.compiled_code import compiled
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.phase_segments import PhaseSegments, phase_within
 from dynamics.equations.quick_derivatives import rate_derivatives
@@ -29,8 +26,8 @@ _STABLE_REACH = 4.0  # largest step in units of the fastest decay time
 _MAX_STEPS = 4000  # per revolution; beyond it the motion is too stiff or too slow for explicit steps
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
-def _derivatives(states, steps, period, system, out):
+@compiled(nogil=True, contract=True)
+def _derivatives(states: Array, steps: int, period: float, system: System, out: Array) -> None:
     """Write derivatives (8, 8) of the state after a revolution by the state before it, for states (n, 8), to out."""
     p, free_a, free_b, knots, origins, cubics = system
     k, tangents, by_state = np.zeros((12, 8)), np.zeros((12, 8, 8)), np.zeros((4, 8))
@@ -68,9 +65,7 @@ def _derivatives(states, steps, period, system, out):
         out[n] = end
 
 
-def turn_derivatives(
-    parameters: RotorParameters, speed_rad_s: float, states: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
+def turn_derivatives(parameters: RotorParameters, speed_rad_s: float, states: Array) -> Array | None:
     """Derivatives of the state one revolution later by the state.
 
     Args:

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType, reportMissingTypeStubs]
 
+from dynamics.arrays import Array, Flags
 from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.motions.integrate import locked_orbit
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
 
-Array: TypeAlias = NDArray[np.float64]
 RigAt: TypeAlias = Callable[[float], tuple[RotorParameters, float]]
 """Function from a value to the rig and its speed in rad/s."""
 
@@ -54,7 +54,7 @@ class Branch:
     theta_rad: Array
     amplitude_m: Array
     multiplier_max: Array
-    stable: NDArray[np.bool_]
+    stable: Flags
 
 
 @dataclass(frozen=True)

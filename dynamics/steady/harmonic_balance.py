@@ -4,18 +4,16 @@ x, y and the angles are sums of cosines and sines at n equally spaced phases. Th
 and transformed back. Newton's method solves ω² u″ − acceleration = 0 in coefficients.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import functools
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Flags, Indices
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import rates
 from dynamics.equations.quick_derivatives import rate_derivatives
 
@@ -33,14 +31,14 @@ class Basis(NamedTuple):
         sine: whether each function is a sine, shape (n,).
     """
 
-    value: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    transform: NDArray[np.float64]
-    order: NDArray[np.float64]
-    sine: NDArray[np.bool_]
+    value: Array
+    slope: Array
+    transform: Array
+    order: Array
+    sine: Flags
 
 
-def _basis(phase: NDArray[np.floating], orders: NDArray[np.integer]) -> Basis:
+def _basis(phase: Array, orders: NDArray[np.integer]) -> Basis:
     """cos and sin of the given orders at equally spaced phases, without the highest sine, which vanishes there."""
     functions = [(k, sine) for k in orders.tolist() for sine in (False, True) if k > 0 or not sine][: len(phase)]
     order, sine = np.array([k for k, _ in functions], float), np.array([s for _, s in functions])
@@ -70,13 +68,13 @@ class Grid:
         """The grid with `half` phases in half a revolution. It is cached."""
         return Grid(half, symmetric)
 
-    def whole(self, states: NDArray[np.floating]) -> NDArray[np.floating]:
+    def whole(self, states: Array) -> Array:
         """States over a whole revolution from those over the grid's span."""
         if not self.symmetric:
             return states
         return np.concatenate([states, states * [-1, -1, 1, 1, -1, -1, 1, 1]])
 
-    def coefficients(self, positions: NDArray[np.floating]) -> NDArray[np.floating]:
+    def coefficients(self, positions: Array) -> Array:
         """Coefficients (n, 4) of positions (m, 4) sampled over a whole revolution, interpolated if necessary."""
         m = len(positions)
         spectrum = np.fft.rfft(positions, axis=0) * (2.0 / m)
@@ -94,11 +92,11 @@ class Grid:
 def solve_balance(
     grid: Grid,
     speed_rad_s: float,
-    packed: NDArray[np.floating],
+    packed: Array,
     free: tuple[bool, bool],
-    start: NDArray[np.floating],
+    start: Array,
     least_size_m: float,
-) -> tuple[NDArray[np.floating], float] | None:
+) -> tuple[Array, float] | None:
     """Solve the balance by Newton's method from a guess.
 
     Args:
@@ -116,8 +114,13 @@ def solve_balance(
     return None if last < 0 else (states, last)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _sample(c, bases, speed, states):
+@compiled(contract=True)
+def _sample(
+    c: Array,
+    bases: tuple[tuple[Array, Array, Array, Array], tuple[Array, Array, Array, Array]],
+    speed: float,
+    states: Array,
+) -> None:
     """Write states (n, 8) at the phases from coefficients (n, 4) to states."""
     n = len(c)
     for i in range(4):
@@ -130,8 +133,10 @@ def _sample(c, bases, speed, states):
             states[j, i], states[j, 4 + i] = at, speed * rate
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _add_block(transform, factor, value, rate_factor, slope, matrix, top, left):
+@compiled(contract=True)
+def _add_block(
+    transform: Array, factor: Array, value: Array, rate_factor: Array, slope: Array, matrix: Array, top: int, left: int
+) -> None:
     """Subtract transform · (diag(factor) value + diag(rate_factor) slope) from a block of the matrix."""
     n = len(factor)
     change = np.empty(n)
@@ -144,8 +149,20 @@ def _add_block(transform, factor, value, rate_factor, slope, matrix, top, left):
                 row[left + j] -= f * change[j]
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, right):
+@compiled(contract=True)
+def _linearise(
+    states: Array,
+    c: Array,
+    bases: tuple[tuple[Array, Array, Array, Array], tuple[Array, Array, Array, Array]],
+    phase: Array,
+    speed: float,
+    p: Array,
+    kept: Indices,
+    unit: Array,
+    work: tuple[Array, Array, Array, Array],
+    matrix: Array,
+    right: Array,
+) -> None:
     """Write Newton's matrix (m n, m n) and right-hand side (m n,), in units (4,), for m kept coordinates.
 
     Args:
@@ -184,8 +201,8 @@ def _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, righ
                     matrix[top + k, q * n + j] *= factor
 
 
-@njit(cache=True, error_model="numpy")
-def _scale_rows(matrix, right):
+@compiled
+def _scale_rows(matrix: Array, right: Array) -> bool:
     """Scale the rows to equal size. False if a row is zero or not finite."""
     for i in range(len(right)):
         size = 0.0
@@ -202,8 +219,8 @@ def _scale_rows(matrix, right):
     return True
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _eliminate(a, b):
+@compiled(contract=True)
+def _eliminate(a: Array, b: Array) -> bool:
     """Solve a x = b by elimination with column pivoting; x is written to b. False if a is singular."""
     n = len(b)
     for k in range(n):
@@ -232,8 +249,8 @@ def _eliminate(a, b):
     return True
 
 
-@njit(cache=True, error_model="numpy")
-def _solve(matrix, right):
+@compiled
+def _solve(matrix: Array, right: Array) -> bool:
     """Write the solution to right. False if it does not exist."""
     if not _scale_rows(matrix, right):
         return False
@@ -245,8 +262,17 @@ def _solve(matrix, right):
     return largest < np.inf
 
 
-@njit(cache=True, error_model="numpy")
-def _newton(c, bases, phase, speed, p, kept, least_size, states):
+@compiled
+def _newton(
+    c: Array,
+    bases: tuple[tuple[Array, Array, Array, Array], tuple[Array, Array, Array, Array]],
+    phase: Array,
+    speed: float,
+    p: Array,
+    kept: Indices,
+    least_size: float,
+    states: Array,
+) -> float:
     """Newton's method on coefficients c (n, 4), in place.
 
     Args:

@@ -15,13 +15,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.locked_motion import locked_orbit
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _STEP_RAD = 1e-6
 _TURN = np.linspace(0, 2 * math.pi, 1440, endpoint=False)

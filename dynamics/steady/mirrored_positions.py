@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
@@ -90,7 +90,7 @@ def mirrored_positions(
     return first, second
 
 
-def _followed(p: RotorParameters, speed: float, theta: NDArray[np.float64], whole: Imperfections) -> BalancedPosition:
+def _followed(p: RotorParameters, speed: float, theta: Array, whole: Imperfections) -> BalancedPosition:
     """Continue from the balanced angles to the whole imperfection."""
     z = 0j
     for share in np.linspace(0, 1, _STEPS + 1)[1:].tolist():
@@ -106,9 +106,7 @@ def _followed(p: RotorParameters, speed: float, theta: NDArray[np.float64], whol
     return BalancedPosition((a, b), z)
 
 
-def _newton(
-    p: RotorParameters, speed: float, theta: NDArray[np.float64], part: Imperfections
-) -> tuple[NDArray[np.float64], complex]:
+def _newton(p: RotorParameters, speed: float, theta: Array, part: Imperfections) -> tuple[Array, complex]:
     stiffness, square = dynamic_stiffness(p, speed), speed**2
     moments = np.array([p.a.first_moment_kg_m, p.b.first_moment_kg_m])
     pivots = np.array([part.pivot_a_m, part.pivot_b_m])

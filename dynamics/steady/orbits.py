@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.kernels import BX, BY, FA, FB, GRAVITY
 from dynamics.equations.parameters import RotorParameters
 from dynamics.steady.harmonic_balance import Grid, solve_balance
@@ -34,8 +34,8 @@ class Orbit:
             phases and from Newton's last step.
     """
 
-    states: NDArray[np.floating]
-    coarse_states: NDArray[np.floating]
+    states: Array
+    coarse_states: Array
     angle_error_rad: float
     position_error_m: float
 
@@ -43,9 +43,9 @@ class Orbit:
 def coarse_orbit(
     parameters: RotorParameters,
     speed_rad_s: float,
-    guess: NDArray[np.floating],
+    guess: Array,
     released: tuple[bool, bool] = (True, True),
-) -> NDArray[np.floating] | None:
+) -> Array | None:
     """The orbit at the lowest resolution, sufficient to distinguish it from others.
 
     Args:
@@ -59,9 +59,7 @@ def coarse_orbit(
     return None if solved is None else grid.whole(solved[0])
 
 
-def _frictionless(
-    parameters: RotorParameters, released: tuple[bool, bool]
-) -> tuple[NDArray[np.floating], tuple[bool, bool]]:
+def _frictionless(parameters: RotorParameters, released: tuple[bool, bool]) -> tuple[Array, tuple[bool, bool]]:
     """Packed parameters without dry friction, and which pendulums exist and are free."""
     packed = parameters.packed()
     packed[FA] = packed[FB] = 0.0
@@ -71,7 +69,7 @@ def _frictionless(
 def periodic_orbit(
     parameters: RotorParameters,
     speed_rad_s: float,
-    guess: NDArray[np.floating],
+    guess: Array,
     accuracy: float,
     released: tuple[bool, bool] = (True, True),
 ) -> Orbit | None:
@@ -105,6 +103,6 @@ def periodic_orbit(
     return None
 
 
-def _least_size(packed: NDArray[np.floating]) -> float:
+def _least_size(packed: Array) -> float:
     """Smallest scale of x, y, m. If pendulums balance a bow, the disk is at rest."""
     return _MIN_BOW_RATIO * float(np.hypot(packed[BX], packed[BY]))

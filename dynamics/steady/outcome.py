@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.arguments import check_number, check_pair
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.scene import Scene
 from dynamics.equations.speed_history import SpeedHistory
@@ -234,7 +234,7 @@ class _Release:
         affordable = _MAX_WORK * self.done / max(self.work, 1.0)
         return bool(stable) and _E_FOLDS * min(_time_constant(s) for s in stable) > affordable
 
-    def _advance(self) -> NDArray[np.float64]:
+    def _advance(self) -> Array:
         """Simulate one more chunk; its states with the first one included, shape (chunk + 1, 8)."""
         while True:
             scene = Scene(self.history, (True, True), self.blocks[-1][-1].copy())
@@ -253,7 +253,7 @@ class _Release:
         self.blocks.append(motion.state[1:])
         return motion.state
 
-    def _distance(self, strobe: NDArray[np.float64], s: SteadyState) -> NDArray[np.float64]:
+    def _distance(self, strobe: Array, s: SteadyState) -> Array:
         """Distance of strobed states (n, 8) from a state, over angles and rates of pendulums and disk, rad."""
         size = 4 * max(s.amplitude_m, 0.01 * self.arm)  # scale of the disk's displacement, from its orbit
         scale = np.array([size, size, 1.0, 1.0, size * self.speed, size * self.speed, self.speed, self.speed])
@@ -317,7 +317,7 @@ def _time_constant(s: SteadyState) -> float:
     return -1.0 / math.log(modulus) if modulus > 0 else 0.0
 
 
-def _near_since(since: int | None, distance: NDArray[np.float64], first: int) -> int | None:
+def _near_since(since: int | None, distance: Array, first: int) -> int | None:
     """Revolution from which the motion has stayed near a state; None if it is not near at the end."""
     far = np.flatnonzero(~(distance < _NEAR_RAD))
     if len(far) == 0:
@@ -325,7 +325,7 @@ def _near_since(since: int | None, distance: NDArray[np.float64], first: int) ->
     return None if far[-1] == len(distance) - 1 else first + int(far[-1]) + 1
 
 
-def _at_rest(strobe: NDArray[np.float64]) -> bool:
+def _at_rest(strobe: Array) -> bool:
     """Whether dry friction has stopped the pendulums except for creep due to the torque's pulsation."""
     late = strobe[len(strobe) // 2 :]
     return bool(np.ptp(late[:, 2:4], axis=0).max() < _CREEP_RAD and np.ptp(late[:, :2], axis=0).max() < 1e-6)

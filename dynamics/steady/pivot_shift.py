@@ -12,18 +12,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias, cast
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar  # pyright: ignore[reportUnknownVariableType, reportMissingTypeStubs]
 
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.steady.branches import SteadyBranches, steady_branches
 from dynamics.steady.singular_points import singular_points
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

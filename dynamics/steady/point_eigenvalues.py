@@ -7,9 +7,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.arguments import check_number
+from dynamics.arrays import Complex, Indices
 from dynamics.equations.linearised import rotating_frame
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
@@ -19,9 +19,7 @@ from dynamics.steady.whirl import circular_whirl
 _ROUNDING = 1e-13  # relative to the matrix's norm
 
 
-def point_eigenvalues(
-    rig: RotorParameters | object, speed_rad_s: float, points: Sequence[SingularPoint]
-) -> NDArray[np.complex128]:
+def point_eigenvalues(rig: RotorParameters | object, speed_rad_s: float, points: Sequence[SingularPoint]) -> Complex:
     """Eigenvalues λ of δẏ = A δy about singular points of an isotropic rig, in the frame that rotates with the rotor.
 
     The multipliers over one revolution are e^{2πλ/ω}. For large λ the eigenvalues keep information that these lose.
@@ -45,12 +43,12 @@ def point_eigenvalues(
     found = np.empty((len(points), 8), np.complex128)
     for own, point in zip(found, points, strict=True):
         matrix = rotating_frame(p, circular_whirl(speed_rad_s, point)[0], speed_rad_s)
-        values: NDArray[np.complex128] = np.asarray(np.linalg.eigvals(np.asarray(matrix.at(0.0))), np.complex128)
+        values: Complex = np.asarray(np.linalg.eigvals(np.asarray(matrix.at(0.0))), np.complex128)
         own[:] = values[np.argsort(-values.real)]
     return found
 
 
-def stability_of(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
+def stability_of(eigenvalues: Complex) -> Indices:
     """1 if all eigenvalues of a point have a negative real part, −1 if one has a positive real part, 0 within rounding.
 
     Args:

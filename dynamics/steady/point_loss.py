@@ -18,14 +18,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.arguments import real_array
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.steady.singular_points import dynamic_stiffness
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

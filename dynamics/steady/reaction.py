@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.arguments import check_number
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.scene import Scene
 from dynamics.equations.speed_history import SpeedHistory
@@ -21,8 +21,6 @@ from dynamics.errors import OutsideDomain
 from dynamics.motions.integrate import simulate
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
-
-Array = NDArray[np.float64]
 
 _SAMPLES_PER_REVOLUTION = 32
 _CONSTANTS = 14.0  # simulated time in time constants of the slowest motion

@@ -91,7 +91,7 @@ def aligned_points(
     if left < right:
         return []
     root = math.sqrt(left - right) * math.sqrt(left + right)  # their product may exceed the range of a double
-    found = []
+    found: list[tuple[float, complex]] = []
     for sign in (1.0, -1.0):
         rho = (own * (d.real / size) + sign * root) / size
         slope = d * rho - own

@@ -18,12 +18,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.parameters import RotorParameters
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Motion = Callable[[Array, Array], Array]
 """Function from (state at ψ = 0, instants) to states (n, 8) of the rig with both pendulums free."""
 

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters
 from dynamics.stability.turn_map import turn_derivatives
 
@@ -51,9 +51,7 @@ class SlippingMotion:
     judged: int
 
 
-def slipping_motion(
-    parameters: RotorParameters, speed_rad_s: float, strobe: NDArray[np.float64]
-) -> SlippingMotion | None:
+def slipping_motion(parameters: RotorParameters, speed_rad_s: float, strobe: Array) -> SlippingMotion | None:
     """The stable slipping motion of an interval of strobed states, or None.
 
     Args:
@@ -89,16 +87,16 @@ def slipping_motion(
     return SlippingMotion((float(rates[0]), float(rates[1])), misfit, *judged)
 
 
-def _mean_rates(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mean_rates(angles: Array) -> Array:
     """Mean rates in turns per revolution, shape (2,), with a smooth window, whose error decreases fast with length."""
     t = (np.arange(len(angles) - 1) + 0.5) / (len(angles) - 1)
     window = np.exp(-1.0 / (t * (1.0 - t)))
     return window @ np.diff(angles, axis=0) / window.sum() / (2 * math.pi)
 
 
-def _windings(rates: NDArray[np.float64]) -> list[tuple[float, tuple[int, int]]]:
+def _windings(rates: Array) -> list[tuple[float, tuple[int, int]]]:
     """Slip rates ρ of a curve and whole numbers (m, n) with rates = ρ (m, n), the simplest first."""
-    lead, found = int(np.argmax(np.abs(rates))), []
+    lead, found = int(np.argmax(np.abs(rates))), list[tuple[float, tuple[int, int]]]()
     for turns in range(1, _RATES + 1):
         rate = float(rates[lead]) / turns
         other = round(float(rates[1 - lead]) / rate)
@@ -107,9 +105,7 @@ def _windings(rates: NDArray[np.float64]) -> list[tuple[float, tuple[int, int]]]
     return found
 
 
-def _curve(
-    phase: NDArray[np.floating], states: NDArray[np.float64], fitted: int
-) -> tuple[float, int, NDArray[np.float64]] | None:
+def _curve(phase: Array, states: Array, fitted: int) -> tuple[float, int, Array] | None:
     """A closed curve through the first states that predicts the others.
 
     Args:
@@ -128,7 +124,7 @@ def _curve(
         basis = np.column_stack([np.ones(len(phase)), np.real(waves), np.imag(waves)])
         train = basis[:fitted]
         gram = train.T @ train + 1e-9 * fitted * np.eye(basis.shape[1])
-        weights = np.linalg.solve(gram, train.T @ (states[:fitted] - middle))
+        weights: Array = np.linalg.solve(gram, train.T @ (states[:fitted] - middle))
         off = np.max(np.abs(basis @ weights + middle - states), axis=1)
         misfit = float(np.max(off[fitted:]))
         if misfit < _CURVE_RAD:
@@ -142,10 +138,10 @@ def _curve(
 def _shrinkage(
     parameters: RotorParameters,
     speed: float,
-    states: NDArray[np.float64],
-    scale: NDArray[np.float64],
+    states: Array,
+    scale: Array,
     kept: list[int],
-    along: NDArray[np.float64],
+    along: Array,
 ) -> tuple[float, int] | None:
     """Factor of deviations transverse to the curve, and the number of revolutions.
 

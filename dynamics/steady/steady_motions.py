@@ -14,9 +14,9 @@ from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.arguments import check_number, check_pair
+from dynamics.arrays import Array
 from dynamics.equations.balancing import balanced_angles, balancing_region
 from dynamics.equations.linearised import along, rotating_frame, type_one
 from dynamics.equations.model import AUTONOMOUS, CLOSED_FORM, Model, choose_model
@@ -107,7 +107,7 @@ class _Search:
         if self._refused is not None and not self.found:
             raise self._refused
         met: set[str] = set()
-        found = []
+        found: list[SteadyState] = []
         for s in self.found:
             if not (s.any_angle and s.type in met):  # a circle of states is listed once
                 found.append(s)
@@ -125,7 +125,7 @@ def _search_orbits(
     model: Model,
 ) -> None:
     """Search orbits from the singular points of the mean torque and from additional angles."""
-    further = []
+    further: list[SingularPoint] = []
     if all(released) and p.a.present and p.b.present:
         for angle in _FURTHER_ANGLES:
             further += [SingularPoint("II", (angle, angle + math.pi), 0j), SingularPoint("III", (angle, angle), 0j)]
@@ -155,7 +155,7 @@ def _search_orbits(
                 search.judge(kind, make, mean)
 
 
-def _first_guess(linear: RotorParameters, speed: float, theta: _Angles) -> NDArray[np.floating]:
+def _first_guess(linear: RotorParameters, speed: float, theta: _Angles) -> Array:
     """Positions (n, 4) of the linear orbit; in an undamped resonance, where it does not exist, of the rotor at rest."""
     try:
         return locked_whirl(linear, speed, theta)[:, :4]
@@ -281,7 +281,7 @@ def _described(
     p: RotorParameters,
     speed: float,
     kind: str,
-    states: NDArray[np.floating],
+    states: Array,
     judged: Multipliers,
     errors: tuple[float, float],
     model: Model,
@@ -331,7 +331,7 @@ def _exchanged(p: RotorParameters, search: _Search, theta: _Angles) -> SteadySta
     return None
 
 
-def _mean_angles(states: NDArray[np.floating]) -> _Angles:
+def _mean_angles(states: Array) -> _Angles:
     """Mean θ3, θ4 of a motion, rad."""
     theta = states[:, 2:4].mean(axis=0)
     return float(theta[0]), float(theta[1])

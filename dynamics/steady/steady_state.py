@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.model import Model
 
 
@@ -35,12 +35,12 @@ class SteadyState:
 
     type: str
     theta_rad: tuple[float, float]
-    start: NDArray[np.floating]
-    states: NDArray[np.floating]
+    start: Array
+    states: Array
     amplitude_m: float
     x_m: complex
     y_m: complex
-    multipliers: NDArray[np.complexfloating]
+    multipliers: Complex
     error_estimate: float
     angle_error_rad: float
     amplitude_error_m: float

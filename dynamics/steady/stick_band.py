@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.integrate import locked_orbit
 
@@ -29,7 +29,7 @@ def stick_half_width(p: RotorParameters, speed: float, theta: tuple[float, float
     step = 1e-6
     slope = np.empty((2, 2))
     for j in range(2):
-        ends = []
+        ends: list[Array] = []
         for sign in (1, -1):
             moved = [theta[i] + (sign * step if i == j else 0.0) for i in range(2)]
             ends.append(_mean_torque(p, speed, (moved[0], moved[1])))
@@ -57,7 +57,7 @@ def held_share(p: RotorParameters, speed: float, theta: tuple[float, float]) -> 
     return shares[0], shares[1]
 
 
-def _mean_torque(p: RotorParameters, speed: float, theta: tuple[float, float]) -> NDArray[np.floating]:
+def _mean_torque(p: RotorParameters, speed: float, theta: tuple[float, float]) -> Array:
     """Torque on pendulums at rest on the rotor, mean over a revolution, N m, shape (2,)."""
     x, y = locked_orbit(p, speed, *theta)
     pivot = (x + y) / 2 + p.pivot_shift_m

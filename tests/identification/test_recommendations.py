@@ -126,7 +126,7 @@ def test_the_tightest_accuracy_that_costs_no_more_is_recommended() -> None:
     (found,) = recommended_accuracies(rows)
     assert found.setting == "accuracy 1e-09"
     assert found.text.startswith(
-        "motion: ask for 1e-09, it takes 1.4 times the time of 1e-03; its largest true error here"
+        "motion: use 1e-09, it takes 1.4 times the time of 1e-03; its largest true error here"
     )
     assert "tighter ones take 5 times the time" in found.text
 

@@ -1,13 +1,11 @@
 """Error bounds of eigenvalues from the error of the matrix: first and second order, and clusters."""
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
+
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 
 _ROUNDING = float(np.finfo(float).eps)
 _COARSE, _BY_CHANCE = 1e-4, 1 / 16
@@ -15,9 +13,7 @@ _SEPARATE = 0.25  # ratio of coupling to gap below which an eigenvalue is treate
 _MAX_ROUNDS, _MAX_UNIT = 100, 2.0**500  # of balancing; of one factor
 
 
-def eigenvalues_with_bounds(
-    matrix: NDArray[np.floating], change: NDArray[np.floating], roundings: float
-) -> tuple[NDArray[np.complexfloating], NDArray[np.floating]]:
+def eigenvalues_with_bounds(matrix: Array, change: Array, roundings: float) -> tuple[Complex, Array]:
     """Eigenvalues of a matrix with a bound on the error of each.
 
     In the basis of the eigenvectors X the error matrix is G = X⁻¹ E X. An eigenvalue moves by G_ii at first and
@@ -51,7 +47,7 @@ def eigenvalues_with_bounds(
     return values, bounds
 
 
-def balancing_units(size: NDArray[np.floating]) -> NDArray[np.floating]:
+def balancing_units(size: Array) -> Array:
     """Units of the states, powers of two, in which rows and columns of a matrix have similar norms, shape (n,).
 
     Args:
@@ -62,8 +58,8 @@ def balancing_units(size: NDArray[np.floating]) -> NDArray[np.floating]:
     return unit
 
 
-@njit(cache=True, error_model="numpy")
-def _balance(size, unit):
+@compiled
+def _balance(size: Array, unit: Array) -> None:
     """Write units in which columns and rows of |A| have similar norms to unit (n,); scale size (n, n) with them.
 
     Source: E. E. Osborne, Journal of the ACM 7 (1960) 338, with powers of two (B. N. Parlett, C. Reinsch, Numerische
@@ -98,8 +94,8 @@ def _balance(size, unit):
             return
 
 
-@njit(cache=True, error_model="numpy")
-def _in_balancing_units(matrix, change, unit, scaled, moved):
+@compiled
+def _in_balancing_units(matrix: Array, change: Array, unit: Array, scaled: Array, moved: Array) -> None:
     """Write matrix and change, in the units that balance the matrix, to scaled and moved; write the units to unit."""
     n = len(unit)
     for i in range(n):
@@ -112,8 +108,8 @@ def _in_balancing_units(matrix, change, unit, scaled, moved):
             scaled[i, j], moved[i, j] = matrix[i, j] * factor, change[i, j] * factor
 
 
-@njit(cache=True, error_model="numpy")
-def _couple(left, right, matrix, change, rounding, coupling):
+@compiled
+def _couple(left: Complex, right: Complex, matrix: Array, change: Array, rounding: float, coupling: Array) -> bool:
     """Write bounds on |G| to coupling (n, n). Returns whether they are finite.
 
     Args:
@@ -153,8 +149,10 @@ def _couple(left, right, matrix, change, rounding, coupling):
     return True
 
 
-@njit(cache=True, error_model="numpy")
-def _moves(values, left, right, matrix, change, rounding, bounds):
+@compiled
+def _moves(
+    values: Complex, left: Complex, right: Complex, matrix: Array, change: Array, rounding: float, bounds: Array
+) -> bool:
     """Write bounds on the moves of all eigenvalues to bounds (n,). False if only the bound of the spectrum applies."""
     n = len(values)
     coupling, gaps = np.empty((n, n)), np.empty(n - 1)
@@ -173,8 +171,8 @@ def _moves(values, left, right, matrix, change, rounding, bounds):
     return True
 
 
-@njit(cache=True, error_model="numpy")
-def _moved(values, coupling, i, gaps):
+@compiled
+def _moved(values: Complex, coupling: Array, i: int, gaps: Array) -> float:
     """Bound on the move of one eigenvalue; gaps (n − 1,) is scratch."""
     n, own = len(values), coupling[i, i]
     second, strength, apart, count = 0.0, own, True, 0
@@ -205,7 +203,7 @@ def _moved(values, coupling, i, gaps):
     return 2 * n * product ** (1 / n)
 
 
-def _whole_spectrum(matrix: NDArray[np.floating], error: NDArray[np.floating]) -> float:
+def _whole_spectrum(matrix: Array, error: Array) -> float:
     """Elsner's bound, for any matrix: (‖A‖ + ‖A + E‖)^(1 − 1/n) ‖E‖^(1/n)."""
     n, norm = len(matrix), float(np.linalg.norm(matrix))
     size = float(np.linalg.norm(error)) + _ROUNDING * norm

@@ -8,8 +8,8 @@ Source: L. N. Trefethen, Spectral Methods in MATLAB (SIAM 2000), chapter 6 (diff
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
 
@@ -18,7 +18,7 @@ DEGREE = 16
 ORDER = DEGREE
 
 
-def _differentiation(degree: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _differentiation(degree: int) -> tuple[Array, Array]:
     """Points in ascending order on [−1, 1] and the differentiation matrix, both of size degree + 1."""
     points = -np.cos(np.pi * np.arange(degree + 1) / degree)
     c = np.ones(degree + 1)
@@ -29,12 +29,13 @@ def _differentiation(degree: int) -> tuple[NDArray[np.floating], NDArray[np.floa
     return points, d - np.diag(d.sum(axis=1))
 
 
-def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
     """See MonodromyMethod. A step is a panel with a polynomial of degree 16."""
     n, series, span = matrix.dimension, per_radian(matrix), span_rad(matrix)
     points, d = _differentiation(DEGREE)
     derivative = np.kron(d, np.eye(n)) * (2.0 * steps / span)
-    y, a = np.eye(n), np.empty((n, n))
+    y: Array = np.eye(n)
+    a = np.empty((n, n))
     for step in range(steps):
         system = derivative.copy()
         for j in range(1, DEGREE + 1):

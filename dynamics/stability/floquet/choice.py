@@ -1,8 +1,5 @@
 """Selection of method and initial number of steps, by a cost model with measured constants."""
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import math
@@ -10,9 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.errors import NotConverged
 from dynamics.stability.floquet import (
@@ -114,8 +111,8 @@ class Plan(NamedTuple):
         return (3.5 if self.three else 3.0) * self.steps * self.step_us
 
 
-@njit(cache=True, error_model="numpy")
-def _eigenvalues_along(series, span, found):
+@compiled
+def _eigenvalues_along(series: Complex, span: float, found: Complex) -> bool:
     """Write eigenvalues of A(ψ) at equally spaced phases of the span to found (phases, n); whether all converged."""
     phases, n = found.shape
     a = np.empty((n, n))
@@ -126,7 +123,7 @@ def _eigenvalues_along(series, span, found):
     return True
 
 
-def _rates(matrix: PeriodicMatrix) -> NDArray[np.complexfloating]:
+def _rates(matrix: PeriodicMatrix) -> Complex:
     """Eigenvalues of A(ψ) at eight phases times the span: growth and phase of each mode over the span."""
     span = span_rad(matrix)
     found = np.empty((_PHASES, matrix.dimension), np.complex128)
@@ -136,8 +133,10 @@ def _rates(matrix: PeriodicMatrix) -> NDArray[np.complexfloating]:
     return found.ravel() * span
 
 
-@njit(cache=True, error_model="numpy")
-def _max_steps(rates, accuracy, error, order, longest, limits_decayed, swing):
+@compiled
+def _max_steps(
+    rates: Complex, accuracy: float, error: float, order: float, longest: float, limits_decayed: bool, swing: float
+) -> float:
     """Number of steps required by the most demanding rate.
 
     Args:
@@ -158,7 +157,7 @@ def _max_steps(rates, accuracy, error, order, longest, limits_decayed, swing):
     return most
 
 
-def _steps(name: str, rates: NDArray[np.complexfloating], fastest: float, accuracy: float) -> int:
+def _steps(name: str, rates: Complex, fastest: float, accuracy: float) -> int:
     """Number of steps for which the coarser run is expected to meet the accuracy; fastest: the largest |rate|."""
     cost, order = _COSTS[name], METHODS[name].ORDER
     if name not in AUTOMATIC:

@@ -6,15 +6,12 @@ the error, and the oscillations are integrated exactly. The method suits motions
 Source: S. Blanes, P. C. Moan, Applied Numerical Mathematics 56 (2006) 1519.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
 from dynamics.stability.floquet.small_matrices import exponential, multiply
@@ -24,8 +21,8 @@ ORDER = 4
 _NODE = np.sqrt(3.0) / 6.0
 
 
-@njit(cache=True, error_model="numpy")
-def _fundamental(series, span, steps):
+@compiled
+def _fundamental(series: Complex, span: float, steps: int) -> Array:
     n = series.shape[1]
     h = span / steps
     y, next_y, mixed, step_matrix = np.eye(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
@@ -45,6 +42,6 @@ def _fundamental(series, span, steps):
     return y
 
 
-def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
     """See MonodromyMethod."""
     return turned(matrix, _fundamental(per_radian(matrix), span_rad(matrix), steps))

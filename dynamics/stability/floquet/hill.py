@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.periodic_matrix import PeriodicMatrix
 from dynamics.stability.floquet.methods import per_radian, span_rad
 
@@ -21,7 +22,7 @@ ORDER = 8  # a lower bound: the error decreases faster than any power
 _INDEPENDENT = 1e-6
 
 
-def _cut_matrix(matrix: PeriodicMatrix, orders: int) -> tuple[NDArray[np.complexfloating], NDArray[np.intp]]:
+def _cut_matrix(matrix: PeriodicMatrix, orders: int) -> tuple[Complex, NDArray[np.intp]]:
     """Hill's matrix with orders −orders … orders, and its flat indices k n + i."""
     series, n = per_radian(matrix), matrix.dimension
     waves = np.arange(-orders, orders + 1)
@@ -40,7 +41,7 @@ def _cut_matrix(matrix: PeriodicMatrix, orders: int) -> tuple[NDArray[np.complex
     return whole.reshape(len(waves) * n, -1)[np.ix_(kept, kept)], kept
 
 
-def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
     """See MonodromyMethod. A step is one order of the Fourier series of p."""
     n = matrix.dimension
     orders = max(steps, len(matrix.harmonics))
@@ -49,13 +50,13 @@ def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
     wave, state = kept // n - orders, kept % n
     ends = np.sum(np.abs(vectors[np.abs(wave) > 0.75 * orders]) ** 2, axis=0)
     starts = np.array([vectors[state == i].sum(axis=0) for i in range(n)])
-    basis, chosen = np.zeros((n, 0), complex), []
+    basis, chosen = np.zeros((n, 0), complex), list[int]()
     for candidate in np.argsort(ends):
         start = starts[:, candidate]
         rest = start - basis @ (basis.conj().T @ start)
         if np.linalg.norm(rest) > _INDEPENDENT * max(np.linalg.norm(start), 1e-300):
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-            chosen.append(candidate)
+            chosen.append(int(candidate))
         if len(chosen) == n:
             break
     if len(chosen) < n:

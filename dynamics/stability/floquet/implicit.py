@@ -6,16 +6,13 @@ before elimination, so that the row of a fast pendulum does not dominate the oth
 Source: Hairer, Wanner, Solving Ordinary Differential Equations II (Springer 1996), section IV.5.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.polynomial import Legendre, legendre
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
 
@@ -24,7 +21,7 @@ STAGES = 5
 ORDER = 2 * STAGES - 1
 
 
-def _radau_coefficients(stages: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _radau_coefficients(stages: int) -> tuple[Array, Array]:
     """Nodes c on (0, 1] (roots of P_s − P_{s−1}, shifted) and a_ij = ∫_0^{c_i} ℓ_j, ℓ_j the Lagrange polynomials."""
     nodes = np.sort(np.real((Legendre.basis(stages) - Legendre.basis(stages - 1)).roots())).astype(float)
     nodes[-1] = 1.0
@@ -36,8 +33,8 @@ def _radau_coefficients(stages: int) -> tuple[NDArray[np.floating], NDArray[np.f
 _NODES, _STEPS = _radau_coefficients(STAGES)
 
 
-@njit(cache=True, error_model="numpy")
-def _fundamental(series, span, steps):
+@compiled
+def _fundamental(series: Complex, span: float, steps: int) -> Array:
     n = series.shape[1]
     h = span / steps
     y, a = np.eye(n), np.empty((n, n))
@@ -63,7 +60,7 @@ def _fundamental(series, span, steps):
     return y
 
 
-def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
     """See MonodromyMethod."""
     try:
         fundamental = _fundamental(per_radian(matrix), span_rad(matrix), steps)

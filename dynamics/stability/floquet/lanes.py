@@ -9,15 +9,13 @@ Positions are integrals of rates: the stages of order one (A) and two (A²) need
 Nyström form of the method).
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.motions.dormand_prince import NODES, STAGES, STEPS, WEIGHTS
 from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
 
@@ -30,7 +28,7 @@ NUMBERS = 21
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 
 
-def _terms() -> tuple[NDArray[np.intp], NDArray[np.floating], NDArray[np.floating], NDArray[np.intp]]:
+def _terms() -> tuple[NDArray[np.intp], Array, Array, NDArray[np.intp]]:
     """Earlier stages added at each stage (last row: the step's end), in fours: indices, weights in A, in A², count."""
     first = np.vstack([STEPS, WEIGHTS])
     second = np.vstack([STEPS @ STEPS, WEIGHTS @ STEPS])
@@ -48,8 +46,8 @@ _INDEX, _FIRST, _SECOND, _FOURS = _terms()
 _ALL_NODES = np.append(NODES, 1.0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _at_phase(phase, numbers, c):
+@compiled(nogil=True)
+def _at_phase(phase: float, numbers: Array, c: Array) -> None:
     """Write W_xx, W_xy, W_yy and the six rotating vectors of eight points at a phase to c (15, LANES)."""
     x, y = np.cos(phase), np.sin(phase)
     x2, y2 = x * x - y * y, 2 * x * y
@@ -65,8 +63,8 @@ def _at_phase(phase, numbers, c):
             c[4 + 2 * q, lane] = x * im + y * re
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _accelerate(position, rate, c, rig, out):
+@compiled(nogil=True)
+def _accelerate(position: Array, rate: Array, c: Array, rig: Array, out: Array) -> None:
     """Write the accelerations of all columns and lanes at one node to out.
 
     Args:
@@ -92,8 +90,8 @@ def _accelerate(position, rate, c, rig, out):
             out[3 * _WIDE + i] = c[13, lane] * ax + c[14, lane] * ay - lb
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _gather(stage, h, position, rate, k, new_position, new_rate):
+@compiled(nogil=True)
+def _gather(stage: int, h: float, position: Array, rate: Array, k: Array, new_position: Array, new_rate: Array) -> None:
     """Compute the state at a stage (for stage 12 at the step's end) from the previous accelerations."""
     ch = _ALL_NODES[stage] * h
     for i in range(_STATE):
@@ -114,8 +112,8 @@ def _gather(stage, h, position, rate, k, new_position, new_rate):
             new_position[i] += (b0 * v0 + b1 * v1) + (b2 * v2 + b3 * v3)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _march(steps, rig, work, k, c):
+@compiled(nogil=True)
+def _march(steps: int, rig: Array, work: Array, k: Array, c: Array) -> None:
     """Write fundamental matrices of eight points over half a revolution to work[0] (positions) and work[1] (rates)."""
     h = np.pi / steps
     position, rate, new_position, new_rate = work[0], work[1], work[2], work[3]
@@ -136,16 +134,16 @@ def _march(steps, rig, work, k, c):
         rate[:] = new_rate
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _eight(numbers, start, rig):
+@compiled(nogil=True)
+def _eight(numbers: Array, start: int, rig: Array) -> None:
     """Write the numbers of eight points to rig (21, LANES); the last point is repeated."""
     for lane in range(LANES):
         for q in range(NUMBERS):
             rig[q, lane] = numbers[min(start + lane, numbers.shape[0] - 1), q]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _half_turn(work, lane, scale, out):
+@compiled(nogil=True)
+def _half_turn(work: Array, lane: int, scale: Array, out: Array) -> float:
     """Write D Φ(π) of one lane in scaled coordinates to out (8, 8); returns its Frobenius norm."""
     total = 0.0
     for row in range(_N):
@@ -157,8 +155,8 @@ def _half_turn(work, lane, scale, out):
     return np.sqrt(total)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def largest(values):
+@compiled(nogil=True)
+def largest(values: Complex) -> tuple[int, float]:
     """Index of the largest modulus, and distance of that eigenvalue to its nearest neighbour."""
     best = 0
     for i in range(1, _N):
@@ -171,8 +169,8 @@ def largest(values):
     return best, gap
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def sensitive(noise, norm, gap):
+@compiled(nogil=True)
+def sensitive(noise: float, norm: float, gap: float) -> float:
     """Change of an eigenvalue due to noise in the matrix, for a given distance to the nearest eigenvalue.
 
     A pair at distance g has condition ‖Φ‖/g: the change is of first order for a large gap and a square root if the
@@ -181,10 +179,8 @@ def sensitive(noise, norm, gap):
     return min(noise * (1 + norm / max(gap, 1e-300)), np.sqrt(noise * norm) + noise)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def half_turn_matrices(
-    steps: int, numbers: NDArray[np.floating], units: NDArray[np.floating], found: NDArray[np.floating]
-) -> None:
+@compiled(nogil=True)
+def half_turn_matrices(steps: int, numbers: Array, units: Array, found: Array) -> None:
     """Compute D Φ(π) for many points with one number of steps.
 
     Args:
@@ -207,14 +203,8 @@ def half_turn_matrices(
 _MOVED, _CHANGE = 0.25, 1.0 / 16384.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def largest_multipliers(
-    steps: int,
-    numbers: NDArray[np.floating],
-    units: NDArray[np.floating],
-    found: NDArray[np.floating],
-    errors: NDArray[np.floating],
-) -> None:
+@compiled(nogil=True)
+def largest_multipliers(steps: int, numbers: Array, units: Array, found: Array, errors: Array) -> None:
     """Compute the largest multiplier over a revolution and its error bound for many points with one number of steps.
 
     Args:

@@ -1,22 +1,19 @@
 """Largest multipliers along rows of a map, from interpolated half-turn matrices."""
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex, Indices
+from dynamics.compiled_code import compiled
 from dynamics.stability.floquet.lanes import EPS, largest, sensitive
 from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
 
 _SIDE = 4  # number of points whose sums are computed together
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
-def _four_matrices(row, weights, start, out):
+@compiled(nogil=True, contract=True)
+def _four_matrices(row: Array, weights: Array, start: int, out: Array) -> None:
     """Write weighted sums of a row's matrices, shape (nodes, n²), at four points to out (4, n²)."""
     last = weights.shape[0] - 1
     a, b, c, d = start, min(start + 1, last), min(start + 2, last), min(start + 3, last)
@@ -31,8 +28,8 @@ def _four_matrices(row, weights, start, out):
             out[3, q] += wd * value
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
-def weighted_sum(nodes, weights, out):
+@compiled(nogil=True, contract=True)
+def weighted_sum(nodes: Array, weights: Array, out: Array) -> None:
     """Write the weighted sum of rows of nodes, shape (rows, n), to out (n,)."""
     out[:] = 0.0
     for j in range(nodes.shape[0]):
@@ -41,14 +38,9 @@ def weighted_sum(nodes, weights, out):
             out[q] += weight * nodes[j, q]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled(nogil=True)
 def multipliers_of_rows(
-    nodes: NDArray[np.floating],
-    weights_v: NDArray[np.floating],
-    weights_u: NDArray[np.floating],
-    error: float,
-    found: NDArray[np.floating],
-    errors: NDArray[np.floating],
+    nodes: Array, weights_v: Array, weights_u: Array, error: float, found: Array, errors: Array
 ) -> None:
     """Compute the largest multipliers over a revolution along rows.
 
@@ -80,14 +72,8 @@ def multipliers_of_rows(
                 errors[line, i] = (2 * modulus + bound) * bound
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def eigenvalues_at(
-    nodes: NDArray[np.floating],
-    weights_v: NDArray[np.floating],
-    row_of: NDArray[np.intp],
-    weights_u: NDArray[np.floating],
-    values: NDArray[np.complexfloating],
-) -> None:
+@compiled(nogil=True)
+def eigenvalues_at(nodes: Array, weights_v: Array, row_of: Indices, weights_u: Array, values: Complex) -> None:
     """Compute eigenvalues of interpolated matrices at scattered points, in order of their rows.
 
     Args:
@@ -112,8 +98,8 @@ def eigenvalues_at(
             values[point] = np.nan
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _chebyshev_weights(share, weights):
+@compiled(nogil=True)
+def _chebyshev_weights(share: float, weights: Array) -> None:
     """Values of the Lagrange polynomials of the Chebyshev points of the first kind at −1 … 1 (barycentric formula)."""
     n, total = len(weights), 0.0
     if n == 1:
@@ -132,8 +118,8 @@ def _chebyshev_weights(share, weights):
         weights[k] /= total
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def largest_eigenvalue_there(nodes: NDArray[np.floating], share_u: float, share_v: float) -> complex:
+@compiled(nogil=True)
+def largest_eigenvalue_there(nodes: Array, share_u: float, share_v: float) -> complex:
     """Eigenvalue of largest modulus of the interpolated matrix at one point; NaN if the iteration did not converge.
 
     Args:

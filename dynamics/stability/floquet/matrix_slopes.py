@@ -4,15 +4,12 @@ With M v = λ v and wᵀ M = λ wᵀ a simple eigenvalue changes by dλ = wᵀ d
 iteration: the inverse of a matrix shifted by λ, up to rounding, multiplies v by about 10¹³ and all else by less.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.stability.floquet.lanes import EPS, largest
 from dynamics.stability.floquet.matrix_rows import weighted_sum
 from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
@@ -21,8 +18,8 @@ _SHIFT = 64 * EPS  # relative to the matrix's norm
 _ITERATIONS = 2
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _vector(shifted):
+@compiled(nogil=True)
+def _vector(shifted: Complex) -> Complex:
     """Inverse iteration from a vector without any symmetry, shape (n,)."""
     n = shifted.shape[0]
     vector = np.empty(n, np.complex128)
@@ -35,14 +32,9 @@ def _vector(shifted):
     return vector
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled(nogil=True)
 def largest_with_slopes(
-    nodes: NDArray[np.floating],
-    weights_v: NDArray[np.floating],
-    slopes_v: NDArray[np.floating],
-    weights_u: NDArray[np.floating],
-    slopes_u: NDArray[np.floating],
-    found: NDArray[np.complexfloating],
+    nodes: Array, weights_v: Array, slopes_v: Array, weights_u: Array, slopes_u: Array, found: Complex
 ) -> None:
     """Compute eigenvalues of largest modulus at scattered points, with their derivatives.
 

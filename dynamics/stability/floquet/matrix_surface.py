@@ -16,9 +16,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-MatricesAt = Callable[[NDArray[np.floating], NDArray[np.floating], bool], NDArray[np.floating]]
+from dynamics.arrays import Array
+
+MatricesAt = Callable[[Array, Array, bool], Array]
 """Matrices at u and v, shape (points,) each: shape (points, n, n). True: more accurate than those of the nodes."""
 
 _EPS = float(np.finfo(float).eps)
@@ -41,22 +42,22 @@ class MatrixSurface:
 
     u_range: tuple[float, float]
     v_range: tuple[float, float]
-    nodes: NDArray[np.floating]
+    nodes: Array
     error: float
 
-    def weights_u(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
+    def weights_u(self, u: Array) -> Array:
         """Weight of each column of nodes in the matrix at u, shape (len(u), n_u)."""
         return lagrange_basis(self.nodes.shape[1], self.u_range, u)
 
-    def weights_v(self, v: NDArray[np.floating]) -> NDArray[np.floating]:
+    def weights_v(self, v: Array) -> Array:
         """Weight of each row of nodes in the matrix at v, shape (len(v), n_v)."""
         return lagrange_basis(self.nodes.shape[0], self.v_range, v)
 
-    def slopes_u(self, u: NDArray[np.floating]) -> NDArray[np.floating]:
+    def slopes_u(self, u: Array) -> Array:
         """Derivatives of `weights_u` by u, shape (len(u), n_u)."""
         return lagrange_slopes(self.nodes.shape[1], self.u_range, u)
 
-    def slopes_v(self, v: NDArray[np.floating]) -> NDArray[np.floating]:
+    def slopes_v(self, v: Array) -> Array:
         """Derivatives of `weights_v` by v, shape (len(v), n_v)."""
         return lagrange_slopes(self.nodes.shape[0], self.v_range, v)
 
@@ -68,17 +69,17 @@ def nodes_needed(span: tuple[float, float], half_phase_rad: float) -> int:
     return math.ceil(half_phase_rad + 7.0 * half_phase_rad ** (1 / 3) + 8.0)
 
 
-def _angles(n: int) -> NDArray[np.floating]:
+def _angles(n: int) -> Array:
     return (np.pi / n) * (np.arange(n) + 0.5)
 
 
-def chebyshev_points(n: int, span: tuple[float, float]) -> NDArray[np.floating]:
+def chebyshev_points(n: int, span: tuple[float, float]) -> Array:
     """Chebyshev points of the first kind in an interval, shape (n,), in descending order."""
     low, high = span
     return (low + high) / 2 + (high - low) / 2 * np.cos(_angles(n))
 
 
-def lagrange_basis(n: int, span: tuple[float, float], at: NDArray[np.floating]) -> NDArray[np.floating]:
+def lagrange_basis(n: int, span: tuple[float, float], at: Array) -> Array:
     """Values of the Lagrange polynomials of `chebyshev_points`, shape (len(at), n)."""
     low, high = span
     if n == 1:
@@ -89,7 +90,7 @@ def lagrange_basis(n: int, span: tuple[float, float], at: NDArray[np.floating]) 
     return np.cos(angle[:, None] * order) @ (weight[:, None] * np.cos(order[:, None] * _angles(n)))
 
 
-def lagrange_slopes(n: int, span: tuple[float, float], at: NDArray[np.floating]) -> NDArray[np.floating]:
+def lagrange_slopes(n: int, span: tuple[float, float], at: Array) -> Array:
     """Derivatives of `lagrange_basis` by the interval's coordinate, shape (len(at), n)."""
     low, high = span
     if n == 1:
@@ -138,7 +139,7 @@ def fit_surface(
     return None
 
 
-def _last_terms(nodes: NDArray[np.floating], axis: int) -> float:
+def _last_terms(nodes: Array, axis: int) -> float:
     """Largest Frobenius norm of the last two terms of the Chebyshev series along an axis."""
     n = nodes.shape[axis]
     if n == 1:

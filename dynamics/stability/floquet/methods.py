@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.periodic_matrix import PeriodicMatrix
 
 
@@ -23,7 +23,7 @@ class MonodromyMethod(Protocol):
         """Order: the error decreases as steps^−ORDER."""
         ...
 
-    def monodromy(self, matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+    def monodromy(self, matrix: PeriodicMatrix, steps: int) -> Array:
         """Fundamental matrix over half a revolution with the turn applied, D Φ(π), or over a whole one, Φ(2π).
 
         Args:
@@ -40,11 +40,11 @@ def span_rad(matrix: PeriodicMatrix) -> float:
     return 2 * np.pi if matrix.turn is None else np.pi
 
 
-def per_radian(matrix: PeriodicMatrix) -> NDArray[np.complexfloating]:
+def per_radian(matrix: PeriodicMatrix) -> Complex:
     """Fourier coefficients of A(ψ)/ω, with the phase as the independent variable. Contiguous, complex."""
     return np.ascontiguousarray(matrix.harmonics / matrix.speed_rad_s, np.complex128)
 
 
-def turned(matrix: PeriodicMatrix, fundamental: NDArray[np.floating]) -> NDArray[np.floating]:
+def turned(matrix: PeriodicMatrix, fundamental: Array) -> Array:
     """D Φ if the span is half a revolution, otherwise Φ."""
     return fundamental if matrix.turn is None else matrix.turn[:, None] * fundamental

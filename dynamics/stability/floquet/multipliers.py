@@ -7,8 +7,8 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.periodic_matrix import PeriodicMatrix
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.stability.floquet.bounds import balancing_units, eigenvalues_with_bounds
@@ -32,8 +32,8 @@ class Multipliers:
         steps: number of steps of the finer of the two compared runs; 0 for the autonomous closed form.
     """
 
-    values: NDArray[np.complexfloating]
-    errors: NDArray[np.floating]
+    values: Complex
+    errors: Array
     method: str
     why: str
     steps: int
@@ -182,7 +182,7 @@ def _converged(matrix: PeriodicMatrix, accuracy: float, chosen: Plan, budget_us:
     return found, spent
 
 
-def _limited_by_order(change: NDArray[np.floating], earlier: NDArray[np.floating], order: int) -> NDArray[np.floating]:
+def _limited_by_order(change: Array, earlier: Array, order: int) -> Array:
     """Change between two resolutions, at least the expected change from the previous one by the method's order.
 
     A change that decreased by more passes through zero: the two resolutions agree by chance.
@@ -191,9 +191,7 @@ def _limited_by_order(change: NDArray[np.floating], earlier: NDArray[np.floating
     return np.where(np.abs(change) >= np.abs(expected), change, expected)
 
 
-def _bounded(
-    matrix: PeriodicMatrix, fine: NDArray[np.floating], change: NDArray[np.floating], steps: int, chosen: Plan
-) -> Multipliers:
+def _bounded(matrix: PeriodicMatrix, fine: Array, change: Array, steps: int, chosen: Plan) -> Multipliers:
     """Multipliers over a revolution from the monodromy matrix of two resolutions."""
     roundings = 4 + chosen.step_roundings * steps + chosen.rate_roundings * chosen.fastest
     values, errors = eigenvalues_with_bounds(fine, change, roundings)

@@ -6,15 +6,12 @@ along v is neutral too, A(ψ) w = v: a multiplier 1 with a Jordan block, which l
 are determined from the matrix and removed exactly. The remaining matrix is well conditioned.
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.periodic_matrix import PeriodicMatrix
 
 _ROUNDING = float(np.finfo(float).eps)
@@ -45,14 +42,14 @@ def without_neutral(matrix: PeriodicMatrix) -> tuple[PeriodicMatrix, int]:
     return _quotient(matrix, v, pivot), 1
 
 
-def _real_rows(matrix: PeriodicMatrix) -> NDArray[np.floating]:
+def _real_rows(matrix: PeriodicMatrix) -> Array:
     """All Fourier coefficients as real rows, those of order 0 first; shape ((2m + 1) n, n)."""
     h = matrix.harmonics
     return np.concatenate([h[0].real, *[part for k in h[1:] for part in (k.real, k.imag)]])
 
 
-@njit(cache=True, error_model="numpy")
-def _neutral_direction(series, direction):
+@compiled
+def _neutral_direction(series: Complex, direction: Array) -> bool:
     """Write the combination of the columns of the one or two angles that vanishes to rounding to direction (n/2,).
 
     Args:
@@ -94,7 +91,7 @@ def _neutral_direction(series, direction):
     return True
 
 
-def _quotient(matrix: PeriodicMatrix, v: NDArray[np.floating], pivot: int) -> PeriodicMatrix:
+def _quotient(matrix: PeriodicMatrix, v: Array, pivot: int) -> PeriodicMatrix:
     """The matrix modulo v: v's share of the pivot's row is subtracted from the rows, then pivot row and column go."""
     kept = np.flatnonzero(np.arange(matrix.dimension) != pivot)
     share = v / v[pivot]

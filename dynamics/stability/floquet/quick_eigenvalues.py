@@ -3,20 +3,19 @@
 Source: the EISPACK routines elmhes and hqr (B. T. Smith et al., Matrix Eigensystem Routines, Springer 1976).
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 
 _MAX_SWEEPS = 60
 _EPS = 2.220446049250313e-16
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _to_hessenberg(a):
+@compiled(nogil=True)
+def _to_hessenberg(a: Array) -> None:
     """Similar upper Hessenberg matrix by stabilised elimination, in place."""
     n = a.shape[0]
     for m in range(1, n - 1):
@@ -40,8 +39,8 @@ def _to_hessenberg(a):
                         a[j, m] += f * a[j, i]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _start_of_sweep(a, low, top, x, y, w):
+@compiled(nogil=True)
+def _start_of_sweep(a: Array, low: int, top: int, x: float, y: float, w: float) -> tuple[int, float, float, float]:
     """Row at which two small subdiagonals let the sweep begin, and the first column of the shifted square there."""
     m = top - 2
     while True:
@@ -66,8 +65,8 @@ def _start_of_sweep(a, low, top, x, y, w):
     return m, p, q, r
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _reflect(a, low, top, k, p, q, r, s):
+@compiled(nogil=True)
+def _reflect(a: Array, low: int, top: int, k: int, p: float, q: float, r: float, s: float) -> None:
     """One Householder reflection of rows and columns k … k + 2."""
     p += s
     x, y, z = p / s, q / s, r / s
@@ -89,8 +88,8 @@ def _reflect(a, low, top, k, p, q, r, s):
         a[i, k] -= p
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _double_shift_sweep(a, low, top, x, y, w):
+@compiled(nogil=True)
+def _double_shift_sweep(a: Array, low: int, top: int, x: float, y: float, w: float) -> None:
     """One implicit double-shift QR sweep on rows and columns low … top."""
     m, p, q, r = _start_of_sweep(a, low, top, x, y, w)
     for k in range(m, top):
@@ -112,8 +111,8 @@ def _double_shift_sweep(a, low, top, x, y, w):
         _reflect(a, low, top, k, p, q, r, s)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _start_of_block(a, top, norm):
+@compiled(nogil=True)
+def _start_of_block(a: Array, top: int, norm: float) -> int:
     """First row of the unreduced block that ends at top. The subdiagonal before it is set to zero."""
     low = top
     while low > 0:
@@ -127,8 +126,8 @@ def _start_of_block(a, top, norm):
     return low
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _pair(x, y, w, shift):
+@compiled(nogil=True)
+def _pair(x: float, y: float, w: float, shift: float) -> tuple[complex, complex]:
     """Both eigenvalues of a two by two block."""
     p = 0.5 * (y - x)
     q = p * p + w
@@ -140,8 +139,8 @@ def _pair(x, y, w, shift):
     return complex(x + z), complex(x - w / z if z != 0.0 else x)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def eigenvalues(a, values):
+@compiled(nogil=True)
+def eigenvalues(a: Array, values: Complex) -> bool:
     """Compute the eigenvalues of a real matrix.
 
     Args:

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Flags, Indices
 from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import OutsideDomain
 from dynamics.motions.locked_motion import locked_state
@@ -16,8 +16,6 @@ from dynamics.steady.basins.ends import NEAR_RAD, End, steady_ends, with_slippin
 from dynamics.steady.basins.following import STATED_ERROR_RAD, Followed, follow
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit, slipping_orbit
 from dynamics.steady.basins.turning import Turning
-
-Array = NDArray[np.float64]
 
 _FIRST = 12  # number of releases simulated before all others, to find slipping orbits
 _SCOUTS = 6  # number of releases simulated longer, to find their slipping orbits
@@ -48,8 +46,8 @@ class BasinMap:
     theta3_rad: Array
     theta4_rad: Array
     ends: tuple[End, ...]
-    end: NDArray[np.int64]
-    sure: NDArray[np.bool_]
+    end: Indices
+    sure: Flags
     caught_s: Array
     settled_s: Array
     amplitude_m: Array

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.locked_motion import locked_state
@@ -176,7 +177,7 @@ def _at(rig: RotorParameters | object, speed: float, carried: Sequence[SlippingO
         return StableMotions(refused=str(error))
 
 
-def _rate_apart(orbit: SlippingOrbit, rates: np.ndarray) -> float:
+def _rate_apart(orbit: SlippingOrbit, rates: Array) -> float:
     return float(np.max(np.abs(np.array(orbit.turns_per_revolution) - rates)))
 
 

@@ -9,15 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.regions import Region, attracting_region, mirrored
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit
 from dynamics.steady.basins.turning import Turning
 from dynamics.steady.steady_motions import steady_states
-
-Array = NDArray[np.float64]
 
 _MIRRORED = 1e-8  # in the units of the state: distance below which two states are mirror images
 NEAR_RAD = 5e-3

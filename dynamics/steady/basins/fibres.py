@@ -12,16 +12,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Indices
+from dynamics.compiled_code import compiled
 from dynamics.steady.basins.pursuit import deviation
 from dynamics.steady.basins.turning import Turning
-
-Array = NDArray[np.float64]
 
 _FOLLOWED, _DROPPED = 1600, 150  # revolutions of the deviations, and initial ones that are discarded
 _THOROUGH, _QUICK = (1.3, 50, 400), (1.8, 22, 100)  # ratio of neighbouring shells' radii, shells, samples on each
@@ -210,8 +207,8 @@ def derivative(values: Array) -> Array:
     return np.real(np.fft.ifft(2j * math.pi * orders[:, None] * np.fft.fft(values, axis=0), axis=0))
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _values(states: Any, ends: Any) -> Any:
+@compiled(nogil=True)
+def _values(states: Array, ends: tuple[Array, Array, Indices, Indices, Indices]) -> Array:
     found, away = np.empty(len(states)), np.empty(8)
     for i in range(len(states)):
         found[i] = deviation(states[i], 0, ends, away)

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.arguments import check_number
+from dynamics.arrays import Array, Flags, Indices
 from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.ends import End, packed
 from dynamics.steady.basins.pursuit import APART, CAUGHT, END, FACTS, RADIUS, SETTLED, TURNS_A, TURNS_B, pursue
 from dynamics.steady.basins.turning import COARSE_RAD, STEP_RAD, Turning
-
-Array = NDArray[np.float64]
 
 STATED_ERROR_RAD = 1e-6
 """Default distance of a release and its neighbour."""
@@ -44,7 +43,7 @@ class Followed:
         last: final states, shape (n, 8).
     """
 
-    end: NDArray[np.int64]
+    end: Indices
     caught_s: Array
     settled_s: Array
     apart_rad: Array
@@ -53,7 +52,7 @@ class Followed:
     last: Array
 
     @property
-    def sure(self) -> NDArray[np.bool_]:
+    def sure(self) -> Flags:
         """Whether a neighbour at the stated error, simulated less accurately, has the same end."""
         return self.apart_rad <= _APART_RAD
 

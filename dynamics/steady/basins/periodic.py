@@ -7,11 +7,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.steady.basins.turning import Turning
-
-Array = NDArray[np.float64]
 
 _NEWTON = 12
 _CLOSED = 1e-10  # largest residual, in the units of the state
@@ -68,7 +66,7 @@ def periodic_motion(
         for each in own:
             product = each @ product
         if size < _CLOSED * period:
-            values: NDArray[np.complex128] = np.linalg.eigvals(product).astype(np.complex128)
+            values: Complex = np.linalg.eigvals(product).astype(np.complex128)
             moduli = np.sort(np.abs(values) ** (1.0 / period))[::-1]
             return PeriodicMotion(states[:-1], turns, maps, moduli, size)
         try:

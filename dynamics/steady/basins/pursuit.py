@@ -13,8 +13,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array, Indices, System
+from dynamics.compiled_code import compiled
 from dynamics.equations.quick_rates import quick_rates
 from dynamics.motions.explicit_steps import explicit_step
 
@@ -23,8 +24,8 @@ FACTS = 7
 _TAU = 2 * math.pi
 
 
-@njit(cache=True, error_model="numpy")
-def steps_needed(y, omega, pace, step_rad):
+@compiled
+def steps_needed(y: Array, omega: float, pace: float, step_rad: float) -> int:
     """Number of steps of the next revolution, step_rad of the fastest oscillation each.
 
     Args:
@@ -34,8 +35,10 @@ def steps_needed(y, omega, pace, step_rad):
     return max(4, math.ceil(_TAU * fastest / (omega * step_rad)))
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def advance(y, omega, steps, system, k, end, phase, orbit):
+@compiled(contract=True)
+def advance(
+    y: Array, omega: float, steps: int, system: System, k: Array, end: Array, phase: Array, orbit: Array
+) -> None:
     """Advance the state by one revolution of the rotor from ψ = 0, in place.
 
     Args:
@@ -58,14 +61,14 @@ def advance(y, omega, steps, system, k, end, phase, orbit):
     orbit /= steps
 
 
-@njit(cache=True, error_model="numpy")
-def within(angle):
+@compiled
+def within(angle: float) -> float:
     """The angle reduced to −π … π."""
     return angle - _TAU * math.floor(angle / _TAU + 0.5)
 
 
-@njit(cache=True, error_model="numpy")
-def _form(away, form):
+@compiled
+def _form(away: Array, form: Array) -> float:
     found = 0.0
     for i in range(8):
         row = 0.0
@@ -75,8 +78,14 @@ def _form(away, form):
     return found
 
 
-@njit(cache=True, error_model="numpy")
-def deviation(y, number, ends, away):
+@compiled
+def deviation(
+    y: Array,
+    number: int,
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array]
+    | tuple[Array, Array, Indices, Indices, Indices],
+    away: Array,
+) -> float:
     """Write the deviation of a state from an end's nearest point to away; returns its form, 1 on the region's rim.
 
     Args:
@@ -117,16 +126,21 @@ def deviation(y, number, ends, away):
     return best
 
 
-@njit(cache=True, error_model="numpy")
-def _distance(away, scale):
+@compiled
+def _distance(away: Array, scale: Array) -> float:
     largest = 0.0
     for i in range(8):
         largest = max(largest, abs(away[i]) / scale[i])
     return largest
 
 
-@njit(cache=True, error_model="numpy")
-def _caught_by(y, ends, share, away):
+@compiled
+def _caught_by(
+    y: Array,
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
+    share: float,
+    away: Array,
+) -> int:
     """Number of the end whose inner region contains the state, or −1."""
     for number in range(len(ends[3])):
         if deviation(y, number, ends, away) <= share:
@@ -134,8 +148,17 @@ def _caught_by(y, ends, share, away):
     return -1
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def pursue(y, neighbour, turns, motion, ends, units, limits, facts):
+@compiled(nogil=True)
+def pursue(
+    y: Array,
+    neighbour: Array,
+    turns: int,
+    motion: tuple[float, float, tuple[float, float], System],
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
+    units: Array,
+    limits: tuple[float, float, int],
+    facts: Array,
+) -> None:
     """Simulate one release. Its final state is written to y.
 
     Args:
@@ -160,13 +183,24 @@ def pursue(y, neighbour, turns, motion, ends, units, limits, facts):
     facts[TURNS_A], facts[TURNS_B] = (y[2] - begin_a) / _TAU, (y[3] - begin_b) / _TAU
 
 
-@njit(cache=True, error_model="numpy")
-def _radius_of(orbit):
+@compiled
+def _radius_of(orbit: Array) -> float:
     return math.sqrt(max(0.0, orbit[2] - orbit[0] * orbit[0] - orbit[1] * orbit[1]))
 
 
-@njit(cache=True, error_model="numpy")
-def _chase(y, neighbour, turns, motion, ends, units, limits, facts, work, orbit):
+@compiled
+def _chase(
+    y: Array,
+    neighbour: Array,
+    turns: int,
+    motion: tuple[float, float, tuple[float, float], System],
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
+    units: Array,
+    limits: tuple[float, float, int],
+    facts: Array,
+    work: tuple[Array, Array, Array],
+    orbit: Array,
+) -> tuple[int, int]:
     """Simulate release and neighbour until both are in the region of an end: (its number or −1, revolutions)."""
     omega, pace, steps_rad, system = motion
     share, apart = limits[0], limits[1]
@@ -190,8 +224,19 @@ def _chase(y, neighbour, turns, motion, ends, units, limits, facts, work, orbit)
         done += 1
 
 
-@njit(cache=True, error_model="numpy")
-def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
+@compiled
+def _settle(
+    y: Array,
+    number: int,
+    done: int,
+    turns: int,
+    motion: tuple[float, float, tuple[float, float], System],
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
+    limits: tuple[float, float, int],
+    facts: Array,
+    work: tuple[Array, Array, Array],
+    orbit: Array,
+) -> None:
     """Continue a caught release in coarse steps until it is near its end and the simulated time is over."""
     omega, pace, steps_rad, system = motion
     straight, near, last = ends[6][number], ends[7][number], turns + limits[2]
@@ -218,8 +263,18 @@ def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
         facts[RADIUS] = _radius_of(orbit)
 
 
-@njit(cache=True, error_model="numpy")
-def _glide(y, away, value, number, done, turns, last, ends, facts):
+@compiled
+def _glide(
+    y: Array,
+    away: Array,
+    value: float,
+    number: int,
+    done: int,
+    turns: int,
+    last: int,
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
+    facts: Array,
+) -> None:
     """Continue by the turn map. The state a revolution before the end of the time is written to y."""
     turn_map, near, form = ends[5][number], ends[7][number], ends[1][ends[2][number]]
     base, then, shown = y - away, np.empty(8), max(done, turns - 1)

@@ -15,11 +15,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.steady.basins.turning import COARSE_RAD, Turning
-
-Array = NDArray[np.float64]
 
 _THOROUGH, _QUICK = (1.25, 60, 192), (1.6, 26, 40)  # ratio of neighbouring shells' radii, shells, samples on each
 _FIRST_RAD = 1e-3  # largest deviation on the first shell, in the units of the state
@@ -62,7 +60,7 @@ def near_value(form: Array, units: Array, near_rad: float) -> float:
 
 def spectral_radius(matrix: Array) -> float:
     """Largest modulus of the eigenvalues."""
-    values: NDArray[np.complex128] = np.linalg.eigvals(matrix).astype(np.complex128)
+    values: Complex = np.linalg.eigvals(matrix).astype(np.complex128)
     return float(np.max(np.abs(values)))
 
 

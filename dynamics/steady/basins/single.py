@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Flags, Indices
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import DynamicsError, OutsideDomain
@@ -23,7 +24,6 @@ from dynamics.steady.basins.regions import attracting_region
 from dynamics.steady.basins.slipping_orbits import slipping_orbit
 from dynamics.steady.basins.turning import Turning
 
-Array = NDArray[np.float64]
 Pair = tuple[float, float]
 
 NOT_SETTLED = "not settled"
@@ -49,14 +49,14 @@ class ReleaseEnds:
     """
 
     name: NDArray[np.str_]
-    mirror: NDArray[np.int64]
+    mirror: Indices
     theta_rad: Array
     turns_per_revolution: Array
     multiplier: Array
     caught_s: Array
     settled_s: Array
     amplitude_m: Array
-    sure: NDArray[np.bool_]
+    sure: Flags
     refused: dict[int, str]
 
 

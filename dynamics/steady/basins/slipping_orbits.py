@@ -14,15 +14,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.steady.basins.fibres import Fibres, caught_scale, derivative, moduli_across, positive, series, turned
 from dynamics.steady.basins.periodic import PeriodicMotion, periodic_motion, repeats
 from dynamics.steady.basins.regions import near_value
 from dynamics.steady.basins.turning import Turning
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _MIN_TURNS = 4.0  # turns within the strobed interval of a slipping motion
 _ODD = (33, 65, 129)  # numbers of values along the curve

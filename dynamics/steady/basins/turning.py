@@ -11,10 +11,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
 from dynamics.arguments import check_number
+from dynamics.arrays import Array, System
+from dynamics.compiled_code import compiled
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.phase_segments import PhaseSegments
 from dynamics.equations.speed_history import SpeedHistory
@@ -22,8 +22,6 @@ from dynamics.errors import OutsideDomain
 from dynamics.motions.locked_motion import damping_rates
 from dynamics.stability.turn_map import turn_derivatives
 from dynamics.steady.basins.pursuit import advance, steps_needed
-
-Array = NDArray[np.float64]
 
 STEP_RAD = 0.4
 """Step in radians of the fastest oscillation: an error of about 1e-9 per revolution."""
@@ -157,8 +155,10 @@ class Turning:
         return self.means(start, revolutions)[0]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _many(states: Any, omega: Any, revolutions: Any, pace: Any, step_rad: Any, system: Any, track: Any) -> None:
+@compiled(nogil=True)
+def _many(
+    states: Array, omega: float, revolutions: int, pace: float, step_rad: float, system: System, track: Array
+) -> None:
     k, work, phase, orbit = np.zeros((16, 8)), np.empty(8), np.empty(3), np.zeros(5)
     for i in range(len(states)):
         for n in range(revolutions):
@@ -168,8 +168,8 @@ def _many(states: Any, omega: Any, revolutions: Any, pace: Any, step_rad: Any, s
                 track[i, n] = states[i]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _means(state: Any, revolutions: Any, motion: Any, means: Any) -> None:
+@compiled(nogil=True)
+def _means(state: Array, revolutions: int, motion: tuple[float, float, float, System], means: Array) -> None:
     """Write rms radius and mean angles to means (3,)."""
 
     omega, pace, step_rad, system = motion
