@@ -15,3 +15,5 @@ Indices: TypeAlias = NDArray[np.int64]
 Flags: TypeAlias = NDArray[np.bool_]
 System: TypeAlias = tuple[Numbers, float, float, Array, Array, Array]
 """(packed parameters, free_a, free_b, knots, origins, cubics): RotorParameters.packed and PhaseSegments."""
+RealSystem: TypeAlias = tuple[Array, float, float, Array, Array, Array]
+"""`System` of functions that are compiled for floats only."""

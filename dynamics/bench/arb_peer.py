@@ -133,7 +133,8 @@ class _System:
         found: list[Complex] = []
         for phase in np.linspace(0.0, math.pi, 12, endpoint=False):
             entries = self.at(arb(float(phase)))
-            found.append(np.linalg.eigvals(np.array([[float(entries[i, j]) for j in range(n)] for i in range(n)])))
+            square = np.array([[float(entries[i, j]) for j in range(n)] for i in range(n)])
+            found.append(np.asarray(np.linalg.eigvals(square), np.complex128))
         return np.concatenate(found)
 
 

@@ -88,5 +88,6 @@ def multipliers(parameters: RotorParameters, speed_rad_s: float, start: Array, c
     ta.state[:8] = start
     ta.state[8:] = np.eye(8).ravel()
     ta.propagate_until(math.pi / speed_rad_s)
-    values: Complex = np.linalg.eigvals(_TURN[:, None] * ta.state[8:].reshape(8, 8)) ** 2
+    half: Array = ta.state[8:].reshape(8, 8)
+    values = np.asarray(np.linalg.eigvals(_TURN[:, None] * half) ** 2, np.complex128)
     return values[np.argsort(-np.abs(values))]

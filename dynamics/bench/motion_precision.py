@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
+import scipy.integrate
 
 from dynamics.arrays import Array
 from dynamics.bench import heyoka_runs
@@ -23,6 +24,7 @@ from dynamics.motions.locked_motion import locked_state
 from dynamics.motions.motion_problem import motion_problem
 from dynamics.motions.trajectory import run
 
+_integrators: Any = scipy.integrate  # scipy has no annotations
 SERVICE = "motion"
 PLAY_RAD = (2e-3, -1e-3)
 """Angles of pendulums A and B at release relative to the locks at 0 and π, rad."""
@@ -151,7 +153,9 @@ class _Case:
             return out.copy()
 
         def end() -> Array:
-            return solve_ivp(right, self.times, self.start, method, rtol=tolerance, atol=1e-3 * tolerance).y[:, -1]
+            return _integrators.solve_ivp(
+                right, self.times, self.start, method, rtol=tolerance, atol=1e-3 * tolerance
+            ).y[:, -1]
 
         return self._row(f"scipy {method}", f"tolerance {tolerance:.0e}", end, peer=True)
 

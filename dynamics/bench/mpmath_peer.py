@@ -55,7 +55,7 @@ def _numbers(values: Array) -> NDArray[Any]:
 
 def _coefficients(harmonics: list[tuple[NDArray[Any], NDArray[Any]]], speed: float, phase: Any) -> list[NDArray[Any]]:
     """Coefficients B_j of B(phase + s) = Σ B_j s^j, from the real and imaginary parts of the harmonics."""
-    found = []
+    found: list[NDArray[Any]] = []
     for j in range(_ORDER):
         total = 0 * harmonics[0][0]
         for k, (real, imaginary) in enumerate(harmonics):

@@ -10,6 +10,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.integrate
@@ -27,6 +28,8 @@ from dynamics.equations.balancing import balanced_angles, closing_angles
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.steady.singular_points import singular_points
 
+_integrators: Any = scipy.integrate  # scipy has no annotations
+_linear_algebra: Any = scipy.linalg
 _SEED = 36
 _SINGULAR, _SLOPE, _RIGHT = 1e-10, 1e-5, 1e-8
 _FORM = "the derived matrices in this form obey it"
@@ -262,8 +265,11 @@ def _floquet() -> list[Checked]:
     ends = [0.4 * period, 0.4 * period + h, 0.4 * period + 2 * h]
 
     def phi(until: float) -> Array:
-        run = scipy.integrate.solve_ivp(
-            lambda t, y: (a(t) @ y.reshape(8, 8)).ravel(),
+        def rate(t: float, y: Array) -> Array:
+            return (a(t) @ y.reshape(8, 8)).ravel()
+
+        run = _integrators.solve_ivp(
+            rate,
             (0.0, until),
             np.eye(8).ravel(),
             "DOP853",
@@ -275,10 +281,10 @@ def _floquet() -> list[Checked]:
     first, middle, last = (phi(t) for t in ends)
     slope = float(np.max(np.abs((last - first) / (2 * h) - a(ends[1]) @ middle)) / np.max(np.abs(a(ends[1]) @ middle)))
     one, two = a(0.0), a(0.3 * period)
-    pieces = [scipy.linalg.expm(0.1 * period * m) for m in (one, two)]
+    pieces = [_linear_algebra.expm(0.1 * period * m) for m in (one, two)]
     run = np.eye(8)[:, 4]
     for matrix in (one, two):
-        run = scipy.integrate.solve_ivp(
+        run = _integrators.solve_ivp(
             lambda t, y, m=matrix: m @ y, (0.0, 0.1 * period), run, "DOP853", rtol=1e-12, atol=1e-14
         ).y[:, -1]
     product = float(np.max(np.abs(pieces[1] @ pieces[0] @ np.eye(8)[:, 4] - run)))

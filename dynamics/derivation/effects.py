@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
-from dynamics.arrays import Array
+from dynamics.arrays import Array, Complex
 from dynamics.derivation import source_equations as source
 from dynamics.derivation import symbols as s
 from dynamics.derivation.comparison import comparison
@@ -23,6 +23,7 @@ from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.steady.singular_points import singular_points
 
+_linear_algebra: Any = scipy.linalg  # scipy has no annotations
 # Validation points on the line K = 14.9, by speed ratio
 POINTS = {"A": 0.83, "B": 1.6, "C": 2.6, "D": 3.3, "E": 5.8}
 NOMINAL_MOMENT_KG_M = 0.12 * 0.02117
@@ -101,7 +102,7 @@ class NumericMotion:
         """Largest modulus of the Type I multipliers over one revolution, shape (n,)."""
         return np.max(np.abs(self.spectra(p, speed_ratios, steps)), axis=-1)
 
-    def spectra(self, p: RotorParameters, speed_ratios: Iterable[float], steps: int = 400) -> Array:
+    def spectra(self, p: RotorParameters, speed_ratios: Iterable[float], steps: int = 400) -> Complex:
         """All Type I multipliers over one revolution, complex, shape (n, 8).
 
         Classical Runge–Kutta over half a revolution, for all speeds at once. With 400 steps the error is about 1e-8 at
@@ -121,7 +122,7 @@ class NumericMotion:
             second = middle @ (motion + first / 2)
             third = middle @ (motion + second / 2)
             motion = motion + (first + 2 * second + 2 * third + after @ (motion + third)) / 6
-        return np.linalg.eigvals(motion) ** 2
+        return np.asarray(np.linalg.eigvals(motion) ** 2, np.complex128)
 
     def piecewise_multiplier(self, p: RotorParameters, ratio: float, pieces: int, shift: float) -> float:
         """Largest multiplier by the source's piecewise scheme over one revolution: [A] is constant on each piece.
@@ -133,7 +134,7 @@ class NumericMotion:
         harmonics = self.type_i_harmonics(p, omega)
         samples = np.array([_at(harmonics, 2 * math.pi * (n + shift) / pieces) for n in range(pieces)])
         motion = np.eye(8)
-        for piece in scipy.linalg.expm(samples * (2 * math.pi / omega / pieces)):
+        for piece in _linear_algebra.expm(samples * (2 * math.pi / omega / pieces)):
             motion = piece @ motion
         return float(np.max(np.abs(np.linalg.eigvals(motion))))
 

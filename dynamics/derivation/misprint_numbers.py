@@ -21,6 +21,7 @@ from dynamics.derivation.run_up_faults import Faults, Release, release
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.steady.singular_points import dynamic_stiffness
 
+_solvers: Any = scipy.optimize  # scipy has no annotations
 FAULTS = {
     "right equations": Faults(),
     "(a) no push back": Faults(no_push_back=True),
@@ -124,8 +125,7 @@ def border_shift(slack: float = 1e-5) -> tuple[float, float]:
         def excess(ratio: float) -> float:
             return float(motion.multipliers(p, [ratio], 200)[0] - limit)
 
-        solve: Any = scipy.optimize.root_scalar
-        return float(solve(excess, bracket=(0.9, 1.6), xtol=1e-12).root)
+        return float(_solvers.root_scalar(excess, bracket=(0.9, 1.6), xtol=1e-12).root)
 
     right = border(1.0)
     return right, border(1.0 + slack) - right

@@ -76,7 +76,11 @@ def compiled(build: Callable[[], Equations]) -> Callable[..., Any]:
         Function of (coordinates, rates, accelerations, PHASE, RIG), all flat, with mpmath's working precision.
     """
     equations = build()
-    sizes = equations.right_side.applyfunc(lambda e: sp.Add(*(sp.Abs(term) for term in sp.Add.make_args(e))))
+
+    def size(expression: Expr) -> Expr:
+        return sp.Add(*(sp.Abs(term) for term in sp.Add.make_args(expression)))
+
+    sizes = equations.right_side.applyfunc(size)
     linear = linearised(equations.residual, equations)
     arguments = (*equations.coordinates, *equations.rates, *equations.accelerations, *s.PHASE, *s.RIG)
     results = [equations.mass_matrix, equations.right_side, sizes, linear.stiffness, linear.damping]

@@ -154,7 +154,8 @@ class RotorParameters:
             "b.drag_Nms2_per_rad2": self.b.drag_Nms2_per_rad2,
         }
         masses = {"a.mass_kg": self.a.mass_kg, "b.mass_kg": self.b.mass_kg}
-        for name, value in (positive | not_negative | {"gravity_m_per_s2": self.gravity_m_per_s2}).items():
+        given: dict[str, object] = {**positive, **not_negative}
+        for name, value in given.items():
             if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
                 raise OutsideDomain(f"{name} must be a number, got {value!r}")
         for name, value in positive.items():

@@ -6,6 +6,9 @@ the library's two calls for each of three angles take longer than all other oper
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numba import types
 from numba.extending import overload
@@ -65,13 +68,13 @@ def real_sine_cosine(x: float) -> tuple[float, float]:
     return (-sine if (quarter & 2) != 0 else sine), (-cosine if ((quarter + 1) & 2) != 0 else cosine)
 
 
-def sine_cosine(x):
+def sine_cosine(x: complex) -> tuple[complex, complex]:
     """(sin x, cos x): by `real_sine_cosine` for a float, by the library for a complex number."""
     return np.sin(x), np.cos(x)
 
 
 @overload(sine_cosine)
-def _sine_cosine(x):
+def _sine_cosine(x: object) -> Callable[[Any], tuple[complex, complex]]:
     if isinstance(x, types.Complex):
         return lambda x: (np.sin(x), np.cos(x))
     return lambda x: real_sine_cosine(x)  # noqa: PLW0108 - numba requires a function with this signature

@@ -32,12 +32,16 @@ class Scene:
     release_time_s: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.history, SpeedHistory):
-            raise OutsideDomain(f"a scene's history must be a SpeedHistory, got {type(self.history).__name__}")
+        _check_history(self.history)
         times = self.release_time_s
         check_pair(released=self.released)
         if times is not None and (np.shape(times) != (2,) or np.any(np.isnan(real_array("release_time_s", times)))):
             raise OutsideDomain(f"release_time_s must be two times in s, for A and for B, got {times!r}")
+
+
+def _check_history(history: object) -> None:
+    if not isinstance(history, SpeedHistory):
+        raise OutsideDomain(f"a scene's history must be a SpeedHistory, got {type(history).__name__}")
 
 
 def time_at_speed(history: SpeedHistory, speed_rad_s: float, from_s: float, to_s: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dynamics.arguments import check_number, real_array
 from dynamics.arrays import Array
@@ -40,7 +41,7 @@ class SpeedHistory:
         return cls(np.array([0.0, duration_s]), np.array([[phase_rad, from_rad_s, slope / 2, 0.0]]))
 
     @classmethod
-    def from_phases(cls, time_s: Array, phase_rad: Array) -> SpeedHistory:
+    def from_phases(cls, time_s: ArrayLike, phase_rad: ArrayLike) -> SpeedHistory:
         """Twice differentiable interpolation of measured phases (tachometer marks).
 
         Args:
@@ -48,23 +49,23 @@ class SpeedHistory:
         Raises:
             OutsideDomain: fewer than four marks, or time not ascending.
         """
-        time_s, phase_rad = real_array("time_s", time_s), real_array("phase_rad", phase_rad)
-        if time_s.ndim != 1 or phase_rad.ndim != 1:
+        times, phases = real_array("time_s", time_s), real_array("phase_rad", phase_rad)
+        if times.ndim != 1 or phases.ndim != 1:
             raise OutsideDomain(
-                f"marks of a speed history: expected one row of each, got {time_s.shape}, {phase_rad.shape}"
+                f"marks of a speed history: expected one row of each, got {times.shape}, {phases.shape}"
             )
-        if len(time_s) < 4 or len(time_s) != len(phase_rad):
+        if len(times) < 4 or len(times) != len(phases):
             raise OutsideDomain(
-                f"a speed history needs at least 4 marks with a phase each, got {len(time_s)} and {len(phase_rad)}"
+                f"a speed history needs at least 4 marks with a phase each, got {len(times)} and {len(phases)}"
             )
-        if not (np.all(np.isfinite(time_s)) and np.all(np.isfinite(phase_rad)) and np.all(np.diff(time_s) > 0)):
+        if not (np.all(np.isfinite(times)) and np.all(np.isfinite(phases)) and np.all(np.diff(times) > 0)):
             raise OutsideDomain("the marks of a speed history must be finite and strictly ascending in time")
         from scipy.interpolate import CubicSpline  # noqa: PLC0415 (the import takes 0.5 s; only measured speeds use it)
 
-        spline = CubicSpline(time_s, phase_rad)
-        return cls(np.asarray(time_s, float), np.ascontiguousarray(spline.c[::-1].T))
+        spline = CubicSpline(times, phases)
+        return cls(np.asarray(times, float), np.ascontiguousarray(spline.c[::-1].T))
 
-    def phase(self, time_s: Array | float) -> Array:
+    def phase(self, time_s: ArrayLike) -> Array:
         """ψ in rad at the given times; shape (n, 3): phase, speed (rad/s), acceleration (rad/s²)."""
         return _phases(np.atleast_1d(real_array("time_s", time_s)), self.knots_s, self.coefficients)
 

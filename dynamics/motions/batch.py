@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dynamics.arrays import Array, Flags
 from dynamics.equations.scene import Scene
@@ -45,7 +46,7 @@ class BatchMotion:
 def simulate_batch(
     parameters: Sequence[object],
     scenes: Scene | Sequence[Scene],
-    time_s: Array | float,
+    time_s: ArrayLike,
     accuracy: float = 1e-6,
     progress: Callable[[int, int], None] | None = None,
     *,

@@ -12,9 +12,11 @@ with h⁶ like the polynomial's error, so a tolerance has the same meaning at ev
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from dynamics.arrays import Array, Complex, Indices, System
+from dynamics.arrays import Array, Complex, Indices, RealSystem
 from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import jacobian, rates
 from dynamics.equations.phase_segments import phase_within
@@ -26,26 +28,29 @@ _MAX_ITERATIONS = 12
 _MAX_NEWTON_ERROR = 0.02  # remaining Newton error of a stage, in tolerances
 
 
-def _method() -> tuple[Array, ...]:
+_linear_algebra: Any = np.linalg  # numpy types its results as unions
+
+
+def _method() -> tuple[Array, Array, Complex, Complex, Complex, Array, Array]:
     """Nodes, A⁻¹, its eigenvalues and vectors, error weights and the interpolation matrix, derived from the nodes."""
     legendre = np.polynomial.legendre.Legendre.basis
-    nodes = np.sort((legendre(SOLVED) - legendre(SOLVED - 1)).roots().real + 1.0) / 2.0
+    nodes: Any = np.sort((legendre(SOLVED) - legendre(SOLVED - 1)).roots().real + 1.0) / 2.0
     for _ in range(3):  # refinement of the roots to the last digit
         shifted, poly = 2.0 * nodes - 1.0, legendre(SOLVED) - legendre(SOLVED - 1)
         nodes = nodes - poly(shifted) / (2.0 * poly.deriv()(shifted))
     nodes[-1] = 1.0
     power = np.arange(SOLVED)
     vandermonde = nodes[:, None] ** power
-    a = nodes[:, None] ** (power + 1) / (power + 1) @ np.linalg.inv(vandermonde)
-    inverse = np.linalg.inv(a)
-    values, vectors = np.linalg.eig(inverse)
+    a = nodes[:, None] ** (power + 1) / (power + 1) @ _linear_algebra.inv(vandermonde)
+    inverse = _linear_algebra.inv(a)
+    values, vectors = _linear_algebra.eig(inverse)
     turning = np.imag(values)
     order = np.concatenate([np.flatnonzero(np.abs(turning) < 1e-9), np.flatnonzero(turning > 1e-9)])
-    back = np.linalg.inv(vectors)
+    back = _linear_algebra.inv(vectors)
     gamma = 1.0 / np.real(values)[order[0]]
     moments = 1.0 / (power + 1) - gamma * (power == 0)
-    weights = (np.linalg.solve(vandermonde.T, moments) - a[-1]) @ inverse
-    interpolation = np.linalg.inv(nodes[:, None] ** (power + 1))
+    weights = (_linear_algebra.solve(vandermonde.T, moments) - a[-1]) @ inverse
+    interpolation = _linear_algebra.inv(nodes[:, None] ** (power + 1))
     # one of each conjugate pair represents both, with twice its real part
     pair = np.ascontiguousarray(vectors[:, order]) * np.where(np.arange(len(order)) == 0, 1.0, 2.0)
     return nodes, inverse, values[order], pair, np.ascontiguousarray(back[order]), weights, interpolation
@@ -97,7 +102,7 @@ def _residuals(
     h: float,
     first: int,
     last: int,
-    system: System,
+    system: RealSystem,
     z: Array,
     stage: Array,
     phase: Array,
@@ -142,7 +147,7 @@ def _newton(
     h: float,
     first: int,
     last: int,
-    system: System,
+    system: RealSystem,
     scale: Array,
     lu: Complex,
     pivot: Indices,
@@ -173,7 +178,7 @@ def implicit_step(
     h: float,
     first: int,
     last: int,
-    system: System,
+    system: RealSystem,
     scale: Array,
     rate: Array,
     j: Array,
@@ -249,7 +254,7 @@ def guess_stages(coefficients: Array, ratio: float, end: Array, z: Array) -> Non
 
 
 @compiled
-def jacobian_at(y: Array, t: float, first: int, last: int, system: System, phase: Array, j: Array) -> None:
+def jacobian_at(y: Array, t: float, first: int, last: int, system: RealSystem, phase: Array, j: Array) -> None:
     """Write the Jacobian of the rates at one instant to j, shape (8, 8)."""
     p, free_a, free_b, knots, origins, cubics = system
     phase_within(t, first, last, knots, origins, cubics, phase)
@@ -258,7 +263,7 @@ def jacobian_at(y: Array, t: float, first: int, last: int, system: System, phase
 
 @compiled
 def differentiate_stages(
-    stages: Array, t: float, h: float, first: int, last: int, system: System, packed: Array, dy: Array, dz: Array
+    stages: Array, t: float, h: float, first: int, last: int, system: RealSystem, packed: Array, dy: Array, dz: Array
 ) -> None:
     """Derivatives of the stages of a recorded step, from the stage equations.
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dynamics.arguments import check_number
 from dynamics.arrays import Array
@@ -49,7 +50,7 @@ _STRONG_GROWTH = 300.0  # ratio of error to tolerance above which two difference
 def simulate(
     parameters: object,
     scene: Scene,
-    time_s: Array | float,
+    time_s: ArrayLike,
     accuracy: float = 1e-6,
     method: str | None = None,
     *,
@@ -78,8 +79,7 @@ def simulate(
     """
     physics = physics_of(parameters)
     check_number(accuracy=accuracy, work_limit=work_limit)
-    if not isinstance(scene, Scene):
-        raise OutsideDomain(f"scene: expected a dynamics.Scene, got {scene!r}")
+    _check_scene(scene)
     if not (np.isfinite(accuracy) and accuracy > 0):
         raise OutsideDomain(f"accuracy must be a finite number above 0, got {accuracy!r}")
     if method not in (None, "explicit", "implicit"):
@@ -114,6 +114,11 @@ def simulate(
     )
 
 
+def _check_scene(scene: object) -> None:
+    if not isinstance(scene, Scene):
+        raise OutsideDomain(f"scene: expected a dynamics.Scene, got {scene!r}")
+
+
 def _headroom(accuracy: float) -> float:
     """Ratio of the accuracy to the first run's tolerance per step.
 
@@ -143,7 +148,7 @@ def _check_growth(setup: Setup, accuracy: float, tolerance: float, implicit: boo
         return
     times = setup.problem.times
     for share in _PILOTS:
-        count = int(np.searchsorted(times, times[0] + share * setup.duration_s, "right"))
+        count = int(np.searchsorted(times, float(times[0] + share * setup.duration_s), "right"))
         if count < 2:
             continue
         problem = dataclasses.replace(setup.problem, times=times[:count])

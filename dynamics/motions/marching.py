@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynamics.arrays import Array, System
+from dynamics.arrays import Array, RealSystem
 from dynamics.compiled_code import compiled
 from dynamics.equations.friction import needed_torque
 from dynamics.equations.kernels import FA, rates
@@ -27,7 +27,7 @@ _MAX_KNOT_ERROR = 0.05  # error of a step across a knot, in tolerances
 
 @compiled
 def _margin(
-    pendulum: int, watch: int, y: Array, t: float, first: int, last: int, system: System, work: Array, phase: Array
+    pendulum: int, watch: int, y: Array, t: float, first: int, last: int, system: RealSystem, work: Array, phase: Array
 ) -> float:
     """Distance of a pendulum from the end of its mode; positive within the mode."""
     if watch != WATCH_STUCK:
@@ -47,7 +47,7 @@ def _mode_end(
     h: float,
     first: int,
     last: int,
-    system: System,
+    system: RealSystem,
     polynomial: Array,
     y: Array,
     work: Array,
@@ -100,7 +100,7 @@ def _earliest_mode_end(
     h: float,
     first: int,
     last: int,
-    system: System,
+    system: RealSystem,
     polynomial: Array,
     weights: Array,
     work: Array,
@@ -145,7 +145,7 @@ def _after_success(
 
 
 @compiled
-def _rates_here(y: Array, t: float, segment: int, system: System, phase: Array, k: Array) -> None:
+def _rates_here(y: Array, t: float, segment: int, system: RealSystem, phase: Array, k: Array) -> None:
     p, free_a, free_b, knots, origins, cubics = system
     phase_within(t, segment, segment, knots, origins, cubics, phase)
     rates(y, phase[0], phase[1], phase[2], p, free_a, free_b, k[0])
@@ -160,7 +160,7 @@ def march(  # noqa: PLR0912, PLR0915 - one function: split, the loop's state wou
     stiff: int | None,
     tolerance: float,
     weights: Array,
-    system: System,
+    system: RealSystem,
     jumps: Array,
     longest: float,
     watch: tuple[int, int],

@@ -141,7 +141,8 @@ class Motion:
 def _interpolate(times: Array, spans: Array, coefficients: Array, out: Array) -> None:
     starts = spans[:, 0]
     for i in range(len(times)):
-        step = max(0, np.searchsorted(starts, times[i], side="right") - 1)
+        at: float = times[i]
+        step = max(0, np.searchsorted(starts, at, side="right") - 1)
         evaluate(coefficients[step], (times[i] - spans[step, 0]) / spans[step, 1], out[i])
 
 

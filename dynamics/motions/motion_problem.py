@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dynamics.arguments import real_array
 from dynamics.arrays import Array
@@ -71,7 +71,7 @@ class Setup:
         )
 
 
-def instants(time_s: Array | float) -> Array:
+def instants(time_s: ArrayLike) -> Array:
     """Output instants from an argument: an array unchanged, a number as a duration from 0 with 200 samples a second.
 
     Raises:
@@ -107,7 +107,7 @@ def motion_problem(parameters: RotorParameters, scene: Scene, times: Array, reso
     _check_locked_rates(start, free_from, float(times[0]))
     all_times = times
     if len(times) < _MIN_COMPARED_INSTANTS:
-        all_times = np.union1d(times, np.linspace(times[0], times[-1], _MIN_COMPARED_INSTANTS))
+        all_times = np.union1d(times, np.linspace(float(times[0]), float(times[-1]), _MIN_COMPARED_INSTANTS))
     peak = _peak_speed(segments, float(times[0]), float(times[-1]))
     w1, w2 = parameters.natural_frequencies_rad_s
     arm = _arm(parameters)

@@ -13,8 +13,9 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from dynamics.arrays import Array, Complex, Numbers, System
+from dynamics.arrays import Array, Complex, Numbers, RealSystem, System
 from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import C1, C2, CA, CB, FA, FB, K1, K2, MASS, PACKED, SP, rates
 from dynamics.equations.parameters import RotorParameters, physics_of
@@ -34,7 +35,7 @@ _EPSILON = 1e-30
 def sensitivities(
     parameters: object,
     scene: Scene,
-    time_s: Array | float,
+    time_s: ArrayLike,
     names: Sequence[str],
     accuracy: float = 1e-6,
     method: str | None = None,
@@ -65,12 +66,16 @@ def sensitivities(
         return motion, out
     arrays = PhaseSegments.of(scene.history).arrays[:3]
     repeat = _repeat_implicit if motion.method == "implicit" else _repeat_explicit
+
+    def part_of(group: NDArray[np.intp]) -> Array:
+        return repeat(motion, times, directions[0][group], directions[1][group], arrays)
+
     workers = max(1, min(len(names), os.cpu_count() or 1))
     groups = np.array_split(np.arange(len(names)), workers)
     with ThreadPoolExecutor(workers) as pool:
         for group, part in zip(
             groups,
-            pool.map(lambda g: repeat(motion, times, directions[0][g], directions[1][g], arrays), groups),
+            pool.map(part_of, groups),
             strict=True,
         ):
             out[:, :, group] = part
@@ -198,7 +203,7 @@ def _explicit_again(
 
 @compiled(nogil=True)
 def _implicit_again(
-    dy: Array, spans: Array, coefficients: Array, system: System, packed: Array, times: Array, done: int, out: Array
+    dy: Array, spans: Array, coefficients: Array, system: RealSystem, packed: Array, times: Array, done: int, out: Array
 ) -> int:
     """Propagate derivatives, shape (n, 8), through recorded implicit steps; returns the number of samples."""
     knots = system[3]

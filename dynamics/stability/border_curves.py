@@ -18,7 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dynamics.arrays import Array, Complex, Flags
 from dynamics.stability.border_crossings import roots
@@ -116,9 +116,13 @@ def _on_cubics(curve: BorderCurve, piece: NDArray[np.intp], share: Array) -> tup
     root, last = curve.roots[piece], curve.roots[piece + 1]
     gained = np.where(np.abs(end - start) <= CORNER, 0.0, np.angle(last * np.conj(root)))
     first, second = curve.turning[piece] * np.abs(leaves), curve.turning[piece + 1] * np.abs(arrives)
-    angle = _cubic(np.zeros(len(piece), complex), first + 0j, second + 0j, gained + 0j, share).real
+    angle = _cubic(np.zeros(len(piece), complex), _complex(first), _complex(second), _complex(gained), share).real
     size = np.abs(root) ** (1 - share) * np.abs(last) ** share
     return _cubic(start, leaves, arrives, end, share), size * root / np.abs(root) * np.exp(1j * angle)
+
+
+def _complex(values: ArrayLike) -> Complex:
+    return np.asarray(values, np.complex128)
 
 
 def _cubic(start: Complex, leaves: Complex, arrives: Complex, end: Complex, share: Array) -> Complex:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dynamics.arguments import check_number, real_array
 from dynamics.arrays import Array, Flags
@@ -79,8 +79,8 @@ class StabilityMap:
 
 def plane_map(
     plane: Plane,
-    x: Array,
-    y: Array,
+    x: ArrayLike,
+    y: ArrayLike,
     accuracy: float = 1e-8,
     progress: Callable[[float], None] | None = None,
     threads: int | None = None,
@@ -116,8 +116,8 @@ def _check_size(columns: int, rows: int, accuracy: float) -> None:
 
 def stability_map(
     rig: RotorParameters | object,
-    speed_ratios: Array,
-    stiffness_ratios: Array,
+    speed_ratios: ArrayLike,
+    stiffness_ratios: ArrayLike,
     accuracy: float = 1e-8,
     progress: Callable[[float], None] | None = None,
 ) -> StabilityMap:

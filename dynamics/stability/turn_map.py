@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from dynamics.arrays import Array, System
+from dynamics.arrays import Array, RealSystem
 from dynamics.compiled_code import compiled
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.phase_segments import PhaseSegments, phase_within
@@ -27,7 +27,7 @@ _MAX_STEPS = 4000  # per revolution; beyond it the motion is too stiff or too sl
 
 
 @compiled(nogil=True, contract=True)
-def _derivatives(states: Array, steps: int, period: float, system: System, out: Array) -> None:
+def _derivatives(states: Array, steps: int, period: float, system: RealSystem, out: Array) -> None:
     """Write derivatives (8, 8) of the state after a revolution by the state before it, for states (n, 8), to out."""
     p, free_a, free_b, knots, origins, cubics = system
     k, tangents, by_state = np.zeros((12, 8)), np.zeros((12, 8, 8)), np.zeros((4, 8))

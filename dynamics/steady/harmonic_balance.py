@@ -184,10 +184,12 @@ def _linearise(
         for column in range(len(right)):
             matrix[row, column] = 0.0
     for r in range(len(kept)):
-        i, top = kept[r], r * n
+        i: int = kept[r]
+        top = r * n
         _, _, transform, order = bases[i // 2]
         for q in range(len(kept)):
-            value, slope, _, _ = bases[kept[q] // 2]
+            axis: int = kept[q] // 2
+            value, slope, _, _ = bases[axis]
             _add_block(transform, slopes[i, kept[q]], value, slopes[i, 4 + kept[q]], slope, matrix, top, q * n)
         for k in range(n):
             curvature, driven = -((speed * order[k]) ** 2), 0.0

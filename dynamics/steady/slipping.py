@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import reduce
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters
 from dynamics.stability.turn_map import turn_derivatives
 
+_linear_algebra: Any = np.linalg  # numpy types its results as unions
 _MIN_TURNS = 6.0  # turns relative to the rotor within the interval of a slipping motion
 _HARMONICS = (16, 64, 200)  # of the slip's phase
 _CURVE_RAD = 2e-3  # largest error of the curve's prediction
@@ -124,7 +126,7 @@ def _curve(phase: Array, states: Array, fitted: int) -> tuple[float, int, Array]
         basis = np.column_stack([np.ones(len(phase)), np.real(waves), np.imag(waves)])
         train = basis[:fitted]
         gram = train.T @ train + 1e-9 * fitted * np.eye(basis.shape[1])
-        weights: Array = np.linalg.solve(gram, train.T @ (states[:fitted] - middle))
+        weights: Array = _linear_algebra.solve(gram, train.T @ (states[:fitted] - middle))
         off = np.max(np.abs(basis @ weights + middle - states), axis=1)
         misfit = float(np.max(off[fitted:]))
         if misfit < _CURVE_RAD:

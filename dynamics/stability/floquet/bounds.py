@@ -43,7 +43,7 @@ def eigenvalues_with_bounds(matrix: Array, change: Array, roundings: float) -> t
     own, inverse, basis = (np.ascontiguousarray(m, np.complex128) for m in (values, left, right))
     if not _moves(own, inverse, basis, scaled, moved, roundings * _ROUNDING, bounds):
         spread = roundings * _ROUNDING * (np.abs(scaled) + np.linalg.norm(scaled) / n)
-        bounds[:] = _whole_spectrum(scaled, np.abs(moved) + spread)
+        bounds[:] = _whole_spectrum(scaled, np.asarray(np.abs(moved) + spread, np.float64))
     return values, bounds
 
 

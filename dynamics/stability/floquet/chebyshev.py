@@ -7,12 +7,15 @@ Source: L. N. Trefethen, Spectral Methods in MATLAB (SIAM 2000), chapter 6 (diff
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from dynamics.arrays import Array
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
 
+_linear_algebra: Any = np.linalg  # numpy types its results as unions
 NAME = "chebyshev"
 DEGREE = 16
 ORDER = DEGREE
@@ -45,7 +48,7 @@ def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
         system = system[n:, n:]
         size = np.max(np.abs(system), axis=1, keepdims=True)
         try:
-            y = np.linalg.solve(system / size, right / size)[-n:]
+            y = _linear_algebra.solve(system / size, right / size)[-n:]
         except np.linalg.LinAlgError:
             return np.full((n, n), np.nan)
     return turned(matrix, y)

@@ -57,7 +57,7 @@ def _fundamental(series: Complex, span: float, steps: int) -> Array:
             for c in range(n):
                 right[row, c] = y[row % n, c] / size
         y = np.ascontiguousarray(np.linalg.solve(system, right)[(STAGES - 1) * n :])
-    return y
+    return y  # pyright: ignore[reportReturnType]  # numpy types a solution as floating
 
 
 def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:

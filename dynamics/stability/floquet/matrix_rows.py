@@ -52,8 +52,9 @@ def multipliers_of_rows(
         found, errors: shape (rows, columns), filled; NaN where the eigenvalues did not converge.
     """
     n_v, n_u, entries = nodes.shape
+    side: float = np.sqrt(entries)
     flat, row = nodes.reshape(n_v, n_u * entries), np.empty(n_u * entries)
-    columns, n = weights_u.shape[0], int(np.round(np.sqrt(entries)))
+    columns, n = weights_u.shape[0], int(np.round(side))
     matrices, a, values = np.empty((_SIDE, entries)), np.empty((n, n)), np.empty(n, np.complex128)
     for line in range(weights_v.shape[0]):
         weighted_sum(flat, weights_v[line], row)
@@ -84,8 +85,9 @@ def eigenvalues_at(nodes: Array, weights_v: Array, row_of: Indices, weights_u: A
         values: shape (points, n), filled; NaN where the eigenvalues did not converge.
     """
     n_v, n_u, entries = nodes.shape
+    side: float = np.sqrt(entries)
     flat, row = nodes.reshape(n_v, n_u * entries), np.empty(n_u * entries)
-    n, last = int(np.round(np.sqrt(entries))), -1
+    n, last = int(np.round(side)), -1
     flat_matrix, found = np.empty(entries), np.empty(n, np.complex128)
     for point in range(len(row_of)):
         if row_of[point] != last:
@@ -127,13 +129,14 @@ def largest_eigenvalue_there(nodes: Array, share_u: float, share_v: float) -> co
         share_u, share_v: position of the point in the rectangle, −1 … 1 along each side.
     """
     n_v, n_u, entries = nodes.shape
+    side: float = np.sqrt(entries)
     weights_v, weights_u = np.empty(n_v), np.empty(n_u)
     _chebyshev_weights(share_u, weights_u)
     _chebyshev_weights(share_v, weights_v)
     row, matrix = np.empty(n_u * entries), np.empty(entries)
     weighted_sum(nodes.reshape(n_v, n_u * entries), weights_v, row)
     weighted_sum(row.reshape(n_u, entries), weights_u, matrix)
-    n = int(np.round(np.sqrt(entries)))
+    n = int(np.round(side))
     values = np.empty(n, np.complex128)
     if not eigenvalues(matrix.reshape(n, n), values):
         return complex(np.nan, np.nan)

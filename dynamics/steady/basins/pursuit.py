@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from dynamics.arrays import Array, Indices, System
+from dynamics.arrays import Array, Indices, RealSystem
 from dynamics.compiled_code import compiled
 from dynamics.equations.quick_rates import quick_rates
 from dynamics.motions.explicit_steps import explicit_step
@@ -37,7 +37,7 @@ def steps_needed(y: Array, omega: float, pace: float, step_rad: float) -> int:
 
 @compiled(contract=True)
 def advance(
-    y: Array, omega: float, steps: int, system: System, k: Array, end: Array, phase: Array, orbit: Array
+    y: Array, omega: float, steps: int, system: RealSystem, k: Array, end: Array, phase: Array, orbit: Array
 ) -> None:
     """Advance the state by one revolution of the rotor from ψ = 0, in place.
 
@@ -153,7 +153,7 @@ def pursue(
     y: Array,
     neighbour: Array,
     turns: int,
-    motion: tuple[float, float, tuple[float, float], System],
+    motion: tuple[float, float, tuple[float, float], RealSystem],
     ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
     units: Array,
     limits: tuple[float, float, int],
@@ -193,7 +193,7 @@ def _chase(
     y: Array,
     neighbour: Array,
     turns: int,
-    motion: tuple[float, float, tuple[float, float], System],
+    motion: tuple[float, float, tuple[float, float], RealSystem],
     ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
     units: Array,
     limits: tuple[float, float, int],
@@ -230,7 +230,7 @@ def _settle(
     number: int,
     done: int,
     turns: int,
-    motion: tuple[float, float, tuple[float, float], System],
+    motion: tuple[float, float, tuple[float, float], RealSystem],
     ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
     limits: tuple[float, float, int],
     facts: Array,

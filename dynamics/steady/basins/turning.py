@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dynamics.arguments import check_number
-from dynamics.arrays import Array, System
+from dynamics.arrays import Array, RealSystem
 from dynamics.compiled_code import compiled
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.phase_segments import PhaseSegments
@@ -157,7 +157,7 @@ class Turning:
 
 @compiled(nogil=True)
 def _many(
-    states: Array, omega: float, revolutions: int, pace: float, step_rad: float, system: System, track: Array
+    states: Array, omega: float, revolutions: int, pace: float, step_rad: float, system: RealSystem, track: Array
 ) -> None:
     k, work, phase, orbit = np.zeros((16, 8)), np.empty(8), np.empty(3), np.zeros(5)
     for i in range(len(states)):
@@ -169,7 +169,7 @@ def _many(
 
 
 @compiled(nogil=True)
-def _means(state: Array, revolutions: int, motion: tuple[float, float, float, System], means: Array) -> None:
+def _means(state: Array, revolutions: int, motion: tuple[float, float, float, RealSystem], means: Array) -> None:
     """Write rms radius and mean angles to means (3,)."""
 
     omega, pace, step_rad, system = motion
