@@ -284,9 +284,12 @@ def _floquet() -> list[Checked]:
     pieces = [_linear_algebra.expm(0.1 * period * m) for m in (one, two)]
     run = np.eye(8)[:, 4]
     for matrix in (one, two):
-        run = _integrators.solve_ivp(
-            lambda t, y, m=matrix: m @ y, (0.0, 0.1 * period), run, "DOP853", rtol=1e-12, atol=1e-14
-        ).y[:, -1]
+
+        def constant(t: float, y: Array, m: Array = matrix) -> Array:
+            del t
+            return m @ y
+
+        run = _integrators.solve_ivp(constant, (0.0, 0.1 * period), run, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
     product = float(np.max(np.abs(pieces[1] @ pieces[0] @ np.eye(8)[:, 4] - run)))
     swapped = float(np.max(np.abs(pieces[0] @ pieces[1] @ np.eye(8)[:, 4] - run)))
     truth = float(motion.multipliers(p, [POINTS["B"]], 2000)[0])

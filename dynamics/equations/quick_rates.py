@@ -74,10 +74,16 @@ def sine_cosine(x: complex) -> tuple[complex, complex]:
 
 
 @overload(sine_cosine)
-def _sine_cosine(x: object) -> Callable[[Any], tuple[complex, complex]]:
-    if isinstance(x, types.Complex):
-        return lambda x: (np.sin(x), np.cos(x))
-    return lambda x: real_sine_cosine(x)  # noqa: PLW0108 - numba requires a function with this signature
+def _sine_cosine(x: Any) -> Callable[[Any], tuple[complex, complex]]:
+    """Implementation for a type of x. numba requires the same signature, annotations included, of both functions."""
+
+    def by_library(x: Any) -> tuple[complex, complex]:
+        return np.sin(x), np.cos(x)
+
+    def by_polynomials(x: Any) -> tuple[complex, complex]:
+        return real_sine_cosine(x)
+
+    return by_library if isinstance(x, types.Complex) else by_polynomials
 
 
 @compiled(contract=True)

@@ -157,10 +157,7 @@ def eigenvalues(a: Array, values: Complex) -> bool:
     if not np.isfinite(norm):
         return False
     _to_hessenberg(a)
-    x: float
-    y: float
-    w: float
-    shift: float
+    top: int
     top, shift, sweeps = n - 1, 0.0, 0
     while top >= 0:
         low = _start_of_block(a, top, norm)
