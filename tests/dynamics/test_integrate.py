@@ -439,7 +439,7 @@ def test_a_batch_is_its_single_runs_and_failures_are_flagged() -> None:
 
 
 def test_a_long_run_that_separates_is_refused_from_its_beginning(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At 1e6 rad/s free pendulums forget their start in hundredths of a second: no second of it is followed."""
+    """At 1e6 rad/s neighbouring motions of free pendulums diverge in hundredths of a second: a second is refused."""
     followed: list[float] = []
 
     def counted(problem, *args):

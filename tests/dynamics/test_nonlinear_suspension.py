@@ -1,4 +1,4 @@
-"""Steady motions and the locked orbit of a suspension that is not linear, beside an independent simulation."""
+"""Steady motions and the locked orbit of a nonlinear suspension, compared with an independent simulation."""
 
 from __future__ import annotations
 
