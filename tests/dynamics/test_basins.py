@@ -288,7 +288,7 @@ def test_an_orbit_that_releases_miss_comes_from_a_neighbour(monkeypatch):
         p,
         near[1],
         damped,
-    ]  # two rows: the orbit is continued to the one below the first, and from it to the right
+    ]  # two rows: the orbit is continued down, then to the right
     released = coexisting.slipping_orbit
     first = _speed(near[0], D)
     monkeypatch.setattr(

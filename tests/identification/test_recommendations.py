@@ -125,9 +125,7 @@ def test_the_tightest_accuracy_that_costs_no_more_is_recommended() -> None:
     rows = [asked(1e-3, 1.0, 1e-7), asked(1e-6, 1.2, 1e-9), asked(1e-9, 1.4, 1e-11), asked(1e-12, 5.0, 1e-14)]
     (found,) = recommended_accuracies(rows)
     assert found.setting == "accuracy 1e-09"
-    assert found.text.startswith(
-        "motion: use 1e-09, it takes 1.4 times the time of 1e-03; its largest true error here"
-    )
+    assert found.text.startswith("motion: use 1e-09, it takes 1.4 times the time of 1e-03; its largest true error here")
     assert "tighter ones take 5 times the time" in found.text
 
 
