@@ -35,17 +35,7 @@ class VirtualRigProcess:
     def __init__(
         self, rig: str, settings: list[str], time_scale: float, link: str = "auto", waits: bool = False
     ) -> None:
-        command = [
-            sys.executable,
-            "-m",
-            "rig_cli.main",
-            "virtual",
-            rig,
-            "--time-scale",
-            str(time_scale),
-            "--link",
-            link,
-        ]
+        command = [sys.executable, "-m", "rig_cli.main", "virtual", rig, "--time-scale", str(time_scale), "--link", link]
         command += ["--while-stdin-open"]  # it ends with us, however we end
         for setting in settings:
             command += ["--set", setting]

@@ -147,9 +147,7 @@ def test_the_wheel_carries_the_rig_files_and_runs_outside_the_checkout(tmp_path:
         check=True,
         capture_output=True,
     )
-    script = (
-        "import sys; from rig_cli.main import run; import rig_configs; print(rig_configs.__file__, file=sys.stderr); "
-    )
+    script = "import sys; from rig_cli.main import run; import rig_configs; print(rig_configs.__file__, file=sys.stderr); "
     done = subprocess.run(
         [sys.executable, "-c", script + "sys.exit(run(['predict', 'isotropic', '--point', 'above', '--json']))"],
         cwd=tmp_path,

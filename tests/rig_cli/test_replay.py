@@ -226,11 +226,7 @@ def hosted(player: Player, *command: str) -> subprocess.CompletedProcess[str]:
     """Another `rig` command on the ports of a player, to its end."""
     settings = [word for device, port in player.ports.items() for word in ("--set", f"devices.{device}.port={port}")]
     return subprocess.run(
-        [sys.executable, "-m", "rig_cli.main", *command, *settings],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
+        [sys.executable, "-m", "rig_cli.main", *command, *settings], capture_output=True, text=True, timeout=60, check=False
     )
 
 
