@@ -1,4 +1,4 @@
-# pyright: strict, reportUnknownVariableType=false
+# pyright: strict
 """Many releases simulated at once, each until it enters the region of a stable motion."""
 
 from __future__ import annotations

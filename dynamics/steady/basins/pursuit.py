@@ -1,7 +1,4 @@
-# pyright: strict, reportMissingParameterType=false, reportUnknownParameterType=false, reportUnknownVariableType=false
-# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportMissingTypeArgument=false
-# pyright: reportUntypedFunctionDecorator=false
-# Compiled functions: numba infers their types from the arguments; the docstrings contain them.
+# pyright: strict
 """Simulation of a release, revolution by revolution, until it enters the region of a stable motion: compiled part.
 
 Two runs are computed: the release, and a neighbour at the stated error with coarser steps. While they stay close, the
