@@ -1,4 +1,7 @@
-"""The rig's motion: parameters, compiled equations, steady states, stability. Knows no files and no devices."""
+"""Simulation of the rig: parameters, compiled equations of motion, steady states and stability.
+
+The package reads no files and opens no devices.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
     from dynamics.steady.steady_motions import multipliers, steady_states
     from dynamics.steady.steady_state import SteadyState
 
-_HOME = {  # loaded when first used: a rig file can be read without waiting for the compiler
+_MODULE_OF = {  # imported at the first access, so that reading a rig file does not load the compiler
     "BatchMotion": "dynamics.motions.batch",
     "GravityDisk": "dynamics.equations.balancing",
     "Model": "dynamics.equations.model",
@@ -75,7 +78,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """A public name from its room."""
-    if name not in _HOME:
+    """Import a public name from its module at the first access."""
+    if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME[name]), name)
+    return getattr(importlib.import_module(_MODULE_OF[name]), name)

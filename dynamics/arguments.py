@@ -1,4 +1,4 @@
-"""Arguments of the public verbs: what is no number is refused in words, before any work."""
+"""Checks of the arguments of public functions. They run before any computation."""
 
 # pyright: strict
 
@@ -7,27 +7,27 @@ from __future__ import annotations
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.errors import OutsideDomain
 
 
-def need_number(**values: object) -> None:
-    """Refuse what is no single real number.
+def check_number(**values: object) -> None:
+    """Check that each value is a single real number.
 
     Raises:
-        OutsideDomain: names the argument and what came.
+        OutsideDomain: a value is not a real number. The message contains the argument's name and the value.
     """
     for name, value in values.items():
         if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
             raise OutsideDomain(f"{name}: expected a number, got {value!r}")
 
 
-def need_pair(**values: object) -> None:
-    """Refuse what is no pair, one for A and one for B, of finite numbers or of yes and no.
+def check_pair(**values: object) -> None:
+    """Check that each value is a pair (pendulum A, pendulum B) of finite numbers or of booleans.
 
     Raises:
-        OutsideDomain: names the argument and what came.
+        OutsideDomain: a value is not such a pair. The message contains the argument's name and the value.
     """
     for name, value in values.items():
         try:
@@ -39,11 +39,11 @@ def need_pair(**values: object) -> None:
             raise OutsideDomain(f"{name}: expected two values, for A and for B, got {value!r}")
 
 
-def numbers(name: str, value: object) -> NDArray[np.float64]:
-    """A real array.
+def real_array(name: str, value: object) -> Array:
+    """Convert a value to a C-contiguous array of float64.
 
     Raises:
-        OutsideDomain: text, None, ragged lists, complex numbers.
+        OutsideDomain: the value is text, None, a ragged list or complex.
     """
     try:
         found = np.asarray(cast(Any, value))

@@ -1,11 +1,11 @@
-"""Where compiled code is kept between runs: one directory for each state of the sources.
+"""Directory of the compiled code between runs: one directory for each state of the sources.
 
-numba looks only at the file that holds a function, not at what that function calls: after a change in a kernel, code
-compiled from its callers before would go on running the old one, and a wheel's files all bear one date. The directory
-is therefore named after a digest of every source that is compiled.
+numba checks only the file that contains a function, not the functions called by it. After a change in a kernel, cached
+code of its callers would contain the old kernel. All files of a wheel have the same date. Therefore the directory is
+named after a digest of all compiled sources.
 
-The `rig` command, the tests and the benchmarks ask for that directory, before they compile anything. Importing the
-packages does not: a program that uses them keeps its own numba settings, and may call keep_compiled_code itself.
+The `rig` command, the tests and the benchmarks set this directory before they compile anything. Importing the packages
+does not set it: a program that uses them keeps its own numba settings and can call `keep_compiled_code`.
 """
 
 from __future__ import annotations
@@ -18,21 +18,59 @@ import shutil
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar, overload
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _COMPILED = ("dynamics", "identification", "daq/virtual_rig")
-_KEPT_S = 60 * 86400.0  # directories of other versions not used for that long are removed
+_MAX_UNUSED_S = 60 * 86400.0  # directories of other versions that were not used for this time are removed, s
+
+
+@overload
+def compiled(function: Callable[P, R], /) -> Callable[P, R]: ...
+
+
+@overload
+def compiled(
+    *, nogil: bool = False, contract: bool = False, inline: bool = False
+) -> Callable[[Callable[P, R]], Callable[P, R]]: ...
+
+
+def compiled(
+    function: Callable[..., Any] | None = None, /, *, nogil: bool = False, contract: bool = False, inline: bool = False
+) -> Callable[..., Any]:
+    """Compile a function with numba when it is first called. The code is cached between runs.
+
+    The decorator keeps the function's signature for type checkers. numba itself ignores the annotations and compiles
+    one version for each combination of argument types. A division by zero yields inf or NaN, as in numpy.
+
+    Args:
+        function: the function, for use without parentheses.
+        nogil: release the interpreter lock during the call.
+        contract: let the compiler merge a product and a sum into one operation, which is rounded once.
+        inline: insert the function's code into its callers before their types are inferred.
+    """
+    numba: Any = importlib.import_module("numba")
+    options: dict[str, Any] = {"cache": True, "error_model": "numpy", "nogil": nogil}
+    if contract:
+        options["fastmath"] = {"contract"}
+    if inline:
+        options["inline"] = "always"
+    decorate: Callable[..., Any] = numba.njit(**options)
+    return decorate if function is None else decorate(function)
 
 
 def keep_compiled_code() -> Path | None:
-    """Point numba's cache at this version's own directory; a NUMBA_CACHE_DIR that is set stays.
+    """Set numba's cache directory to the directory of this version, unless NUMBA_CACHE_DIR is set.
 
-    To be called before a module that compiles is imported; it hashes the sources (some 20 ms).
+    The function must be called before a module with compiled functions is imported. It hashes the sources (20 ms).
 
     Returns:
-        The directory, one of this process alone where the user's cache directory can't be written to; None when the
-        cache stays where the user has put it.
+        The directory. If the user's cache directory is not writable, this is a temporary directory of this process.
+        None if NUMBA_CACHE_DIR is set.
     """
     if os.environ.get("NUMBA_CACHE_DIR"):
         return None
@@ -41,36 +79,37 @@ def keep_compiled_code() -> Path | None:
         place.mkdir(parents=True, exist_ok=True)
         os.utime(place)
         tempfile.TemporaryFile(dir=place).close()
-        _forget_old(place)
-    except (OSError, RuntimeError):  # RuntimeError: there is no home
+        _remove_unused(place)
+    except (OSError, RuntimeError):  # RuntimeError: the user has no home directory
         place = Path(tempfile.mkdtemp(prefix="pendulum-balancer-rig-"))
         atexit.register(shutil.rmtree, place, ignore_errors=True)
-    os.environ["NUMBA_CACHE_DIR"] = str(place)  # child processes too
+    os.environ["NUMBA_CACHE_DIR"] = str(place)  # also for child processes
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(place)
     return place
 
 
 def load_compiler() -> None:
-    """Import what numba needs to run compiled code, without scipy's linear algebra.
+    """Import the parts of numba that run compiled code, without scipy's linear algebra.
 
-    numba asks on import whether scipy has a BLAS, which loads scipy.linalg: 0.15 s of a command that may never call it.
-    scipy is a dependency, so the answer is known; what numba checks of it besides (the width of its integers) is
-    checked all the same. Compiled code that calls LAPACK loads it when it does.
+    On import, numba checks whether scipy has a BLAS. That check loads scipy.linalg, which takes 0.15 s. scipy is a
+    dependency, so the check always succeeds and is skipped; numba's check of the integer width is kept. Compiled code
+    that calls LAPACK loads it at the first call.
     """
     if "numba.np.arraymath" in sys.modules or "scipy.linalg" in sys.modules:
         return
     linalg: Any = importlib.import_module("numba.np.linalg")
-    asked = linalg.ensure_blas
+    original = linalg.ensure_blas
     linalg.ensure_blas = getattr(linalg, "_check_lapack_int_width", lambda: None)
     try:
         importlib.import_module("numba.np.arraymath")
     finally:
-        linalg.ensure_blas = asked
+        linalg.ensure_blas = original
 
 
 def source_digest() -> str:
-    """Sixteen hexadecimal digits that change with any source that is compiled."""
+    """Sixteen hexadecimal digits that depend on every compiled source."""
+
     root, found = Path(__file__).parents[1], hashlib.sha256(sys.version.encode())
     for package in _COMPILED:
         for path in sorted((root / package).rglob("*.py")):
@@ -87,7 +126,7 @@ def _user_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
-def _forget_old(current: Path) -> None:
+def _remove_unused(current: Path) -> None:
     for other in current.parent.glob("compiled-*"):
-        if other != current and time.time() - other.stat().st_mtime > _KEPT_S:
+        if other != current and time.time() - other.stat().st_mtime > _MAX_UNUSED_S:
             shutil.rmtree(other, ignore_errors=True)

@@ -1,23 +1,23 @@
 """Errors of the dynamics package.
 
 DynamicsError
-├── OutsideDomain      a parameter lies where the model is not valid (also a ValueError)
-├── NoBalancedState    the pendulums can't balance this imbalance, so there is no Type I
+├── OutsideDomain      a parameter is outside the model's domain (also a ValueError)
+├── NoBalancedState    the pendulums cannot balance this imbalance, so Type I does not exist
 └── NotConverged       an iteration or a step-size search did not reach its target
 """
 
 
 class DynamicsError(Exception):
-    """Root of everything the dynamics package raises on purpose."""
+    """Base class of all errors of the dynamics package."""
 
 
 class OutsideDomain(DynamicsError, ValueError):
-    """A parameter lies outside the model's domain; the message names it, its value and the allowed range."""
+    """A parameter is outside the model's domain. The message contains its name, its value and the permitted range."""
 
 
 class NoBalancedState(DynamicsError):
-    """|S_A − S_B| ≤ S_P ≤ S_A + S_B does not hold; the message gives the three moments and the region."""
+    """|S_A − S_B| ≤ S_P ≤ S_A + S_B does not hold. The message contains the three moments and the region."""
 
 
 class NotConverged(DynamicsError):
-    """An iteration stopped before its target; the message gives the residual and the target."""
+    """An iteration stopped before its target. The message contains the residual and the target."""

@@ -1,20 +1,21 @@
-"""Multipliers of the balanced state in ball arithmetic: a reference that owes nothing to the rest of the package.
+"""Multipliers of the balanced state in ball arithmetic: a reference that shares no code with the rest of the package.
 
-Everything starts again from the stored parameters, in numbers of as many bits as it takes: the balanced angles (as
+The computation starts from the stored parameters, with as many bits as the enclosure needs: the balanced angles (as
 sines and cosines, from the triangle's sides), the linear equations in the frame that turns with the rotor,
 
     M_S a + suspension = Σ S_i [(2ω θ̇_i − iθ̈_i) + iω² θ_i] e^{iθ_i0},     a = z̈ + 2iω ż − ω² z,
     J_i θ̈_i = S_i (a_x sin θ_i0 − a_y cos θ_i0) − c_i θ̇_i,
 
-whose mass matrix is constant and whose suspension holds cos 2ψ and sin 2ψ alone, and their fundamental matrix over
-half a revolution. Two ways lead to it:
+whose mass matrix is constant and whose suspension contains only cos 2ψ and sin 2ψ, and their fundamental matrix over
+half a revolution. Two methods compute it:
 
 - `taylor`: with τ = tan(ψ − ψ0) the equations become (1 + τ²)² dY/dτ = (P0 + P1 τ + P2 τ²) Y, so the Taylor series
-  obeys a recurrence of five terms. Rounding and the cut series are enclosed: the result is proven.
-- `collocation`: Radau polynomials on panels, for modes that decay too fast for a series. The multipliers of the modes
-  that live converge geometrically whatever the dead ones do; two resolutions tell the error: demonstrated, not proven.
+  obeys a recurrence of five terms. Rounding and truncation are enclosed: the result is proven.
+- `collocation`: Radau polynomials on panels, for modes that decay too fast for a series. The multipliers of the
+  slowly decaying modes converge geometrically, independent of the fast ones. The error is estimated from two
+  resolutions: it is observed, not proven.
 
-python-flint is a development dependency; it is imported when asked for.
+python-flint is a development dependency. It is imported at the first use.
 """
 
 from __future__ import annotations
@@ -27,10 +28,11 @@ from typing import Any
 import numpy as np
 from scipy.special import roots_jacobi
 
+from dynamics.arrays import Complex
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.errors import NotConverged, OutsideDomain
 
-_DEAD = 45.0  # decay over half a revolution that leaves e^−90 of a mode after a whole one
+_MAX_DECAY = 45.0  # decay exponent over half a revolution; a faster mode is below e^−90 after a whole one
 _SMALLEST_BITS = 256
 _STEP_RATE = 60.0  # norm × step of a Taylor panel
 _LARGEST_TAU = 0.25  # the series converges for |τ| < 1
@@ -74,12 +76,12 @@ def flint() -> Any:
 
 
 def balanced_directions(parameters: RotorParameters) -> list[tuple[Any, Any]]:
-    """(cos θ, sin θ) of θ3 and θ4 as balls, from the moments as they are stored; θ3 in [0, π].
+    """(cos θ, sin θ) of θ3 and θ4 as balls, from the stored moments; θ3 in [0, π].
 
-    A moment within one rounding of the border counts as on it, as in dynamics.equations.balancing.
+    A moment within one rounding of the border counts as on the border, as in dynamics.equations.balancing.
 
     Raises:
-        OutsideDomain: the three moments close no triangle.
+        OutsideDomain: the three moments do not form a triangle.
     """
     arb = flint().arb
     sides = (
@@ -91,10 +93,10 @@ def balanced_directions(parameters: RotorParameters) -> list[tuple[Any, Any]]:
     rounding = Fraction(math.ulp(max(sides)))
     gaps = [max(g, Fraction(0)) if g >= -rounding else g for g in (b + p - a, a + p - b, a + b - p)]
     if min(gaps) < 0:
-        raise OutsideDomain(f"no balanced state: the moments {sides} kg m close no triangle; choose S_P between them")
+        raise OutsideDomain(f"no balanced state: the moments {sides} kg m form no triangle; choose S_P between them")
     if p == 0:
         return [(arb(0), arb(1)), (arb(0), arb(-1))]
-    found = []
+    found: list[tuple[Any, Any]] = []
     for near, far, sign in (
         (gaps[0] * gaps[2], gaps[1] * (a + b + p), 1),
         (gaps[1] * gaps[2], gaps[0] * (a + b + p), -1),
@@ -106,14 +108,14 @@ def balanced_directions(parameters: RotorParameters) -> list[tuple[Any, Any]]:
 
 
 def _ball(value: Fraction | float) -> Any:
-    """A ball around an exact number."""
+    """Ball that encloses an exact number."""
     module, exact = flint(), Fraction(value)
     return module.arb(module.fmpq(exact.numerator, exact.denominator))
 
 
 @dataclass(frozen=True)
 class _System:
-    """dY/dψ = (mean + even cos 2ψ + odd sin 2ψ) Y with arb matrices, scaled to like sizes."""
+    """dY/dψ = (mean + even cos 2ψ + odd sin 2ψ) Y with arb matrices, scaled to entries of similar size."""
 
     mean: Any
     even: Any
@@ -121,22 +123,23 @@ class _System:
     dimension: int
 
     def at(self, phase: Any) -> Any:
-        """The matrix at a phase (a ball)."""
+        """The matrix at a phase given as a ball."""
         return self.mean + self.even * (2 * phase).cos() + self.odd * (2 * phase).sin()
 
-    def rates(self) -> np.ndarray:
-        """Eigenvalues at twelve phases, per radian, in double precision."""
+    def rates(self) -> Complex:
+        """Eigenvalues at twelve phases, per radian of rotor phase, in double precision."""
         arb = flint().arb
         n = self.dimension
-        found = []
+        found: list[Complex] = []
         for phase in np.linspace(0.0, math.pi, 12, endpoint=False):
             entries = self.at(arb(float(phase)))
-            found.append(np.linalg.eigvals(np.array([[float(entries[i, j]) for j in range(n)] for i in range(n)])))
+            square = np.array([[float(entries[i, j]) for j in range(n)] for i in range(n)])
+            found.append(np.asarray(np.linalg.eigvals(square), np.complex128))
         return np.concatenate(found)
 
 
 def _system(parameters: RotorParameters, speed_rad_s: float) -> _System:
-    """The balanced state's equations: state (Y1, Y2, R θ3, R θ4) and rates over a common pace."""
+    """Equations of the balanced state: state (Y1, Y2, R θ3, R θ4) and rates divided by a common rate."""
     if parameters.gravity_m_per_s2 != 0 or parameters.pivot_shift_m != 0:
         raise OutsideDomain("the reference covers a disk at rest: expected no gravity and no pivot shift")
     module = flint()
@@ -192,7 +195,7 @@ def _system(parameters: RotorParameters, speed_rad_s: float) -> _System:
 
 
 def _body(pendulum: Pendulum) -> tuple[Any, Any, Any, Any]:
-    """S, J, c, R; S as it is stored (rounded), since the borders of balance are told by it."""
+    """S, J, c, R. S is the stored, rounded product, because it decides the borders of the balancing region."""
     arm = _ball(pendulum.length_m)
     rolling = 1 + _ball(pendulum.ball_inertia_ratio if pendulum.ball_radius_m > 0 else 0.0)
     inertia = _ball(pendulum.mass_kg) * arm * arm * rolling
@@ -200,7 +203,7 @@ def _body(pendulum: Pendulum) -> tuple[Any, Any, Any, Any]:
 
 
 def _norm(square: Any) -> float:
-    """Upper bound on the largest row sum."""
+    """Upper bound of the largest row sum of absolute values."""
     n = square.nrows()
     return max(sum(float(abs(square[i, j]).upper()) for j in range(square.ncols())) for i in range(n)) * (1 + 1e-12)
 
@@ -225,7 +228,7 @@ def _taylor_panel(system: _System, start: Any, tau: Any) -> Any:
         terms = [*terms[1:], rest / order]
         total += terms[3]
         share = (sizes[0] * t + sizes[1] * t**2 + sizes[2] * t**3) / (order + 1) + 2 * t**2 + t**4
-        if share < 0.5 and order % 8 == 0:  # from here on four terms bound the next by a share that only falls
+        if share < 0.5 and order % 8 == 0:  # from here the ratio of the next term to the last four only decreases
             largest = max(_norm(term) for term in terms)
             if largest < small:
                 tail = flint().arb(0, 4 * share * largest / (1 - share))
@@ -266,7 +269,7 @@ def _collocation(system: _System, panels: int) -> Any:
 
 
 def _radau_nodes(stages: int) -> list[Any]:
-    """Nodes in (0, 1], the last one 1: zeros of P_{s−1} − P_s, refined from double precision by Newton's method."""
+    """Nodes in (0, 1], the last one 1: zeros of P_{s−1} − P_s. Newton's method refines double-precision values."""
     module = flint()
     legendre = [module.arb_poly([1]), module.arb_poly([0, 1])]
     for n in range(1, stages):
@@ -274,7 +277,7 @@ def _radau_nodes(stages: int) -> list[Any]:
             (module.arb_poly([0, 2 * n + 1]) * legendre[n] - n * legendre[n - 1]) * (module.arb(1) / (n + 1))
         )
     zero_at = legendre[stages - 1] - legendre[stages]
-    slope, nodes = zero_at.derivative(), []
+    slope, nodes = zero_at.derivative(), list[Any]()
     for start in roots_jacobi(stages - 1, 1, 0)[0]:
         x = module.arb(float(start))
         for _ in range(7):
@@ -284,8 +287,8 @@ def _radau_nodes(stages: int) -> list[Any]:
 
 
 def _differentiation(nodes: list[Any]) -> list[list[Any]]:
-    """Derivatives at the nodes of the polynomials that are 1 at one node and 0 at the others."""
-    weights = []
+    """Derivatives at the nodes of the Lagrange polynomials of the nodes."""
+    weights: list[Any] = []
     for i, here in enumerate(nodes):
         product = flint().arb(1)
         for j, there in enumerate(nodes):
@@ -303,7 +306,7 @@ def _largest(half: Any) -> tuple[float, float, tuple[float, ...]]:
     """Largest modulus over one revolution, its error relative to max(1, modulus), and all moduli."""
     try:
         values = flint().acb_mat(half).eig(multiple=True)
-    except ValueError:  # Jordan blocks: the neutral drift at the borders of balance
+    except ValueError:  # Jordan blocks: neutral drift at the borders of the balancing region
         values = _around_roots(half)
     found = [abs(value) ** 2 for value in values]
     highest, lowest = max(float(m.upper()) for m in found), max(float(m.lower()) for m in found)
@@ -313,11 +316,11 @@ def _largest(half: Any) -> tuple[float, float, tuple[float, ...]]:
 
 
 def _around_roots(square: Any) -> list[Any]:
-    """Eigenvalues that may be defective, enclosed by way of the characteristic polynomial.
+    """Eigenvalues that may be defective, enclosed through the characteristic polynomial.
 
-    Two monic polynomials whose coefficients differ by d_k have roots that pair off within
+    The roots of two monic polynomials whose coefficients differ by d_k can be paired within
     (2n − 1) (Σ |d_k| γ^k)^{1/n}, γ twice the largest |coefficient|^{1/order} (Ostrowski; R. Bhatia, Matrix Analysis,
-    section VIII.2): crude, so it asks for n times the bits.
+    section VIII.2). The bound is coarse and needs n times the bits.
     """
     module, n = flint(), square.nrows()
     own = module.acb_poly([module.acb(c) for c in square.charpoly().coeffs()])
@@ -334,7 +337,7 @@ def _around_roots(square: Any) -> list[Any]:
 
 
 def _proven(parameters: RotorParameters, speed_rad_s: float, panels: int) -> tuple[float, float, tuple[float, ...]]:
-    """_largest from the Taylor series, with more bits until it is enclosed to 1e-14."""
+    """Result of `_largest` from the Taylor series, with more bits until the enclosure is below 1e-14."""
     context, width = flint().ctx, math.inf
     for spare in (1, 3, 9):
         context.prec = (_SMALLEST_BITS + math.ceil(1.5 * _STEP_RATE) + 2 * panels) * spare
@@ -343,12 +346,12 @@ def _proven(parameters: RotorParameters, speed_rad_s: float, panels: int) -> tup
         if width < 1e-14:
             return found
     raise NotConverged(
-        f"reference: the multipliers are enclosed to {width:.2g} with {context.prec} bits, wanted 1e-14; raise the bits"
+        f"reference: the multipliers are enclosed to {width:.2g} with {context.prec} bits, expected 1e-14"
     )
 
 
 def _observed(system: _System, panels: int) -> tuple[float, float, tuple[float, ...]]:
-    """_largest from collocation, its error from a second resolution."""
+    """Result of `_largest` from collocation, with its error from a second resolution."""
     flint().ctx.prec = _SMALLEST_BITS + 128
     coarse = _largest(_collocation(system, panels))
     finer = _largest(_collocation(system, math.ceil(1.3 * panels) + 1))
@@ -358,17 +361,17 @@ def _observed(system: _System, panels: int) -> tuple[float, float, tuple[float, 
 def reference(
     parameters: RotorParameters, speed_rad_s: float, seconds: float = 20.0, method: str | None = None
 ) -> Reference:
-    """The balanced state's largest multiplier, whatever bits it takes.
+    """Largest multiplier of the balanced state, with as many bits as the enclosure needs.
 
     Args:
-        parameters: properly oversized, without gravity and pivot shift.
+        parameters: properly oversized pendulums, without gravity and pivot shift.
         speed_rad_s: running speed, rad/s.
-        seconds: what the call may take, by forecast.
-        method: "taylor" or "collocation"; None: the cheaper one.
+        seconds: longest predicted computing time, s.
+        method: "taylor" or "collocation". None: the method with the lower predicted time.
     Raises:
-        OutsideDomain: no such state.
-        NotConverged: no way leads there within the time, or the enclosure stays too wide.
-        ImportError: python-flint is missing.
+        OutsideDomain: the balanced state does not exist.
+        NotConverged: no method is predicted to finish in time, or the enclosure stays too wide.
+        ImportError: python-flint is not installed.
     """
     context = flint().ctx
     before, context.prec = context.prec, _SMALLEST_BITS
@@ -378,8 +381,8 @@ def reference(
         size = sum(_norm(part) for part in (system.mean, system.even, system.odd))
         panels = math.ceil(math.pi / min(math.atan(_LARGEST_TAU), _STEP_RATE / size))
         rates = system.rates()
-        living = np.abs(rates[np.real(rates) * math.pi > -_DEAD])
-        long = max(2, math.ceil(float(np.max(living, initial=1.0)) * math.pi / _PANEL_RATE))
+        slow = np.abs(rates[np.real(rates) * math.pi > -_MAX_DECAY])
+        long = max(2, math.ceil(float(np.max(slow, initial=1.0)) * math.pi / _PANEL_RATE))
         costs = {
             "taylor": panels * _TAYLOR_PANEL_S * (1 + panels / 300),
             "collocation": 2.3 * long * _COLLOCATION_PANEL_S,

@@ -1,8 +1,8 @@
-"""What a first result costs in a process that has just started: imports and compilation included.
+"""Time to the first result of a new process, imports and compilation included.
 
     python -m dynamics.bench.fresh_process release | release-heyoka
 
-prints θ3 and θ4 at the end of a 20 s release of the nominal rig.
+Each prints θ3 and θ4 at the end of a 20 s release of the nominal rig.
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ from pathlib import Path
 
 import numpy as np
 
+from dynamics.arrays import Array
 from dynamics.bench.records import Measurement
 
 SPEED_RATIO, DURATION_S, ACCURACY = 1.6, 20.0, 1e-9
 _ROOT = Path(__file__).parents[2]
-_WHATS = {
+_CASES = {
     "release: simulate": ("-m", "dynamics.bench.fresh_process", "release"),
     "predict": ("-m", "rig_cli.entry", "predict", "virtual", "--point", "B", "--json"),
 }
 _PEER = ("-m", "dynamics.bench.fresh_process", "release-heyoka")
-_MOST_S = 300
+_TIMEOUT_S = 300
 
 
 def process_rows(with_heyoka: bool, repeats: int) -> list[Measurement]:
-    """Whole processes from start to end, without and with a compilation cache, and heyoka's, which keeps none."""
-    rows = []
-    for case, arguments in _WHATS.items():
+    """Wall time of whole processes without and with a compilation cache, and of heyoka, which has no cache."""
+    rows: list[Measurement] = []
+    for case, arguments in _CASES.items():
         with tempfile.TemporaryDirectory() as empty:
             first = _seconds(arguments, empty)
             warm = statistics.median(_seconds(arguments, empty) for _ in range(repeats))
@@ -42,29 +43,29 @@ def process_rows(with_heyoka: bool, repeats: int) -> list[Measurement]:
         rows.append(Measurement("process", case, "rig", "compiled before", warm, "process", automatic=True))
     if with_heyoka:
         taken = statistics.median(_seconds(_PEER) for _ in range(repeats))
-        name = next(iter(_WHATS))
+        name = next(iter(_CASES))
         rows.append(Measurement("process", name, "heyoka", "compiles each time", taken, "process", peer=True))
     return rows
 
 
 def _seconds(arguments: Sequence[str], cache: str | None = None) -> float:
-    """Wall time of a Python process that compiles into a directory of its own.
+    """Wall time of a Python process that compiles into its own directory, s.
 
     Raises:
-        subprocess.CalledProcessError: it failed.
+        subprocess.CalledProcessError: the process failed.
     """
     environment = dict(os.environ)
     environment["PYTHONPATH"] = os.pathsep.join([str(_ROOT), *filter(None, [environment.get("PYTHONPATH")])])
     if cache is not None:
         environment["NUMBA_CACHE_DIR"] = cache
     start = time.perf_counter()
-    subprocess.run([sys.executable, *arguments], env=environment, check=True, capture_output=True, timeout=_MOST_S)
+    subprocess.run([sys.executable, *arguments], env=environment, check=True, capture_output=True, timeout=_TIMEOUT_S)
     return time.perf_counter() - start
 
 
-def first_release(*, with_heyoka: bool) -> np.ndarray:
-    """θ3 and θ4 at the end of the release, importing only what it needs; shape (2,)."""
-    from dynamics.bench import heyoka_peer  # noqa: PLC0415 (what is imported is what is measured)
+def first_release(*, with_heyoka: bool) -> Array:
+    """θ3 and θ4 at the end of the release, shape (2,). The function imports only what the release needs."""
+    from dynamics.bench import heyoka_peer  # noqa: PLC0415 (the imports are part of the measured time)
     from dynamics.equations.parameters import Pendulum, RotorParameters  # noqa: PLC0415
     from dynamics.motions.locked_motion import locked_state  # noqa: PLC0415
 

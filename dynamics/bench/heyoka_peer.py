@@ -1,6 +1,6 @@
-"""The same equations in heyoka, a Taylor integrator: the reference and the peer of the benchmarks and tests.
+"""The equations of motion in heyoka, a Taylor integrator: reference and peer of the benchmarks and tests.
 
-heyoka has wheels for Linux only and is no dependency of the project; it is imported when asked for.
+heyoka has wheels for Linux only and is not a dependency of the project. It is imported at the first use.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.parameters import RotorParameters
 
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
@@ -19,7 +19,7 @@ DOUBLE_TOLERANCE = 2.2e-16
 
 
 def heyoka() -> Any | None:
-    """The heyoka module, or None where it is not installed."""
+    """The heyoka module, or None if it is not installed."""
     try:
         return importlib.import_module("heyoka")
     except ImportError:
@@ -27,9 +27,10 @@ def heyoka() -> Any | None:
 
 
 def equations(parameters: RotorParameters, speed_rad_s: float, acceleration_rad_s2: float = 0.0) -> list[Any]:
-    """Both pendulums free, ψ = ω t + α t²/2; pairs of a variable and its rate.
+    """Pairs (variable, rate) for two free pendulums and ψ = ω t + α t²/2.
 
-    Written from the second-order form with a 4 × 4 mass matrix eliminated by hand, not from dynamics.equations.kernels.
+    The equations come from the second-order form by elimination of the 4 × 4 mass matrix, independent of
+    dynamics.equations.kernels.
     """
     hy = heyoka()
     if hy is None:
@@ -44,7 +45,7 @@ def equations(parameters: RotorParameters, speed_rad_s: float, acceleration_rad_
     fx = -c1 * vx - p.k1_N_per_m * x + p.forcing_moment_kg_m * (omega * omega * cp + al * sp)
     fy = -c2 * vy - p.k2_N_per_m * y + p.forcing_moment_kg_m * (omega * omega * sp - al * cp) - mass * g
     mxx, mxy, myy = mass, 0.0, mass
-    torques = []
+    torques: list[tuple[Any, Any, Any, Any]] = []
     for angle, rate, pendulum in ((a, va, p.a), (b, vb, p.b)):
         s, j, d = pendulum.first_moment_kg_m, pendulum.inertia_kg_m2, pendulum.drive_inertia_kg_m2
         cos, sin = hy.cos(psi + angle), hy.sin(psi + angle)
@@ -64,30 +65,29 @@ def equations(parameters: RotorParameters, speed_rad_s: float, acceleration_rad_
 
 
 def integrator(
-    parameters: RotorParameters, speed_rad_s: float, start: NDArray[np.floating], tolerance: float = DOUBLE_TOLERANCE
+    parameters: RotorParameters, speed_rad_s: float, start: Array, tolerance: float = DOUBLE_TOLERANCE
 ) -> Any:
-    """A heyoka integrator of the motion, compiled."""
+    """Compiled heyoka integrator of the motion."""
     hy = heyoka()
     assert hy is not None
     return hy.taylor_adaptive(equations(parameters, speed_rad_s), start, tol=tolerance, compact_mode=True)
 
 
 def half_turn_integrator(parameters: RotorParameters, speed_rad_s: float) -> Any:
-    """A heyoka integrator of motion and all 64 variational states, compiled."""
+    """Compiled heyoka integrator of the motion and all 64 variational states."""
     hy = heyoka()
     assert hy is not None
     system = hy.var_ode_sys(equations(parameters, speed_rad_s), hy.var_args.vars, order=1)
     return hy.taylor_adaptive(system, np.zeros(8), tol=DOUBLE_TOLERANCE, compact_mode=True)
 
 
-def multipliers(
-    parameters: RotorParameters, speed_rad_s: float, start: NDArray[np.floating], compiled: Any | None = None
-) -> NDArray[np.complexfloating]:
+def multipliers(parameters: RotorParameters, speed_rad_s: float, start: Array, compiled: Any | None = None) -> Complex:
     """Multipliers over one revolution of the motion from a state at ψ = 0; no gravity. Shape (8,), largest first."""
     ta = half_turn_integrator(parameters, speed_rad_s) if compiled is None else compiled
     ta.time = 0.0
     ta.state[:8] = start
     ta.state[8:] = np.eye(8).ravel()
     ta.propagate_until(math.pi / speed_rad_s)
-    values = np.linalg.eigvals(_TURN[:, None] * ta.state[8:].reshape(8, 8)) ** 2
+    half: Array = ta.state[8:].reshape(8, 8)
+    values = np.asarray(np.linalg.eigvals(_TURN[:, None] * half) ** 2, np.complex128)
     return values[np.argsort(-np.abs(values))]

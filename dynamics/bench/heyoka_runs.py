@@ -1,7 +1,7 @@
 """heyoka compiled once for all parameters: the reference in 80 bits and the peer in double precision.
 
-The reference solves the equations to 1e-19 per step in extended precision, so that its error lies far below that of
-anything measured against it, heyoka's own double precision included. Extended precision is that of x86.
+The reference solves the equations to 1e-19 per step in extended precision. Its error is therefore far below the error
+of every method compared with it, including heyoka in double precision. Extended precision is that of x86.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from types import SimpleNamespace
 from typing import Any, TypeAlias, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.bench.heyoka_peer import equations, heyoka
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.parameters import RotorParameters
@@ -25,7 +25,7 @@ from dynamics.equations.parameters import RotorParameters
 EXTENDED_TOLERANCE = 1e-19
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _PI = np.longdouble("3.14159265358979323846264338327950288")
-_SPEED = 12  # index of ω behind the packed parameters that matter without shift, gravity and friction
+_SPEED = 12  # index of ω, after the packed parameters used without shift, gravity and friction
 
 Rig: TypeAlias = tuple[RotorParameters, float]
 """Parameters and a running speed in rad/s."""
@@ -38,7 +38,7 @@ def available() -> bool:
 
 @functools.cache
 def compiled(variational: bool, tolerance: float) -> Any:
-    """An integrator of the motion, or of motion and variational states; below 1e-16 in extended precision."""
+    """Integrator of the motion, or of motion and variational states; tolerances below 1e-16 use extended precision."""
     hy: Any = heyoka()
     par = hy.par
 
@@ -89,9 +89,7 @@ def largest_multiplier(rig: Rig, tolerance: float, integrator: Any | None = None
     return float(np.max(np.abs(np.linalg.eigvals(half)))) ** 2
 
 
-def end_state(
-    rig: Rig, start: NDArray[np.floating], duration_s: float, tolerance: float, integrator: Any | None = None
-) -> NDArray[np.floating]:
+def end_state(rig: Rig, start: Array, duration_s: float, tolerance: float, integrator: Any | None = None) -> Array:
     """State after a time at constant speed, ψ = 0 at the start; shape (8,)."""
     ta = compiled(False, tolerance) if integrator is None else integrator
     number = _set(ta, rig)
@@ -101,7 +99,7 @@ def end_state(
 
 
 def on_all_cores(one: Callable[[Any, int], Any], integrator: Any, count: int) -> list[Any]:
-    """one(integrator, i) for i below count, each thread with an integrator of its own (heyoka holds no lock)."""
+    """Results of one(integrator, i) for i < count. Each thread has its own integrator; heyoka releases the GIL."""
     cores = os.cpu_count() or 1
 
     def share(core: int) -> list[Any]:
@@ -113,8 +111,8 @@ def on_all_cores(one: Callable[[Any, int], Any], integrator: Any, count: int) ->
     return [shares[i % cores][i // cores] for i in range(count)]
 
 
-def angle_error(found: NDArray[np.floating], true: NDArray[np.floating]) -> float:
-    """Larger error of θ3 and θ4, rad; states of shape (8,)."""
+def angle_error(found: Array, true: Array) -> float:
+    """Larger of the errors of θ3 and θ4, rad; both states have shape (8,)."""
     return float(np.max(np.abs(found[2:4] - true[2:4])))
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
+import scipy.integrate
 
+from dynamics.arrays import Array
 from dynamics.bench import heyoka_runs
 from dynamics.bench.heyoka_runs import Rig
 from dynamics.bench.records import Measurement
@@ -23,15 +24,16 @@ from dynamics.motions.locked_motion import locked_state
 from dynamics.motions.motion_problem import motion_problem
 from dynamics.motions.trajectory import run
 
+_integrators: Any = scipy.integrate  # scipy has no annotations
 SERVICE = "motion"
 PLAY_RAD = (2e-3, -1e-3)
-"""What the locks at 0 and π have let go."""
-_MOST_STEPS = 20_000_000
-_WRONG = 1.0  # rad
+"""Angles of pendulums A and B at release relative to the locks at 0 and π, rad."""
+_MAX_STEPS = 20_000_000
+_MAX_USEFUL_ERROR_RAD = 1.0
 
 
 def release(rig: Rig) -> Scene:
-    """Both pendulums freed at constant speed from where their locks held them."""
+    """Scene at constant speed in which both pendulums are released from their locked positions."""
     parameters, speed = rig
     start = locked_state(parameters, speed, 0.0, PLAY_RAD[0], math.pi + PLAY_RAD[1])
     return Scene(SpeedHistory.constant(speed), start=start)
@@ -47,13 +49,13 @@ def motion_rows(
     scipy_settings: Sequence[tuple[str, float]],
     repeats: int,
 ) -> list[Measurement]:
-    """Our integrators at tolerances per step, the service at accuracies, fixed steps, and the peers.
+    """Rows of the project's integrators, of `simulate`, of fixed steps and of the peers.
 
     Args:
-        tolerances: per step, for our explicit and implicit methods.
-        accuracies: asked of dynamics.simulate.
-        peer_tolerances: heyoka's per step.
-        scipy_settings: (method, tolerance) for scipy's integrators.
+        tolerances: per step, for the explicit and the implicit method.
+        accuracies: requested from dynamics.simulate.
+        peer_tolerances: per step of heyoka.
+        scipy_settings: (method, tolerance) of scipy's integrators.
     """
     scene = release(rig)
     start = np.array(scene.start)
@@ -61,7 +63,7 @@ def motion_rows(
     if heyoka_runs.available():
         true = heyoka_runs.end_state(rig, start, duration_s, heyoka_runs.EXTENDED_TOLERANCE)
     bench = _Case(case, rig, scene, start, duration_s, true, repeats)
-    rows = []
+    rows: list[Measurement | None] = []
     for method in ("explicit", "implicit"):
         rows += [bench.own(method, tolerance) for tolerance in tolerances]
     rows += [bench.fixed(per_cycle) for per_cycle in (32, 128, 512, 2048)[: len(tolerances)]]
@@ -69,44 +71,42 @@ def motion_rows(
     rows += [bench.scipy(method, tolerance) for method, tolerance in scipy_settings]
     if true is not None:
         rows += [bench.heyoka(tolerance) for tolerance in peer_tolerances]
-    return [row for row in rows if row is not None and (row.true_error or 0.0) < _WRONG]
+    return [row for row in rows if row is not None and (row.true_error or 0.0) < _MAX_USEFUL_ERROR_RAD]
 
 
 class _Case:
-    """One release, and how each method is run on it."""
+    """One release and its run by each method."""
 
     def __init__(
         self,
         name: str,
         rig: Rig,
         scene: Scene,
-        start: NDArray[np.floating],
+        start: Array,
         duration_s: float,
-        true: NDArray[np.floating] | None,
+        true: Array | None,
         repeats: int,
     ) -> None:
         self.name, self.rig, self.scene, self.start = name, rig, scene, start
         self.times, self.true, self.repeats = np.array([0.0, duration_s]), true, repeats
 
-    def _row(
-        self, method: str, setting: str, end: Callable[[], NDArray[np.floating]], peer: bool = False
-    ) -> Measurement:
+    def _row(self, method: str, setting: str, end: Callable[[], Array], peer: bool = False) -> Measurement:
         state = end()
         error = None if self.true is None else heyoka_runs.angle_error(state, self.true)
-        useful = error is None or error < _WRONG
+        useful = error is None or error < _MAX_USEFUL_ERROR_RAD
         seconds = median_seconds(end, self.repeats) if useful else math.nan
         return Measurement(
             SERVICE, self.name, method, setting, seconds, "run", error if useful else math.inf, peer=peer
         )
 
     def own(self, method: str, tolerance: float) -> Measurement | None:
-        """The compiled march at one tolerance, without the second run that bounds its error."""
+        """Integration at one tolerance, without the second run that bounds the error."""
         problem = motion_problem(self.rig[0], self.scene, self.times).problem
         try:
             return self._row(
                 method,
                 f"tolerance {tolerance:.0e}",
-                lambda: run(problem, tolerance, method == "implicit", _MOST_STEPS).states[-1],
+                lambda: run(problem, tolerance, method == "implicit", _MAX_STEPS).states[-1],
             )
         except DynamicsError:
             return None
@@ -132,7 +132,7 @@ class _Case:
         )
 
     def fixed(self, per_cycle: int) -> Measurement:
-        """Classical Runge–Kutta with steps per cycle of the fastest of resonances and running speed."""
+        """Classical Runge–Kutta with a number of steps per cycle of the fastest of resonances and running speed."""
         parameters, speed = self.rig
         step = 2 * math.pi / max(*parameters.natural_frequencies_rad_s, speed) / per_cycle
         history, packed = self.scene.history, parameters.packed()
@@ -145,15 +145,17 @@ class _Case:
         )
 
     def scipy(self, method: str, tolerance: float) -> Measurement:
-        """scipy around the compiled right-hand side."""
+        """scipy's integrator with the compiled right-hand side."""
         packed, speed, out = self.rig[0].packed(), self.rig[1], np.empty(8)
 
-        def right(t: float, y: NDArray[np.floating]) -> NDArray[np.floating]:
+        def right(t: float, y: Array) -> Array:
             rates(y, speed * t, speed, 0.0, packed, 1.0, 1.0, out)
             return out.copy()
 
-        def end() -> NDArray[np.floating]:
-            return solve_ivp(right, self.times, self.start, method, rtol=tolerance, atol=1e-3 * tolerance).y[:, -1]
+        def end() -> Array:
+            return _integrators.solve_ivp(
+                right, self.times, self.start, method, rtol=tolerance, atol=1e-3 * tolerance
+            ).y[:, -1]
 
         return self._row(f"scipy {method}", f"tolerance {tolerance:.0e}", end, peer=True)
 

@@ -1,37 +1,40 @@
-"""The largest multiplier of one matrix in thirty digits: the reference where heyoka does not run.
+"""Largest multiplier of one matrix with thirty digits: the reference on systems without heyoka.
 
-Taylor series of the linear equations in the rotor's phase: with B(ψ) = A(ψ)/ω = Σ_j B_j (ψ − ψ0)^j about each step's
-start, Y_{n+1} = Σ_j B_j Y_{n−j}/(n + 1). Slow (seconds a matrix), and nothing of dynamics.stability.floquet is in it.
+Taylor series of the linear equations in the rotor's phase: with B(ψ) = A(ψ)/ω = Σ_j B_j (ψ − ψ0)^j about the start of
+each step, Y_{n+1} = Σ_j B_j Y_{n−j}/(n + 1). A matrix takes seconds. The code is independent of
+dynamics.stability.floquet.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-import mpmath
+import mpmath as untyped_mpmath
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.linearised import PeriodicMatrix
 
+mpmath: Any = untyped_mpmath  # mpmath has no annotations
 DIGITS = 30
 _ORDER = 40
 _REACH, _LONGEST = 1.0, 0.4  # bounds on ‖B‖ times the step and on the step itself, rad: the rest is below 1e-20
-_MOST_STEPS = 80
+_MAX_STEPS = 80
 
 
 def largest_multiplier(matrix: PeriodicMatrix) -> float | None:
-    """Largest modulus over one revolution, right to the last digit of a double.
+    """Largest modulus over one revolution, correct to the last digit of a double.
 
     Args:
-        matrix: A(ψ), in units in which its entries are of like size (dynamics.stability.floquet.multipliers.balanced).
+        matrix: A(ψ), in units in which its entries have similar size (dynamics.stability.floquet.multipliers.balanced).
     Returns:
-        None for a matrix that would take more than a minute (stiff, or a slow rotor).
+        None if the matrix would take more than a minute (stiff equations or low speed).
     """
     half = matrix.turn is not None
     size = float(np.linalg.norm(np.sum(np.abs(matrix.harmonics), axis=0), 2)) / matrix.speed_rad_s
     steps = int(np.ceil((1 if half else 2) * np.pi * max(size / _REACH, 1 / _LONGEST)))
-    if steps > _MOST_STEPS:
+    if steps > _MAX_STEPS:
         return None
     with mpmath.workdps(DIGITS + 10):
         h = (1 if half else 2) * mpmath.pi / steps
@@ -45,14 +48,14 @@ def largest_multiplier(matrix: PeriodicMatrix) -> float | None:
         return float(max(abs(v) for v in values) ** (2 if half else 1))
 
 
-def _numbers(values: NDArray[np.floating]) -> NDArray[Any]:
-    """The same array with mpmath numbers as entries."""
+def _numbers(values: Array) -> NDArray[Any]:
+    """The array with mpmath numbers as entries."""
     return np.vectorize(mpmath.mpf, otypes=[object])(values)
 
 
 def _coefficients(harmonics: list[tuple[NDArray[Any], NDArray[Any]]], speed: float, phase: Any) -> list[NDArray[Any]]:
-    """B_0 … of B(phase + s) = Σ B_j s^j, from the harmonics' real and imaginary parts."""
-    found = []
+    """Coefficients B_j of B(phase + s) = Σ B_j s^j, from the real and imaginary parts of the harmonics."""
+    found: list[NDArray[Any]] = []
     for j in range(_ORDER):
         total = 0 * harmonics[0][0]
         for k, (real, imaginary) in enumerate(harmonics):

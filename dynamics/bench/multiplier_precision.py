@@ -20,14 +20,14 @@ from dynamics.stability.floquet import METHODS, MonodromyMethod, floquet_multipl
 from dynamics.stability.floquet.multipliers import balanced
 
 SERVICE = "multipliers"
-_SCIPY = "single pass"  # the method whose work is scipy's: a peer
-_WRONG = 0.1  # an error above which a setting is no use to anybody
-_FEWEST, _MOST, _MOST_SCIPY = 2, 65536, 64
-_FINEST_SCIPY = 3e-14  # the tolerance that method goes down to, at 64 "steps"
+_SCIPY = "single pass"  # the method that uses scipy's integrator counts as a peer
+_MAX_USEFUL_ERROR = 0.1
+_MIN_STEPS, _MAX_STEPS, _MAX_STEPS_SCIPY = 2, 65536, 64
+_FINEST_SCIPY = 3e-14  # tolerance of that method at 64 "steps"
 
 
 def cases(parameters: RotorParameters, points: dict[str, float], extremes: bool) -> dict[str, Rig]:
-    """The points at their speed ratios; with extremes a stiff and a slow case."""
+    """The points at their speed ratios. With `extremes` a stiff case and a slow case are added."""
     found = {name: (parameters, parameters.speed_rad_s(ratio)) for name, ratio in points.items()}
     if extremes:
         stiff = parameters.with_values(c3_Nms_per_rad=50.0, c4_Nms_per_rad=50.0)
@@ -39,12 +39,12 @@ def cases(parameters: RotorParameters, points: dict[str, float], extremes: bool)
 def multiplier_rows(
     case: str, rig: Rig, accuracies: Sequence[float], peer_tolerances: Sequence[float], longest_s: float, repeats: int
 ) -> list[Measurement]:
-    """Every method over its step numbers, the service at several accuracies, and heyoka where it runs.
+    """Rows of every method at its step numbers, of the service at several accuracies, and of heyoka if installed.
 
     Args:
-        accuracies: asked of floquet_multipliers.
+        accuracies: requested from floquet_multipliers.
         peer_tolerances: heyoka's tolerances per step.
-        longest_s: a method's step number is doubled while a call takes less than this.
+        longest_s: a method's step number is doubled while one call takes less than this time, s.
     """
     matrix = type_one(rig[0], *balanced_angles(rig[0])[0], rig[1])
     runs = heyoka_runs.available()
@@ -52,7 +52,7 @@ def multiplier_rows(
         true = heyoka_runs.largest_multiplier(rig, heyoka_runs.EXTENDED_TOLERANCE)
     else:
         true = mpmath_peer.largest_multiplier(balanced(matrix))
-    rows = []
+    rows: list[Measurement] = []
     for method in METHODS.values():
         rows += _method_rows(case, balanced(matrix), method, true, longest_s, repeats)
     for accuracy in accuracies:
@@ -79,7 +79,7 @@ def _error(found: float, true: float | None) -> float | None:
 
 
 def _largest(matrix: PeriodicMatrix, method: MonodromyMethod, steps: int) -> float:
-    """Largest modulus over one revolution from one run of a method, without a bound; NaN where it overflows."""
+    """Largest modulus over one revolution from one run of a method, without a bound; NaN on overflow."""
     monodromy = method.monodromy(matrix, steps)
     if not np.all(np.isfinite(monodromy)):
         return np.nan
@@ -92,15 +92,15 @@ def _method_rows(
     peer = method.NAME == _SCIPY
     name = "scipy DOP853 (single pass)" if peer else method.NAME
     rows: list[Measurement] = []
-    steps, once = _FEWEST, 0.0
+    steps, once = _MIN_STEPS, 0.0
     with np.errstate(all="ignore"):
         _largest(matrix, method, steps)  # compiled
-        while steps <= (_MOST_SCIPY if peer else _MOST) and once < longest_s:
+        while steps <= (_MAX_STEPS_SCIPY if peer else _MAX_STEPS) and once < longest_s:
             start = time.perf_counter()
             found = _largest(matrix, method, steps)
             once = time.perf_counter() - start
             error = _error(found, true)
-            if np.isfinite(found) and (error is None or error < _WRONG):
+            if np.isfinite(found) and (error is None or error < _MAX_USEFUL_ERROR):
                 seconds = median_seconds(lambda steps=steps: _largest(matrix, method, steps), repeats)
                 setting = (
                     f"tolerance {max(float(steps) ** -method.ORDER, _FINEST_SCIPY):.0e}" if peer else f"{steps} steps"
@@ -113,7 +113,7 @@ def _method_rows(
 
 
 def _has_ended(rows: list[Measurement]) -> bool:
-    """Whether more steps bring nothing: three errors in a row that do not fall, or that are rounding."""
+    """Whether more steps do not reduce the error: the last three errors do not decrease or are at rounding level."""
     errors = [max(r.true_error or 0.0, ROUNDING) for r in rows]
     return len(errors) > 3 and min(errors[-3:]) > 0.5 * errors[-4]
 
@@ -125,7 +125,7 @@ def _service_row(
         found = floquet_multipliers(matrix, accuracy)
     except DynamicsError:
         return None
-    # without what the last call kept: a user's matrix is new
+    # a new matrix each time, so that results cached by the last call are not used
     seconds = median_seconds(lambda: floquet_multipliers(dataclasses.replace(matrix), accuracy), repeats)
     return Measurement(
         SERVICE,

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a user should ask for, derived from the rows of one benchmark run; nothing where the rows do not decide it."""
+"""Recommended settings of the services, derived from the rows of one benchmark run."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from typing import Any
 from dynamics.bench.records import Measurement
 from dynamics.bench.wording import times
 
-NO_DEARER = 1.5
-"""An accuracy that takes at most so many times the cheapest one's time is had for nothing: bench times scatter so."""
+MAX_EQUAL_TIME_RATIO = 1.5
+"""Largest time ratio to the cheapest accuracy that counts as equal: benchmark times scatter by this factor."""
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """A line a user can act on.
+    """A recommended setting of one service.
 
     Attributes:
-        service: what it is about.
-        setting: what to take; None where the rows do not decide it.
-        text: the line, with the figures it rests on.
-        figures: by setting: "time" over the compared setting's, "error" (least and largest of the cases) where known.
+        service: name of the service.
+        setting: recommended setting, or None if the rows do not support one.
+        text: the recommendation in one line, with its figures.
+        figures: by setting: "time" relative to the compared setting, "error" (smallest and largest of the cases) if
+            known.
     """
 
     service: str
@@ -35,30 +36,30 @@ class Recommendation:
 
     @property
     def decided(self) -> bool:
-        """Whether the rows support it."""
+        """Whether the rows support a recommendation."""
         return self.setting is not None
 
     def as_json(self) -> dict[str, Any]:
-        """The line under its field names."""
+        """Fields as a JSON object."""
         return {**dataclasses.asdict(self), "decided": self.decided}
 
 
 def recommended_accuracies(rows: Sequence[Measurement]) -> list[Recommendation]:
-    """For each service that was measured as a user calls it: the tightest accuracy that costs next to nothing more.
+    """For each measured service: the tightest accuracy that takes about the time of the cheapest one.
 
     Args:
-        rows: of one run, compared with each other.
+        rows: rows of one run, after `compared`.
     """
     by_service: dict[str, list[tuple[float, Measurement]]] = {}
     for row in rows:
-        accuracy = _asked(row)
+        accuracy = _requested_accuracy(row)
         if row.automatic and accuracy is not None:
             by_service.setdefault(row.service, []).append((accuracy, row))
     return [_of_service(service, found) for service, found in by_service.items()]
 
 
-def _asked(row: Measurement) -> float | None:
-    """The accuracy a service was asked for; None for a row that has none."""
+def _requested_accuracy(row: Measurement) -> float | None:
+    """Accuracy requested from the service, or None for rows without an accuracy."""
     for part in row.setting.split(","):
         words = part.split()
         if len(words) == 2 and words[0] == "accuracy":
@@ -69,26 +70,26 @@ def _asked(row: Measurement) -> float | None:
 def _of_service(service: str, rows: Sequence[tuple[float, Measurement]]) -> Recommendation:
     cases = {row.case for _, row in rows}
     cases_of: dict[float, set[str]] = {}
-    for asked, row in rows:
-        cases_of.setdefault(asked, set()).add(row.case)
-    accuracies = sorted((asked for asked, own in cases_of.items() if own == cases), reverse=True)
-    ours = {asked: [row for a, row in rows if a == asked] for asked in accuracies}
+    for requested, row in rows:
+        cases_of.setdefault(requested, set()).add(row.case)
+    accuracies = sorted((requested for requested, own in cases_of.items() if own == cases), reverse=True)
+    ours = {requested: [row for a, row in rows if a == requested] for requested in accuracies}
     if len(accuracies) < 2:
         known = f"only accuracy {accuracies[0]:.0e} was" if accuracies else "no accuracy was in all cases"
         return Recommendation(service, None, f"{service}: no recommendation, {known} measured{_peers(rows)}")
     if any(row.true_error is None for _, row in rows):
         return Recommendation(service, None, f"{service}: no recommendation, true errors are not known in this run")
-    seconds = {asked: {row.case: row.seconds for row in ours[asked]} for asked in accuracies}
+    seconds = {requested: {row.case: row.seconds for row in ours[requested]} for requested in accuracies}
     cheapest = min(accuracies, key=lambda a: median(seconds[a].values()))
     ratio = {a: median(seconds[a][case] / seconds[cheapest][case] for case in cases) for a in accuracies}
     figures = {f"accuracy {a:.0e}": {"time": ratio[a], "error": _span(ours[a])} for a in accuracies}
     broken = [a for a in accuracies if any((row.true_error or 0.0) > a for row in ours[a])]
-    for_nothing = [a for a in accuracies if ratio[a] <= NO_DEARER and a not in broken]
+    for_nothing = [a for a in accuracies if ratio[a] <= MAX_EQUAL_TIME_RATIO and a not in broken]
     if not for_nothing:
         text = f"{service}: no recommendation, the cheapest accuracies are not kept ({_listed(broken)})"
         return Recommendation(service, None, text, figures)
     best = min(for_nothing)
-    text = f"{service}: ask for {best:.0e}"
+    text = f"{service}: use {best:.0e}"
     if best != cheapest:
         text += f", it takes {times(ratio[best])} the time of {cheapest:.0e}"
     elif len(for_nothing) == 1:
@@ -98,7 +99,7 @@ def _of_service(service: str, rows: Sequence[tuple[float, Measurement]]) -> Reco
     if tighter:
         text += f"; tighter ones take {times(min(ratio[a] for a in tighter))}"
         text += f" to {times(max(ratio[a] for a in tighter))}" if len(tighter) > 1 else ""
-        text += " the time, ask for them where they are needed"
+        text += " the time, use them only if needed"
     if broken:
         text += f"; not kept: {_listed(broken)}"
     return Recommendation(service, f"accuracy {best:.0e}", text + _peers([(best, row) for row in ours[best]]), figures)
@@ -114,7 +115,7 @@ def _span(rows: Sequence[Measurement]) -> tuple[float, float]:
 
 
 def _peers(rows: Sequence[tuple[float, Measurement]]) -> str:
-    """Where somebody else's program is quicker and at least as exact."""
+    """Text on rows in which a peer is faster and at least as exact; otherwise empty."""
     behind = [row.peer_ratio for _, row in rows if row.peer_ratio is not None and row.peer_ratio > 1.0]
     compared = sum(row.peer_ratio is not None for _, row in rows)
     if not behind:
@@ -123,7 +124,7 @@ def _peers(rows: Sequence[tuple[float, Measurement]]) -> str:
 
 
 def log_ratio(one: float, other: float) -> float:
-    """ln(one / other); inf or −inf where one of them is zero or without bound."""
+    """ln(one / other); inf or −inf if one of them is zero or infinite."""
     if one == other:
         return 0.0
     if one == math.inf or other == 0.0:

@@ -1,7 +1,7 @@
-"""What a benchmark run gives: rows of measured time against true error, compared within each case.
+"""Rows of a benchmark run: measured time against true error, compared within each case.
 
-Two fronts are marked in every case. A row is on a front when nothing faster is as exact: on the first among the
-project's own methods, on the second among all, peers included.
+Each case has two fronts. A row is on a front if no faster row is as exact. The first front contains the project's own
+methods, the second one all methods including peers.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import numpy as np
 
 ROUNDING = 1e-13
-"""Errors below this count as equal: references and eigenvalue routines agree no better."""
+"""Errors below this value count as equal: references and eigenvalue routines agree no better."""
 USEFUL = 1e-8
-"""The accuracy at which tables show the cheapest setting of each method: the default of the services."""
+"""Accuracy at which tables show the cheapest setting of each method; the default of the services."""
 
 
 @dataclass(frozen=True)
@@ -27,17 +27,18 @@ class Measurement:
 
     Attributes:
         service: "multipliers", "map", "motion", "batch", "steady states" or "process".
-        case: what was computed.
-        method, setting: with what, and with which steps, tolerance or accuracy.
-        seconds: median time of one unit.
+        case: what is computed.
+        method, setting: method, and its steps, tolerance or accuracy.
+        seconds: median time of one unit, s.
         per: the unit: "point", "run", "call" or "process".
-        true_error: against the reference: of the largest multiplier relative to max(1, modulus), or of an angle at
-            the end in rad; None where no reference ran or none applies.
-        error_estimate: the bound the method itself states, None where it states none.
-        peer: whether this is somebody else's work.
-        automatic: whether this is the service as a user calls it, which chooses method and steps and bounds its error.
-        front, front_of_all: on the front of the project's own methods, of all methods.
-        peer_ratio: time over that of the fastest peer of the case at least as exact; None for peers and without one.
+        true_error: difference from the reference: of the largest multiplier relative to max(1, modulus), or of an
+            angle at the end in rad. None without a reference.
+        error_estimate: error bound returned by the method, or None.
+        peer: whether the method belongs to another project.
+        automatic: whether this is the service called by users, which selects method and steps and bounds its error.
+        front, front_of_all: whether the row is on the front of the project's own methods, of all methods.
+        peer_ratio: time divided by the time of the fastest peer of the case that is at least as exact. None for peers
+            and without such a peer.
     """
 
     service: str
@@ -55,18 +56,18 @@ class Measurement:
     peer_ratio: float | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """The row under its field names."""
+        """Fields as a JSON object."""
         return dataclasses.asdict(self)
 
 
 @dataclass(frozen=True)
 class Target:
-    """A figure the dynamics is held to.
+    """Measured figure with its required upper bound.
 
     Attributes:
-        name: what is measured, with its unit.
+        name: name of the figure with its unit.
         wanted: upper bound.
-        got: what was measured.
+        got: measured value.
     """
 
     name: str
@@ -79,38 +80,38 @@ class Target:
         return self.got <= self.wanted
 
     def as_json(self) -> dict[str, Any]:
-        """The target with its verdict."""
+        """Fields and verdict as a JSON object."""
         return {**dataclasses.asdict(self), "met": self.met}
 
 
 class Comparable(Protocol):
-    """A row, a frozen dataclass, that fronts and peer ratios can be told of."""
+    """Row (a frozen dataclass) for which fronts and peer ratios can be computed."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def service(self) -> str:
-        """Rows of one service and case are compared with each other."""
+        """Service; rows with the same service and case are compared with each other."""
         ...
 
     @property
     def case(self) -> str:
-        """See service."""
+        """Case; see `service`."""
         ...
 
     @property
     def seconds(self) -> float:
-        """What it cost."""
+        """Cost of one unit, s."""
         ...
 
     @property
     def true_error(self) -> float | None:
-        """What it is worth; None when nobody knows, inf for a method that fails."""
+        """True error. None if unknown, inf for a method that failed."""
         ...
 
     @property
     def peer(self) -> bool:
-        """Somebody else's work."""
+        """Whether the method belongs to another project."""
         ...
 
 
@@ -121,7 +122,7 @@ def compared(rows: Iterable[Row], alike: float = ROUNDING) -> list[Row]:
     """The rows with fronts and peer ratios, in their order.
 
     Args:
-        alike: errors below this count as equal.
+        alike: errors below this value count as equal.
     """
     rows = list(rows)
     cases: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -139,8 +140,8 @@ def compared(rows: Iterable[Row], alike: float = ROUNDING) -> list[Row]:
 
 
 def _front(rows: Sequence[Comparable], members: Iterable[int], alike: float) -> set[int]:
-    """Members that are more exact than everything faster; empty where nothing has a true error."""
-    front, best = set(), math.inf
+    """Members that are more exact than every faster member. Empty if no member has a true error."""
+    front, best = set[int](), math.inf
     known = [(rows[i].seconds, error, i) for i in members if (error := rows[i].true_error) is not None]
     for _, error, i in sorted(known):
         if max(error, alike) < best:
@@ -150,7 +151,7 @@ def _front(rows: Sequence[Comparable], members: Iterable[int], alike: float) -> 
 
 
 def _peer_ratio(row: Comparable, peers: Sequence[Comparable], alike: float) -> float | None:
-    if row.peer or row.true_error == math.inf:  # nothing is as exact as what failed
+    if row.peer or row.true_error == math.inf:  # a failed method has no peer of equal accuracy
         return None
     allowed = math.inf if row.true_error is None else max(row.true_error, alike)
     as_exact = [p.seconds for p in peers if row.true_error is None or (p.true_error or 0.0) <= allowed]
@@ -158,9 +159,9 @@ def _peer_ratio(row: Comparable, peers: Sequence[Comparable], alike: float) -> f
 
 
 def over_points(rows: Iterable[Measurement], case: str, names: Sequence[str]) -> list[Measurement]:
-    """One row for each method and setting (and for each setting of the automatic choice) measured in all cases named.
+    """One row for each method and setting measured in all named cases.
 
-    Its time is the median, its errors are the largest.
+    The automatic choice counts as one method. The time of a row is the median, its errors are the largest.
     """
     alike: dict[tuple[str, str], list[Measurement]] = defaultdict(list)
     for row in rows:
@@ -186,7 +187,7 @@ def _largest(values: Sequence[float | None]) -> float | None:
 
 
 def worth_showing(rows: Sequence[Measurement]) -> list[Measurement]:
-    """The rows a table has room for: fronts, peers, the services themselves, each method's cheapest useful setting."""
+    """Rows shown in a table: fronts, peers, the services, and the cheapest useful setting of each method."""
     useful: dict[tuple[str, str, str], Measurement] = {}
     for row in rows:
         key = (row.service, row.case, row.method)

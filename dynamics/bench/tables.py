@@ -1,4 +1,4 @@
-"""A benchmark's rows as cells of a table: the same on a terminal and in Markdown."""
+"""Rows of a benchmark as table cells, for the terminal and for Markdown."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from dynamics.bench.records import Measurement, Target
 
 HEADER = ("method", "setting", "time", "true error", "stated bound", "ours / peer", "front")
 LEGEND = (
-    "Times are medians. Front: ● nothing of ours is faster and as exact, ◉ nothing at all is, peers included. "
-    "Ours / peer: time over that of the fastest peer at least as exact in the same run."
+    "Times are medians. Front: ● no method of this project is faster and as exact, ◉ no method at all is, peers "
+    "included. Ours / peer: time divided by that of the fastest peer in the same run that is at least as exact."
 )
-RECOMMENDED = "What to take, by this run's rows:"
+RECOMMENDED = "Recommended settings, from the rows of this run:"
 
 
 def duration(seconds: float) -> str:
-    """A time with the unit that suits it, three digits."""
+    """Time with a suitable unit, three digits."""
     for unit, size in (("s", 1.0), ("ms", 1e-3)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}"
@@ -26,7 +26,7 @@ def duration(seconds: float) -> str:
 
 
 def blocks(rows: Sequence[Measurement]) -> list[tuple[str, list[tuple[str, ...]]]]:
-    """Rows by case, in order: (what the case is, cells under HEADER for each of its rows)."""
+    """Rows by case, in order: (description of the case, cells under HEADER for each of its rows)."""
     found: dict[str, list[tuple[str, ...]]] = {}
     for row in rows:
         found.setdefault(f"{row.service}: {row.case} (time a {row.per})", []).append(_cells(row))
@@ -45,7 +45,7 @@ def _cells(row: Measurement) -> tuple[str, ...]:
 
 
 def standing(*, peer: bool, front: bool, front_of_all: bool, peer_ratio: float | None) -> tuple[str, str]:
-    """The last two cells of a row: time over a peer's, and the mark of the fronts."""
+    """Last two cells of a row: time ratio to a peer, and the mark of the fronts."""
     mark = "◉" if front_of_all else "●" if front else ""
     return "" if peer_ratio is None else f"{peer_ratio:.3g}", f"peer {mark}".strip() if peer else mark
 
@@ -55,13 +55,13 @@ def _error(value: float | None) -> str:
 
 
 def target_line(target: Target) -> tuple[str, str, str, str]:
-    """(name, wanted, got, met or missed)."""
+    """Cells (name, bound, measured value, "met" or "missed")."""
     verdict = "met" if target.met else "missed"
     return target.name, f"≤ {target.wanted:.3g}", f"{target.got:.3g}", verdict
 
 
 def machine_line(machine: Mapping[str, Any]) -> str:
-    """What the figures were measured on, in one line."""
+    """Machine and versions of the run, in one line."""
     load = machine["load_before"]
     busy = "" if load is None else f", load before the run {load:.2f}"
     return (
@@ -72,17 +72,17 @@ def machine_line(machine: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole run, ready to be printed or written.
+    """Contents of a benchmark page.
 
     Attributes:
-        title: of the page.
-        machine: what it was measured on, as work_precision.machine gives it.
-        notes: what a reader must know about this run.
-        targets: figures against what they are held to.
-        legend: what the columns mean.
+        title: title of the page.
+        machine: machine and versions, from work_precision.machine.
+        notes: remarks on this run.
+        targets: figures with their required bounds.
+        legend: meaning of the columns.
         header: names of the columns.
-        blocks: (what the case is, cells under the header for each of its rows).
-        recommendations: what the rows say a user should take; the page begins with them.
+        blocks: (description of the case, cells under the header for each of its rows).
+        recommendations: settings supported by the rows. The page begins with them.
     """
 
     title: str
@@ -98,7 +98,7 @@ class Page:
 def page(
     rows: Sequence[Measurement], targets: Sequence[Target], machine: Mapping[str, Any], notes: Sequence[str]
 ) -> Page:
-    """A run of the dynamics' benchmark."""
+    """Page of one benchmark run of the dynamics."""
     return Page(
         "Work and precision of the dynamics",
         machine,

@@ -1,4 +1,4 @@
-"""Many points, many runs, many states: time per unit of the services that use every core, and what is left of error."""
+"""Time per unit and error of the services that use every core: maps, batches of releases, steady states."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 
+from dynamics.arrays import Array
 from dynamics.bench import heyoka_runs
 from dynamics.bench.heyoka_runs import Rig
 from dynamics.bench.motion_precision import release
@@ -19,9 +20,9 @@ from dynamics.stability.stability_map import StabilityMap, stability_map
 from dynamics.steady.steady_motions import steady_states
 
 SPEED_RATIOS, STIFFNESS_RATIOS = (0.3, 7.0), (1.0, 16.0)
-_SPREAD = 0.1  # of the batch's parameters, either way
+_SPREAD = 0.1  # relative half-width of the batch's parameters
 _VARIED = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2", "c3_Nms_per_rad", "c4_Nms_per_rad", "SP_kg_m")
-_JUDGED_RUNS = 50
+_JUDGED_RUNS = 50  # number of releases compared with the reference
 _SEED = 20261121
 
 
@@ -33,12 +34,12 @@ def map_rows(
     peer_tolerance: float,
     repeats: int,
 ) -> list[Measurement]:
-    """The stability map on all cores, its true error on a random sample, and heyoka on that sample.
+    """Rows of the stability map on all cores, with its true error on a random sample, and of heyoka on that sample.
 
     Args:
-        shape: stiffness ratios × speed ratios.
-        sample: points held against the reference.
-        peer_tolerance: heyoka's per step.
+        shape: numbers of stiffness ratios and speed ratios.
+        sample: number of points compared with the reference.
+        peer_tolerance: heyoka's tolerance per step.
     """
     speeds, stiffness = np.linspace(*SPEED_RATIOS, shape[1]), np.linspace(*STIFFNESS_RATIOS, shape[0])
     points = shape[0] * shape[1]
@@ -49,7 +50,7 @@ def map_rows(
     seconds = median_seconds(lambda: stability_map(parameters, speeds, stiffness, accuracy), repeats) / points
     places = np.random.default_rng(_SEED).choice(points, min(sample, points), replace=False)
     rigs = [_rig_at(parameters, found, int(i)) for i in places]
-    error, rows = None, []
+    error, rows = None, list[Measurement]()
     if heyoka_runs.available():
         true, _ = _heyoka_multipliers(rigs, heyoka_runs.EXTENDED_TOLERANCE)
         values = found.multiplier_max.ravel()[places]
@@ -73,7 +74,7 @@ def _rig_at(parameters: RotorParameters, found: StabilityMap, place: int) -> Rig
 
 
 def _heyoka_multipliers(rigs: list[Rig], tolerance: float) -> tuple[list[float], float]:
-    """Largest multipliers by heyoka on all cores, and the time per point without its compilation."""
+    """Largest multipliers by heyoka on all cores, and the time per point without compilation, s."""
     integrator = heyoka_runs.compiled(True, tolerance)
     start = time.perf_counter()
     found = heyoka_runs.on_all_cores(
@@ -83,7 +84,7 @@ def _heyoka_multipliers(rigs: list[Rig], tolerance: float) -> tuple[list[float],
 
 
 def batch_rows(parameters: RotorParameters, speed_ratio: float, runs: int, duration_s: float) -> list[Measurement]:
-    """Releases with different parameters on all cores, and heyoka on the same."""
+    """Rows of releases with different parameters on all cores, and of heyoka for the same releases."""
     rng = np.random.default_rng(_SEED)
     base = parameters.identified()
     rigs: list[Rig] = []
@@ -99,7 +100,7 @@ def batch_rows(parameters: RotorParameters, speed_ratio: float, runs: int, durat
     if not np.all(found.ok):
         case += f", {int(np.sum(~found.ok))} refused"
     seconds = median_seconds(lambda: simulate_batch(sets, scenes, times, accuracy, last_only=True), 3)
-    ends, rows, error = found.states[:, -1], [], None
+    ends, rows, error = found.states[:, -1], list[Measurement](), None
     if heyoka_runs.available():
         judged = [i for i in range(min(runs, _JUDGED_RUNS)) if found.ok[i]]
         true = {i: _end(rigs[i], scenes[i].start, duration_s, heyoka_runs.EXTENDED_TOLERANCE) for i in judged}
@@ -119,13 +120,13 @@ def batch_rows(parameters: RotorParameters, speed_ratio: float, runs: int, durat
     return [own, *rows]
 
 
-def _end(rig: Rig, start: np.ndarray | None, duration_s: float, tolerance: float, own: object = None) -> np.ndarray:
+def _end(rig: Rig, start: Array | None, duration_s: float, tolerance: float, own: object = None) -> Array:
     return heyoka_runs.end_state(rig, np.array(start), duration_s, tolerance, own)
 
 
 def steady_state_rows(points: dict[str, Rig], accuracy: float, repeats: int) -> list[Measurement]:
-    """All steady states at each point; the error is that of the balanced state's largest multiplier."""
-    rows = []
+    """Rows of all steady states at each point. The error is that of the balanced state's largest multiplier."""
+    rows: list[Measurement] = []
     for name, (parameters, speed) in points.items():
         found = steady_states(parameters, speed, accuracy)
         balanced = [s for s in found if s.type == "I"]

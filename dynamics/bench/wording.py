@@ -1,5 +1,5 @@
 # pyright: strict
-"""Ratios as people read them."""
+"""Ratios as text."""
 
 from __future__ import annotations
 

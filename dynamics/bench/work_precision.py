@@ -1,4 +1,4 @@
-"""The whole benchmark of the dynamics: stages, their sizes, and the figures against their targets."""
+"""The whole benchmark of the dynamics: stages, their sizes, and the figures with their targets."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ from dynamics.stability.stability_map import stability_map
 
 ALL_POINTS = "all points"
 RELEASE, STIFF_RELEASE = "release", "release with c34 = 50, 2 s"
-_STIFF_SCIPY = (("LSODA", 1e-6), ("LSODA", 1e-9), ("Radau", 1e-6))  # an explicit one takes ten seconds a run
-_SPEED_RATIO = 1.6  # of the releases
+_STIFF_SCIPY = (("LSODA", 1e-6), ("LSODA", 1e-9), ("Radau", 1e-6))  # an explicit method takes ten seconds a run
+_SPEED_RATIO = 1.6  # Ω of the releases
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is measured.
+    """Extent of the benchmark.
 
     Attributes:
-        points: names of the rig's points used; None: all.
-        extremes: whether the stiff and the slow case are measured too.
-        map_shape: stiffness × speed ratios.
-        map_sample: points of the map held against the reference.
-        runs: releases in the batch.
-        accuracies: asked of the services.
-        tolerances: per step of our integrators.
+        points: names of the rig's points. None: all points.
+        extremes: whether the stiff and the slow case are measured.
+        map_shape: numbers of stiffness ratios and speed ratios.
+        map_sample: number of points of the map compared with the reference.
+        runs: number of releases in the batch.
+        accuracies: requested from the services.
+        tolerances: per step of the project's integrators.
         peer_tolerances: per step of heyoka.
-        longest_s: step numbers are doubled while a call takes less.
-        repeats: timed samples of each call.
+        longest_s: step numbers are doubled while a call takes less than this time, s.
+        repeats: number of timed samples of each call.
         scipy_settings: (method, tolerance) of scipy's integrators.
         processes: whether whole processes are started, with and without a compilation cache.
     """
@@ -92,7 +92,7 @@ QUICK = Size(
 
 
 def warm_up(parameters: RotorParameters) -> None:
-    """Call everything once that is compiled when first called, so that no stage waits for it unannounced."""
+    """Call each function that is compiled at its first call, so that compilation is not part of a stage."""
     rig = parameters, parameters.speed_rad_s(_SPEED_RATIO)
     multiplier_rows("", rig, (1e-8,), (), 0.0, 1)
     motion_rows("", rig, 0.1, (1e-6,), (1e-6,), (), (), 1)
@@ -102,10 +102,10 @@ def warm_up(parameters: RotorParameters) -> None:
 def stages(
     parameters: RotorParameters, points: dict[str, float], size: Size
 ) -> dict[str, Callable[[], list[Measurement]]]:
-    """The parts of a run under the names a user is shown, in order.
+    """Stages of a run in order, under the names shown to the user.
 
     Args:
-        points: speed ratios under the points' names.
+        points: speed ratios by point name.
     """
     kept = {n: ratio for n, ratio in points.items() if size.points is None or n in size.points}
     multipliers = cases(parameters, kept, size.extremes)
@@ -140,8 +140,8 @@ def stages(
 
 
 def targets(rows: Iterable[Measurement]) -> list[Target]:
-    """The figures held against their targets, those that were measured."""
-    rows, found = list(rows), []
+    """Measured figures with their targets."""
+    rows, found = list(rows), list[Target]()
     for row in rows:
         if row.peer:
             continue
@@ -172,7 +172,7 @@ def targets(rows: Iterable[Measurement]) -> list[Target]:
 
 
 def machine() -> dict[str, Any]:
-    """What the figures were measured on."""
+    """Machine and versions of the run."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count() or 1,

@@ -1,7 +1,7 @@
-"""Equations of motion from energies with SymPy, and the source's printed equations held against them.
+"""Equations of motion from energies with SymPy, and the comparison of the source's printed equations with them.
 
-Proof of the compiled kernel (tests/dynamics/test_derivation.py). Not needed to compute a motion, so nothing of it
-is imported by `dynamics` itself. Text: docs/theory/equations_of_motion.md, docs/theory/misprints.md.
+They verify the compiled kernel (tests/dynamics/test_derivation.py). `dynamics` itself does not import them.
+Text: docs/theory/equations_of_motion.md, docs/theory/misprints.md.
 """
 
 from dynamics.derivation.lagrange import Equations, lagrange_equations, rotating_frame_equations

@@ -1,34 +1,33 @@
-"""Every printed equation held against the derivation, cell by cell."""
+"""Comparison of every printed equation with the derivation, cell by cell."""
 
 from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
 
-import sympy as sp
-
 from dynamics.derivation import source_equations as source
 from dynamics.derivation import symbols as s
 from dynamics.derivation.lagrange import energies, lagrange_equations, rotating_frame_equations
 from dynamics.derivation.linearised import ISOTROPIC, singular_point_equations, singular_point_matrices
+from dynamics.derivation.symbols import Expr, Matrix, sp
 
 
 @dataclass(frozen=True)
 class Deviation:
-    """One cell that is not what the energies give.
+    """One cell that differs from the derivation.
 
     Attributes:
-        row, column: place in the matrix, counted from 1; (1, 1) for a scalar equation.
-        printed, right: what the source has there, and what the energies give; normal form.
+        row, column: position in the matrix, counted from 1; (1, 1) for a scalar equation.
+        printed, right: the source's expression and the derived one, in normal form.
     """
 
     row: int
     column: int
-    printed: sp.Expr
-    right: sp.Expr
+    printed: Expr
+    right: Expr
 
     @property
-    def surplus(self) -> sp.Expr:
+    def surplus(self) -> Expr:
         """printed − right."""
         return s.normal_form(self.printed - self.right)
 
@@ -38,9 +37,9 @@ class Comparison:
     """One printed equation or matrix with its deviations.
 
     Attributes:
-        number: as in the source, "4-7".
-        subject: what it is.
-        deviations: the cells that differ; empty where the print agrees.
+        number: number in the source, for example "4-7".
+        subject: description of the equation.
+        deviations: cells that differ; empty if the equation is correct.
     """
 
     number: str
@@ -49,14 +48,14 @@ class Comparison:
 
     @property
     def agrees(self) -> bool:
-        """Whether nothing differs."""
+        """Whether no cell differs."""
         return not self.deviations
 
 
-def compare(number: str, subject: str, printed: sp.Expr | sp.Matrix, right: sp.Expr | sp.Matrix) -> Comparison:
-    """Compare two expressions, or two matrices of one shape, in normal form."""
+def compare(number: str, subject: str, printed: Expr | Matrix, right: Expr | Matrix) -> Comparison:
+    """Compare two expressions, or two matrices of equal shape, in normal form."""
     left_cells, right_cells = (m.tolist() if isinstance(m, sp.MatrixBase) else [[m]] for m in (printed, right))
-    found = []
+    found: list[Deviation] = []
     for i, (left_row, right_row) in enumerate(zip(left_cells, right_cells, strict=True)):
         for j, (left, ours) in enumerate(zip(left_row, right_row, strict=True)):
             theirs, belongs = s.in_moments(left), s.in_moments(ours)
@@ -66,7 +65,7 @@ def compare(number: str, subject: str, printed: sp.Expr | sp.Matrix, right: sp.E
 
 
 def _rotor_alone_comparisons() -> list[Comparison]:
-    """Chapter 2: the rotor without pendulums; (3-33) and (3-34) belong to it."""
+    """Equations of chapter 2, the rotor without pendulums, with (3-33) and (3-34)."""
     alone = {s.M_A: 0, s.M_B: 0} | s.PLAIN | ISOTROPIC
     right = lagrange_equations().residual.subs(alone).flat()
     mass, c, k, omega = s.M_D + s.M_P, s.c1, s.k1, s.omega
@@ -77,7 +76,7 @@ def _rotor_alone_comparisons() -> list[Comparison]:
     lag = sp.atan(omega * c / (mass * (k / mass - omega**2))), sp.atan2(omega * c, k - mass * omega**2)
     eccentricity = moment / mass, s.S_P / s.M_S
 
-    def equal(number: str, subject: str, printed: sp.Expr, ours: sp.Expr) -> Comparison:
+    def equal(number: str, subject: str, printed: Expr, ours: Expr) -> Comparison:
         found = () if sp.simplify(printed - ours) == 0 else (Deviation(1, 1, printed, ours),)
         return Comparison(number, subject, found)
 
@@ -109,8 +108,8 @@ def _rotor_alone_comparisons() -> list[Comparison]:
     ]
 
 
-def _same_above_resonance(printed: sp.Expr, right: sp.Expr) -> bool:
-    """Whether two phase lags are one at a speed above resonance."""
+def _same_above_resonance(printed: Expr, right: Expr) -> bool:
+    """Whether two expressions of the phase lag are equal at a speed above resonance."""
     at = {s.M_D: 7, s.M_P: 0.12, s.k1: 2500, s.c1: 10, s.omega: 60}
     return abs(float(printed.subs(at)) - float(right.subs(at))) < 1e-9
 
@@ -155,12 +154,12 @@ def _singular_point_comparisons() -> list[Comparison]:
 
 
 def _angle_comparisons() -> list[Comparison]:
-    """(3-21), (3-22) by what their arguments should be: sine and cosine that close the triangle of moments."""
+    """(3-21), (3-22): comparison of the printed arguments with sine and cosine of the triangle of moments."""
     S_A, S_B, S_P = s.S_A, s.S_B, s.S_P
     area = sp.sqrt(((S_A + S_B) ** 2 - S_P**2) * (S_P**2 - (S_A - S_B) ** 2))
     sines = (-area / (2 * S_P * S_A), area / (2 * S_P * S_B))
     cosines = ((S_B**2 - S_A**2 - S_P**2) / (2 * S_P * S_A), (S_A**2 - S_B**2 - S_P**2) / (2 * S_P * S_B))
-    found = []
+    found: list[Comparison] = []
     for n, printed in enumerate(source.balanced_angle_arguments()):
         deviations = tuple(
             Deviation(1, i + 1, theirs, ours)
@@ -177,7 +176,7 @@ def _matrix_comparisons() -> list[Comparison]:
     third = (source.INERTIA, source.DAMPING_ISOTROPIC, source.STIFFNESS_ISOTROPIC)
     fourth = (source.INERTIA, source.DAMPING, source.STIFFNESS)
     names = ("[M]", "[D + G]", "[K + N]")
-    found = []
+    found: list[Comparison] = []
     for chapter, first, printed, ours in ((3, 27, third, isotropic), (4, 15, fourth, right)):
         cells = (ours.inertia, ours.damping, ours.stiffness)
         found += [compare(f"{chapter}-{first + i}", names[i], printed[i], cells[i]) for i in range(3)]
@@ -186,7 +185,7 @@ def _matrix_comparisons() -> list[Comparison]:
 
 @functools.cache
 def comparisons() -> tuple[Comparison, ...]:
-    """All printed equations that can be held against the derivation, in the source's order."""
+    """Comparisons of all printed equations with the derivation, in the source's order."""
     found = [
         *_rotor_alone_comparisons(),
         *_energy_comparisons(),
@@ -198,9 +197,9 @@ def comparisons() -> tuple[Comparison, ...]:
 
 
 def comparison(number: str) -> Comparison:
-    """The comparison of one printed equation.
+    """Comparison of one printed equation.
 
     Raises:
-        KeyError: no such number among those compared.
+        KeyError: no compared equation has this number.
     """
     return {c.number: c for c in comparisons()}[number]

@@ -1,9 +1,7 @@
-# pyright: reportArgumentType=false, reportAttributeAccessIssue=false, reportOperatorIssue=false, reportCallIssue=false
-# SymPy's annotations are narrower than what it takes.
-"""The source's numbered definitions and methods: what each must fulfil, computed.
+"""The source's numbered definitions and methods, each verified by a property.
 
-`dynamics.derivation.comparison` holds equations against the derivation cell by cell. What is left are names, regions,
-forms and numerical methods: each is checked here by a property that it would not have if it were wrong.
+`dynamics.derivation.comparison` compares equations cell by cell. The remaining numbered items are names, regions, forms
+and numerical methods. Each is verified by a property that an incorrect definition would not have.
 """
 
 from __future__ import annotations
@@ -12,22 +10,26 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.integrate
 import scipy.linalg
-import sympy as sp
 
+from dynamics.arrays import Array
 from dynamics.derivation import source_equations as source
 from dynamics.derivation import symbols as s
 from dynamics.derivation.comparison import compare
 from dynamics.derivation.effects import POINTS, NumericMotion, rig, variants
 from dynamics.derivation.lagrange import lagrange_equations, rotating_frame_equations
 from dynamics.derivation.linearised import ISOTROPIC
+from dynamics.derivation.symbols import Expr, sp
 from dynamics.equations.balancing import balanced_angles, closing_angles
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.steady.singular_points import singular_points
 
+_integrators: Any = scipy.integrate  # scipy has no annotations
+_linear_algebra: Any = scipy.linalg
 _SEED = 36
 _SINGULAR, _SLOPE, _RIGHT = 1e-10, 1e-5, 1e-8
 _FORM = "the derived matrices in this form obey it"
@@ -35,13 +37,13 @@ _FORM = "the derived matrices in this form obey it"
 
 @dataclass(frozen=True)
 class Checked:
-    """A definition or method of the source.
+    """A verified definition or method of the source.
 
     Attributes:
-        number: as in the source, "3-4".
-        subject: what it is.
-        agrees: whether it has the property.
-        how: the property, with numbers where there are any.
+        number: number in the source, for example "3-4".
+        subject: description of the item.
+        agrees: whether the property holds.
+        how: the property, with its numerical results.
     """
 
     number: str
@@ -50,8 +52,8 @@ class Checked:
     how: str
 
 
-def _alone() -> tuple[sp.Expr, sp.Expr, sp.Expr]:
-    """Squared amplitude of the rotor alone, N² by (2-10), and e by (2-8)."""
+def _alone() -> tuple[Expr, Expr, Expr]:
+    """Squared amplitude of the rotor alone, N² from (2-10), and e from (2-8)."""
     mass, moment = s.M_D + s.M_P, s.M_P * s.P_3
     response = (s.k1 - mass * s.omega**2) ** 2 + (s.omega * s.c1) ** 2
     return s.omega**4 * moment**2 / response, mass**2 * s.omega**4 / response, moment / mass
@@ -84,7 +86,7 @@ def _chapter_two() -> list[Checked]:
             "2-8",
             "eccentricity, rotor alone",
             sp.simplify(far - reached) == 0,
-            "what the amplitude (2-6) tends to far above resonance",
+            "the limit of the amplitude (2-6) far above resonance",
         ),
         Checked(
             "2-11",
@@ -144,12 +146,12 @@ def _moments() -> list[Checked]:
     ]
 
 
-def lagrange_rows(kinetic: sp.Expr, potential: sp.Expr, dissipation: sp.Expr) -> list[sp.Expr]:
-    """(3-8) of given energies in the turning frame, Q_i = 0: four rows that vanish along a motion."""
+def lagrange_rows(kinetic: Expr, potential: Expr, dissipation: Expr) -> list[Expr]:
+    """(3-8) applied to given energies in the rotating frame, Q_i = 0: four expressions that are zero along a motion."""
     coordinates = (s.Y1, s.Y2, s.theta3, s.theta4)
     rates = (s.dY1, s.dY2, s.dtheta3, s.dtheta4)
     accelerations = (s.ddY1, s.ddY2, s.ddtheta3, s.ddtheta4)
-    rows = []
+    rows: list[Expr] = []
     for q, dq in zip(coordinates, rates, strict=True):
         momentum = sp.diff(kinetic, dq)
         change = (
@@ -194,7 +196,7 @@ def _types() -> list[Checked]:
     found = [point for ratio in (0.8, 2.5) for point in singular_points(p, p.speed_rad_s(ratio))]
 
     def gaps(kind: str) -> list[tuple[float, float]]:
-        """Difference of the angles, and |z|, of the points of a type."""
+        """Difference of the angles (rad) and |z| (m) of the points of one type."""
         return [
             ((point.theta_rad[1] - point.theta_rad[0]) % (2 * math.pi), abs(point.z_m))
             for point in found
@@ -247,7 +249,7 @@ def _first_order() -> list[Checked]:
 
 def _matrices(
     motion: NumericMotion, p: RotorParameters, psi: float, omega: float, angles: tuple[float, float]
-) -> list[np.ndarray]:
+) -> list[Array]:
     moments = p.total_mass_kg, p.a.first_moment_kg_m, p.b.first_moment_kg_m, p.imbalance_moment_kg_m
     return motion.matrices(p, psi, omega, (0.0, 0.0, *angles), moments)
 
@@ -256,15 +258,18 @@ def _floquet() -> list[Checked]:
     motion, p = variants()["derived"], rig()
     omega, angles = p.speed_rad_s(POINTS["B"]), balanced_angles(p)[0]
 
-    def a(t: float) -> np.ndarray:
+    def a(t: float) -> Array:
         return motion.system(p, omega * t, omega, (0.0, 0.0, *angles))
 
     period, h = 2 * math.pi / omega, 1e-6
     ends = [0.4 * period, 0.4 * period + h, 0.4 * period + 2 * h]
 
-    def phi(until: float) -> np.ndarray:
-        run = scipy.integrate.solve_ivp(
-            lambda t, y: (a(t) @ y.reshape(8, 8)).ravel(),
+    def phi(until: float) -> Array:
+        def rate(t: float, y: Array) -> Array:
+            return (a(t) @ y.reshape(8, 8)).ravel()
+
+        run = _integrators.solve_ivp(
+            rate,
             (0.0, until),
             np.eye(8).ravel(),
             "DOP853",
@@ -276,12 +281,15 @@ def _floquet() -> list[Checked]:
     first, middle, last = (phi(t) for t in ends)
     slope = float(np.max(np.abs((last - first) / (2 * h) - a(ends[1]) @ middle)) / np.max(np.abs(a(ends[1]) @ middle)))
     one, two = a(0.0), a(0.3 * period)
-    pieces = [scipy.linalg.expm(0.1 * period * m) for m in (one, two)]
+    pieces = [_linear_algebra.expm(0.1 * period * m) for m in (one, two)]
     run = np.eye(8)[:, 4]
     for matrix in (one, two):
-        run = scipy.integrate.solve_ivp(
-            lambda t, y, m=matrix: m @ y, (0.0, 0.1 * period), run, "DOP853", rtol=1e-12, atol=1e-14
-        ).y[:, -1]
+
+        def constant(t: float, y: Array, m: Array = matrix) -> Array:
+            del t
+            return m @ y
+
+        run = _integrators.solve_ivp(constant, (0.0, 0.1 * period), run, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
     product = float(np.max(np.abs(pieces[1] @ pieces[0] @ np.eye(8)[:, 4] - run)))
     swapped = float(np.max(np.abs(pieces[0] @ pieces[1] @ np.eye(8)[:, 4] - run)))
     truth = float(motion.multipliers(p, [POINTS["B"]], 2000)[0])

@@ -1,15 +1,16 @@
-"""What a wrong cell does: multipliers and growth rates computed with printed matrices instead of derived ones."""
+"""Effect of misprinted cells: multipliers and growth rates from printed instead of derived matrices."""
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import scipy.linalg
-import sympy as sp
 
+from dynamics.arrays import Array, Complex
 from dynamics.derivation import source_equations as source
 from dynamics.derivation import symbols as s
 from dynamics.derivation.comparison import comparison
@@ -17,10 +18,12 @@ from dynamics.derivation.lagrange import rotating_frame_equations
 from dynamics.derivation.linearised import ISOTROPIC, LinearMotion, at_rest, linearised, singular_point_matrices
 from dynamics.derivation.scenes import rig_values
 from dynamics.derivation.source_listing import CELL_1_4_AS_LISTED
+from dynamics.derivation.symbols import sp
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.steady.singular_points import singular_points
 
+_linear_algebra: Any = scipy.linalg  # scipy has no annotations
 # Validation points on the line K = 14.9, by speed ratio
 POINTS = {"A": 0.83, "B": 1.6, "C": 2.6, "D": 3.3, "E": 5.8}
 NOMINAL_MOMENT_KG_M = 0.12 * 0.02117
@@ -46,13 +49,13 @@ def rig(
     mass_b_kg: float = 0.075,
     damping: tuple[float, float] = (1e-3, 1e-3),
 ) -> RotorParameters:
-    """The rig with nominal numbers: M_D 7 kg, M_P 0.12 kg, M_A 0.075 kg, R 54 mm, f_n1 3 Hz.
+    """Rig with nominal values: M_D 7 kg, M_P 0.12 kg, M_A 0.075 kg, R 54 mm, f_n1 3 Hz.
 
     Args:
         stiffness_ratio: K = k2/k1.
         zeta: damping ratio of both directions.
-        moment_kg_m: S_P.
-        mass_b_kg: mass of pendulum B.
+        moment_kg_m: S_P, kg m.
+        mass_b_kg: mass of pendulum B, kg.
         damping: c3, c4, N m s/rad.
     """
     mass = 7.0 + 0.12 + 0.075 + mass_b_kg
@@ -62,13 +65,13 @@ def rig(
 
 
 class NumericMotion:
-    """A LinearMotion compiled to numbers."""
+    """Numerical evaluation of a LinearMotion."""
 
     def __init__(self, linear: LinearMotion) -> None:
         matrices = [linear.inertia, linear.damping, linear.stiffness]
-        self._evaluate = sp.lambdify(_ARGUMENTS, matrices, "numpy", cse=True)
+        self._evaluate: Callable[..., Any] = sp.lambdify(_ARGUMENTS, matrices, "numpy", cse=True)
 
-    def system(self, p: RotorParameters, psi: float, omega: float, state: Sequence[float]) -> np.ndarray:
+    def system(self, p: RotorParameters, psi: float, omega: float, state: Sequence[float]) -> Array:
         """[A] of the first-order system, shape (8, 8).
 
         Args:
@@ -83,26 +86,27 @@ class NumericMotion:
 
     def matrices(
         self, p: RotorParameters, psi: float, omega: float, state: Sequence[float], moments: Sequence[float]
-    ) -> list[np.ndarray]:
-        """[M], [D + G], [K + N], shape (4, 4) each; arguments as of `system`, moments M_S, S_A, S_B, S_P."""
+    ) -> list[Array]:
+        """[M], [D + G], [K + N], shape (4, 4) each. Arguments as for `system`; moments are M_S, S_A, S_B, S_P."""
         found = self._evaluate(psi, omega, *state, *moments, *rig_values(p).values())
         return [np.array(matrix, float) for matrix in found]
 
-    def type_i_harmonics(self, p: RotorParameters, omega: float) -> np.ndarray:
-        """[A] = [A0] + [A1] cos 2ψ + [A2] sin 2ψ about Type I: shape (3, 8, 8). Exact: it holds nothing else."""
+    def type_i_harmonics(self, p: RotorParameters, omega: float) -> Array:
+        """[A] = [A0] + [A1] cos 2ψ + [A2] sin 2ψ about Type I, shape (3, 8, 8). There are no other harmonics."""
         state = (0.0, 0.0, *balanced_angles(p)[0])
         start, eighth, quarter = (self.system(p, psi, omega, state) for psi in (0.0, math.pi / 4, math.pi / 2))
         mean = (start + quarter) / 2
         return np.array([mean, start - mean, eighth - mean])
 
-    def multipliers(self, p: RotorParameters, speed_ratios: Iterable[float], steps: int = 400) -> np.ndarray:
+    def multipliers(self, p: RotorParameters, speed_ratios: Iterable[float], steps: int = 400) -> Array:
         """Largest modulus of the Type I multipliers over one revolution, shape (n,)."""
         return np.max(np.abs(self.spectra(p, speed_ratios, steps)), axis=-1)
 
-    def spectra(self, p: RotorParameters, speed_ratios: Iterable[float], steps: int = 400) -> np.ndarray:
+    def spectra(self, p: RotorParameters, speed_ratios: Iterable[float], steps: int = 400) -> Complex:
         """All Type I multipliers over one revolution, complex, shape (n, 8).
 
-        Classical Runge–Kutta over half a revolution, all speeds at once; with 400 steps about 1e-8 at the points.
+        Classical Runge–Kutta over half a revolution, for all speeds at once. With 400 steps the error is about 1e-8 at
+        the points.
         """
         omegas = np.array([p.speed_rad_s(ratio) for ratio in speed_ratios])
         harmonics = (
@@ -118,28 +122,28 @@ class NumericMotion:
             second = middle @ (motion + first / 2)
             third = middle @ (motion + second / 2)
             motion = motion + (first + 2 * second + 2 * third + after @ (motion + third)) / 6
-        return np.linalg.eigvals(motion) ** 2
+        return np.asarray(np.linalg.eigvals(motion) ** 2, np.complex128)
 
     def piecewise_multiplier(self, p: RotorParameters, ratio: float, pieces: int, shift: float) -> float:
-        """The source's piecewise scheme over one revolution: [A] held constant on each of the pieces.
+        """Largest multiplier by the source's piecewise scheme over one revolution: [A] is constant on each piece.
 
         Args:
-            shift: where [A] is sampled, as a part of the piece: 0.5 middle (its text), 1 end (its listing).
+            shift: sampling position of [A] as a fraction of the piece: 0.5 middle (text), 1 end (listing).
         """
         omega = p.speed_rad_s(ratio)
         harmonics = self.type_i_harmonics(p, omega)
         samples = np.array([_at(harmonics, 2 * math.pi * (n + shift) / pieces) for n in range(pieces)])
         motion = np.eye(8)
-        for piece in scipy.linalg.expm(samples * (2 * math.pi / omega / pieces)):
+        for piece in _linear_algebra.expm(samples * (2 * math.pi / omega / pieces)):
             motion = piece @ motion
         return float(np.max(np.abs(np.linalg.eigvals(motion))))
 
     def growth_rate(self, p: RotorParameters, omega: float, state: Sequence[float]) -> float:
-        """Largest real part of the eigenvalues about a state at rest in the turning frame, 1/s (isotropic rig)."""
+        """Largest real part of the eigenvalues about a state at rest in the rotating frame, 1/s (isotropic rig)."""
         return float(np.max(np.linalg.eigvals(self.system(p, 0.0, omega, state)).real))
 
 
-def _at(harmonics: np.ndarray, psi: float) -> np.ndarray:
+def _at(harmonics: Array, psi: float) -> Array:
     return (
         harmonics[..., 0, :, :]
         + math.cos(2 * psi) * harmonics[..., 1, :, :]
@@ -148,10 +152,10 @@ def _at(harmonics: np.ndarray, psi: float) -> np.ndarray:
 
 
 def _with_printed(numbers: dict[str, tuple[tuple[int, int], ...] | None], isotropic: bool = False) -> LinearMotion:
-    """The derived matrices with printed cells put in.
+    """Derived matrices in which printed cells replace derived ones.
 
     Args:
-        numbers: equation numbers with the cells (row, column from 1) to take from print; None: all that differ.
+        numbers: equation numbers with their printed cells (row, column from 1). None: all cells that differ.
     """
     right = singular_point_matrices().subs(ISOTROPIC) if isotropic else singular_point_matrices()
     matrices = {"inertia": right.inertia.copy(), "damping": right.damping.copy(), "stiffness": right.stiffness.copy()}
@@ -164,7 +168,7 @@ def _with_printed(numbers: dict[str, tuple[tuple[int, int], ...] | None], isotro
 
 
 def printed_motion(first: bool, second: bool) -> LinearMotion:
-    """(4-6) and/or (4-7) as printed, the rest derived, linearised about a state at rest."""
+    """Linearisation about a state at rest with (4-6) and/or (4-7) as printed, the other equations as derived."""
     equations = rotating_frame_equations()
     rows = list(equations.residual.subs(s.PLAIN).applyfunc(s.in_moments))
     rows[0] = source.EQUATION_4_6 if first else rows[0]
@@ -173,7 +177,7 @@ def printed_motion(first: bool, second: bool) -> LinearMotion:
 
 
 def without_push_back() -> LinearMotion:
-    """The run-up script's first fault: the pendulums' angular acceleration is missing in the disk's equations."""
+    """The run-up script's first fault: the disk's equations do not contain the pendulums' angular accelerations."""
     right = singular_point_matrices()
     inertia = right.inertia.copy()
     inertia[:2, 2:] = sp.zeros(2, 2)
@@ -190,7 +194,7 @@ def with_listed_cell() -> LinearMotion:
 
 @functools.cache
 def variants() -> dict[str, NumericMotion]:
-    """Type I on different springs: the derived matrices, and each printed deviation alone and all together."""
+    """Type I on unequal springs: the derived matrices, each printed deviation alone, and all together."""
     linear = {
         "derived": singular_point_matrices(),
         "(4-15): cell (4,1)": _with_printed({"4-15": None}),
@@ -209,7 +213,7 @@ def variants() -> dict[str, NumericMotion]:
 
 @functools.cache
 def isotropic_variants() -> dict[str, NumericMotion]:
-    """The same for equal springs: (3-27), (3-28), (3-29)."""
+    """The variants for equal springs: (3-27), (3-28), (3-29)."""
     linear = {
         "derived": singular_point_matrices().subs(ISOTROPIC),
         "(3-27)": _with_printed({"3-27": None}, True),

@@ -1,21 +1,23 @@
-"""Small motions about a state, and the states at rest in the turning frame.
+"""Small motions about a state, and the states at rest in the rotating frame.
 
     [M] ÿ + [D + G] ẏ + [K + N] y = 0
-holds the equations' derivatives by accelerations, rates and coordinates. On an isotropic suspension the matrices
-of the turning frame are constant; otherwise they hold cos 2ψ and sin 2ψ and have period half a revolution.
+contains the derivatives of the equations with respect to accelerations, rates and coordinates. On an isotropic
+suspension the matrices in the rotating frame are constant. Otherwise they contain cos 2ψ and sin 2ψ, and their period
+is half a revolution.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
-
-import sympy as sp
+from typing import Any
 
 from dynamics.derivation import symbols as s
 from dynamics.derivation.lagrange import Equations, rotating_frame_equations
+from dynamics.derivation.symbols import Expr, Matrix
 
-ISOTROPIC: dict[sp.Expr, sp.Expr] = {s.k2: s.k1, s.c2: s.c1}
+ISOTROPIC: dict[Expr, Expr] = {s.k2: s.k1, s.c2: s.c1}
 
 
 @dataclass(frozen=True)
@@ -28,27 +30,27 @@ class LinearMotion:
         stiffness: [K + N], elastic and non-conservative (circulatory) terms.
     """
 
-    inertia: sp.Matrix
-    damping: sp.Matrix
-    stiffness: sp.Matrix
+    inertia: Matrix
+    damping: Matrix
+    stiffness: Matrix
 
-    def subs(self, values: dict) -> LinearMotion:
-        """The same with values put in, in normal form."""
+    def subs(self, values: Mapping[Expr, Any]) -> LinearMotion:
+        """The matrices with substituted values, in normal form."""
         return LinearMotion(
             *(m.subs(values).applyfunc(s.normal_form) for m in (self.inertia, self.damping, self.stiffness))
         )
 
     def in_moments(self) -> LinearMotion:
-        """The same written with M_S, S_A, S_B, S_P."""
+        """The matrices written with M_S, S_A, S_B, S_P."""
         return LinearMotion(*(m.applyfunc(s.in_moments) for m in (self.inertia, self.damping, self.stiffness)))
 
 
-def linearised(residual: sp.Matrix, equations: Equations) -> LinearMotion:
-    """Derivatives of four equations of motion at a general state (coordinates, rates, accelerations stay symbols).
+def linearised(residual: Matrix, equations: Equations) -> LinearMotion:
+    """Derivatives of four equations of motion at a general state. Coordinates, rates, accelerations stay symbols.
 
     Args:
         residual: shape (4, 1), zero along a motion.
-        equations: whose coordinates, rates and accelerations the residual is written in.
+        equations: source of the residual's coordinates, rates and accelerations.
     """
     return LinearMotion(
         residual.jacobian(list(equations.accelerations)),
@@ -57,26 +59,26 @@ def linearised(residual: sp.Matrix, equations: Equations) -> LinearMotion:
     )
 
 
-def at_rest(equations: Equations) -> dict[sp.Expr, int]:
-    """Rates and accelerations zero: a state at rest in the equations' frame."""
+def at_rest(equations: Equations) -> dict[Expr, int]:
+    """Substitution of zero for rates and accelerations: a state at rest in the equations' frame."""
     return dict.fromkeys((*equations.rates, *equations.accelerations), 0)
 
 
 @functools.cache
 def singular_point_matrices() -> LinearMotion:
-    """Motion about a state (Y1, Y2, θ3, θ4) at rest in the turning frame, plain rig, constant speed, k1 ≠ k2.
+    """Motion about a state (Y1, Y2, θ3, θ4) at rest in the rotating frame, plain rig, constant speed, k1 ≠ k2.
 
-    Type I is Y1 = Y2 = 0. With `ISOTROPIC` put in, the matrices hold for all three types and ψ drops out.
+    Type I is Y1 = Y2 = 0. After substitution of `ISOTROPIC` the matrices hold for all three types, and ψ cancels.
     """
     equations = rotating_frame_equations()
     return linearised(equations.residual, equations).subs(at_rest(equations) | s.PLAIN).in_moments()
 
 
 @functools.cache
-def singular_point_equations() -> sp.Matrix:
-    """What a state at rest in the turning frame must satisfy, shape (4, 1), = 0; plain rig, constant speed.
+def singular_point_equations() -> Matrix:
+    """Conditions of a state at rest in the rotating frame, shape (4, 1), = 0; plain rig, constant speed.
 
-    With different springs or dampers the first two hold ψ, so only Y1 = Y2 = 0 satisfies them at all times.
+    With unequal springs or dampers the first two contain ψ, so only Y1 = Y2 = 0 satisfies them at all times.
     """
     equations = rotating_frame_equations()
     return equations.residual.subs(at_rest(equations) | s.PLAIN).applyfunc(s.in_moments)

@@ -1,12 +1,13 @@
-"""The numbers in the list of misprints, each computed when the list is written."""
+"""Numbers in the list of misprints. Each is computed when the list is written."""
 
 from __future__ import annotations
 
 import functools
 import math
+from typing import Any
 
 import numpy as np
-from scipy.optimize import root_scalar
+import scipy.optimize
 
 from dynamics.derivation.effects import (
     NOMINAL_MOMENT_KG_M,
@@ -20,6 +21,7 @@ from dynamics.derivation.run_up_faults import Faults, Release, release
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.steady.singular_points import dynamic_stiffness
 
+_solvers: Any = scipy.optimize  # scipy has no annotations
 FAULTS = {
     "right equations": Faults(),
     "(a) no push back": Faults(no_push_back=True),
@@ -51,12 +53,12 @@ def isotropic_growth_rates() -> dict[str, dict[str, float]]:
         "III, S_P = 0.012 kg m, Ω = 2.5": (rig(1, 0.05, 0.012), 2.5, "III"),
         "II, M_BB = 0.019 kg, S_P = 0.001 kg m, Ω = 2.5": (rig(1, 0.05, 0.001, 0.019), 2.5, "II"),
     }
-    found = {}
+    found: dict[str, dict[str, float]] = {}
     for name, (p, ratio, kind) in cases.items():
         omega = p.speed_rad_s(ratio)
         states = states_at_rest(p, omega)[kind]
-        # of two solutions of Types II and III the one that is stable by the derived matrices; mirror images are alike
-        # to it, and the printed ones tell them apart
+        # of two solutions of Types II and III: the one that is stable with the derived matrices; the derived rates of
+        # mirror images are equal, those of the printed matrices differ
         growth = {i: round(isotropic_variants()["derived"].growth_rate(p, omega, y), 6) for i, y in enumerate(states)}
         state = states[min(growth, key=lambda i: (growth[i], float(states[i][2]) % (2 * math.pi)))]
         found[name] = {v: motion.growth_rate(p, omega, state) for v, motion in isotropic_variants().items()}
@@ -66,7 +68,7 @@ def isotropic_growth_rates() -> dict[str, dict[str, float]]:
 @functools.cache
 def stable_types() -> dict[tuple[str, float], list[str]]:
     """Types with a stable solution by region and speed ratio; equal springs, ζ = 0.02."""
-    derived, found = isotropic_variants()["derived"], {}
+    derived, found = isotropic_variants()["derived"], dict[tuple[str, float], list[str]]()
     for region, (moment, mass_b) in REGIONS.items():
         p = rig(1, 0.02, moment, mass_b)
         for ratio in (0.8, 2.5):
@@ -79,7 +81,7 @@ def stable_types() -> dict[tuple[str, float], list[str]]:
 
 
 def least_moment_of_type_iii(ratio: float = 0.8, zeta: float = 0.05) -> float:
-    """S_P below which no singular point of Type III exists, kg m: (S_A + S_B) sin φ_H; nominal pendulums, K = 1."""
+    """S_P below which singular points of Type III do not exist, kg m: (S_A + S_B) sin φ_H; nominal pendulums, K = 1."""
     p = rig(1, zeta)
     stiffness = dynamic_stiffness(p, p.speed_rad_s(ratio))
     return (p.a.first_moment_kg_m + p.b.first_moment_kg_m) * abs(math.sin(np.angle(stiffness)))
@@ -98,7 +100,7 @@ def type_ii_against_none(share: float) -> float:
 
 def settling_times_s(damping: tuple[float, ...]) -> list[float]:
     """Time constants of the slowest Type I motion at B for given c34 (N m s/rad), s."""
-    found = []
+    found: list[float] = []
     for c in damping:
         p = rig(damping=(c, c))
         multiplier = variants()["derived"].piecewise_multiplier(p, POINTS["B"], 100, 0.5)
@@ -107,7 +109,7 @@ def settling_times_s(damping: tuple[float, ...]) -> list[float]:
 
 
 def piecewise_errors(pieces: int) -> tuple[list[float], float]:
-    """Error of the source's piecewise scheme at A, B, E; largest change when sampled at the ends instead of middles."""
+    """Error of the source's piecewise scheme at A, B, E; largest change for samples at the ends of the pieces."""
     motion, p = variants()["derived"], rig()
     ratios = [POINTS[name] for name in "ABE"]
     middle = np.array([motion.piecewise_multiplier(p, ratio, pieces, 0.5) for ratio in ratios])
@@ -116,21 +118,21 @@ def piecewise_errors(pieces: int) -> tuple[list[float], float]:
 
 
 def border_shift(slack: float = 1e-5) -> tuple[float, float]:
-    """Speed ratio of the first stable zone's lower border, and how far a limit of 1 + slack moves it."""
+    """Speed ratio of the first stable zone's lower border, and its shift for a limit of 1 + slack."""
     motion, p = variants()["derived"], rig()
 
     def border(limit: float) -> float:
-        found = root_scalar(
-            lambda ratio: motion.multipliers(p, [ratio], 200)[0] - limit, bracket=(0.9, 1.6), xtol=1e-12
-        )
-        return float(found.root)
+        def excess(ratio: float) -> float:
+            return float(motion.multipliers(p, [ratio], 200)[0] - limit)
+
+        return float(_solvers.root_scalar(excess, bracket=(0.9, 1.6), xtol=1e-12).root)
 
     right = border(1.0)
     return right, border(1.0 + slack) - right
 
 
 def script_rig() -> RotorParameters:
-    """The run-up script's own numbers: 500 N/m, 10 N s/m, 0.0005 N m s/rad, M_P twice 0.1209 kg."""
+    """The run-up script's values: 500 N/m, 10 N s/m, 0.0005 N m s/rad, M_P twice 0.1209 kg."""
     mass, k, c = 7.0 + 0.2418 + 0.15, 500.0, 10.0
     pendulum = Pendulum(0.075, 0.054, 0.0005)
     zeta = c / (2 * math.sqrt(k * mass))
@@ -142,7 +144,7 @@ SCRIPT_SPEED_RAD_S = 2 * math.pi * 20
 
 @functools.cache
 def releases() -> dict[str, dict[str, Release]]:
-    """Run, locked 12 s and free 60 s, at A, B, D of the nominal rig and with the script's numbers, by fault."""
+    """Releases, 12 s locked and 60 s free, at A, B, D of the nominal rig and with the script's values, by fault."""
     p = rig()
     places = {name: (p, p.speed_rad_s(POINTS[name])) for name in "ABD"}
     places["the script's rig"] = (script_rig(), SCRIPT_SPEED_RAD_S)
@@ -166,14 +168,14 @@ def slip_revolutions(free_s: float = 60.0) -> tuple[float, float]:
 
 
 def slip_without_imbalance() -> tuple[float, float]:
-    """Slip of the pendulums together (rad/s) and whirl radius (m) at Ω = 0.8, K = 1, ζ = 0.05, next to no imbalance."""
+    """Common slip of the pendulums (rad/s) and whirl radius (m) at Ω = 0.8, K = 1, ζ = 0.05, S_P = 1e-9 kg m."""
     p = rig(1, 0.05, 1e-9)
     run = release(p, p.speed_rad_s(0.8), Faults(), free_s=120.0)
     return float(np.mean(run.state[-500:, 6:8])), float(np.max(run.radius_m[-50:]))
 
 
 def largest_multipliers() -> dict[str, complex]:
-    """The largest Type I multiplier over one revolution at A–E; of a conjugate pair the upper one."""
+    """Largest Type I multiplier over one revolution at A–E; of a conjugate pair the upper one."""
     spectra = variants()["derived"].spectra(rig(), POINTS.values())
     upper = [values[np.lexsort((-values.imag, -np.abs(values).round(9)))][0] for values in spectra]
     return {name: complex(value) for name, value in zip(POINTS, upper, strict=True)}

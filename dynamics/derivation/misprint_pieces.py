@@ -1,8 +1,6 @@
-"""Each deviation of a printed equation taken apart: the term as printed, and the term that belongs there."""
+"""Deviations of the printed equations by term: the printed term and the correct one."""
 
 from __future__ import annotations
-
-import sympy as sp
 
 from dynamics.derivation.comparison import Comparison, comparison
 from dynamics.derivation.symbols import (
@@ -12,6 +10,7 @@ from dynamics.derivation.symbols import (
     S_P,
     Y1,
     Y2,
+    Expr,
     c1,
     c2,
     ddtheta3,
@@ -22,13 +21,14 @@ from dynamics.derivation.symbols import (
     normal_form,
     omega,
     psi,
+    sp,
     theta3,
 )
 
-Piece = tuple[sp.Expr, sp.Expr]
+Piece = tuple[Expr, Expr]
 _s, _c = sp.sin(psi), sp.cos(psi)
 
-# Equations of several terms, in the order of their terms. A zero on the left: the term is missing in print.
+# Equations of several terms, in the order of their terms. Zero on the left: the term is missing in print.
 PIECES: dict[str, tuple[Piece, ...]] = {
     "3-17": ((sp.Integer(0), -(omega**2) * S_P),),
     "4-6": ((sp.Integer(0), (c1 * _c**2 + c2 * _s**2) * dY1),),
@@ -56,27 +56,27 @@ PIECES: dict[str, tuple[Piece, ...]] = {
 }
 
 
-def unexplained(number: str) -> sp.Expr:
-    """What an equation's pieces leave of its deviation: zero."""
+def unexplained(number: str) -> Expr:
+    """Deviation of an equation minus its listed terms: zero if the list is complete."""
     (deviation,) = comparison(number).deviations
     return normal_form(deviation.surplus - sum(printed - right for printed, right in PIECES[number]))
 
 
-def in_double_angle(expression: sp.Expr) -> sp.Expr:
-    """A cell with cos²ψ and sinψ cosψ written in cos 2ψ and sin 2ψ, so that its period shows; others as they are."""
+def in_double_angle(expression: Expr) -> Expr:
+    """Cell with cos²ψ and sinψ cosψ written in cos 2ψ and sin 2ψ, which shows its period; other cells unchanged."""
     if not expression.has(psi):
         return expression
     double = expression.subs(_s * _c, sp.sin(2 * psi) / 2).subs(_c**2, (1 + sp.cos(2 * psi)) / 2)
     return sp.collect(sp.expand(double), [sp.cos(2 * psi), sp.sin(2 * psi)])
 
 
-def formula(expression: sp.Expr) -> str:
+def formula(expression: Expr) -> str:
     """LaTeX of an expression between dollar signs."""
     return f"${sp.latex(expression)}$"
 
 
 def details(found: Comparison) -> list[str]:
-    """One line of Markdown for each piece or cell of a printed equation that deviates."""
+    """One line of Markdown for each term or cell of a printed equation that deviates."""
     if found.number in PIECES:
         return [
             f"- missing: {formula(right)}" if printed == 0 else f"- printed {formula(printed)}, right {formula(right)}"

@@ -1,4 +1,4 @@
-"""Faults of the source's programs and contradictions of its text, with their measured effects, as Markdown lines."""
+"""Faults of the source's programs and contradictions in its text, with their computed effects, as Markdown lines."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ def program_section() -> list[str]:
         (
             "generating program",
             "pendulum A is placed with the turn by θ4",
-            "θ3 would have no inertia and the inertia matrix no inverse, so this is not what ran; one character "
-            "(II, III), perhaps the extraction's",
+            "θ3 would have no inertia and the inertia matrix no inverse, so the program was not run in this form; one "
+            "character (II, III), possibly an error of the extraction",
         ),
         (
             "generating program",
             "cell (1,4) of the inertia matrix is filled from cell (1,3)",
-            "−S_A sin θ3 for −S_B sin θ4; multipliers above. It goes into one output file only; the run-up program is "
-            "written from the equations themselves",
+            "−S_A sin θ3 for −S_B sin θ4; multipliers above. The cell is written to one output file only; the run-up "
+            "program uses the equations themselves",
         ),
         (
             "generating program",
             "the first derivative is stored under another name than it is read by",
-            "stops; one character",
+            "the program stops; one character",
         ),
         (
             "run-up program",
@@ -46,12 +46,12 @@ def program_section() -> list[str]:
         (
             "run-up program",
             "pendulum A's torque divided by M_A R_A² under a name that is not defined",
-            "stops; one character, perhaps the extraction's",
+            "the program stops; one character, possibly an error of the extraction",
         ),
         (
             "run-up program",
             "no run-up: full speed from the first instant, the disk at rest",
-            "the title only; the start dies out before the release",
+            "contradicts the title; the transient decays before the release",
         ),
         ("run-up program", "speed commented as hertz", "2π·20 is in rad/s: 1200 rpm"),
         (
@@ -67,8 +67,8 @@ def program_section() -> list[str]:
         ),
         (
             "run-up program",
-            "plots Θ1, Θ2 of the turning frame beside laser readings",
-            "a steady whirl is constant there and a sine at the sensors, which do not turn; the plotted θ3, θ4 have "
+            "plots Θ1, Θ2 of the rotating frame together with laser readings",
+            "a steady whirl is constant in that frame and a sine at the space-fixed sensors; the plotted θ3, θ4 have "
             "the opposite sign",
         ),
         (
@@ -81,17 +81,17 @@ def program_section() -> list[str]:
         ),
         (
             "piecewise program",
-            "calls stable what is below 1 + 1e-5, the other program 1 + 1e-8",
+            "counts a multiplier below 1 + 1e-5 as stable, the other program below 1 + 1e-8",
             f"the border of the first stable zone, Ω = {border:.5f}, moves by {shift:.1e}",
         ),
         (
             "single-pass program",
             "fills the matrix from a variable that does not exist",
-            "stops; with the right one it stores the transpose, whose eigenvalues are the same",
+            "the program stops; with the correct variable it stores the transpose, whose eigenvalues are the same",
         ),
-        ("both", "integrate a whole revolution", "half of one is a period: twice the work"),
+        ("both", "integrate a whole revolution", "the period is half a revolution: twice the work"),
     ]
-    return ["| program | what it has | effect |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in rows)]
+    return ["| program | content | effect |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in rows)]
 
 
 def _release_row(place: str, name: str, run: Release, right: Release) -> str:
@@ -113,12 +113,12 @@ def _release_row(place: str, name: str, run: Release, right: Release) -> str:
 
 
 def release_section() -> list[str]:
-    """What faults (a) and (b) do to a release."""
+    """Effect of faults (a) and (b) on a release."""
     lines = [
         "Settings: full speed from the first instant, disk at rest, pendulums locked at 0° and 180° + 0.001 rad for "
         "12 s, as in the program; then free for 60 s instead of its 10 s. Runge–Kutta of order 4, 200 steps a "
-        "revolution. Our own equations with the faults put in (`dynamics/derivation/run_up_faults.py`); without them "
-        "they are the compiled kernel's. The last place has the program's own numbers.",
+        "revolution. The project's equations with the faults (`dynamics/derivation/run_up_faults.py`); without faults "
+        "they are equal to the compiled kernel. The last place has the program's own numbers.",
         "",
         "| at | equations | θ̇3, θ̇4 at release, rad/s | rms radius before, mm | largest radius after, mm "
         "| largest angle difference, ° | settled within 1° after, s | final θ3, θ4, ° |",
@@ -137,14 +137,14 @@ def release_section() -> list[str]:
         *lines,
         "",
         f"- Every run ends in the same type {'and the same mirror image ' if ends else ''}as the right equations. "
-        "Where the pendulums come to rest on the rotor (B, the program's rig) the angles are the same: at rest θ̈ = 0.",
-        f"- Where they wobble (A, D: amplitude {wobble:.1f}° at D, twice a revolution) fault (a) leaves a share of the "
-        f"torque out for good: θ3 at D is {gap:.1f}° off.",
+        "If the pendulums come to rest on the rotor (B, the program's rig) the angles are equal: at rest θ̈ = 0.",
+        f"- If they oscillate (A, D: amplitude {wobble:.1f}° at D, twice a revolution) fault (a) omits a part of the "
+        f"torque permanently: θ3 at D is {gap:.1f}° off.",
         f"- Stability: with fault (a) the largest Type I multiplier at A–E is {', '.join(f'{v:.4f}' for v in a)}: the "
         "same points are stable.",
-        "- Fault (b) lets the false speed press on the disk while the pendulum is locked, so the radius before release "
-        "is wrong too, and it throws the pendulums off their unstable start. The release comes sooner (much of the "
-        "angle difference is that shift in time) and looks livelier than it is.",
+        "- With fault (b) the false speed loads the disk while the pendulum is locked. The radius before release is "
+        "therefore wrong, and the pendulums leave their unstable start earlier. Much of the angle difference is this "
+        "shift in time, and the motion after the release appears faster than it is.",
     ]
 
 
@@ -156,7 +156,7 @@ def _same_end(runs: dict[str, Release]) -> bool:
 def text_section() -> list[str]:
     """Sentences that contradict the source's own tables, numbers or equations."""
     rows = [*_stability_rows(), *_whirl_rows(), *_data_rows()]
-    return ["| where | said | right |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in rows)]
+    return ["| place | statement | correct |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in rows)]
 
 
 def _stability_rows() -> list[tuple[str, str, str]]:
@@ -170,33 +170,34 @@ def _stability_rows() -> list[tuple[str, str, str]]:
         (
             "summary of 3.1",
             "below resonance Type II alone is stable",
-            f"Type III, as its Tables 3.3 and 3.4 have it. Computed (K = 1, ζ = 0.02, Ω = 0.8 and 2.5): {found}",
+            f"Type III, as in its Tables 3.3 and 3.4. Computed (K = 1, ζ = 0.02, Ω = 0.8 and 2.5): {found}",
         ),
         (
             "summary of 3.1",
             "oversized and above resonance: Type III, independent of damping",
-            "Type I if properly, Type II if improperly oversized, as Table 3.4 has it",
+            "Type I if properly, Type II if improperly oversized, as in Table 3.4",
         ),
         (
             "summary of 3.1",
             "undersized below resonance: no damping dependence",
-            "true of its existence; the angle of Type III does depend on it: sin(θ + φ_H) = −(S_T/S_P) sin φ_H",
+            "correct for its existence; the angle of Type III depends on damping: sin(θ + φ_H) = −(S_T/S_P) sin φ_H",
         ),
         (
             "3.2.2",
             "below resonance Type III whirls even without imbalance",
-            "below S_P = (S_A + S_B) sin φ_H no Type III exists: "
+            "below S_P = (S_A + S_B) sin φ_H Type III does not exist: "
             f"{1e3 * numbers.least_moment_of_type_iii():.3f} g m at Ω = 0.8, ζ = 0.05 (the source's own singular point "
-            f"loss). Next to no imbalance the pendulums whirl together at {1e3 * radius:.2f} mm but slip "
-            f"by {abs(slip):.2f} rad/s: no steady state on the rotor",
+            f"loss). With almost no imbalance the pendulums whirl together at {1e3 * radius:.2f} mm but slip "
+            f"by {abs(slip):.2f} rad/s: they do not reach a steady state on the rotor",
         ),
-        ("conclusions", "near resonance Types II and III lose stability", "they cease to exist, as its chapter 3 says"),
+        ("conclusions", "near resonance Types II and III lose stability", "they cease to exist, as in its chapter 3"),
         (
             "(3-7)",
             "improperly oversized pendulums may help if the difference S_A − S_B is below S_P",
-            "that difference is above S_P in this region by (3-5). Far above resonance they help while it is below "
-            f"2 S_P: amplitude against none at Ω = 6 {numbers.type_ii_against_none(0.75):.2f} for S_P = 0.75 of "
-            f"the difference, {numbers.type_ii_against_none(0.4):.2f} for 0.4",
+            "that difference is above S_P in this region by (3-5). Far above resonance they reduce the amplitude while "
+            "it is below 2 S_P: amplitude over that without pendulums at Ω = 6 "
+            f"{numbers.type_ii_against_none(0.75):.2f} for S_P = 0.75 of the difference, "
+            f"{numbers.type_ii_against_none(0.4):.2f} for 0.4",
         ),
         ("3.1", "insufficiently oversized", "improperly oversized"),
     ]
@@ -211,8 +212,8 @@ def _whirl_rows() -> list[tuple[str, str, str]]:
         (
             "4.1",
             "Types II and III satisfy (4-10) to (4-13) on different springs",
-            "they do not: ψ does not drop out unless Y1 = Y2 = 0. The motions are periodic: "
-            f"θ3 at D wobbles by {math.degrees(numbers.wobble_rad(numbers.releases()['D']['right equations'])):.1f}°",
+            "they do not: ψ does not cancel unless Y1 = Y2 = 0. The motions are periodic: "
+            f"θ3 at D varies by {math.degrees(numbers.wobble_rad(numbers.releases()['D']['right equations'])):.1f}°",
         ),
         (
             "4.4, conclusions",
@@ -223,7 +224,7 @@ def _whirl_rows() -> list[tuple[str, str, str]]:
         (
             "4.1.4",
             "the largest multipliers are a conjugate pair",
-            f"at {real} the largest one is real, a pair only at {pairs}; true perhaps of other parameters",
+            f"at {real} the largest one is real, a pair only at {pairs}; possibly correct for other parameters",
         ),
         ("4.1.1", "[Φ0] = [I] at every t; [C] = [Φ0(0)]", "[Φ0(0)] = [I]; [C] = [Φ0(T)]; arguments lost in print"),
         ("4.1.3", "start vectors: 1×8 columns; the results are columns", "8×1; the program stores rows"),
@@ -244,7 +245,7 @@ def _data_rows() -> list[tuple[str, str, str]]:
             "speed almost 20 times the critical one",
             "1200 rpm over 3 Hz (appendix A) is 6.7; with the program's 500 N/m it is 15.3",
         ),
-        ("appendix A", "length of pendulums 0.054 mm", "0.054 m, as the program has it"),
+        ("appendix A", "length of pendulums 0.054 mm", "0.054 m, as in the program"),
         (
             "appendix A",
             "c34 = 0.01 to 50 N s m/rad",
@@ -256,7 +257,7 @@ def _data_rows() -> list[tuple[str, str, str]]:
         (
             "nomenclature",
             "T for period and kinetic energy, A for matrix, amplitude and a factor of (3-21)",
-            "told apart by context",
+            "distinguished by context",
         ),
         ("3.3.2", "F_C for the centrifugal force, F_CS for the constraint", "F_CF and F_C by the nomenclature"),
         (

@@ -1,6 +1,7 @@
-"""The list of the source's misprints, written anew from the derivation: `python -m dynamics.derivation.misprints`.
+"""List of the source's misprints, generated from the derivation: `python -m dynamics.derivation.misprints`.
 
-Every number in it is computed here and now; docs/theory/misprints.md is this module's output and a test compares them.
+Every number is computed when the list is generated. docs/theory/misprints.md is the output of this module; a test
+compares them.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ HEAD = """# Misprints of the source
 <!-- Written by `python -m dynamics.derivation.misprints`; edit that module, not this page. -->
 
 The source is R. Horváth, *Passive Pendulum Balancer for Rotor Systems*, dissertation, Auburn University, 2006. Its
-printed equations are held here against the derivation from energies ([equations_of_motion.md](equations_of_motion.md)).
+printed equations are compared with the derivation from energies ([equations_of_motion.md](equations_of_motion.md)).
 Both are SymPy objects (`dynamics/derivation/source_equations.py`, `lagrange.py`), compared cell by cell. The project
 uses none of the printed equations.
 
-The text at hand was extracted from the PDF, so a changed index or sign can in principle be the extraction's. A cell
-that is wrong twice, in chapter 3 and again in chapter 4, hardly is; nor are the swapped χ1, χ2 and the missing ω of
-(4-16), (4-17), which stand in several cells. Single characters of (4-7), (4-11) and of the programs could be.
+The text was extracted from the PDF, so a changed index or sign can in principle be an error of the extraction. This is
+unlikely for a cell that is wrong in chapter 3 and again in chapter 4, and for the swapped χ1, χ2 and the missing ω of
+(4-16), (4-17), which occur in several cells. It is possible for single characters of (4-7), (4-11) and of the programs.
 
-Notation is the source's, with θ3, θ4 for its Θ3, Θ4 and Y1, Y2 for its Θ1, Θ2 of chapters 3 and 4, which turn with the
-rotor; M_S is the total mass, ψ = ωt. Cells with cos²ψ and sinψ cosψ are written in cos 2ψ and sin 2ψ.
-Unless said otherwise numbers belong to the nominal rig on the line K = 14.9 (ζ = 0.02, c34 = 0.001 N m s/rad,
+Notation is the source's, with θ3, θ4 for its Θ3, Θ4 and Y1, Y2 for its Θ1, Θ2 of chapters 3 and 4, which rotate with
+the rotor; M_S is the total mass, ψ = ωt. Cells with cos²ψ and sinψ cosψ are written in cos 2ψ and sin 2ψ.
+Unless stated otherwise, numbers belong to the nominal rig on the line K = 14.9 (ζ = 0.02, c34 = 0.001 N m s/rad,
 S_P = 0.00254 kg m, identical pendulums of 0.075 kg) at the points """
 
 
@@ -42,7 +43,7 @@ def _stability(values: tuple[float, ...]) -> str:
 
 
 def summary() -> list[str]:
-    """The deviations of the equations, one line each, worst effect named."""
+    """Deviations of the equations, one line each, with the largest effect."""
     right, other = (numbers.type_i_multipliers(mass) for mass in (0.075, 0.055))
     growth = numbers.isotropic_growth_rates()
     split = growth["I, M_BB = 0.055 kg, Ω = 2.5"]
@@ -60,7 +61,7 @@ def summary() -> list[str]:
     first, second = "(4-6) as printed, linearised", "(4-7) as printed, linearised"
     rows = [
         ("2-9", "arc tangent of one argument", "four-quadrant", "the lag jumps from 90° to −90° at resonance"),
-        ("3-17, 4-10", "no imbalance", "−ω² S_P", f"its own Type I angles leave a force ω² S_P, at B {force:.2f} N"),
+        ("3-17, 4-10", "no imbalance", "−ω² S_P", f"the source's Type I leaves a force ω² S_P, at B {force:.2f} N"),
         ("3-22", "both arguments twice too large", "sine and cosine", "none: the angle of the two is the same"),
         ("3-27, 4-15 (4,1)", "sin θ3", "sin θ4", change("(4-15): cell (4,1)", "D", right)),
         ("3-28, 4-16 (3,2), (4,2)", "−2ωS sin θ", "+2ωS sin θ", change(torque, "D", right)),
@@ -92,7 +93,7 @@ def summary() -> list[str]:
         ("4-17 (1,1), (2,2)", "(c2 − c1) σ", "ω (c2 − c1) σ", change(no_speed, "A", right, 6)),
     ]
     return [
-        "| equation | printed | right | effect |",
+        "| equation | printed | correct | effect |",
         "|---|---|---|---|",
         *("| " + " | ".join(row) + " |" for row in rows),
     ]
@@ -114,7 +115,7 @@ def verdicts() -> list[str]:
 
 def equation_details() -> list[str]:
     """Each equation that deviates, with its terms or cells."""
-    lines = []
+    lines: list[str] = []
     for c in comparisons():
         if not c.agrees:
             lines += [f"### ({c.number}) {c.subject}", *details(c), *REMARKS.get(c.number, []), ""]
@@ -122,30 +123,31 @@ def equation_details() -> list[str]:
 
 
 REMARKS = {
-    "2-9": ["", "The lag must run from 0° through 90° to 180°, as the source's chapter 2 describes it."],
+    "2-9": ["", "The lag must increase from 0° through 90° to 180°, as described in the source's chapter 2."],
     "3-17": [
         "",
-        "With Y1 = Y2 = 0 print leaves S_A cos θ3 + S_B cos θ4 = 0 and the same for the sines: pendulums that "
-        "balance each other, whatever the imbalance. Its own (3-21), (3-22) do satisfy the equation with S_P.",
+        "With Y1 = Y2 = 0 the printed equations become S_A cos θ3 + S_B cos θ4 = 0 and the same for the sines: the "
+        "pendulums balance each other, independent of the imbalance. The source's (3-21), (3-22) satisfy the equation "
+        "with S_P.",
     ],
     "3-22": [
         "",
-        "A common factor of both arguments does not change a four-quadrant arc tangent. Unlike (3-21), "
-        "though, they are not the sine and the cosine.",
+        "A common factor of both arguments does not change a four-quadrant arc tangent. Unlike the arguments of "
+        "(3-21), they are not the sine and the cosine.",
     ],
-    "3-29": ["", "Cells (3,2) to (4,4) come from (3-15), (3-16), which are printed right."],
-    "3-34": ["", "The pendulums turn with the rotor. Angles 180° apart belong to R_C = S_P/M_S."],
-    "4-6": ["", "(4-4) and (3-13) do have the term."],
+    "3-29": ["", "Cells (3,2) to (4,4) come from (3-15), (3-16), which are printed correctly."],
+    "3-34": ["", "The pendulums rotate with the rotor. Angles 180° apart belong to R_C = S_P/M_S."],
+    "4-6": ["", "(4-4) and (3-13) contain the term."],
     "4-7": [
         "",
-        "Dissipation (4-4) and potential (4-3) are printed right, and (3-14) has none of these faults; the "
-        "run-up program's second equation, too, is right. (4-7) was not what was computed with.",
+        "Dissipation (4-4) and potential (4-3) are printed correctly, and (3-14) has none of these faults. The second "
+        "equation of the run-up program is also correct. The printed (4-7) was therefore not used in computations.",
     ],
     "4-11": [
         "",
-        "The c1 term is right. The spring terms are those of (4-10) with Y1 and Y2 exchanged, which is not the same.",
+        "The c1 term is correct. The spring terms are those of (4-10) with Y1 and Y2 exchanged: not equivalent.",
     ],
-    "4-17": ["", "Print has M for M_S in (1,1) and (2,2). It is taken for the same."],
+    "4-17": ["", "Print has M for M_S in (1,1) and (2,2). It is read as M_S."],
 }
 
 
@@ -153,8 +155,8 @@ def multiplier_section() -> list[str]:
     """Largest multipliers with each printed cell."""
     head = ["| matrices | " + " | ".join(POINTS) + " | stable at |", "|---|" + "---|" * (len(POINTS) + 1)]
     lines = [
-        "Largest modulus of the Type I multipliers over one revolution: derived matrices with the printed cells named.",
-        "Stable below 1. The stable points should be B, C, E.",
+        "Largest modulus of the Type I multipliers over one revolution: derived matrices with the named printed cells.",
+        "Values below 1 are stable. The stable points should be B, C, E.",
     ]
     for title, mass in (("Identical pendulums", 0.075), ("M_BB = 0.055 kg", 0.055)):
         lines += ["", f"**{title}**", "", *head]
@@ -172,12 +174,12 @@ def multiplier_section() -> list[str]:
         *lines,
         "",
         f"All printed together: stable at {_stability(same)} with identical pendulums, so the source's maps alone do "
-        f"not tell whether they were computed with them; at {_stability(whole)} with M_BB = 0.055 kg.",
+        f"not show whether they were computed with them; at {_stability(whole)} with M_BB = 0.055 kg.",
     ]
 
 
 def text() -> str:
-    """docs/theory/misprints.md."""
+    """Text of docs/theory/misprints.md."""
     points = ", ".join(f"{name} (Ω = {ratio})" for name, ratio in POINTS.items())
     wrong = sum(not c.agrees for c in comparisons())
     vague = sum(not d.agrees for d in definitions())
@@ -187,25 +189,25 @@ def text() -> str:
         "\n".join(summary()),
         "## Everything compared",
         f"{len(comparisons())} equations and matrices are compared cell by cell, {wrong} of them differ. The other "
-        f"{len(definitions())} numbered ones are definitions and methods: each is held against a property that it "
-        f"would not have if it were wrong (`dynamics/derivation/definitions.py`); {vague} of them fails.",
+        f"{len(definitions())} numbered items are definitions and methods: each is verified by a property that an "
+        f"incorrect one would not have (`dynamics/derivation/definitions.py`); {vague} of them fails.",
         "\n".join(verdicts()),
         "## Equations: details",
         "\n".join(equation_details()).rstrip(),
-        "## What the printed matrices would do",
+        "## Effect of the printed matrices",
         "\n".join(multiplier_section()),
         "## Programs of the source",
         "\n".join(program_section()),
         "## The run-up program's two faults, measured",
         "\n".join(release_section()),
-        "## The text against itself and its tables",
+        "## Contradictions within the text and with its tables",
         "\n".join(text_section()),
     ]
     return "\n".join(_wrapped(line) for line in "\n\n".join(parts).split("\n")) + "\n"
 
 
 def _wrapped(line: str) -> str:
-    """Prose in lines of 120 characters; tables, headings and formulas as they are."""
+    """Prose wrapped at 120 characters; tables, headings and formulas unchanged."""
     if len(line) <= 120 or line.startswith(("|", "#")) or "$" in line:
         return line
     indent = "  " if line.startswith("- ") else ""

@@ -1,14 +1,11 @@
-"""The source's run-up script: what its two faults do to a release.
+"""Effect of the two faults of the source's run-up script on a release.
 
-(a) It evaluates the disk's accelerations before the pendulums', so θ̈3, θ̈4 are zero there: the pendulums feel the
-    disk, but their angular acceleration never pushes back.
-(b) While a pendulum is locked the script holds its angle and lets its speed state integrate on. The false speed acts
-    on the disk through S φ̇², and the pendulum starts with it when released.
-The script turns at full speed from the first instant, with the disk at rest: it holds no ramp.
+(a) The script evaluates the disk's accelerations before the pendulums' accelerations, so θ̈3, θ̈4 are zero in them.
+    The disk acts on the pendulums, but their angular acceleration does not act on the disk.
+(b) While a pendulum is locked, the script holds its angle but integrates its speed. This false speed acts on the disk
+    through S φ̇² and is the pendulum's initial speed at release.
+The script runs at full speed from the first instant, with the disk at rest. It contains no ramp.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
@@ -16,19 +13,20 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import C1, C2, CA, CB, JA, JB, K1, K2, MASS, SA, SB, SP
 from dynamics.equations.parameters import RotorParameters
 
 
 @dataclass(frozen=True)
 class Faults:
-    """Which faults the equations have.
+    """Faults contained in the equations.
 
     Attributes:
-        no_push_back: (a) the disk's accelerations leave out θ̈3, θ̈4.
-        speed_runs_on: (b) a locked pendulum's speed state integrates.
+        no_push_back: fault (a), the disk's equations do not contain θ̈3, θ̈4.
+        speed_runs_on: fault (b), the speed of a locked pendulum is integrated.
     """
 
     no_push_back: bool = False
@@ -37,7 +35,7 @@ class Faults:
 
 @dataclass(frozen=True)
 class Release:
-    """A computed run: locked, released, settled or not.
+    """Computed motion of a release.
 
     Attributes:
         time_s: shape (n,), every tenth of a revolution.
@@ -45,35 +43,44 @@ class Release:
         released: index of the instant of release.
     """
 
-    time_s: np.ndarray
-    state: np.ndarray
+    time_s: Array
+    state: Array
     released: int
 
     @property
-    def radius_m(self) -> np.ndarray:
-        """Distance of the disk centre from its place of rest, shape (n,)."""
+    def radius_m(self) -> Array:
+        """Distance of the disk centre from its rest position, m, shape (n,)."""
         return np.hypot(self.state[:, 0], self.state[:, 1])
 
     @property
     def speed_at_release_rad_s(self) -> tuple[float, float]:
-        """θ̇3, θ̇4 that the equations hold at the instant of release."""
+        """θ̇3, θ̇4 in the equations at the instant of release."""
         return float(self.state[self.released, 6]), float(self.state[self.released, 7])
 
     @property
-    def final_angles_rad(self) -> np.ndarray:
+    def final_angles_rad(self) -> Array:
         """Means of θ3, θ4 over the last five revolutions, not reduced, shape (2,)."""
         return self.state[-50:, 2:4].mean(axis=0)
 
     def settling_time_s(self, band_rad: float = math.radians(1.0)) -> float:
-        """Time from release until both angles, averaged over a revolution, stay within the band round their end."""
+        """Time from release until both angles, averaged over a revolution, stay within the band about their end, s."""
         mean = np.column_stack([np.convolve(self.state[:, j], np.full(10, 0.1), "valid") for j in (2, 3)])
         outside = np.flatnonzero(np.any(np.abs(mean - mean[-1]) > band_rad, axis=1))
         return 0.0 if len(outside) == 0 else max(0.0, float(self.time_s[outside[-1]] - self.time_s[self.released]))
 
 
-@njit(cache=True, error_model="numpy")
-def script_rates(y, psi, omega, p, locked, no_push_back, speed_runs_on, out):
-    """Write dy/dt into out: the plain rig at constant speed, right or with the script's faults.
+@compiled
+def script_rates(
+    y: Array,
+    psi: float,
+    omega: float,
+    p: Array,
+    locked: bool,
+    no_push_back: bool,
+    speed_runs_on: bool,
+    out: Array,
+) -> None:
+    """Write dy/dt to out: the plain rig at constant speed, correct or with the script's faults.
 
     Args:
         y, out: shape (8,).
@@ -108,9 +115,18 @@ def script_rates(y, psi, omega, p, locked, no_push_back, speed_runs_on, out):
         out[7] = (p[SB] * (np.sin(psi + y[3]) * ax - np.cos(psi + y[3]) * ay) - p[CB] * y[7]) / p[JB]
 
 
-@njit(cache=True, error_model="numpy")
-def _run(y, omega, p, release_turns, turns, steps, no_push_back, speed_runs_on):
-    """States every tenth of a revolution by classical Runge–Kutta steps, `steps` a revolution (a multiple of ten)."""
+@compiled
+def _run(
+    y: Array,
+    omega: float,
+    p: Array,
+    release_turns: int,
+    turns: int,
+    steps: int,
+    no_push_back: bool,
+    speed_runs_on: bool,
+) -> Array:
+    """States every tenth of a revolution by classical Runge–Kutta with `steps` steps a revolution (multiple of ten)."""
     h = 2.0 * np.pi / omega / steps
     out = np.empty((10 * turns + 1, 8))
     out[0] = y
@@ -137,14 +153,14 @@ def release(
     free_s: float = 60.0,
     steps_per_revolution: int = 200,
 ) -> Release:
-    """Turn at full speed from rest, pendulums locked at 0° and 180° + 0.001 rad as in the script; release; go on.
+    """Run at full speed from rest with pendulums locked at 0° and 180° + 0.001 rad, as in the script, and release.
 
     Args:
-        parameters: a plain rig: two pendulums, no pivot shift, gravity, dry friction or balls.
+        parameters: a plain rig: two pendulums; no pivot shift, gravity, dry friction or balls.
         speed_rad_s: running speed, rad/s.
-        faults: of the equations.
+        faults: faults of the equations.
         locked_s, free_s: times before and after the release, s (rounded up to whole revolutions).
-        steps_per_revolution: of the Runge–Kutta method; a multiple of 10.
+        steps_per_revolution: steps of the Runge–Kutta method; a multiple of 10.
     """
     turn = 2 * math.pi / speed_rad_s
     locked_turns, turns = math.ceil(locked_s / turn), math.ceil(locked_s / turn) + math.ceil(free_s / turn)

@@ -1,24 +1,24 @@
-"""A scene as numbers for the derivation, and its accelerations to any number of digits."""
+"""Numerical values of a scene for the derivation, and its accelerations to any number of digits."""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-
-import sympy as sp
+from typing import Any
 
 from dynamics.derivation import symbols as s
 from dynamics.derivation.lagrange import Equations
 from dynamics.derivation.linearised import linearised
+from dynamics.derivation.symbols import Expr, sp
 from dynamics.equations.parameters import Pendulum, RotorParameters
 
 
-def rig_values(parameters: RotorParameters, sliding: tuple[int, int] = (1, 1)) -> dict[sp.Expr, float]:
-    """The rig's numbers under the derivation's symbols, in the order of `symbols.RIG`.
+def rig_values(parameters: RotorParameters, sliding: tuple[int, int] = (1, 1)) -> dict[Expr, float]:
+    """Values of the rig for the derivation's symbols, in the order of `symbols.RIG`.
 
     Args:
         parameters: the rig.
-        sliding: sign of θ̇ of pendulum A, B for dry friction.
+        sliding: sign of θ̇ of pendulums A and B for dry friction.
     """
     p = parameters
     c1, c2 = p.damping_Ns_per_m
@@ -55,28 +55,32 @@ def _kappa(pendulum: Pendulum) -> float:
 
 
 def moving_rows(parameters: RotorParameters, released: tuple[bool, bool]) -> list[int]:
-    """Rows of the equations that a scene keeps: the disk's two and those of the free pendulums.
+    """Rows of the equations that a scene uses: the disk's two rows and those of the free pendulums.
 
-    A lock holds θ̇ = θ̈ = 0 by a torque that the pendulum's own row would determine, so the row and its column
-    drop out. A pendulum of no mass has no row.
+    A lock keeps θ̇ = θ̈ = 0 with a torque that the pendulum's row would determine, so its row and column are removed.
+    A pendulum without mass has no row.
     """
     present = parameters.a.present and released[0], parameters.b.present and released[1]
     return [0, 1, *(2 + i for i, moves in enumerate(present) if moves)]
 
 
 @functools.cache
-def compiled(build: Callable[[], Equations]) -> Callable:
+def compiled(build: Callable[[], Equations]) -> Callable[..., Any]:
     """(mass matrix, right side, |right side|, ∂residual/∂coordinates, ∂residual/∂rates) as an mpmath function.
 
-    |right side| is the sum of the sizes of its terms: the yardstick for rounding errors.
+    |right side| is the sum of the absolute values of its terms: the scale of rounding errors.
 
     Args:
         build: `lagrange_equations` or `rotating_frame_equations`.
     Returns:
-        Function of (coordinates, rates, accelerations, PHASE, RIG), all flat; the working precision is mpmath's.
+        Function of (coordinates, rates, accelerations, PHASE, RIG), all flat, with mpmath's working precision.
     """
     equations = build()
-    sizes = equations.right_side.applyfunc(lambda e: sp.Add(*(sp.Abs(term) for term in sp.Add.make_args(e))))
+
+    def size(expression: Expr) -> Expr:
+        return sp.Add(*(sp.Abs(term) for term in sp.Add.make_args(expression)))
+
+    sizes = equations.right_side.applyfunc(size)
     linear = linearised(equations.residual, equations)
     arguments = (*equations.coordinates, *equations.rates, *equations.accelerations, *s.PHASE, *s.RIG)
     results = [equations.mass_matrix, equations.right_side, sizes, linear.stiffness, linear.damping]
@@ -86,10 +90,10 @@ def compiled(build: Callable[[], Equations]) -> Callable:
 def scene_arguments(
     state: Sequence[float], phase: Sequence[float], parameters: RotorParameters, released: tuple[bool, bool]
 ) -> tuple[list[float], list[float]]:
-    """Coordinates with rates (8), and phase with the rig's numbers, as `compiled` takes them.
+    """Coordinates with rates (8), and phase with the rig's values, as arguments of `compiled`.
 
     Args:
-        state: shape (8,): x, y, θ3, θ4 and their rates (SI). A locked pendulum's rate is taken as 0.
+        state: shape (8,): x, y, θ3, θ4 and their rates (SI). The rate of a locked pendulum is replaced by 0.
         phase: ψ, ω, α.
     """
     rates = [*state[4:6], *(v if free else 0.0 for v, free in zip(state[6:8], released, strict=True))]

@@ -1,15 +1,13 @@
 """The source's equations as printed: R. Horváth, Passive Pendulum Balancer for Rotor Systems, Auburn, 2006.
 
-Written with the derivation's symbols: the source's Θ1, Θ2 of its chapters 3 and 4 are Y1, Y2 (they turn with the
+Written with the derivation's symbols: the source's Θ1, Θ2 of its chapters 3 and 4 are Y1, Y2 (they rotate with the
 rotor), its Θ3, Θ4 are θ3, θ4, its Y_iE are the same symbols at rest, its S_A R_BA is S_A R_A. Misprints are kept.
-`dynamics.derivation.comparison` holds them against the derivation. Nothing else may use this module.
+`dynamics.derivation.comparison` compares them with the derivation. No other module may use this one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-
-import sympy as sp
 
 from dynamics.derivation.symbols import (
     M_P,
@@ -22,6 +20,8 @@ from dynamics.derivation.symbols import (
     S_P,
     Y1,
     Y2,
+    Expr,
+    Matrix,
     c1,
     c2,
     c3,
@@ -38,17 +38,18 @@ from dynamics.derivation.symbols import (
     k2,
     omega,
     psi,
+    sp,
     theta3,
     theta4,
 )
 
 sin, cos = sp.sin, sp.cos
 Half = sp.Rational(1, 2)
-# M_D + M_BA + M_BB, which several equations keep apart from M_P; the disk's own spin energy ¼ M_D R_D² ω²
+# M_D + M_BA + M_BB, which several equations separate from M_P; the disk's spin energy ¼ M_D R_D² ω²
 M_REST = M_S - M_P
 SPIN = sp.Symbol("M_D R_D^2 / 2")
 
-# Chapter 3 and 4 print one kinetic energy, (3-9) = (4-2)
+# Chapters 3 and 4 print one kinetic energy, (3-9) = (4-2)
 KINETIC = (
     Half
     * omega**2
@@ -90,7 +91,7 @@ DISSIPATION_ISOTROPIC = (
     + Half * (c3 * dtheta3**2 + c4 * dtheta4**2)
 )
 POTENTIAL = Half * k1 * (cos(psi) * Y1 - sin(psi) * Y2) ** 2 + Half * k2 * (sin(psi) * Y1 + cos(psi) * Y2) ** 2
-# ẋ and ẏ without their Θ̇1 part, as (4-4), (4-6) and (4-7) write them
+# ẋ and ẏ without their Θ̇1 part, as written in (4-4), (4-6) and (4-7)
 ALONG_X = -cos(psi) * omega * Y2 - sin(psi) * (dY2 + omega * Y1)
 ALONG_Y = -sin(psi) * omega * Y2 + cos(psi) * (dY2 + omega * Y1)
 DISSIPATION = (
@@ -103,16 +104,16 @@ DISSIPATION = (
 )
 
 
-def _push_1(theta: sp.Expr, rate: sp.Expr, acceleration: sp.Expr) -> sp.Expr:
+def _push_1(theta: Expr, rate: Expr, acceleration: Expr) -> Expr:
     return 2 * omega * cos(theta) * rate + sin(theta) * acceleration + omega**2 * cos(theta) + cos(theta) * rate**2
 
 
-def _push_2(theta: sp.Expr, rate: sp.Expr, acceleration: sp.Expr, sign: int) -> sp.Expr:
+def _push_2(theta: Expr, rate: Expr, acceleration: Expr, sign: int) -> Expr:
     turned = sign * cos(theta) * acceleration
     return 2 * omega * sin(theta) * rate + turned + omega**2 * sin(theta) + sin(theta) * rate**2
 
 
-def _pendulum(S: sp.Expr, R: sp.Expr, theta: sp.Expr, rate: sp.Expr, acceleration: sp.Expr, c: sp.Expr) -> sp.Expr:
+def _pendulum(S: Expr, R: Expr, theta: Expr, rate: Expr, acceleration: Expr, c: Expr) -> Expr:
     inside = (
         -sin(theta) * ddY1
         + R * acceleration
@@ -191,7 +192,7 @@ EQUATION_4_11 = (
 )
 
 
-def balanced_angle_arguments() -> tuple[tuple[sp.Expr, sp.Expr], tuple[sp.Expr, sp.Expr]]:
+def balanced_angle_arguments() -> tuple[tuple[Expr, Expr], tuple[Expr, Expr]]:
     """(3-21), (3-22): the two arguments of the four-quadrant arc tangent for θ3 and for θ4."""
     A, B = (S_A + S_B - S_P) * (S_A + S_B + S_P), (S_A - S_B - S_P) * (S_A - S_B + S_P)
     root = sp.sqrt(-A * B)
@@ -210,8 +211,8 @@ INERTIA = sp.Matrix(
 )
 
 
-def _pendulum_cells(disk: Sequence[Sequence[sp.Expr]], last: Sequence[sp.Expr], rate: bool) -> sp.Matrix:
-    """The cells that chapters 3 and 4 share: pendulum columns and rows of [D + G] (rate) or [K + N]."""
+def _pendulum_cells(disk: Sequence[Sequence[Expr]], last: Sequence[Expr], rate: bool) -> Matrix:
+    """Cells common to chapters 3 and 4: pendulum columns and rows of [D + G] (rate) or [K + N]."""
     if rate:
         right = (
             (-2 * omega * cos(theta3), -2 * omega * cos(theta4)),

@@ -1,14 +1,12 @@
-"""The scheme of the source's programs (its appendix B) in the derivation's symbols, misprints kept.
+"""Scheme of the source's programs (its appendix B) in the derivation's symbols, with their misprints.
 
-The motion: what its generated file computes for Θ̈1, Θ̈2, Θ̈3, Θ̈4, in the turning frame, with the rotor accelerating.
-The matrix: what its generating program puts into the inertia matrix.
+Motion: the expressions of the generated file for Θ̈1, Θ̈2, Θ̈3, Θ̈4, in the rotating frame, with rotor acceleration.
+Matrix: the entries that the generating program writes to the inertia matrix.
 """
 
 from __future__ import annotations
 
 import functools
-
-import sympy as sp
 
 from dynamics.derivation.symbols import (
     M_P,
@@ -20,6 +18,8 @@ from dynamics.derivation.symbols import (
     S_B,
     Y1,
     Y2,
+    Expr,
+    Matrix,
     alpha,
     c1,
     c2,
@@ -37,15 +37,16 @@ from dynamics.derivation.symbols import (
     k2,
     omega,
     psi,
+    sp,
     theta3,
     theta4,
 )
 
-# The generated file computes the disk's accelerations first; those of the pendulums still hold their zeros then
+# The generated file computes the disk's accelerations first; at that point those of the pendulums are zero
 NOT_YET_COMPUTED = {ddtheta3: sp.Integer(0), ddtheta4: sp.Integer(0)}
 
 
-def _suspension() -> tuple[sp.Expr, sp.Expr]:
+def _suspension() -> tuple[Expr, Expr]:
     s, c = sp.sin(psi), sp.cos(psi)
     first = (
         (c1 - c2) * s * c * omega * Y1
@@ -66,12 +67,12 @@ def _suspension() -> tuple[sp.Expr, sp.Expr]:
     return first, second
 
 
-def residuals() -> sp.Matrix:
+def residuals() -> Matrix:
     """The four assignments multiplied out to force and torque balances, shape (4, 1), = 0."""
     first, second = _suspension()
     first += M_S * (omega**2 * Y1 + alpha * Y2 + 2 * omega * dY2) + M_P * omega**2 * P_3
     second += M_S * (omega**2 * Y2 - alpha * Y1 - 2 * omega * dY1) - M_P * alpha * P_3
-    rows = []
+    rows: list[Expr] = []
     for S, R, theta, rate, acceleration, c in (
         (S_A, R_A, theta3, dtheta3, ddtheta3, c3),
         (S_B, R_B, theta4, dtheta4, ddtheta4, c4),
@@ -95,8 +96,8 @@ def residuals() -> sp.Matrix:
 
 
 @functools.cache
-def kinetic_energy_of_pendulum_a_as_listed() -> sp.Expr:
-    """½ M_A v² with the position of pendulum A turned by θ4, as the generating program has it; α = 0."""
+def kinetic_energy_of_pendulum_a_as_listed() -> Expr:
+    """½ M_A v² with the position of pendulum A rotated by θ4, as in the generating program; α = 0."""
     a = sp.Matrix([Y1 + R_A * sp.cos(theta4), Y2 + R_A * sp.sin(theta4)])
     v = a.diff(Y1) * dY1 + a.diff(Y2) * dY2 + a.diff(theta4) * dtheta4 + omega * sp.Matrix([[0, -1], [1, 0]]) * a
     return S_A / R_A * v.dot(v) / 2

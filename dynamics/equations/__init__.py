@@ -1,1 +1,1 @@
-"""The equations of motion: the rig's parameters, one run's scene and rotor phase, forces, and what balances them."""
+"""Equations of motion: parameters of the rig, scene and rotor phase of a run, forces, balancing."""

@@ -1,4 +1,4 @@
-"""What the pendulums can balance: regions in the plane of first mass moments, balanced angles, centre-of-gravity disk.
+"""Balancing capability: regions in the plane of first mass moments, balanced angles, centre-of-gravity disk.
 
 Notation: S_A, S_B, S_P are the first mass moments of pendulum A, pendulum B and the imbalance.
 """
@@ -17,7 +17,7 @@ IMPROPERLY_OVERSIZED = "improperly oversized"
 
 @dataclass(frozen=True)
 class _Slacks:
-    """How far each side of the triangle S_A, S_B, S_P is from being as long as the other two: rounded once, kg m."""
+    """Slack of each side of the triangle S_A, S_B, S_P: sum of the other two minus the side, rounded once, kg m."""
 
     a: float  # S_B + S_P − S_A
     b: float  # S_A + S_P − S_B
@@ -25,18 +25,18 @@ class _Slacks:
 
 
 def _slacks(a: float, b: float, s: float) -> _Slacks:
-    """Differences of the moments as they are stored; what is under one rounding of the sides counts as none."""
+    """Slacks of the stored moments. A negative slack within one rounding of the sides is replaced by zero."""
     rounding = math.ulp(max(a, b, s))
 
     def slack(*sides: float) -> float:
-        value = math.fsum(sides)  # the exact sum, rounded once: it has the exact sum's sign
+        value = math.fsum(sides)  # rounded once, so it has the sign of the exact sum
         return 0.0 if -rounding <= value < 0 else value
 
     return _Slacks(slack(b, s, -a), slack(a, s, -b), slack(a, b, -s))
 
 
 def balancing_region(a_kg_m: float, b_kg_m: float, imbalance_kg_m: float) -> str:
-    """Where a pendulum set stands against an imbalance.
+    """Region of a pendulum set for an imbalance.
 
     Args:
         a_kg_m, b_kg_m, imbalance_kg_m: first mass moments S_A, S_B, S_P, kg m, not negative.
@@ -52,12 +52,12 @@ def balancing_region(a_kg_m: float, b_kg_m: float, imbalance_kg_m: float) -> str
 
 @dataclass(frozen=True)
 class BalancingMargins:
-    """How far an imbalance is from the borders of a pendulum set's region.
+    """Distance of an imbalance from the borders of a pendulum set's region.
 
     Attributes:
-        region: as balancing_region gives it.
-        least_kg_m, most_kg_m: |S_A − S_B| and S_A + S_B: imbalances between them can be balanced, borders included.
-        may_grow_kg_m, may_shrink_kg_m: by how much S_P may change before the region does; None where no change in
+        region: result of balancing_region.
+        least_kg_m, most_kg_m: |S_A − S_B| and S_A + S_B. Imbalances between them can be balanced, borders included.
+        may_grow_kg_m, may_shrink_kg_m: largest increase and decrease of S_P within the region. None if no change in
             this direction leaves the region.
     """
 
@@ -69,7 +69,7 @@ class BalancingMargins:
 
 
 def balancing_margins(a_kg_m: float, b_kg_m: float, imbalance_kg_m: float) -> BalancingMargins:
-    """A pendulum set's region and how much the imbalance may grow or shrink within it.
+    """Region of a pendulum set, and how much the imbalance may increase or decrease within it.
 
     Args:
         a_kg_m, b_kg_m, imbalance_kg_m: as for balancing_region.
@@ -87,7 +87,7 @@ def balancing_margins(a_kg_m: float, b_kg_m: float, imbalance_kg_m: float) -> Ba
 
 
 def _half_angle(numerator: tuple[float, float], denominator: tuple[float, float]) -> float:
-    """2 atan sqrt(numerator/denominator) of two products, whose roots neither under- nor overflow."""
+    """2 atan sqrt(numerator/denominator) of two products. Separate roots avoid underflow and overflow."""
     root = [math.sqrt(first) * math.sqrt(second) for first, second in (numerator, denominator)]
     return 2 * math.atan2(*root)
 
@@ -95,11 +95,11 @@ def _half_angle(numerator: tuple[float, float], denominator: tuple[float, float]
 def _triangle_angles(a: float, b: float, s: float) -> tuple[float, float] | None:
     """Angles of the triangle with sides S_A, S_B, S_P between S_P and S_A and between S_P and S_B, rad.
 
-    tan²(α/2) = (S_B + S_P − S_A)(S_A + S_B − S_P) / ((S_A + S_P − S_B)(S_A + S_B + S_P)), from differences of the
-    stored moments that are rounded once: on the borders the cosine formula would lose half the digits.
+    tan²(α/2) = (S_B + S_P − S_A)(S_A + S_B − S_P) / ((S_A + S_P − S_B)(S_A + S_B + S_P)), from slacks of the stored
+    moments that are rounded once. On the borders the cosine formula would lose half the digits.
 
     Returns:
-        None when there is no triangle. For S_P = 0 and S_A = S_B the limit S_P → 0: (π/2, π/2).
+        None if the sides form no triangle. For S_P = 0 and S_A = S_B the limit S_P → 0: (π/2, π/2).
     """
     slack = _slacks(a, b, s)
     if min(slack.a, slack.b, slack.p) < 0:
@@ -111,10 +111,10 @@ def _triangle_angles(a: float, b: float, s: float) -> tuple[float, float] | None
 
 
 def closing_angles(a_kg_m: float, b_kg_m: float, target_kg_m: complex) -> list[tuple[float, float]]:
-    """The angles (θ3, θ4) with S_A e^{iθ3} + S_B e^{iθ4} = target, in [0, 2π): two mirror images, or none.
+    """Angles (θ3, θ4) in [0, 2π) with S_A e^{iθ3} + S_B e^{iθ4} = target: two mirror images, or an empty list.
 
     Args:
-        target_kg_m: first moment the pendulums have to make, kg m; for a plain imbalance −S_P.
+        target_kg_m: first moment that the pendulums must produce, kg m; −S_P for a plain imbalance.
     """
     triangle = _triangle_angles(a_kg_m, b_kg_m, abs(target_kg_m))
     if triangle is None or (a_kg_m == 0 and b_kg_m == 0):
@@ -132,7 +132,7 @@ def balanced_angles(rig: RotorParameters | object) -> list[tuple[float, float]]:
     """Type I without pivot shift: the angles (θ3, θ4) with S_A e^{iθ3} + S_B e^{iθ4} = −S_P.
 
     Returns:
-        Two mirror images in [0, 2π), the one with θ3 ≤ π first; empty when the set is not properly oversized.
+        Two mirror images in [0, 2π), the one with θ3 ≤ π first. Empty if the set is not properly oversized.
     """
     parameters = physics_of(rig)
     a, b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m
@@ -141,11 +141,12 @@ def balanced_angles(rig: RotorParameters | object) -> list[tuple[float, float]]:
 
 @dataclass(frozen=True)
 class GravityDisk:
-    """Where the pendulums can put the rotor's centre of gravity ("CG circle"), in rotor-fixed coordinates.
+    """Positions of the rotor's centre of gravity reachable by the pendulums ("CG circle"), in rotor-fixed coordinates.
 
     Attributes:
-        centre_m: distance of the ring's centre from the rotor axis, along the imbalance: S_P/M_S.
-        outer_m, inner_m: radii (S_A + S_B)/M_S and |S_A − S_B|/M_S; inside the inner one no pose reaches.
+        centre_m: distance of the ring's centre from the rotor axis, along the imbalance: S_P/M_S, m.
+        outer_m, inner_m: radii (S_A + S_B)/M_S and |S_A − S_B|/M_S, m. Positions inside the inner radius cannot be
+            reached.
     """
 
     centre_m: float
@@ -154,12 +155,12 @@ class GravityDisk:
 
     @property
     def holds_axis(self) -> bool:
-        """Whether the rotor axis lies in the ring, which is when full balance exists."""
+        """Whether the rotor axis lies in the ring. This is the condition of full balance."""
         return self.inner_m <= self.centre_m <= self.outer_m
 
 
 def gravity_disk(rig: RotorParameters | object) -> GravityDisk:
-    """The ring that the centre of gravity of rotor, imbalance and pendulums can reach."""
+    """Ring of reachable positions of the centre of gravity of rotor, imbalance and pendulums."""
     parameters = physics_of(rig)
     a, b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m
     mass = parameters.total_mass_kg

@@ -1,23 +1,21 @@
-"""Dry friction as a set-valued torque: which pendulum slides, which way, and which is stuck.
+"""Dry friction as a set-valued torque: which pendulum slides, in which direction, and which sticks.
 
-Friction holds a pendulum with any torque up to F φ̇² and opposes its sliding with exactly that (F = friction arm ×
-first moment, dynamics.equations.kernels). A pendulum is therefore in one of three modes: it slides forward (θ̇ > 0),
-slides backward, or is stuck (θ̇ = 0). While it is stuck it needs the torque
+Friction holds a pendulum with any torque up to F φ̇² and opposes its sliding with exactly that torque (F = friction arm
+× first moment, dynamics.equations.kernels). A pendulum is therefore in one of three modes: it slides forward (θ̇ > 0),
+slides backward, or sticks (θ̇ = 0). A sticking pendulum needs the torque
     T = S n·(p̈ + g ŷ) − D α
-to be held, and stays as long as |T| ≤ F ω². Within a mode the motion is smooth; modes change only at instants that
-the integrator locates (docs/theory/integration.md), so the sign of a small speed is never asked.
+and sticks as long as |T| ≤ F ω². Within a mode the motion is smooth. Modes change only at instants that the integrator
+locates (docs/theory/integration.md), so the sign of a small speed is never evaluated.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 from itertools import product
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import DA, FA, GRAVITY, JA, RC, SA, rates
 from dynamics.errors import NotConverged
 
@@ -25,9 +23,11 @@ FORWARD, BACKWARD, STUCK = 1, -1, 0
 Modes = tuple[int, int]
 
 
-@njit(cache=True, error_model="numpy")
-def needed_torque(pendulum, y, psi, omega, alpha, p, free_a, free_b, out):
-    """Torque that holds pendulum 0 (A) or 1 (B) at rest on the rotor, N m; out is scratch, shape (8,)."""
+@compiled
+def needed_torque(
+    pendulum: int, y: Array, psi: float, omega: float, alpha: float, p: Array, free_a: float, free_b: float, out: Array
+) -> float:
+    """Torque that holds pendulum 0 (A) or 1 (B) at rest on the rotor, N m. `out` is scratch, shape (8,)."""
     rates(y, psi, omega, alpha, p, free_a, free_b, out)
     phi = psi + y[2 + pendulum]
     sin_phi, cos_phi = np.sin(phi), np.cos(phi)
@@ -37,8 +37,8 @@ def needed_torque(pendulum, y, psi, omega, alpha, p, free_a, free_b, out):
     return p[SA + pendulum] * (sin_phi * px - cos_phi * py) - p[DA + pendulum] * alpha
 
 
-def with_modes(p: np.ndarray, modes: Modes, free: tuple[bool, bool]) -> tuple[np.ndarray, float, float]:
-    """Packed parameters and free flags for the kernels: friction signed by the direction, a stuck one not free."""
+def with_modes(p: Array, modes: Modes, free: tuple[bool, bool]) -> tuple[Array, float, float]:
+    """Packed parameters with friction signed by direction, and free flags; a sticking pendulum is not free."""
     out = p.copy()
     for i in range(2):
         out[FA + i] = abs(p[FA + i]) * (-1.0 if modes[i] == BACKWARD else 1.0)
@@ -46,28 +46,27 @@ def with_modes(p: np.ndarray, modes: Modes, free: tuple[bool, bool]) -> tuple[np
     return out, free_a, free_b
 
 
-def modes_at(
-    y: np.ndarray, phase: np.ndarray, p: np.ndarray, free: tuple[bool, bool], leaving: int | None = None
-) -> Modes:
-    """Modes that friction allows at an instant; a pendulum with speed slides, one at rest on the rotor must be asked.
+def modes_at(y: Array, phase: Array, p: Array, free: tuple[bool, bool], leaving: int | None = None) -> Modes:
+    """Modes that friction permits at an instant.
 
-    For those at rest every combination is tried, stuck ones first, until one agrees with itself: the stuck within
-    their limit, the sliding accelerating the way they are said to slide. One pendulum's sliding changes the torque
-    on the other by at most the share S²/(J M_S) of it, which is why they must be asked together.
+    A pendulum with speed slides. For pendulums at rest on the rotor, all combinations are tried, sticking ones first.
+    The result is the first consistent combination: torques of sticking pendulums are within their limits, and sliding
+    pendulums accelerate in their direction. The sliding of one pendulum changes the torque on the other by at most the
+    fraction S²/(J M_S), so both must be considered together.
 
     Args:
         y: state, shape (8,), with θ̇ exactly 0 for a pendulum at rest on the rotor.
         phase: ψ (rad), ω (rad/s), α (rad/s²).
         p: packed parameters, friction not negative.
         free: which pendulums are released.
-        leaving: a pendulum whose stick was just found to end (its torque is at the limit, so rounding would decide).
+        leaving: pendulum whose sticking has just ended. Its torque is at the limit, where rounding would decide.
     Raises:
         NotConverged: the state is not finite.
     """
     if not np.all(np.isfinite(y)):
         raise NotConverged(f"friction: no mode fits a state that is not finite: {y}")
     psi, omega, alpha = (float(v) for v in phase)
-    choices = []
+    choices: list[tuple[int, ...]] = []
     for i in range(2):
         if not free[i] or p[FA + i] == 0.0:
             choices.append((STUCK,))
@@ -76,7 +75,8 @@ def modes_at(
         else:
             choices.append((FORWARD, BACKWARD) if i == leaving else (STUCK, FORWARD, BACKWARD))
     out, best, least = np.empty(8), (STUCK, STUCK), np.inf
-    for modes in sorted(product(*choices), key=lambda m: abs(m[0]) + abs(m[1])):
+    pairs = [(a, b) for a, b in product(choices[0], choices[1])]
+    for modes in sorted(pairs, key=lambda m: abs(m[0]) + abs(m[1])):
         packed, free_a, free_b = with_modes(p, modes, free)
         worst = 0.0
         for i in range(2):
@@ -84,11 +84,11 @@ def modes_at(
                 continue
             limit = abs(p[FA + i]) * omega**2
             torque = needed_torque(i, y, psi, omega, alpha, packed, free_a, free_b, out)
-            # out now holds the rates: a slide must start the way it is said to
+            # out contains the rates: a slide must accelerate in its direction
             violation = abs(torque) - limit if modes[i] == STUCK else -modes[i] * out[6 + i] * p[JA + i]
             worst = max(worst, violation)
         if worst <= 0.0:
             return modes
         if worst < least:
             best, least = modes, worst
-    return best  # the least contradiction: rounding at the edge between two modes
+    return best  # smallest contradiction: rounding at the border between two modes

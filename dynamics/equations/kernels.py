@@ -6,24 +6,22 @@ rotor. The rotor's phase ψ and its rates ω, α are given functions of time.
 With e_i = (cos φ_i, sin φ_i), n_i = (sin φ_i, −cos φ_i), φ_i = ψ + θ_i, a free pendulum or ball obeys
     J_i θ̈_i = S_i n_i·(p̈ + g ŷ) − D_i α − c_i θ̇_i − d_i |θ̇_i| θ̇_i − F_i φ̇_i²,
     p̈ = q̈ + R_C (α (−sin ψ, cos ψ) − ω² (cos ψ, sin ψ)),
-and pushes the rotor with S_i (φ̇_i² e_i + φ̈_i n_i). D_i is J_i for a pendulum; F_i is the signed coefficient of dry
-friction while it slides forward (an integrator that follows friction turns its sign or locks the pendulum), d_i the
-drag of air that turns with the rotor. Putting
-the first into the second leaves two equations
+and loads the rotor with S_i (φ̇_i² e_i + φ̈_i n_i). D_i is J_i for a pendulum. F_i is the signed coefficient of dry
+friction of forward sliding (an integrator of friction changes its sign or locks the pendulum), d_i the drag of the air
+that rotates with the rotor. Substitution of the first equation in the second gives two equations
     (M_S 1 − Σ_free S_i²/J_i n_i n_iᵀ) q̈ = forces without q̈,
 whose matrix is positive definite because S_i²/J_i ≤ M_i < M_S. A locked pendulum has θ̇ = 0, θ̈ = 0.
-The springs of a bent shaft rest at b e^{iψ}, b = B_X + i B_Y. A spring stretched by u pulls with k u (1 + H u²), and a
-damper at the speed v resists with c v (1 + Q |v|); each direction has its own H and Q.
-The rates may be complex: a complex step gives exact derivatives of everything built on this function.
+The rest position of the springs of a bent shaft is b e^{iψ}, b = B_X + i B_Y. A spring stretched by u pulls with
+k u (1 + H u²), and a damper at the speed v resists with c v (1 + Q |v|). Each direction has its own H and Q.
+The rates may be complex: a complex step then gives exact derivatives of every result of this function.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from dynamics.arrays import Array, Numbers
+from dynamics.compiled_code import compiled
 
 # Order of the packed parameters (RotorParameters.packed)
 MASS, K1, K2, C1, C2, SA, SB, SP, JA, JB, CA, CB, RC, DA, DB, FA, FB, GRAVITY, BX, BY = range(20)
@@ -32,15 +30,28 @@ PACKED = 26
 DIMENSION = 8
 
 
-@njit(cache=True, error_model="numpy")
-def size_of(x):
-    """|x| of a float; of a complex number what continues it beside the real axis."""
+@compiled
+def size_of(x: complex) -> complex:
+    """|x| of a float; for a complex number its analytic continuation from the real axis."""
     return x if x.real >= 0.0 else -x
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _pendulum(theta, rate, psi, omega, alpha, free, s, j, c, d, f, air):
-    """Direction n, reduced mass, the push on the rotor and θ̈, both without what p̈ and gravity add."""
+@compiled(inline=True)
+def _pendulum(  # twelve arguments: numba inlines the call, so a tuple of them would cost its construction
+    theta: complex,
+    rate: complex,
+    psi: float,
+    omega: float,
+    alpha: float,
+    free: float,
+    s: complex,
+    j: complex,
+    c: complex,
+    d: complex,
+    f: complex,
+    air: complex,
+) -> tuple[complex, complex, complex, complex, complex, complex]:
+    """Direction n, reduced mass, force on the rotor and θ̈, the last two without the terms of p̈ and gravity."""
     phi = psi + theta
     cos_phi, sin_phi = np.cos(phi), np.sin(phi)
     speed = omega + rate * free
@@ -51,9 +62,11 @@ def _pendulum(theta, rate, psi, omega, alpha, free, s, j, c, d, f, air):
     return sin_phi, -cos_phi, free * s * s / j, fx, fy, bare
 
 
-@njit(cache=True, error_model="numpy")
-def rates(y, psi, omega, alpha, p, free_a, free_b, out):
-    """Write dy/dt into out.
+@compiled
+def rates(
+    y: Numbers, psi: float, omega: float, alpha: float, p: Numbers, free_a: float, free_b: float, out: Numbers
+) -> None:
+    """Write dy/dt to out.
 
     Args:
         y, out: shape (8,), float or complex.
@@ -72,7 +85,7 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
     # acceleration of the pivot relative to the disk centre, gravity as an upward acceleration
     rx = -p[RC] * (alpha * sin_psi + w2 * cos_psi)
     ry = p[RC] * (alpha * cos_psi - w2 * sin_psi) + p[GRAVITY]
-    # the springs' stretch, from where they rest
+    # stretch of the springs from their rest position
     ux, uy = y[0] - (p[BX] * cos_psi - p[BY] * sin_psi), y[1] - (p[BX] * sin_psi + p[BY] * cos_psi)
     dot_a = nax * rx + nay * ry
     dot_b = nbx * rx + nby * ry
@@ -107,9 +120,11 @@ def rates(y, psi, omega, alpha, p, free_a, free_b, out):
     out[7] = free_b * (p[SB] * (nbx * ax + nby * ay + dot_b) / p[JB] + bare_b)
 
 
-@njit(cache=True, error_model="numpy")
-def jacobian(y, psi, omega, alpha, p, free_a, free_b, out):
-    """∂(dy/dt)/∂y by complex steps (exact to rounding) into out, shape (8, 8)."""
+@compiled
+def jacobian(
+    y: Array, psi: float, omega: float, alpha: float, p: Array, free_a: float, free_b: float, out: Array
+) -> None:
+    """Write ∂(dy/dt)/∂y, shape (8, 8), to out, by complex steps (exact to rounding)."""
     z = y.astype(np.complex128)
     f = np.empty(8, dtype=np.complex128)
     for j in range(8):
@@ -120,9 +135,23 @@ def jacobian(y, psi, omega, alpha, p, free_a, free_b, out):
         z[j] = y[j]
 
 
-@njit(cache=True, error_model="numpy")
-def rk4_step(y, h, phase0, phase1, phase2, p, free_a, free_b, k1, k2, k3, k4, work):
-    """Advance y by h in place with the classical fourth-order step.
+@compiled
+def rk4_step(
+    y: Array,
+    h: float,
+    phase0: Array,
+    phase1: Array,
+    phase2: Array,
+    p: Array,
+    free_a: float,
+    free_b: float,
+    k1: Array,
+    k2: Array,
+    k3: Array,
+    k4: Array,
+    work: Array,
+) -> None:
+    """Advance y by h in place with one classical fourth-order step.
 
     Args:
         phase0, phase1, phase2: (ψ, ω, α) at the start, the middle and the end of the step.

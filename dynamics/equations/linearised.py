@@ -1,18 +1,16 @@
-"""The equations of small motions about a steady motion: δẏ = A(ψ) δy with A periodic in the rotor's phase.
+"""Equations of small motions about a steady motion: δẏ = A(ψ) δy with A periodic in the rotor's phase.
 
-State y = (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4) with the disk centre in the space-fixed frame: there the suspension is
-constant, and only the pendulums' small share turns with the rotor. Derivations: docs/theory/stability.md.
+State y = (x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4) with the disk centre in the space-fixed frame. In this frame the suspension is
+constant, and only the pendulums' small contribution rotates with the rotor. Derivations: docs/theory/stability.md.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import C1, CA, FA, FB, JA, K1, MASS, SA, jacobian
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.periodic_matrix import PeriodicMatrix, turning
@@ -21,18 +19,18 @@ from dynamics.errors import NotConverged, OutsideDomain
 
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _ROUNDING = np.finfo(float).eps
-_MOST_PHASES = 4096
+_MAX_PHASES = 4096
 
 
 def kept_states(parameters: RotorParameters, released: tuple[bool, bool] = (True, True)) -> NDArray[np.intp]:
-    """Indices of the states that move: a locked or absent pendulum's angle and rate are left out."""
+    """Indices of the moving states: angle and rate of a locked or absent pendulum are omitted."""
     free = [bool(r and p.present) for r, p in zip(released, (parameters.a, parameters.b), strict=True)]
     return np.flatnonzero(np.array([True, True, *free] * 2))
 
 
-@njit(cache=True, error_model="numpy")
-def _resting_harmonics(p, theta3, theta4, w, h):
-    """Harmonics 0, 1 and 2 of A(ψ) about the balanced state into h, shape (3, 8, 8), which comes as zeros.
+@compiled
+def _resting_harmonics(p: Array, theta3: float, theta4: float, w: float, h: Complex) -> None:
+    """Write harmonics 0, 1 and 2 of A(ψ) about the balanced state to h, shape (3, 8, 8), which must contain zeros.
 
     Args:
         p: packed parameters.
@@ -68,18 +66,18 @@ def _resting_harmonics(p, theta3, theta4, w, h):
 
 
 def type_one(parameters: RotorParameters, theta3: float, theta4: float, speed_rad_s: float) -> PeriodicMatrix:
-    """Small motions about the balanced state (Type I), exact: nothing but the harmonics 0, 1 and 2.
+    """Small motions about the balanced state (Type I), exact: A(ψ) contains only the harmonics 0, 1 and 2.
 
     With a plane vector as a complex number, e_i = e^{i(ψ+θ_i)}, n_i = −i e_i and μ_i = S_i²/J_i the mass matrix is
-    M b = m b − g e^{2iψ} b̄ with m = M_S − (μ_A + μ_B)/2, g = −½ Σ μ_i e^{2iθ_i}, and its inverse
-    (m a + g e^{2iψ} ā)/(m² − |g|²). Applied to what turns with the rotor it gives what turns with the rotor. Dry
-    friction is left out.
+    M b = m b − g e^{2iψ} b̄ with m = M_S − (μ_A + μ_B)/2, g = −½ Σ μ_i e^{2iθ_i}, and its inverse is
+    (m a + g e^{2iψ} ā)/(m² − |g|²). It maps vectors that rotate with the rotor to vectors that rotate with it. Dry
+    friction is neglected.
 
     Args:
         theta3, theta4: balanced angles (dynamics.equations.balancing.balanced_angles), rad.
         speed_rad_s: running speed ω, rad/s.
     Raises:
-        OutsideDomain: gravity in the disk plane, a pivot shift or a bow: the rotor does not rest there (use `along`).
+        OutsideDomain: gravity in the disk plane, a pivot shift or a bow. The rotor is then not at rest (use `along`).
     """
     p = parameters
     if p.gravity_m_per_s2 != 0 or p.pivot_shift_m != 0 or p.bow_m != 0:
@@ -95,9 +93,9 @@ def type_one(parameters: RotorParameters, theta3: float, theta4: float, speed_ra
     return PeriodicMatrix(np.ascontiguousarray(h[:, kept][:, :, kept]), speed_rad_s, _TURN[kept])
 
 
-@njit(cache=True, error_model="numpy")
-def _matrices_along(states, speed, p, free_a, free_b, matrices):
-    """∂(dy/dt)/∂y at equally spaced phases of a revolution, shape (n, 8, 8), of states (n, 8)."""
+@compiled
+def _matrices_along(states: Array, speed: float, p: Array, free_a: float, free_b: float, matrices: Array) -> None:
+    """Write ∂(dy/dt)/∂y at equally spaced phases of a revolution, shape (n, 8, 8), for states of shape (n, 8)."""
     for i in range(len(states)):
         matrix = matrices[i]
         for row in range(4):
@@ -110,26 +108,26 @@ def _matrices_along(states, speed, p, free_a, free_b, matrices):
 
 def along(
     parameters: RotorParameters,
-    states: NDArray[np.floating],
+    states: Array,
     speed_rad_s: float,
     released: tuple[bool, bool] = (True, True),
     most_harmonics: int | None = None,
 ) -> PeriodicMatrix:
     """Small motions about a periodic motion, from exact derivatives at phases of a whole revolution.
 
-    The states' trigonometric interpolant is sampled more densely until the matrix's own Fourier series has died
-    away, so that products of many harmonics do not fold back. Dry friction is left out. Damping that grows with the
-    speed has a kink where a speed vanishes: its series falls like 1/k² and is cut off at `most_harmonics`.
+    The states' trigonometric interpolant is sampled more densely until the matrix's own Fourier series has decayed, so
+    that products of many harmonics do not alias. Dry friction is neglected. Damping that increases with the speed has a
+    kink at zero speed: its series decreases as 1/k² and is truncated at `most_harmonics`.
 
     Args:
         states: shape (N, 8), at ψ_j = 2πj/N, N even; space-fixed x, y.
         speed_rad_s: running speed ω, rad/s.
         released: which pendulums are free.
-        most_harmonics: where the series does not die away before, it ends here; the caller compares two such. None:
-            it has to die away.
+        most_harmonics: order at which a series that has not decayed is truncated; the caller compares two orders.
+            None: the series must decay.
     Raises:
         OutsideDomain: states of another shape.
-        NotConverged: the Fourier series does not die away (a motion too rough for the phases it is given at).
+        NotConverged: the Fourier series does not decay (the motion is too rough for the given phases).
     """
     if states.ndim != 2 or states.shape[1] != 8 or len(states) < 2 or len(states) % 2:
         raise OutsideDomain(f"states must have the shape (N, 8) with N even, got {states.shape}")
@@ -138,7 +136,7 @@ def along(
     kept = kept_states(parameters, released)
     turn = _TURN[kept] if parameters.gravity_m_per_s2 == 0 and _repeats_after_half(states) else None
     phases = max(16, len(states))
-    while phases <= _MOST_PHASES:
+    while phases <= _MAX_PHASES:
         sampled = _resampled(states, phases)
         matrices = np.empty((phases, 8, 8))
         _matrices_along(sampled, speed_rad_s, packed, float(2 in kept), float(3 in kept), matrices)
@@ -146,41 +144,41 @@ def along(
             matrices = matrices[:, kept][:, :, kept]
         spectrum = np.fft.rfft(matrices, axis=0) / phases
         spectrum[1:] *= 2.0
-        if turn is not None:  # entries that keep their sign over half a turn hold even orders, the others odd ones
+        if turn is not None:  # entries that keep their sign over half a revolution have even orders, others odd orders
             odd = np.outer(turn, turn) < 0
             spectrum[0::2, odd] = 0.0
             spectrum[1::2, ~odd] = 0.0
-        last = _last_heard(spectrum, np.max(np.abs(matrices), axis=0))
+        last = _highest_order(spectrum, np.max(np.abs(matrices), axis=0))
         if most_harmonics is not None and phases >= 8 * most_harmonics:
             last = min(last, most_harmonics)
         if last < 3 * phases // 8:
             return PeriodicMatrix(np.ascontiguousarray(spectrum[: last + 1]), speed_rad_s, turn)
         phases *= 2
     raise NotConverged(
-        f"the matrix along the motion still has harmonics above rounding at order {_MOST_PHASES // 2}, wanted none; "
+        f"the matrix along the motion still has harmonics above rounding at order {_MAX_PHASES // 2}, expected none; "
         "give the motion at more phases"
     )
 
 
-def _last_heard(spectrum: NDArray[np.complexfloating], size: NDArray[np.floating]) -> int:
+def _highest_order(spectrum: Complex, size: Array) -> int:
     """The highest order above the rounding of the states and of the matrix.
 
     Args:
         spectrum: shape (m + 1, n, n).
         size: largest value of each entry, shape (n, n).
 
-    The states carry rounding of their own; it lies flat over the orders, so the upper quarter of the spectrum tells
-    it. More than 1e-11 of the entry's row is no rounding and counts as heard.
+    The rounding of the states is spread evenly over the orders, so the upper quarter of the spectrum measures it. An
+    amplitude above 1e-11 of its row's largest entry is not rounding and counts.
     """
     row = np.max(size, axis=1, keepdims=True)
-    heard = np.abs(spectrum)
-    flat = np.max(heard[3 * len(spectrum) // 4 :], axis=0)
+    amplitude = np.abs(spectrum)
+    flat = np.max(amplitude[3 * len(spectrum) // 4 :], axis=0)
     floor = np.maximum(8 * _ROUNDING * size, np.where(flat <= 1e-11 * row, 4 * flat, 0.0))
-    return int(np.max(np.flatnonzero(np.any(heard > floor, axis=(1, 2))), initial=0))
+    return int(np.max(np.flatnonzero(np.any(amplitude > floor, axis=(1, 2))), initial=0))
 
 
-def _repeats_after_half(states: NDArray[np.floating]) -> bool:
-    """Whether x, y turn their sign after half a revolution and the angles do not, within the orbit's own accuracy."""
+def _repeats_after_half(states: Array) -> bool:
+    """Whether x, y change sign after half a revolution and the angles do not, within the accuracy of the orbit."""
     half = len(states) // 2
     apart = np.abs(states[half:] - _TURN * states[:half]).max(axis=0)
     size = np.abs(states).max(axis=0)
@@ -188,13 +186,13 @@ def _repeats_after_half(states: NDArray[np.floating]) -> bool:
     return bool(np.all(apart <= 1e-7 * scale + 1e-300))
 
 
-def _resampled(states: NDArray[np.floating], phases: int) -> NDArray[np.floating]:
+def _resampled(states: Array, phases: int) -> Array:
     """The states' trigonometric interpolant at more phases of a whole revolution, shape (phases, 8)."""
     have = len(states)
     if phases == have:
         return np.ascontiguousarray(states, float)
     spectrum = np.fft.rfft(states, axis=0)
-    spectrum[-1] *= 0.5  # the highest cosine stands for both signs of its order
+    spectrum[-1] *= 0.5  # the highest cosine represents both signs of its order
     wider = np.zeros((phases // 2 + 1, 8), complex)
     wider[: len(spectrum)] = spectrum
     return np.fft.irfft(wider, phases, axis=0) * (phases / have)
@@ -202,16 +200,16 @@ def _resampled(states: NDArray[np.floating], phases: int) -> NDArray[np.floating
 
 def rotating_frame(
     parameters: RotorParameters,
-    state: NDArray[np.floating],
+    state: Array,
     speed_rad_s: float,
     released: tuple[bool, bool] = (True, True),
 ) -> PeriodicMatrix:
-    """Small motions about a singular point on an isotropic suspension: constant in the frame that turns.
+    """Small motions about a singular point on an isotropic suspension; A is constant in the rotating frame.
 
     Args:
         state: shape (8,), the space-fixed state at ψ = 0 of a motion at rest in the rotating frame.
     Raises:
-        OutsideDomain: suspension not isotropic, or gravity in the disk plane.
+        OutsideDomain: the suspension is not isotropic, or gravity lies in the disk plane.
     """
     if not parameters.is_isotropic or parameters.gravity_m_per_s2 != 0:
         raise OutsideDomain(

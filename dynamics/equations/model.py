@@ -1,4 +1,4 @@
-"""The smallest model that is exact for a scene, and why."""
+"""Selection of the smallest model that is exact for a scene, with its reason."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ AUTONOMOUS = "rotating frame, autonomous"
 HALF_REVOLUTION = "periodic over half a revolution"
 WHOLE_REVOLUTION = "periodic over a whole revolution"
 NONLINEAR = "full nonlinear motion"
-_BENT = "the suspension's stiffness or damping depends on the motion"
+_AMPLITUDE_DEPENDENT = "the suspension's stiffness or damping depends on the motion"
 _BY_SIZE = (CLOSED_FORM, AUTONOMOUS, HALF_REVOLUTION, WHOLE_REVOLUTION, NONLINEAR)
 
 
 @dataclass(frozen=True)
 class Model:
-    """A model and the reason for it.
+    """A model and the reason for its selection.
 
     Attributes:
         name: one of the names of this module, smallest first: CLOSED_FORM, AUTONOMOUS, HALF_REVOLUTION,
             WHOLE_REVOLUTION, NONLINEAR.
-        why: what in the scene asks for it, one line.
+        why: property of the scene that requires the model, one line.
     """
 
     name: str
@@ -40,15 +40,15 @@ def choose_model(
     steady: bool = True,
     at_least: str | None = None,
 ) -> Model:
-    """The smallest exact model of a scene.
+    """Select the smallest exact model of a scene.
 
     Args:
-        rig: RotorParameters, or anything whose `.physics` is.
+        rig: RotorParameters, or an object whose `.physics` is one.
         released: which pendulums are free.
-        steady: constant speed and a motion that repeats; False: a transient, a ramp or a measured speed.
-        at_least: name of a model; a bigger one than needed is taken when this asks for it.
+        steady: True for constant speed and a periodic motion, False for a transient, a ramp or a measured speed.
+        at_least: name of the smallest permitted model.
     Raises:
-        OutsideDomain: `at_least` names no model.
+        OutsideDomain: `at_least` is not the name of a model.
     """
     smallest = _smallest(physics_of(rig), released, steady)
     if at_least is None:
@@ -56,9 +56,9 @@ def choose_model(
     if at_least not in _BY_SIZE:
         raise OutsideDomain(f"model: expected one of {', '.join(map(repr, _BY_SIZE))}, got {at_least!r}")
     if _BY_SIZE.index(at_least) <= _BY_SIZE.index(smallest.name):
-        too_small = "" if at_least == smallest.name else f" ({at_least} was asked for and would not be exact)"
+        too_small = "" if at_least == smallest.name else f" ({at_least} was requested and would not be exact)"
         return Model(smallest.name, smallest.why + too_small)
-    return Model(at_least, f"asked for ({smallest.name} would do)")
+    return Model(at_least, f"requested ({smallest.name} would suffice)")
 
 
 def _smallest(p: RotorParameters, released: tuple[bool, bool], steady: bool) -> Model:
@@ -76,11 +76,13 @@ def _smallest(p: RotorParameters, released: tuple[bool, bool], steady: bool) -> 
             WHOLE_REVOLUTION, f"{who} free and gravity lies in the disk plane, which repeats once a revolution"
         )
     if p.bow_m or not p.is_isotropic:
-        unequal = "k1 ≠ k2" if p.k1_N_per_m != p.k2_N_per_m else "ζ1 ≠ ζ2" if p.zeta1 != p.zeta2 else _BENT
-        why = "the shaft is bent" if p.is_isotropic else f"{unequal}, which the rotor sees twice a revolution"
+        unequal = (
+            "k1 ≠ k2" if p.k1_N_per_m != p.k2_N_per_m else "ζ1 ≠ ζ2" if p.zeta1 != p.zeta2 else _AMPLITUDE_DEPENDENT
+        )
+        why = "the shaft is bent" if p.is_isotropic else f"{unequal}, which acts on the rotor twice a revolution"
         return Model(HALF_REVOLUTION, f"{who} free and {why}")
     return Model(
-        AUTONOMOUS, f"{who} free on an isotropic suspension: steady motions are rest points of the rotor's frame"
+        AUTONOMOUS, f"{who} free on an isotropic suspension: steady motions are rest points of the rotating frame"
     )
 
 
@@ -88,4 +90,4 @@ def _with_nothing_free(p: RotorParameters, what: str) -> Model:
     if p.suspension_is_linear:
         return Model(CLOSED_FORM, f"{what}, so disk and column are two forced linear oscillators")
     name = WHOLE_REVOLUTION if p.gravity_m_per_s2 > 0 else HALF_REVOLUTION
-    return Model(name, f"{what}, but {_BENT}: two forced oscillators by harmonic balance")
+    return Model(name, f"{what}, but {_AMPLITUDE_DEPENDENT}: two forced oscillators by harmonic balance")

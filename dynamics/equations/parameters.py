@@ -1,4 +1,4 @@
-"""Physical parameters of rotor, pendulums and suspension, and the quantities that follow from them."""
+"""Physical parameters of rotor, pendulums and suspension, and derived quantities."""
 
 from __future__ import annotations
 
@@ -8,28 +8,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynamics.arrays import Array
 from dynamics.errors import OutsideDomain
 
-_SMALLEST, _LARGEST = 1e-15, 1e15  # SI; far outside any rig
-_LIGHTEST = 1e-3  # rotor against pendulums
+_MIN_VALUE, _MAX_VALUE = 1e-15, 1e15  # SI; bounds of all parameters, far outside any rig
+_MIN_ROTOR_MASS_RATIO = 1e-3  # rotor mass over the pendulums' mass
 
 
 @dataclass(frozen=True)
 class Pendulum:
     """A point mass on a massless arm about the rotor axis, or a ball that rolls in a channel of the rotor.
 
-    A ball of radius r whose centre runs on a circle of radius R rolls on the channel's outer wall without slipping:
-    it turns at ω − θ̇ R/r, so its own inertia κ m r² adds κ m R² to the inertia against θ̈ and takes κ m r R from
-    the one against ω̇ (dynamics.derivation).
+    A ball of radius r whose centre runs on a circle of radius R rolls on the channel's outer wall without slipping. It
+    rotates at ω − θ̇ R/r, so its own inertia κ m r² adds κ m R² to the inertia against θ̈ and subtracts κ m r R from
+    the inertia against ω̇ (dynamics.derivation).
 
     Attributes:
-        mass_kg: mass, kg; 0 for a pendulum that is not there.
-        length_m: distance of the mass from its pivot, for a ball of its centre from the channel's, m.
+        mass_kg: mass, kg; 0 for an absent pendulum.
+        length_m: distance of the mass from its pivot, or of a ball's centre from the channel's centre, m.
         damping_Nms_per_rad: viscous torque per speed relative to the rotor (c3 or c4), N m s/rad.
-        drag_Nms2_per_rad2: torque of the air, which turns with the rotor, over the square of the speed relative to it.
-        friction_arm_m: dry friction torque per contact force M R φ̇², m: μ times the pivot pin's radius, or a ball's
-            coefficient of rolling resistance (a length) times R/r.
-        ball_radius_m: radius r of a rolling ball; 0 for a pendulum.
+        drag_Nms2_per_rad2: air torque divided by the square of the speed relative to the rotor; the air rotates with
+            the rotor. N m s²/rad².
+        friction_arm_m: dry friction torque per contact force M R φ̇², m: μ times the radius of the pivot pin, or a
+            ball's coefficient of rolling resistance (a length) times R/r.
+        ball_radius_m: radius r of a rolling ball, m; 0 for a pendulum.
         ball_inertia_ratio: κ = I/(m r²): 0.4 for a sphere, 0.5 for a cylinder.
     """
 
@@ -43,12 +45,12 @@ class Pendulum:
 
     @classmethod
     def absent(cls) -> Pendulum:
-        """No pendulum in this place."""
+        """Pendulum with mass 0."""
         return cls(0.0, 1.0, 0.0)
 
     @property
     def present(self) -> bool:
-        """Whether there is anything in this place."""
+        """Whether the mass is above 0."""
         return self.mass_kg > 0
 
     @property
@@ -58,7 +60,7 @@ class Pendulum:
 
     @property
     def inertia_kg_m2(self) -> float:
-        """J against θ̈: M R², for a ball M R² (1 + κ), kg m²."""
+        """Inertia J against θ̈: M R², for a ball M R² (1 + κ), kg m²."""
         rolling = self.ball_inertia_ratio if self.ball_radius_m > 0 else 0.0
         return self.mass_kg * self.length_m**2 * (1.0 + rolling)
 
@@ -71,7 +73,7 @@ class Pendulum:
 def rolling_arm(resistance_m: float, circle_m: float, ball_radius_m: float) -> float:
     """Friction arm of a ball that rolls in a channel, m: torque about the rotor axis per contact force.
 
-    The rolling moment b N acts on the ball, which turns R/r times as fast as it runs around: b R/r by virtual work.
+    The rolling moment b N acts on the ball, which rotates R/r times as fast as it orbits: b R/r by virtual work.
 
     Args:
         resistance_m: coefficient of rolling resistance b, m.
@@ -84,25 +86,26 @@ def rolling_arm(resistance_m: float, circle_m: float, ball_radius_m: float) -> f
 
 @dataclass(frozen=True)
 class RotorParameters:
-    """All numbers the equations of motion need (SI).
+    """All parameters of the equations of motion (SI).
 
     Attributes:
         rotor_mass_kg: disk with column, kg.
-        imbalance_mass_kg, imbalance_radius_m: brass weight and its distance from the axis.
+        imbalance_mass_kg, imbalance_radius_m: brass weight and its distance from the axis, kg, m.
         a, b: the two pendulums.
-        k1_N_per_m, k2_N_per_m: stiffness along x and y.
+        k1_N_per_m, k2_N_per_m: stiffness along x and y, N/m.
         zeta1, zeta2: damping ratios along x and y, c / (2 sqrt(k M_S)).
-        pivot_shift_m: shift R_C of the pendulums' pivot along the imbalance direction.
-        pivot_shift_compensated: whether brass weights balance the imbalance (M_A + M_B) R_C that the shift brings,
-            as the rig's procedure has it.
-        gravity_m_per_s2: gravity within the disk plane, along −y (a horizontal shaft); 0 for a vertical one.
-        bow_x_m, bow_y_m: of a bent shaft: where the springs rest in the rotor's frame, x along the imbalance; 0 for a
-            straight one.
-        hardening_per_m2: H along x and y: stretched by u a spring pulls with k u (1 + H u²); below 0 it softens.
-        damping_growth_s_per_m: Q along x and y: at the speed v a damper takes c v (1 + Q |v|).
+        pivot_shift_m: shift R_C of the pendulums' pivot along the imbalance direction, m.
+        pivot_shift_compensated: whether brass weights balance the imbalance (M_A + M_B) R_C caused by the shift, as in
+            the rig's procedure.
+        gravity_m_per_s2: gravity within the disk plane, along −y (a horizontal shaft), m/s²; 0 for a vertical shaft.
+        bow_x_m, bow_y_m: bow of a bent shaft: rest position of the springs in the rotor's frame, x along the
+            imbalance, m; 0 for a straight shaft.
+        hardening_per_m2: H along x and y, 1/m²: a spring stretched by u pulls with k u (1 + H u²). It softens if H is
+            negative.
+        damping_growth_s_per_m: Q along x and y, s/m: the damping force at speed v is c v (1 + Q |v|).
     Raises:
-        OutsideDomain: a value that is not finite, a length or stiffness or the rotor's mass not positive, or a
-            mass, damping or friction that is negative.
+        OutsideDomain: a value is not finite; a length, a stiffness or the rotor's mass is not positive; a mass, damping
+            or friction is negative.
     """
 
     rotor_mass_kg: float
@@ -151,19 +154,20 @@ class RotorParameters:
             "b.drag_Nms2_per_rad2": self.b.drag_Nms2_per_rad2,
         }
         masses = {"a.mass_kg": self.a.mass_kg, "b.mass_kg": self.b.mass_kg}
-        for name, value in (positive | not_negative | {"gravity_m_per_s2": self.gravity_m_per_s2}).items():
+        given: dict[str, object] = {**positive, **not_negative}
+        for name, value in given.items():
             if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
                 raise OutsideDomain(f"{name} must be a number, got {value!r}")
         for name, value in positive.items():
             if not (math.isfinite(value) and value > 0):
                 raise OutsideDomain(f"{name} must be finite and above 0, got {value!r}")
-            if not _SMALLEST <= value <= _LARGEST:  # beyond, squares and quotients leave the range of a double
-                raise OutsideDomain(f"{name} must lie in {_SMALLEST:g} … {_LARGEST:g}, got {value!r}")
-        self._need_a_rotor()
-        self._need_bow_and_terms()
+            if not _MIN_VALUE <= value <= _MAX_VALUE:  # outside, squares and quotients exceed the range of a double
+                raise OutsideDomain(f"{name} must lie in {_MIN_VALUE:g} … {_MAX_VALUE:g}, got {value!r}")
+        self._check_rotor_mass()
+        self._check_bow_and_terms()
         for name, value in masses.items():
-            if 0 < value < _SMALLEST:
-                raise OutsideDomain(f"{name} must be 0 (no pendulum) or at least {_SMALLEST:g}, got {value!r}")
+            if 0 < value < _MIN_VALUE:
+                raise OutsideDomain(f"{name} must be 0 (no pendulum) or at least {_MIN_VALUE:g}, got {value!r}")
         for name, p in (("a", self.a), ("b", self.b)):
             if p.ball_radius_m >= p.length_m:
                 raise OutsideDomain(
@@ -173,31 +177,32 @@ class RotorParameters:
         for name, value in not_negative.items():
             if not (math.isfinite(value) and value >= 0):
                 raise OutsideDomain(f"{name} must be finite and not negative, got {value!r}")
-            if value > _LARGEST:
-                raise OutsideDomain(f"{name} must be at most {_LARGEST:g}, got {value!r}")
+            if value > _MAX_VALUE:
+                raise OutsideDomain(f"{name} must be at most {_MAX_VALUE:g}, got {value!r}")
 
-    def _need_bow_and_terms(self) -> None:
+    def _check_bow_and_terms(self) -> None:
         terms = {"hardening_per_m2": self.hardening_per_m2, "damping_growth_s_per_m": self.damping_growth_s_per_m}
         named = [("bow_x_m", self.bow_x_m), ("bow_y_m", self.bow_y_m)]
         for name, value in named + [(name, value) for name, pair in terms.items() for value in pair]:
-            if not (math.isfinite(value) and abs(value) <= _LARGEST):
-                raise OutsideDomain(f"{name} must be finite and at most {_LARGEST:g}, got {value!r}")
+            if not (math.isfinite(value) and abs(value) <= _MAX_VALUE):
+                raise OutsideDomain(f"{name} must be finite and at most {_MAX_VALUE:g}, got {value!r}")
 
-    def _need_a_rotor(self) -> None:
-        if self.rotor_mass_kg < _LIGHTEST * (self.a.mass_kg + self.b.mass_kg):
+    def _check_rotor_mass(self) -> None:
+        if self.rotor_mass_kg < _MIN_ROTOR_MASS_RATIO * (self.a.mass_kg + self.b.mass_kg):
+            total = self.a.mass_kg + self.b.mass_kg
             raise OutsideDomain(
-                f"rotor_mass_kg must be at least {_LIGHTEST:g} of the pendulums' {self.a.mass_kg + self.b.mass_kg:.6g} "
+                f"rotor_mass_kg must be at least {_MIN_ROTOR_MASS_RATIO:g} of the pendulums' {total:.6g} "
                 f"kg, got {self.rotor_mass_kg!r}: without a rotor the equations of motion are singular"
             )
 
     @property
     def total_mass_kg(self) -> float:
-        """M_S: everything that moves with the disk centre, kg."""
+        """M_S: mass of all parts that move with the disk centre, kg."""
         return self.rotor_mass_kg + self.imbalance_mass_kg + self.a.mass_kg + self.b.mass_kg
 
     @property
     def imbalance_moment_kg_m(self) -> float:
-        """S_P, kg m."""
+        """First mass moment S_P of the imbalance, kg m."""
         return self.imbalance_mass_kg * self.imbalance_radius_m
 
     @property
@@ -217,22 +222,22 @@ class RotorParameters:
 
     @property
     def has_friction(self) -> bool:
-        """Whether a pendulum that is there feels dry friction."""
+        """Whether a pendulum with mass has dry friction."""
         return any(q.present and q.friction_arm_m > 0 for q in (self.a, self.b))
 
     @property
     def bow_m(self) -> complex:
-        """b: the springs rest at b e^{iψ}, m."""
+        """Bow b: the rest position of the springs is b e^{iψ}, m."""
         return complex(self.bow_x_m, self.bow_y_m)
 
     @property
     def is_isotropic(self) -> bool:
-        """Whether all directions have the same stiffness and damping, at any amplitude."""
+        """Whether stiffness and damping are equal in all directions, at any amplitude."""
         return self.k1_N_per_m == self.k2_N_per_m and self.zeta1 == self.zeta2 and self.suspension_is_linear
 
     @property
     def suspension_is_linear(self) -> bool:
-        """Whether stiffness and damping of the suspension are the same at any amplitude."""
+        """Whether stiffness and damping of the suspension are independent of the amplitude."""
         return not any((*self.hardening_per_m2, *self.damping_growth_s_per_m))
 
     def speed_rad_s(self, speed_ratio: float) -> float:
@@ -240,11 +245,11 @@ class RotorParameters:
         return speed_ratio * self.natural_frequencies_rad_s[0]
 
     def with_values(self, **values: float) -> RotorParameters:
-        """A copy with some identified parameters replaced.
+        """Copy with some identified parameters replaced.
 
         Args:
             values: any of k1_N_per_m, k2_N_per_m, zeta1, zeta2, c3_Nms_per_rad, c4_Nms_per_rad, SP_kg_m.
-                SP_kg_m moves the imbalance radius and leaves its mass, so M_S stays.
+                SP_kg_m changes the imbalance radius and keeps the imbalance mass, so M_S does not change.
         """
         own = {k: values.pop(k) for k in ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2") if k in values}
         result = dataclasses.replace(self, **own)
@@ -262,7 +267,7 @@ class RotorParameters:
         return result
 
     def identified(self) -> dict[str, float]:
-        """The seven numbers an identification finds, under their file names."""
+        """The seven parameters estimated by an identification, under their names in the file."""
         return {
             "k1_N_per_m": self.k1_N_per_m,
             "k2_N_per_m": self.k2_N_per_m,
@@ -275,12 +280,12 @@ class RotorParameters:
 
     @property
     def forcing_moment_kg_m(self) -> float:
-        """S_P with what an uncompensated pivot shift adds to it, kg m."""
+        """S_P plus the moment of an uncompensated pivot shift, kg m."""
         shift = 0.0 if self.pivot_shift_compensated else (self.a.mass_kg + self.b.mass_kg) * self.pivot_shift_m
         return self.imbalance_moment_kg_m + shift
 
-    def packed(self) -> np.ndarray:
-        """The numbers in the order of the compiled kernels (see dynamics.equations.kernels), shape (26,)."""
+    def packed(self) -> Array:
+        """Parameters in the order of the compiled kernels (dynamics.equations.kernels), shape (26,)."""
         a, b = self.a, self.b
         return np.array(
             [
@@ -312,10 +317,10 @@ class RotorParameters:
 
 
 def imbalance_radius(moment_kg_m: float, mass_kg: float) -> float:
-    """P_3 = S_P/M_P, m: a moment is laid over a rig by moving its imbalance mass, so that M_S stays.
+    """P_3 = S_P/M_P, m. A given moment is set through the radius of the imbalance mass, so M_S does not change.
 
     Raises:
-        OutsideDomain: a moment, and no mass to make it.
+        OutsideDomain: a moment is given, but the mass is 0.
     """
     if mass_kg > 0:
         return moment_kg_m / mass_kg
@@ -323,15 +328,15 @@ def imbalance_radius(moment_kg_m: float, mass_kg: float) -> float:
         return 0.0
     raise OutsideDomain(
         f"S_P = {moment_kg_m:.6g} kg m can't be made by an imbalance mass of {mass_kg:g} kg: expected "
-        "imbalance.mass_kg above 0, the mass on the rotor that makes it"
+        "imbalance.mass_kg above 0, the mass on the rotor that produces it"
     )
 
 
 def physics_of(rig: object) -> RotorParameters:
-    """The rotor parameters of a rig file, or the argument itself when it is that already.
+    """Rotor parameters of a rig, or the argument itself if it is RotorParameters.
 
     Raises:
-        OutsideDomain: neither RotorParameters nor something whose `.physics` is.
+        OutsideDomain: the argument is not RotorParameters and has no such `.physics`.
     """
     found = getattr(rig, "physics", rig)
     if not isinstance(found, RotorParameters):

@@ -1,7 +1,4 @@
-"""A matrix that is periodic in the rotor's phase, as a Fourier series: what all of the Floquet theory stands on."""
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+"""A matrix that is periodic in the rotor's phase, as a Fourier series: input of all Floquet methods."""
 
 from __future__ import annotations
 
@@ -9,17 +6,17 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.errors import OutsideDomain
 
 _EPS = float(np.finfo(float).eps)
 
 
-@njit(cache=True, error_model="numpy")
-def evaluate(series, phase, out):
-    """A(ψ) = Re Σ_k series[k] e^{ikψ} into out; series complex (m + 1, n, n), out (n, n)."""
+@compiled
+def evaluate(series: Complex, phase: float, out: Array) -> None:
+    """Write A(ψ) = Re Σ_k series[k] e^{ikψ} to out; series complex (m + 1, n, n), out (n, n)."""
     n = series.shape[1]
     for i in range(n):
         for j in range(n):
@@ -38,15 +35,15 @@ class PeriodicMatrix:
     Attributes:
         harmonics: complex, shape (m + 1, n, n): A(ψ) = Re Σ_k harmonics[k] e^{ikψ}, SI (1/s and the state's units).
         speed_rad_s: ψ̇ = ω, above 0.
-        turn: signs, shape (n,), of D = diag(turn) with A(ψ + π) = D A(ψ) D: half a revolution tells all; None where
-            only the whole revolution repeats.
+        turn: signs, shape (n,), of D = diag(turn) with A(ψ + π) = D A(ψ) D, so that half a revolution is sufficient.
+            None if only the whole revolution is a period.
     Raises:
-        OutsideDomain: a speed that is not finite and above 0, harmonics that are not finite or of the wrong shape.
+        OutsideDomain: the speed is not finite and above 0, or the harmonics are not finite or have a wrong shape.
     """
 
-    harmonics: NDArray[np.complexfloating]
+    harmonics: Complex
     speed_rad_s: float
-    turn: NDArray[np.floating] | None
+    turn: Array | None
 
     def __post_init__(self) -> None:
         shape = self.harmonics.shape
@@ -55,11 +52,11 @@ class PeriodicMatrix:
         if not (np.isfinite(self.speed_rad_s) and self.speed_rad_s > 0):
             raise OutsideDomain(f"speed_rad_s must be finite and above 0, got {self.speed_rad_s!r}")
         if not np.isfinite(self.harmonics).all():
-            raise OutsideDomain("the matrix along the motion holds values that are not finite: check masses and speed")
+            raise OutsideDomain("the matrix along the motion contains values that are not finite: check masses, speed")
 
     @property
     def constant(self) -> bool:
-        """Whether the matrix does not depend on the phase (autonomous equations)."""
+        """Whether the matrix is independent of the phase (autonomous equations)."""
         return len(self.harmonics) == 1
 
     @property
@@ -67,17 +64,17 @@ class PeriodicMatrix:
         """Number of states n."""
         return self.harmonics.shape[1]
 
-    def at(self, phase_rad: float) -> NDArray[np.floating]:
+    def at(self, phase_rad: float) -> Array:
         """A(ψ), shape (n, n), 1/s."""
         wave = np.exp(1j * phase_rad * np.arange(len(self.harmonics)))
         return np.real(np.einsum("k,kij->ij", wave, self.harmonics))
 
     @functools.cached_property
     def seen_from_rotor(self) -> PeriodicMatrix | None:
-        """The constant matrix in the frame that turns with the rotor; None where it is not constant there.
+        """The constant matrix in the frame that rotates with the rotor, or None if it is not constant in that frame.
 
-        With y = R(ψ) y_r, R turning (x, y) and (ẋ, ẏ) by ψ: A_r = Rᵀ A(ψ) R − ω G, G = dR/dψ at 0. Over a whole
-        revolution R comes back to 1, so the multipliers are the same.
+        With y = R(ψ) y_r, R rotating (x, y) and (ẋ, ẏ) by ψ: A_r = Rᵀ A(ψ) R − ω G, G = dR/dψ at 0. After a whole
+        revolution R is 1, so the multipliers are the same.
         """
         if self.constant or self.dimension not in (4, 6, 8):
             return None
@@ -88,7 +85,7 @@ class PeriodicMatrix:
         return PeriodicMatrix(start.astype(complex)[None], self.speed_rad_s, None)
 
 
-def turning(n: int) -> NDArray[np.floating]:
+def turning(n: int) -> Array:
     """G: derivative of the rotation of (x, y) and (ẋ, ẏ) at angle zero, shape (n, n)."""
     g = np.zeros((n, n))
     for i in (0, n // 2):
@@ -96,9 +93,9 @@ def turning(n: int) -> NDArray[np.floating]:
     return g
 
 
-@njit(cache=True, error_model="numpy")
-def _turn_pairs(a, c, s):
-    """Rᵀ a R in place, R turning the pairs (0, 1) and (n/2, n/2 + 1) by an angle with cosine c and sine s."""
+@compiled
+def _turn_pairs(a: Array, c: float, s: float) -> None:
+    """Replace a by Rᵀ a R; R rotates the pairs (0, 1) and (n/2, n/2 + 1) by an angle with cosine c and sine s."""
     n = a.shape[0]
     for first in (0, n // 2):
         for row in range(n):
@@ -110,9 +107,9 @@ def _turn_pairs(a, c, s):
             a[first, column], a[first + 1, column] = c * upper + s * lower, c * lower - s * upper
 
 
-@njit(cache=True, error_model="numpy")
-def _turned_sizes(a, c, s):
-    """|R|ᵀ a |R| in place, of absolute values: what the terms of Rᵀ A R add up to at most."""
+@compiled
+def _turned_sizes(a: Array, c: float, s: float) -> None:
+    """Replace a, a matrix of absolute values, by |R|ᵀ a |R|: bound on the sums of the terms of Rᵀ A R."""
     n = a.shape[0]
     for first in (0, n // 2):
         for row in range(n):
@@ -124,9 +121,9 @@ def _turned_sizes(a, c, s):
             a[first, column], a[first + 1, column] = c * upper + s * lower, c * lower + s * upper
 
 
-@njit(cache=True, error_model="numpy")
-def _constant_on_rotor(series, start):
-    """Whether Rᵀ A(ψ) R stays what it is at ψ = 0, within rounding; A(0) into start (n, n)."""
+@compiled
+def _constant_on_rotor(series: Complex, start: Array) -> bool:
+    """Whether Rᵀ A(ψ) R is equal to A(0) within rounding at all phases. A(0) is written to start, shape (n, n)."""
     n, phases = start.shape[0], 2 * series.shape[0] + 1
     evaluate(series, 0.0, start)
     there, size = np.empty((n, n)), np.empty((n, n))

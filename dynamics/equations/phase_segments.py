@@ -1,42 +1,40 @@
-"""The rotor's phase for a stepping method: every step stays on one cubic, or knows what it steps across.
+"""The rotor's phase for a stepping method: every step stays on one cubic or has a known jump at each crossed knot.
 
-A speed history is a piecewise cubic with constant speed outside. Here the two outer stretches become segments of
-their own, so that a method can evaluate any instant on the segment its step belongs to: at the knot where a ramp
-ends, the step before it sees the ramp's acceleration and the step after it none.
+A speed history is a piecewise cubic with constant speed outside its range. Here the two outer intervals are segments,
+so that a method can evaluate any instant on the segment of its step. At the knot where a ramp ends, the step before it
+has the acceleration of the ramp and the step after it has none.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.equations.speed_history import SpeedHistory
 
 
 @dataclass(frozen=True)
 class PhaseSegments:
-    """A speed history laid out for stepping.
+    """A speed history as segments for stepping.
 
     Attributes:
-        knots: shape (n,), ascending, s; segment j lies between knots[j − 1] and knots[j].
+        knots: shape (n,), ascending, s. Segment j lies between knots[j − 1] and knots[j].
         origins: shape (n + 1,), s.
         cubics: shape (n + 1, 4): ψ = c0 + c1 s + c2 s² + c3 s³, s = t − origin.
-        jumps: shape (n, 2): how much the acceleration (rad/s²) and its rate (rad/s³) jump at each knot.
+        jumps: shape (n, 2): jumps of the acceleration (rad/s²) and of its rate (rad/s³) at each knot.
     """
 
-    knots: np.ndarray
-    origins: np.ndarray
-    cubics: np.ndarray
-    jumps: np.ndarray
+    knots: Array
+    origins: Array
+    cubics: Array
+    jumps: Array
 
     @classmethod
     def of(cls, history: SpeedHistory) -> PhaseSegments:
-        """The segments of a history."""
+        """Segments of a history."""
         knots = np.ascontiguousarray(history.knots_s, float)
         inner = np.ascontiguousarray(history.coefficients, float)
         width = np.diff(knots)[-1]
@@ -50,28 +48,28 @@ class PhaseSegments:
         return cls(knots, origins, cubics, jumps)
 
     @property
-    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """knots, origins, cubics, jumps: what compiled code takes."""
+    def arrays(self) -> tuple[Array, Array, Array, Array]:
+        """knots, origins, cubics, jumps: arguments of compiled functions."""
         return self.knots, self.origins, self.cubics, self.jumps
 
-    def phase(self, time_s: float) -> np.ndarray:
-        """ψ (rad), ω (rad/s), α (rad/s²) at one instant (at a knot: after it), shape (3,)."""
+    def phase(self, time_s: float) -> Array:
+        """ψ (rad), ω (rad/s), α (rad/s²) at one instant, at a knot their values after it; shape (3,)."""
         out = np.empty(3)
         phase_within(time_s, 0, len(self.knots), self.knots, self.origins, self.cubics, out)
         return out
 
 
-@njit(cache=True, error_model="numpy")
-def segment_of(t, segment, knots):
-    """The segment that holds t (at a knot: the one after it), sought upwards from a given one."""
+@compiled
+def segment_of(t: float, segment: int, knots: Array) -> int:
+    """Segment that contains t (at a knot the later one), searched upwards from a given segment."""
     while segment < len(knots) and t >= knots[segment]:
         segment += 1
     return segment
 
 
-@njit(cache=True, error_model="numpy")
-def phase_within(t, first, last, knots, origins, cubics, out):
-    """(ψ, ω, α) at t into out, for a step that spans the segments first … last."""
+@compiled
+def phase_within(t: float, first: int, last: int, knots: Array, origins: Array, cubics: Array, out: Array) -> None:
+    """Write (ψ, ω, α) at t to out, for a step that covers the segments first … last."""
     segment = first
     while segment < last and t >= knots[segment]:
         segment += 1
@@ -82,12 +80,12 @@ def phase_within(t, first, last, knots, origins, cubics, out):
     out[2] = 2.0 * c2 + 6.0 * c3 * s
 
 
-def speed_crossings(segments: PhaseSegments, level_rad_s: float, from_s: float, to_s: float) -> np.ndarray:
-    """Instants in [from_s, to_s] at which the speed passes a level, ascending, s (exact: the speed is quadratic)."""
-    edges, found = np.concatenate([[-np.inf], segments.knots, [np.inf]]), []
+def speed_crossings(segments: PhaseSegments, level_rad_s: float, from_s: float, to_s: float) -> Array:
+    """Instants in [from_s, to_s] at which the speed crosses a level, ascending, s (exact: the speed is quadratic)."""
+    edges, found = np.concatenate([[-np.inf], segments.knots, [np.inf]]), list[float]()
     for j in np.flatnonzero(np.any(segments.cubics[:, 2:] != 0.0, axis=1)):
         _, c1, c2, c3 = segments.cubics[j]
         roots = np.roots(np.trim_zeros([3 * c3, 2 * c2, c1 - level_rad_s], "f"))
         at = segments.origins[j] + roots[np.abs(roots.imag) == 0].real
         found.extend(at[(at >= edges[j]) & (at <= edges[j + 1]) & (at >= from_s) & (at <= to_s)].tolist())
-    return np.unique(found)
+    return np.unique(np.array(found, np.float64))

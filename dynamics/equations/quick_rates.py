@@ -1,18 +1,20 @@
-"""The right-hand side of dynamics.equations.kernels in half the time, for the integrator's innermost loop.
+"""Right-hand side of dynamics.equations.kernels in half the time, for the integrator's innermost loop.
 
-The same equations, gathered by pendulum, with a sine and cosine from one argument reduction and two polynomials: the
-library's two calls for each of three angles cost more than all the rest. Tests hold the two functions equal.
+The equations are the same, grouped by pendulum. Sine and cosine come from one argument reduction and two polynomials:
+the library's two calls for each of three angles take longer than all other operations. Tests compare both functions.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 
+from dynamics.arrays import Numbers
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import (
     AA,
     AB,
@@ -52,9 +54,9 @@ _C1, _C2, _C3 = 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015
 _C4, _C5, _C6 = -2.75573143513906633035e-07, 2.08757232129817482790e-09, -1.13596475577881948265e-11
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def real_sine_cosine(x):
-    """(sin x, cos x) of a float, as near as x itself is given."""
+@compiled(contract=True)
+def real_sine_cosine(x: float) -> tuple[float, float]:
+    """(sin x, cos x) of a float, to the accuracy of x."""
     turns = np.floor(x * 0.63661977236758134308 + 0.5)
     r = (x - turns * _QUARTER) - turns * _QUARTER_REST
     z = r * r
@@ -66,21 +68,29 @@ def real_sine_cosine(x):
     return (-sine if (quarter & 2) != 0 else sine), (-cosine if ((quarter + 1) & 2) != 0 else cosine)
 
 
-def sine_cosine(x):
-    """(sin x, cos x) of a float (quickly) or a complex number (by the library)."""
+def sine_cosine(x: complex) -> tuple[complex, complex]:
+    """(sin x, cos x): by `real_sine_cosine` for a float, by the library for a complex number."""
     return np.sin(x), np.cos(x)
 
 
 @overload(sine_cosine)
-def _sine_cosine(x):
-    if isinstance(x, types.Complex):
-        return lambda x: (np.sin(x), np.cos(x))
-    return lambda x: real_sine_cosine(x)  # noqa: PLW0108 - numba asks for a function with this signature
+def _sine_cosine(x: Any) -> Callable[[Any], tuple[complex, complex]]:
+    """Implementation for a type of x. numba requires the same signature, annotations included, of both functions."""
+
+    def by_library(x: Any) -> tuple[complex, complex]:
+        return np.sin(x), np.cos(x)
+
+    def by_polynomials(x: Any) -> tuple[complex, complex]:
+        return real_sine_cosine(x)
+
+    return by_library if isinstance(x, types.Complex) else by_polynomials
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def quick_rates(y, psi, omega, alpha, p, free_a, free_b, out, row):
-    """Write dy/dt into out[row], out of shape (n, 8); the other arguments as for dynamics.equations.kernels.rates."""
+@compiled(contract=True)
+def quick_rates(
+    y: Numbers, psi: float, omega: float, alpha: float, p: Numbers, free_a: float, free_b: float, out: Numbers, row: int
+) -> None:
+    """Write dy/dt to out[row], out of shape (n, 8). Other arguments as for dynamics.equations.kernels.rates."""
     sin_a, cos_a = sine_cosine(psi + y[2])
     sin_b, cos_b = sine_cosine(psi + y[3])
     sin_r, cos_r = real_sine_cosine(psi)
@@ -92,11 +102,11 @@ def quick_rates(y, psi, omega, alpha, p, free_a, free_b, out, row):
     own_a = -share_a * (p[DA] * alpha + (p[CA] + p[AA] * size_of(y[6])) * y[6] + p[FA] * wa * wa)
     own_b = -share_b * (p[DB] * alpha + (p[CB] + p[AB] * size_of(y[7])) * y[7] + p[FB] * wb * wb)
     mass_a, mass_b = share_a * p[SA] * p[SA], share_b * p[SB] * p[SB]
-    # push of each pendulum along its arm and along n = (sin φ, −cos φ)
+    # force of each pendulum along its arm and along n = (sin φ, −cos φ)
     along_a, along_b = p[SA] * wa * wa, p[SB] * wb * wb
     across_a = p[SA] * (alpha + own_a) + mass_a * (sin_a * rx - cos_a * ry)
     across_b = p[SB] * (alpha + own_b) + mass_b * (sin_b * rx - cos_b * ry)
-    # the springs' stretch, from where they rest
+    # stretch of the springs from their rest position
     ux, uy = y[0] - (p[BX] * cos_r - p[BY] * sin_r), y[1] - (p[BX] * sin_r + p[BY] * cos_r)
     fx = p[SP] * (w2 * cos_r + alpha * sin_r)
     fx -= p[C1] * y[4] * (1.0 + p[QX] * size_of(y[4])) + p[K1] * ux * (1.0 + p[HX] * ux * ux)

@@ -1,8 +1,8 @@
 # pyright: strict
-"""Contact of a ball with its channel: Hertz's ellipse, approach and pressure, and the rolling resistance it leaves.
+"""Contact of a ball with its channel: Hertz's ellipse, approach, pressure, and the resulting rolling resistance.
 
 Source: K. L. Johnson, Contact Mechanics (1985), (4.24)–(4.27) for the ellipse, section 9.2 for elastic hysteresis,
-section 6.2 for where yielding begins; docs/theory/start_ups.md.
+section 6.2 for the onset of yielding; docs/theory/start_ups.md.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from scipy.special import ellipe, ellipk  # pyright: ignore[reportMissingTypeStu
 from dynamics.errors import OutsideDomain
 
 YIELDS_AT = 1.6
-"""Peak pressure over the yield stress from which material below the surface yields (circular contact)."""
-_ROUND = 1e-9  # of the axes' ratio, below which the contact is a circle
+"""Ratio of peak pressure to yield stress at which the material below the surface yields (circular contact)."""
+_CIRCULAR = 1e-9  # relative difference of the gaps' curvatures below which the contact is a circle
 
 
 @dataclass(frozen=True)
 class Material:
-    """What a contact needs of a material.
+    """Material properties used by the contact.
 
     Attributes:
         youngs_Pa: Young's modulus, Pa.
@@ -45,9 +45,9 @@ class Contact:
     """An elastic contact.
 
     Attributes:
-        approach_m: how far ball and wall come together: the indentation of both.
-        half_axes_m: of the ellipse, the larger first.
-        peak_pressure_Pa: in its middle.
+        approach_m: approach of ball and wall, the sum of both indentations, m.
+        half_axes_m: half axes of the ellipse, the larger first, m.
+        peak_pressure_Pa: pressure at the centre, Pa.
     """
 
     approach_m: float
@@ -63,16 +63,16 @@ def hertz_contact(
     path_radius_m: float = math.inf,
     groove_radius_m: float = math.inf,
 ) -> Contact:
-    """Contact of a ball that is pressed from inside on the wall of a channel.
+    """Contact of a ball that is pressed on the inner wall of a channel.
 
     Args:
-        force_N: that presses, N.
-        ball_radius_m: m.
+        force_N: contact force, N.
+        ball_radius_m: radius of the ball, m.
         ball, wall: materials.
-        path_radius_m: of the wall along the ball's path, hollow towards the ball, m; inf: straight.
-        groove_radius_m: of the wall across it, m; inf: a cylinder's wall.
+        path_radius_m: radius of the wall along the ball's path, concave towards the ball, m; inf for a straight path.
+        groove_radius_m: radius of the wall across the path, m; inf for a cylindrical wall.
     Raises:
-        OutsideDomain: a force or radius not above 0, or a wall that is more curved than the ball.
+        OutsideDomain: a force or radius is not above 0, or the wall's curvature exceeds the ball's.
     """
     if not (force_N > 0 and math.isfinite(force_N) and ball_radius_m > 0):
         raise OutsideDomain(
@@ -85,11 +85,11 @@ def hertz_contact(
         )
     stiff = 1 / (ball.plane_compliance_per_Pa + wall.plane_compliance_per_Pa)
     gaps = [0.5 * (1 / ball_radius_m - 1 / radius) for radius in (path_radius_m, groove_radius_m)]
-    less, more = min(gaps), max(gaps)
-    ratio = _axes_ratio(more / less)
+    flatter, steeper = min(gaps), max(gaps)
+    ratio = _axes_ratio(steeper / flatter)
     e2 = 1 - ratio**2
     k, shape = float(ellipk(e2)), _shape(ratio)
-    larger = (1.5 * force_N * shape / (math.pi * stiff * less)) ** (1 / 3)
+    larger = (1.5 * force_N * shape / (math.pi * stiff * flatter)) ** (1 / 3)
     smaller = ratio * larger
     pressure = 1.5 * force_N / (math.pi * larger * smaller)
     return Contact(pressure * smaller * k / stiff, (larger, smaller), pressure)
@@ -102,7 +102,7 @@ def _shape(ratio: float) -> float:
 
 
 def _axes_ratio(curvatures: float) -> float:
-    """Smaller over larger half axis for a ratio of the gaps' curvatures, at least 1."""
+    """Ratio of the smaller to the larger half axis for a ratio (at least 1) of the gaps' curvatures."""
 
     def off(log_ratio: float) -> float:
         ratio = math.exp(log_ratio)
@@ -110,26 +110,26 @@ def _axes_ratio(curvatures: float) -> float:
         k, e = float(ellipk(e2)), float(ellipe(e2))
         return math.log((e / ratio**2 - k) / (k - e) / curvatures)
 
-    if curvatures - 1 < _ROUND:
+    if curvatures - 1 < _CIRCULAR:
         return 1.0
     return math.exp(float(brentq(off, -12.0, -1e-6, xtol=1e-13)))  # pyright: ignore[reportArgumentType]
 
 
 def plastic_depth(force_N: float, ball_radius_m: float, yield_Pa: float) -> float:
-    """Depth of the dent of a ball in metal that yields all around, m: the mean pressure is three yield stresses.
+    """Depth of the dent of a ball in fully yielding metal, m. The mean pressure is three yield stresses.
 
     Args:
-        force_N, ball_radius_m: N, m.
-        yield_Pa: yield stress of the softer one, Pa.
+        force_N, ball_radius_m: contact force, N, and radius of the ball, m.
+        yield_Pa: yield stress of the softer material, Pa.
     """
     return force_N / (6 * math.pi * ball_radius_m * yield_Pa)
 
 
 def hysteresis_resistance(contact: Contact, loss: float) -> float:
-    """Coefficient of rolling resistance as a length, m, of elastic material that gives back less than it takes.
+    """Coefficient of rolling resistance as a length, m, from elastic hysteresis.
 
     Args:
-        contact: a round one.
-        loss: share of the elastic work that is lost; a few per cent in metals below yielding.
+        contact: a circular contact.
+        loss: lost fraction of the elastic work; a few per cent in metals below yielding.
     """
     return 3 / 16 * loss * contact.half_axes_m[0]

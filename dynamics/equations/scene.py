@@ -1,4 +1,4 @@
-"""What is on the rig in one run."""
+"""Settings of one run: speed history, released pendulums, start state."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynamics.arguments import need_number, need_pair, numbers
+from dynamics.arguments import check_number, check_pair, real_array
+from dynamics.arrays import Array
 from dynamics.equations.phase_segments import PhaseSegments, speed_crossings
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
@@ -14,38 +15,42 @@ from dynamics.errors import OutsideDomain
 
 @dataclass(frozen=True)
 class Scene:
-    """One run: how the rotor turns, which pendulums are free, where everything starts.
+    """One run: rotation of the rotor, released pendulums, start state.
 
     Attributes:
         history: the rotor's phase over time.
-        released: whether pendulum A, B swings freely; a locked one is a fixed mass at its start angle.
+        released: whether pendulums A and B swing freely. A locked pendulum is a fixed mass at its start angle.
         start: state at the first instant, shape (8,): x, y (m), θ3, θ4 (rad, relative to the rotor), and
             their rates (m/s, rad/s). None: locked orbit at the start speed with the pendulums at 0 and π.
-        release_time_s: instants at which the pendulums that `released` names are let go, until when they are locked;
+        release_time_s: release instants of A and B, s, for pendulums marked in `released`; before them they are locked.
             None: they are free from the start.
     """
 
     history: SpeedHistory
     released: tuple[bool, bool] = (True, True)
-    start: np.ndarray | None = None
+    start: Array | None = None
     release_time_s: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.history, SpeedHistory):
-            raise OutsideDomain(f"a scene's history must be a SpeedHistory, got {type(self.history).__name__}")
+        _check_history(self.history)
         times = self.release_time_s
-        need_pair(released=self.released)
-        if times is not None and (np.shape(times) != (2,) or np.any(np.isnan(numbers("release_time_s", times)))):
+        check_pair(released=self.released)
+        if times is not None and (np.shape(times) != (2,) or np.any(np.isnan(real_array("release_time_s", times)))):
             raise OutsideDomain(f"release_time_s must be two times in s, for A and for B, got {times!r}")
 
 
+def _check_history(history: object) -> None:
+    if not isinstance(history, SpeedHistory):
+        raise OutsideDomain(f"a scene's history must be a SpeedHistory, got {type(history).__name__}")
+
+
 def time_at_speed(history: SpeedHistory, speed_rad_s: float, from_s: float, to_s: float) -> float:
-    """First instant in [from_s, to_s] at which the rotor passes a speed, for a release at speed.
+    """First instant in [from_s, to_s] at which the rotor passes a speed, s. It is used for a release at speed.
 
     Raises:
-        OutsideDomain: the rotor does not pass that speed then.
+        OutsideDomain: the rotor does not pass that speed in the interval.
     """
-    need_number(speed_rad_s=speed_rad_s, from_s=from_s, to_s=to_s)
+    check_number(speed_rad_s=speed_rad_s, from_s=from_s, to_s=to_s)
     found = speed_crossings(PhaseSegments.of(history), speed_rad_s, from_s, to_s)
     if len(found) == 0:
         first, last = history.phase(np.array([from_s, to_s]))[:, 1]

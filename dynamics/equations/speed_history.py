@@ -1,91 +1,90 @@
-"""The rotor's phase over time, given: constant speed, a ramp, or a measured history."""
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+"""Prescribed phase of the rotor over time: constant speed, a ramp, or a measured history."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from numpy.typing import ArrayLike
 
-from dynamics.arguments import need_number, numbers
+from dynamics.arguments import check_number, real_array
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.errors import OutsideDomain
 
 
 @dataclass(frozen=True)
 class SpeedHistory:
-    """The rotor's phase as a piecewise cubic of time; constant speed outside its range.
+    """The rotor's phase as a piecewise cubic of time, with constant speed outside its range.
 
     Attributes:
         knots_s: shape (m + 1,), ascending, s.
         coefficients: shape (m, 4): ψ = c0 + c1 s + c2 s² + c3 s³ with s = t − knot, rad.
     """
 
-    knots_s: np.ndarray
-    coefficients: np.ndarray
+    knots_s: Array
+    coefficients: Array
 
     @classmethod
     def constant(cls, speed_rad_s: float, phase_rad: float = 0.0, at_s: float = 0.0) -> SpeedHistory:
         """Constant speed with a given phase at one instant."""
-        _need_finite(speed_rad_s=speed_rad_s, phase_rad=phase_rad, at_s=at_s)
+        _check_finite(speed_rad_s=speed_rad_s, phase_rad=phase_rad, at_s=at_s)
         return cls(np.array([at_s, at_s + 1.0]), np.array([[phase_rad, speed_rad_s, 0.0, 0.0]]))
 
     @classmethod
     def ramp(cls, from_rad_s: float, to_rad_s: float, duration_s: float, phase_rad: float = 0.0) -> SpeedHistory:
-        """A linear ramp from t = 0 on, then constant speed."""
-        _need_finite(from_rad_s=from_rad_s, to_rad_s=to_rad_s, duration_s=duration_s, phase_rad=phase_rad)
+        """Linear ramp that starts at t = 0, then constant speed."""
+        _check_finite(from_rad_s=from_rad_s, to_rad_s=to_rad_s, duration_s=duration_s, phase_rad=phase_rad)
         if duration_s <= 0:
             raise OutsideDomain(f"a ramp's duration must be above 0 s, got {duration_s!r}")
         slope = (to_rad_s - from_rad_s) / duration_s
         return cls(np.array([0.0, duration_s]), np.array([[phase_rad, from_rad_s, slope / 2, 0.0]]))
 
     @classmethod
-    def from_phases(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> SpeedHistory:
+    def from_phases(cls, time_s: ArrayLike, phase_rad: ArrayLike) -> SpeedHistory:
         """Twice differentiable interpolation of measured phases (tachometer marks).
 
         Args:
             time_s, phase_rad: shape (n,), n ≥ 4, time strictly ascending.
         Raises:
-            OutsideDomain: fewer than four marks or time not ascending.
+            OutsideDomain: fewer than four marks, or time not ascending.
         """
-        time_s, phase_rad = numbers("time_s", time_s), numbers("phase_rad", phase_rad)
-        if time_s.ndim != 1 or phase_rad.ndim != 1:
+        times, phases = real_array("time_s", time_s), real_array("phase_rad", phase_rad)
+        if times.ndim != 1 or phases.ndim != 1:
             raise OutsideDomain(
-                f"marks of a speed history: expected one row of each, got {time_s.shape}, {phase_rad.shape}"
+                f"marks of a speed history: expected one row of each, got {times.shape}, {phases.shape}"
             )
-        if len(time_s) < 4 or len(time_s) != len(phase_rad):
+        if len(times) < 4 or len(times) != len(phases):
             raise OutsideDomain(
-                f"a speed history needs at least 4 marks with a phase each, got {len(time_s)} and {len(phase_rad)}"
+                f"a speed history needs at least 4 marks with a phase each, got {len(times)} and {len(phases)}"
             )
-        if not (np.all(np.isfinite(time_s)) and np.all(np.isfinite(phase_rad)) and np.all(np.diff(time_s) > 0)):
+        if not (np.all(np.isfinite(times)) and np.all(np.isfinite(phases)) and np.all(np.diff(times) > 0)):
             raise OutsideDomain("the marks of a speed history must be finite and strictly ascending in time")
-        from scipy.interpolate import CubicSpline  # noqa: PLC0415 (half a second to import, and only measured speeds need it)
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415 (the import takes 0.5 s; only measured speeds use it)
 
-        spline = CubicSpline(time_s, phase_rad)
-        return cls(np.asarray(time_s, float), np.ascontiguousarray(spline.c[::-1].T))
+        spline = CubicSpline(times, phases)
+        return cls(np.asarray(times, float), np.ascontiguousarray(spline.c[::-1].T))
 
-    def phase(self, time_s: np.ndarray | float) -> np.ndarray:
+    def phase(self, time_s: ArrayLike) -> Array:
         """ψ in rad at the given times; shape (n, 3): phase, speed (rad/s), acceleration (rad/s²)."""
-        return _phases(np.atleast_1d(numbers("time_s", time_s)), self.knots_s, self.coefficients)
+        return _phases(np.atleast_1d(real_array("time_s", time_s)), self.knots_s, self.coefficients)
 
 
-def _need_finite(**values: float) -> None:
-    """Refuse what is no number.
+def _check_finite(**values: float) -> None:
+    """Check that each value is a finite real number.
 
     Raises:
-        OutsideDomain: names the value.
+        OutsideDomain: a value is not. The message contains its name.
     """
-    need_number(**values)
+    check_number(**values)
     for name, value in values.items():
         if not np.isfinite(value):
             raise OutsideDomain(f"{name} must be finite, got {value!r}")
 
 
-@njit(cache=True, error_model="numpy")
-def phase_at(t, segment, knots, coefficients, out):
-    """(ψ, ω, α) at t into out; returns the segment found (a hint for the next call)."""
+@compiled
+def phase_at(t: float, segment: int, knots: Array, coefficients: Array, out: Array) -> int:
+    """Write (ψ, ω, α) at t to out. Returns the segment, a hint for the next call."""
     last = len(knots) - 2
     while segment < last and t >= knots[segment + 1]:
         segment += 1
@@ -93,7 +92,7 @@ def phase_at(t, segment, knots, coefficients, out):
         segment -= 1
     c = coefficients[segment]
     s = t - knots[segment]
-    if t < knots[0] or t > knots[last + 1]:  # constant speed outside
+    if t < knots[0] or t > knots[last + 1]:  # constant speed outside the range
         edge = 0.0 if t < knots[0] else knots[last + 1] - knots[segment]
         speed = c[1] + edge * (2 * c[2] + edge * 3 * c[3])
         out[0] = c[0] + edge * (c[1] + edge * (c[2] + edge * c[3])) + speed * (s - edge)
@@ -105,8 +104,8 @@ def phase_at(t, segment, knots, coefficients, out):
     return segment
 
 
-@njit(cache=True, error_model="numpy")
-def _phases(times, knots, coefficients):
+@compiled
+def _phases(times: Array, knots: Array, coefficients: Array) -> Array:
     out = np.empty((len(times), 3))
     segment = 0
     for i in range(len(times)):

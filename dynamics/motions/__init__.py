@@ -1,1 +1,1 @@
-"""The motion over time: steps, their control, events and dry friction's modes, and the motion's derivatives."""
+"""Motion over time: integration steps, step control, events, modes of dry friction, and derivatives of the motion."""

@@ -1,7 +1,7 @@
 """Many motions at once, on all cores.
 
-A run is compiled code that holds no lock of the interpreter, so plain threads keep every core busy and each run keeps
-what a single one has: its own method, steps, error bound, friction, and refusal in words.
+Compiled code releases the interpreter lock, so threads use every core. Each run has the properties of a single
+`simulate` call: its own method, steps, error bound, friction and error message.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from dynamics.arrays import Array, Flags
 from dynamics.equations.scene import Scene
 from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.integrate import WORK_LIMIT, simulate
@@ -25,18 +27,18 @@ class BatchMotion:
 
     Attributes:
         time_s: shape (n,).
-        states: shape (runs, n, 8) in SI, or (runs, 1, 8) when only the last was asked; NaN for a run that failed.
-        error_estimates: bound of each run (Motion.error_estimate), shape (runs,); inf for one that failed.
-        failures: why each run failed, None for one that did not.
+        states: shape (runs, n, 8) in SI, or (runs, 1, 8) with `last_only`. NaN for a failed run.
+        error_estimates: error bound of each run (Motion.error_estimate), shape (runs,); inf for a failed run.
+        failures: error message of each run, or None for a successful one.
     """
 
-    time_s: np.ndarray
-    states: np.ndarray
-    error_estimates: np.ndarray
+    time_s: Array
+    states: Array
+    error_estimates: Array
     failures: tuple[str | None, ...]
 
     @property
-    def ok(self) -> np.ndarray:
+    def ok(self) -> Flags:
         """Which runs succeeded, shape (runs,)."""
         return np.array([f is None for f in self.failures], dtype=bool)
 
@@ -44,25 +46,25 @@ class BatchMotion:
 def simulate_batch(
     parameters: Sequence[object],
     scenes: Scene | Sequence[Scene],
-    time_s: np.ndarray | float,
+    time_s: ArrayLike,
     accuracy: float = 1e-6,
     progress: Callable[[int, int], None] | None = None,
     *,
     last_only: bool = False,
     work_limit: int = WORK_LIMIT,
 ) -> BatchMotion:
-    """The motions of many runs.
+    """Simulate many runs.
 
     Args:
         parameters: one set (or rig) per run.
         scenes: one per run, or one for all.
         time_s, accuracy: as for dynamics.motions.integrate.simulate.
-        progress: called with (runs done, all runs) about a hundred times.
-        last_only: keep only each run's last state.
-        work_limit: steps each run may take.
+        progress: called about a hundred times with (number of finished runs, number of all runs).
+        last_only: keep only the last state of each run.
+        work_limit: largest number of steps per run.
     Raises:
-        OutsideDomain: counts that do not match, or what is wrong with the instants. What is wrong with one run is in
-            its `failures`.
+        OutsideDomain: the counts do not match, or the instants are invalid. Errors of single runs are stored in
+            `failures`.
     """
     times = instants(time_s)
     each = [scenes] * len(parameters) if isinstance(scenes, Scene) else list(scenes)

@@ -1,21 +1,22 @@
 """The explicit Runge–Kutta method 8(5,3) of Dormand and Prince: twelve stages, two error formulas, an interpolant.
 
 Source: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I (Springer 1993), section II.5, and their
-code DOP853. Written out here because importing scipy.integrate for them takes a third of a second; a test holds them
-against scipy's.
+code DOP853. The coefficients are written out because the import of scipy.integrate takes a third of a second. A test
+compares them with scipy's.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from dynamics.arrays import Array
 
 STAGES = 12
 DENSE_STAGES = 16  # the twelve, the end of the step, three more for the interpolant
 
 
-def _filled(rows: dict[int, dict[int, float]], shape: tuple[int, int]) -> NDArray[np.floating]:
-    """A matrix from its entries that are not zero."""
+def _filled(rows: dict[int, dict[int, float]], shape: tuple[int, int]) -> Array:
+    """Matrix from its nonzero entries."""
     found = np.zeros(shape)
     for i, row in rows.items():
         for j, value in row.items():
@@ -41,7 +42,7 @@ _NODES = [
     0.2,
     0.7777777777777778,
 ]
-# stage: {earlier stage: coefficient}; row 12 holds the weights of order 8
+# stage: {earlier stage: coefficient}; row 12 contains the weights of order 8
 _STEPS = {
     1: {0: 0.05260015195876773},
     2: {0: 0.0197250569845379, 1: 0.0591751709536137},

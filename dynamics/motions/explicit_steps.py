@@ -1,26 +1,24 @@
 """One step of the explicit Runge–Kutta method 8(5,3) of Dormand and Prince, with its interpolant of degree 7.
 
-Twelve stages give order 8, three more a polynomial over the step. Two embedded formulas of order 5 and 3 make the
-error estimate |e5|² / sqrt(|e5|² + 0.01 |e3|²), which falls with h⁸ (Hairer, Nørsett, Wanner, Solving Ordinary
-Differential Equations I, II.10). The stages are written for floats and complex numbers alike: with complex
-parameters or states the same arithmetic carries derivatives.
+Twelve stages give order 8; three more stages give a polynomial over the step. Two embedded formulas of order 5 and 3
+give the error estimate |e5|² / sqrt(|e5|² + 0.01 |e3|²), which decreases with h⁸ (Hairer, Nørsett, Wanner, Solving
+Ordinary Differential Equations I, II.10). The stages accept floats and complex numbers: with complex parameters or
+states the same arithmetic computes derivatives.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array, Numbers, System
+from dynamics.compiled_code import compiled
 from dynamics.equations.phase_segments import phase_within
 from dynamics.equations.quick_rates import quick_rates
 from dynamics.motions.dormand_prince import DENSE_NODES, DENSE_STAGES, DENSE_STEPS, ERROR_3, ERROR_5, INTERPOLANT
 
 # The tableau row by row without its zeros: stages 0–11, the end of the step (12), three stages for the interpolant.
 BEGIN = np.concatenate((np.zeros(1, np.int64), np.cumsum(np.count_nonzero(DENSE_STEPS, axis=1))))
-COLUMN = np.ascontiguousarray(np.nonzero(DENSE_STEPS)[1])  # numba keeps no code that holds a strided array
+COLUMN = np.ascontiguousarray(np.nonzero(DENSE_STEPS)[1])  # numba does not cache code with a strided array
 VALUE = DENSE_STEPS[np.nonzero(DENSE_STEPS)]
 NODE, _E3, _E5, _DENSE = DENSE_NODES, ERROR_3, ERROR_5, INTERPOLANT
 
@@ -29,9 +27,21 @@ POWERS = 8
 ORDER = 8
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _stages(begin, end, y, t, h, first, last, system, k, work, phase):
-    """Stages begin … end − 1: their rates into k, the last one's state into work."""
+@compiled(contract=True)
+def _stages(
+    begin: int,
+    end: int,
+    y: Numbers,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: System,
+    k: Numbers,
+    work: Numbers,
+    phase: Array,
+) -> None:
+    """Compute stages begin … end − 1: write their rates to k and the last state to work."""
     p, free_a, free_b, knots, origins, cubics = system
     for row in range(begin, end):
         a0 = a1 = a2 = a3 = a4 = a5 = a6 = a7 = 0.0 * y[0]
@@ -51,23 +61,25 @@ def _stages(begin, end, y, t, h, first, last, system, k, work, phase):
         quick_rates(work, phase[0], phase[1], phase[2], p, free_a, free_b, k, row)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def explicit_step(y, t, h, first, last, system, k, end, phase):
-    """State after one step into end, rates there into k[12].
+@compiled(contract=True)
+def explicit_step(
+    y: Numbers, t: float, h: float, first: int, last: int, system: System, k: Numbers, end: Numbers, phase: Array
+) -> None:
+    """Write the state after one step to end and the rates there to k[12].
 
     Args:
         y, end: shape (8,), float or complex.
         first, last: phase segments that the step spans.
         system: (packed parameters, free_a, free_b, knots, origins, cubics).
-        k: shape (16, 8); k[0] holds the rates at the start.
+        k: shape (16, 8); k[0] contains the rates at the start.
         phase: scratch, shape (3,).
     """
     _stages(1, 13, y, t, h, first, last, system, k, end, phase)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def explicit_error(h, k, scale):
-    """Estimated local error of the step, root mean square over scale, shape (8,)."""
+@compiled(contract=True)
+def explicit_error(h: float, k: Array, scale: Array) -> float:
+    """Estimated local error of the step: root mean square over scale, shape (8,)."""
     five = three = 0.0
     for i in range(8):
         e5 = e3 = 0.0
@@ -81,9 +93,21 @@ def explicit_error(h, k, scale):
     return abs(h) * five / np.sqrt(8.0 * (five + 0.01 * three))
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def explicit_polynomial(y, end, t, h, first, last, system, k, work, phase, coefficients):
-    """The motion over the step as powers of (time − t)/h into coefficients, shape (8 powers, 8)."""
+@compiled(contract=True)
+def explicit_polynomial(
+    y: Numbers,
+    end: Numbers,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: System,
+    k: Numbers,
+    work: Numbers,
+    phase: Array,
+    coefficients: Numbers,
+) -> None:
+    """Write the motion over the step as powers of (time − t)/h to coefficients, shape (8 powers, 8)."""
     _stages(13, 16, y, t, h, first, last, system, k, work, phase)
     zero = 0.0 * y[0]
     f3 = f4 = f5 = f6 = zero
@@ -109,9 +133,9 @@ def explicit_polynomial(y, end, t, h, first, last, system, k, work, phase, coeff
         coefficients[7, i] = -f6
 
 
-@njit(cache=True, error_model="numpy")  # without contraction: the same bits wherever it is called
-def evaluate(coefficients, x, out):
-    """A step's polynomial at x = (time − t)/h into out, shape (8,)."""
+@compiled  # without contraction, so that all callers get identical bits
+def evaluate(coefficients: Numbers, x: float, out: Numbers) -> None:
+    """Write a step's polynomial at x = (time − t)/h to out, shape (8,)."""
     for i in range(8):
         value = coefficients[7, i]
         for power in range(6, -1, -1):

@@ -1,19 +1,19 @@
-"""The motion by classical Runge–Kutta steps of a given length: predictable, the same for every trial of a fit."""
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+"""Motion by classical Runge–Kutta steps of a given length. The steps are the same for every trial of a fit."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import rk4_step
 from dynamics.equations.speed_history import phase_at
 
 
-@njit(cache=True, error_model="numpy")
-def integrate(y0, times, step, knots, coefficients, p, free_a, free_b):
+@compiled
+def integrate(
+    y0: Array, times: Array, step: float, knots: Array, coefficients: Array, p: Array, free_a: float, free_b: float
+) -> Array:
     """States at the given times by classical Runge–Kutta steps no longer than `step`.
 
     Args:

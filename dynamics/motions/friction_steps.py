@@ -1,19 +1,17 @@
-"""Fixed steps of a motion with dry friction: good for a simulated rig, whose grid is far finer than a slide.
+"""Fixed steps of a motion with dry friction, for a simulated rig whose time step is much shorter than a slide.
 
-Each step is taken in one mode per pendulum (dynamics.equations.friction): it slides forward, backward, or is stuck.
-Modes change between steps. A pendulum whose speed has changed its sign within a step stops at its end, at most one
-step late; one at rest slides in the next step if more than friction is needed to hold it. `simulate` locates these
-instants instead and states its error; docs/theory/integration.md.
+Each step has one mode per pendulum (dynamics.equations.friction): it slides forward, slides backward, or sticks. Modes
+change between steps. A pendulum whose speed changes sign within a step is stopped at its end, at most one step late. A
+pendulum at rest slides in the next step if the torque that would hold it exceeds friction. In contrast, `simulate`
+locates these instants and bounds its error; docs/theory/integration.md.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.equations.friction import needed_torque
 from dynamics.equations.kernels import FA, rk4_step
 from dynamics.equations.parameters import RotorParameters
@@ -22,11 +20,11 @@ from dynamics.equations.speed_history import phase_at
 from dynamics.errors import OutsideDomain
 
 
-@njit(cache=True, error_model="numpy")
-def choose_modes(y, phase, p, free, modes, scratch):
-    """Which way each pendulum slides in the next step, into modes: 1, -1, or 0 for one that friction holds.
+@compiled
+def choose_modes(y: Array, phase: Array, p: Array, free: Array, modes: Array, scratch: Array) -> None:
+    """Write the mode of each pendulum in the next step to modes: 1 forward, −1 backward, 0 sticking.
 
-    A pendulum without friction, or a locked one, has the mode 1: the packed friction is then of no effect.
+    A locked pendulum or one without friction has the mode 1; the packed friction then has no effect.
 
     Args:
         y: state, shape (8,).
@@ -49,9 +47,24 @@ def choose_modes(y, phase, p, free, modes, scratch):
             modes[i] = np.sign(torque)
 
 
-@njit(cache=True, error_model="numpy")
-def friction_step(y, h, phase0, phase1, phase2, p, free, modes, signed, k1, k2, k3, k4, work):
-    """Advance y by h in place, as `rk4_step`, with dry friction.
+@compiled
+def friction_step(
+    y: Array,
+    h: float,
+    phase0: Array,
+    phase1: Array,
+    phase2: Array,
+    p: Array,
+    free: Array,
+    modes: Array,
+    signed: Array,
+    k1: Array,
+    k2: Array,
+    k3: Array,
+    k4: Array,
+    work: Array,
+) -> None:
+    """Advance y by h in place with dry friction, otherwise as `rk4_step`.
 
     Args:
         p: packed parameters, friction not negative.
@@ -68,9 +81,11 @@ def friction_step(y, h, phase0, phase1, phase2, p, free, modes, signed, k1, k2, 
             y[6 + i] = 0.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _march(y, times, h, knots, coefficients, p, free, out):
-    """States at the times into out, shape (n, 8), by equal steps of at most h between them."""
+@compiled(nogil=True)
+def _march(
+    y: Array, times: Array, h: float, knots: Array, coefficients: Array, p: Array, free: Array, out: Array
+) -> None:
+    """Write states at the times to out, shape (n, 8), by equal steps of at most h between them."""
     scratch, phases = np.empty((5, 8)), np.empty((3, 3))
     modes, signed = np.empty(2), p.copy()
     segment = 0
@@ -101,18 +116,18 @@ def _march(y, times, h, knots, coefficients, p, free, out):
         out[i] = y
 
 
-def fixed_states(parameters: RotorParameters, scene: Scene, time_s: np.ndarray, step_s: float) -> np.ndarray:
-    """The motion by fixed steps, with no statement on its error: for motions whose path no arithmetic can follow.
+def fixed_states(parameters: RotorParameters, scene: Scene, time_s: Array, step_s: float) -> Array:
+    """Motion by fixed steps, without an error bound: for motions that cannot be computed to an accuracy.
 
     Args:
-        parameters: the rotor's.
-        scene: with a start state and no release after it.
-        time_s: instants, ascending, the first that of the start state, shape (n,).
+        parameters: parameters of the rotor.
+        scene: scene with a start state and without later releases.
+        time_s: instants, ascending, beginning with that of the start state, shape (n,).
         step_s: longest step, s.
     Returns:
         States, shape (n, 8).
     Raises:
-        OutsideDomain: a scene without a start state, or with later releases.
+        OutsideDomain: the scene has no start state, or later releases.
     """
     if scene.start is None or scene.release_time_s is not None:
         raise OutsideDomain("fixed_states: expected a scene with a start state and free pendulums")

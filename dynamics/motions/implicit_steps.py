@@ -1,54 +1,57 @@
 """One step of the implicit Runge–Kutta method Radau IIA with five stages (order 9, stiffly accurate, L-stable).
 
-For motion with rates far above its frequencies: a pendulum under a strong magnet, a heavily damped column. The stages
-Y_j = y + Z_j at the nodes c_j solve Z = h (A ⊗ 1) f(y + Z). In the basis that makes A⁻¹ diagonal the simplified
-Newton iteration splits into one real system and two complex ones of the state's own size (Hairer & Wanner, Solving
-Ordinary Differential Equations II, IV.8). The step's polynomial goes through y and all stages (degree 5).
+It is used for motion with rates far above its frequencies: a pendulum under a strong magnet, a heavily damped column.
+The stages Y_j = y + Z_j at the nodes c_j solve Z = h (A ⊗ 1) f(y + Z). In the eigenbasis of A⁻¹ the simplified Newton
+iteration splits into one real system and two complex ones of the state's dimension (Hairer & Wanner, Solving Ordinary
+Differential Equations II, IV.8). The step's polynomial interpolates y and all stages (degree 5).
 
-The embedded formula adds h γ0 f(t, y), γ0 the real eigenvalue of A, with the weights that keep order 5; its
-difference from the method, multiplied by (1 − h γ0 J)⁻¹ so that it stays bounded for stiff components, estimates the
-error. It falls with h⁶ like the polynomial's own error, so a tolerance means the same at every instant of the step.
+The embedded formula adds h γ0 f(t, y), γ0 the real eigenvalue of A, with weights of order 5. Its difference from the
+method, multiplied by (1 − h γ0 J)⁻¹ to be bounded for stiff components, is the error estimate. The estimate decreases
+with h⁶ like the polynomial's error, so a tolerance has the same meaning at every instant of the step.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit
+from typing import Any
 
+import numpy as np
+
+from dynamics.arrays import Array, Complex, Indices, RealSystem
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import jacobian, rates
 from dynamics.equations.phase_segments import phase_within
 from dynamics.equations.quick_rates import quick_rates
 
-SOLVED = 5  # stages
+SOLVED = 5  # number of stages
 ORDER = 6  # of the error estimate and of the polynomial, per step
-_MOST_ITERATIONS = 12
-_ENOUGH = 0.02  # a stage's remaining Newton error, in tolerances
+_MAX_ITERATIONS = 12
+_MAX_NEWTON_ERROR = 0.02  # remaining Newton error of a stage, in tolerances
 
 
-def _method() -> tuple[np.ndarray, ...]:
-    """Nodes, A⁻¹, its eigenvalues and vectors, error weights and the interpolation matrix, from the nodes alone."""
+_linear_algebra: Any = np.linalg  # numpy types its results as unions
+
+
+def _method() -> tuple[Array, Array, Complex, Complex, Complex, Array, Array]:
+    """Nodes, A⁻¹, its eigenvalues and vectors, error weights and the interpolation matrix, derived from the nodes."""
     legendre = np.polynomial.legendre.Legendre.basis
-    nodes = np.sort((legendre(SOLVED) - legendre(SOLVED - 1)).roots().real + 1.0) / 2.0
-    for _ in range(3):  # the roots to the last digit
+    nodes: Any = np.sort((legendre(SOLVED) - legendre(SOLVED - 1)).roots().real + 1.0) / 2.0
+    for _ in range(3):  # refinement of the roots to the last digit
         shifted, poly = 2.0 * nodes - 1.0, legendre(SOLVED) - legendre(SOLVED - 1)
         nodes = nodes - poly(shifted) / (2.0 * poly.deriv()(shifted))
     nodes[-1] = 1.0
     power = np.arange(SOLVED)
     vandermonde = nodes[:, None] ** power
-    a = nodes[:, None] ** (power + 1) / (power + 1) @ np.linalg.inv(vandermonde)
-    inverse = np.linalg.inv(a)
-    values, vectors = np.linalg.eig(inverse)
+    a = nodes[:, None] ** (power + 1) / (power + 1) @ _linear_algebra.inv(vandermonde)
+    inverse = _linear_algebra.inv(a)
+    values, vectors = _linear_algebra.eig(inverse)
     turning = np.imag(values)
     order = np.concatenate([np.flatnonzero(np.abs(turning) < 1e-9), np.flatnonzero(turning > 1e-9)])
-    back = np.linalg.inv(vectors)
+    back = _linear_algebra.inv(vectors)
     gamma = 1.0 / np.real(values)[order[0]]
     moments = 1.0 / (power + 1) - gamma * (power == 0)
-    weights = (np.linalg.solve(vandermonde.T, moments) - a[-1]) @ inverse
-    interpolation = np.linalg.inv(nodes[:, None] ** (power + 1))
-    # one of each conjugate pair stands for both: twice its real part
+    weights = (_linear_algebra.solve(vandermonde.T, moments) - a[-1]) @ inverse
+    interpolation = _linear_algebra.inv(nodes[:, None] ** (power + 1))
+    # one of each conjugate pair represents both, with twice its real part
     pair = np.ascontiguousarray(vectors[:, order]) * np.where(np.arange(len(order)) == 0, 1.0, 2.0)
     return nodes, inverse, values[order], pair, np.ascontiguousarray(back[order]), weights, interpolation
 
@@ -56,9 +59,9 @@ def _method() -> tuple[np.ndarray, ...]:
 NODES, _INVERSE, _EIGENVALUE, _VECTORS, _BACK, _ERROR, _INTERPOLATION = _method()
 
 
-@njit(cache=True, error_model="numpy")
-def _factor(m, pivot):
-    """LU factors of m, shape (8, 8), in place with row exchanges; False when it is singular."""
+@compiled
+def _factor(m: Complex, pivot: Indices) -> bool:
+    """LU factors of m, shape (8, 8), in place with row exchanges; False if m is singular."""
     for c in range(8):
         best, at = 0.0, c
         for r in range(c, 8):
@@ -78,9 +81,9 @@ def _factor(m, pivot):
     return True
 
 
-@njit(cache=True, error_model="numpy")
-def _solve(m, pivot, b):
-    """Solve with factors from _factor, b in place, shape (8,)."""
+@compiled
+def _solve(m: Complex, pivot: Indices, b: Complex) -> None:
+    """Solve with the factors of _factor; b is replaced by the solution, shape (8,)."""
     for c in range(8):
         b[c], b[pivot[c]] = b[pivot[c]], b[c]
     for c in range(8):  # the exchanges of later columns moved the multipliers with their rows
@@ -92,9 +95,20 @@ def _solve(m, pivot, b):
         b[c] /= m[c, c]
 
 
-@njit(cache=True, error_model="numpy")
-def _residuals(y, t, h, first, last, system, z, stage, phase, residual):
-    """f(y + Z) − A⁻¹ Z / h into residual, shape (5, 8)."""
+@compiled
+def _residuals(
+    y: Array,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: RealSystem,
+    z: Array,
+    stage: Array,
+    phase: Array,
+    residual: Array,
+) -> None:
+    """Write f(y + Z) − A⁻¹ Z / h to residual, shape (5, 8)."""
     p, free_a, free_b, knots, origins, cubics = system
     for j in range(5):
         for i in range(8):
@@ -106,9 +120,9 @@ def _residuals(y, t, h, first, last, system, z, stage, phase, residual):
                 residual[j, i] -= _INVERSE[j, other] / h * z[other, i]
 
 
-@njit(cache=True, error_model="numpy")
-def _correct(residual, lu, pivot, scale, w, z):
-    """One simplified Newton correction of the stages; returns its size, root mean square over scale."""
+@compiled
+def _correct(residual: Array, lu: Complex, pivot: Indices, scale: Array, w: Complex, z: Array) -> float:
+    """One simplified Newton correction of the stages; returns its root mean square over scale."""
     for e in range(3):
         for i in range(8):
             w[e, i] = 0.0
@@ -126,28 +140,55 @@ def _correct(residual, lu, pivot, scale, w, z):
     return np.sqrt(size / 40.0)
 
 
-@njit(cache=True, error_model="numpy")
-def _newton(y, t, h, first, last, system, scale, lu, pivot, z, phase):
-    """Solve for the stages in place; True when what is left of the iteration is far below the tolerance."""
+@compiled
+def _newton(
+    y: Array,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: RealSystem,
+    scale: Array,
+    lu: Complex,
+    pivot: Indices,
+    z: Array,
+    phase: Array,
+) -> bool:
+    """Solve for the stages in place. True if the remaining Newton error is far below the tolerance."""
     residual, stage = np.empty((5, 8)), np.empty(8)
     w = np.empty((3, 8), dtype=np.complex128)
     previous, ratio = np.inf, 1.0
-    for iteration in range(_MOST_ITERATIONS):
+    for iteration in range(_MAX_ITERATIONS):
         _residuals(y, t, h, first, last, system, z, stage, phase, residual)
         size = _correct(residual, lu, pivot, scale, w, z)
         if iteration > 0:
             ratio = size / previous
-        if not size < np.inf or (ratio >= 1.0 and size > _ENOUGH and iteration > 0):
+        if not size < np.inf or (ratio >= 1.0 and size > _MAX_NEWTON_ERROR and iteration > 0):
             return False
-        if size < 0.01 * _ENOUGH or (ratio < 1.0 and size * ratio / (1.0 - ratio) < _ENOUGH):
+        if size < 0.01 * _MAX_NEWTON_ERROR or (ratio < 1.0 and size * ratio / (1.0 - ratio) < _MAX_NEWTON_ERROR):
             return True
         previous = size
     return False
 
 
-@njit(cache=True, error_model="numpy")
-def implicit_step(y, t, h, first, last, system, scale, rate, j, lu, pivot, z, end, phase):
-    """State after one step into end; returns the estimated error over scale, or −1 when Newton's method fails.
+@compiled
+def implicit_step(
+    y: Array,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: RealSystem,
+    scale: Array,
+    rate: Array,
+    j: Array,
+    lu: Complex,
+    pivot: Indices,
+    z: Array,
+    end: Array,
+    phase: Array,
+) -> float:
+    """Write the state after one step to end. Returns the estimated error over scale, or −1 if Newton's method fails.
 
     Args:
         y, end: shape (8,), float.
@@ -156,7 +197,7 @@ def implicit_step(y, t, h, first, last, system, scale, rate, j, lu, pivot, z, en
         rate: dy/dt at t, shape (8,).
         j: Jacobian at t, shape (8, 8).
         lu, pivot: scratch, shapes (3, 8, 8) complex and (3, 8) integer.
-        z: first guess of the stages on entry, the stages less y on return, shape (5, 8).
+        z: initial stages minus y on entry, solved stages minus y on return, shape (5, 8).
         phase: scratch, shape (3,).
     """
     for e in range(3):
@@ -179,17 +220,17 @@ def implicit_step(y, t, h, first, last, system, scale, rate, j, lu, pivot, z, en
     return _norm(error, scale)
 
 
-@njit(cache=True, error_model="numpy")
-def _norm(error, scale):
+@compiled
+def _norm(error: Complex, scale: Array) -> float:
     total = 0.0
     for i in range(8):
         total += (error[i].real / scale[i]) ** 2
     return np.sqrt(total / 8.0)
 
 
-@njit(cache=True, error_model="numpy")
-def implicit_polynomial(y, z, coefficients):
-    """The motion over the step as powers of (time − t)/h, shape (8 powers, 8); the last two are zero."""
+@compiled
+def implicit_polynomial(y: Array, z: Array, coefficients: Array) -> None:
+    """Write the motion over the step as powers of (time − t)/h, shape (8 powers, 8). The last two powers are zero."""
     for i in range(8):
         coefficients[0, i] = y[i]
         coefficients[6, i] = coefficients[7, i] = 0.0
@@ -200,9 +241,9 @@ def implicit_polynomial(y, z, coefficients):
             coefficients[power + 1, i] = total
 
 
-@njit(cache=True, error_model="numpy")
-def guess_stages(coefficients, ratio, end, z):
-    """Stages of the next step (ratio = its length over the last one's) from the last step's polynomial."""
+@compiled
+def guess_stages(coefficients: Array, ratio: float, end: Array, z: Array) -> None:
+    """Initial stages of the next step from the last step's polynomial; ratio is next over last step length."""
     for s in range(5):
         x = 1.0 + NODES[s] * ratio
         for i in range(8):
@@ -212,17 +253,19 @@ def guess_stages(coefficients, ratio, end, z):
             z[s, i] = value - end[i]
 
 
-@njit(cache=True, error_model="numpy")
-def jacobian_at(y, t, first, last, system, phase, j):
-    """Jacobian of the rates at one instant into j, shape (8, 8)."""
+@compiled
+def jacobian_at(y: Array, t: float, first: int, last: int, system: RealSystem, phase: Array, j: Array) -> None:
+    """Write the Jacobian of the rates at one instant to j, shape (8, 8)."""
     p, free_a, free_b, knots, origins, cubics = system
     phase_within(t, first, last, knots, origins, cubics, phase)
     jacobian(y, phase[0], phase[1], phase[2], p, free_a, free_b, j)
 
 
-@njit(cache=True, error_model="numpy")
-def differentiate_stages(stages, t, h, first, last, system, packed, dy, dz):
-    """Derivatives of the stages of a step that was taken, from their equations.
+@compiled
+def differentiate_stages(
+    stages: Array, t: float, h: float, first: int, last: int, system: RealSystem, packed: Array, dy: Array, dz: Array
+) -> None:
+    """Derivatives of the stages of a recorded step, from the stage equations.
 
     A⁻¹ Z / h = f(y + Z, p) gives A⁻¹ δZ / h − J_j δZ_j = J_j δy + (∂f/∂p) δp, linear in δZ.
 

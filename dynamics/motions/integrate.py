@@ -1,8 +1,8 @@
-"""The nonlinear motion of one run to a given accuracy, with a bound on its error.
+"""Nonlinear motion of one run to a given accuracy, with a bound on its error.
 
-The motion is computed twice, the second time to a thirty times tighter tolerance per step. The difference over all
-instants is the error of the first run to within the much smaller one of the second; it bounds the error of the second,
-which is returned. If that is not enough the tolerance goes on down. See docs/theory/integration.md.
+The motion is computed twice, the second time with a thirty times tighter tolerance per step. The difference over all
+instants is the error of the first run, within the much smaller error of the second. It bounds the error of the second
+run, which is returned. If the bound exceeds the accuracy, the tolerance is reduced. See docs/theory/integration.md.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from dynamics.arguments import need_number
+from dynamics.arguments import check_number
+from dynamics.arrays import Array
 from dynamics.equations.parameters import physics_of
 from dynamics.equations.scene import Scene
 from dynamics.errors import NotConverged, OutsideDomain
@@ -32,23 +34,23 @@ __all__ = [
 ]
 
 WORK_LIMIT = 50_000_000
-"""Steps a call may take unless told otherwise: about a minute."""
+"""Default limit on the steps of a call: about a minute."""
 
-_RATIO = 30.0  # between the tolerances of the first two runs
-_HEADROOM = 120.0  # accuracy over the first run's tolerance at an accuracy of 1e-6; less below
-_FINEST = 1e-15  # a tolerance per step below this is rounding
-_MOST_RUNS = 6
-_LONG_RUN = 300_000.0  # steps: a run worth a look at its beginning first
-_PILOTS = (1 / 128, 1 / 32)  # of it
-_COARSE = 5e-9  # above it steps are so large that errors fall irregularly
-_ROUNDING_TOLERANCE = 1e-13  # below it both runs err by rounding alike
-_STRONG_GROWTH = 300.0  # error over tolerance above which one difference alone is not trusted
+_RATIO = 30.0  # ratio of the tolerances of the first two runs
+_HEADROOM = 120.0  # accuracy over the first run's tolerance at an accuracy of 1e-6; smaller for tighter accuracies
+_FINEST = 1e-15  # smallest tolerance per step; below it rounding dominates
+_MAX_RUNS = 6
+_LONG_RUN_STEPS = 300_000.0  # number of steps above which the beginning of a run is checked first
+_PILOTS = (1 / 128, 1 / 32)  # checked fractions of a long run
+_COARSE = 5e-9  # tolerance above which errors decrease irregularly, because steps are large
+_ROUNDING_TOLERANCE = 1e-13  # tolerance below which rounding dominates both runs
+_STRONG_GROWTH = 300.0  # ratio of error to tolerance above which two differences are required
 
 
 def simulate(
     parameters: object,
     scene: Scene,
-    time_s: np.ndarray | float,
+    time_s: ArrayLike,
     accuracy: float = 1e-6,
     method: str | None = None,
     *,
@@ -56,29 +58,28 @@ def simulate(
     work_limit: int = WORK_LIMIT,
     resolved: bool = False,
 ) -> Motion:
-    """The nonlinear motion of one run.
+    """Simulate the nonlinear motion of one run.
 
     Args:
         parameters: the rig, or its rotor parameters.
-        scene: speed history, what is released and when, start state.
-        time_s: instants wanted, shape (n,), ascending (the start state belongs to the first), or a duration in s
-            from t = 0, which gives 200 samples a second.
-        accuracy: largest error allowed at any of the instants: of the angles in rad, of the displacements as a share
-            of the longest pendulum arm (so it also bounds them in m).
-        method: "explicit", "implicit", or None for the one that is expected to be cheaper.
+        scene: speed history, releases, start state.
+        time_s: output instants, s, shape (n,), ascending. The start state belongs to the first. A number is a duration
+            in s from t = 0 with 200 samples a second.
+        accuracy: largest permitted error at any instant: of the angles in rad, of the displacements relative to the
+            longest pendulum arm. It therefore bounds displacements in m too.
+        method: "explicit", "implicit", or None for the method with the lower expected cost.
         dense: keep the polynomials between the instants (Motion.at, Motion.crossings).
-        work_limit: steps the call may take in all.
-        resolved: let explicit steps follow even oscillations too small to matter, as derivatives of the motion need.
+        work_limit: largest number of steps of the call.
+        resolved: explicit steps also resolve oscillations of negligible amplitude, as derivatives require.
     Raises:
-        OutsideDomain: instants, start state, accuracy or method that mean nothing.
+        OutsideDomain: invalid instants, start state, accuracy or method.
         NotConverged: the accuracy cannot be reached (an unstable or chaotic motion over too long a time), or the work
-            exceeds work_limit; said at once when it can be foreseen.
+            exceeds work_limit. If this is predictable, the error is raised before the computation.
     Source: docs/theory/integration.md.
     """
     physics = physics_of(parameters)
-    need_number(accuracy=accuracy, work_limit=work_limit)
-    if not isinstance(scene, Scene):
-        raise OutsideDomain(f"scene: expected a dynamics.Scene, got {scene!r}")
+    check_number(accuracy=accuracy, work_limit=work_limit)
+    _check_scene(scene)
     if not (np.isfinite(accuracy) and accuracy > 0):
         raise OutsideDomain(f"accuracy must be a finite number above 0, got {accuracy!r}")
     if method not in (None, "explicit", "implicit"):
@@ -89,14 +90,14 @@ def simulate(
     cheaper, why = setup.prefers_implicit(tolerance)
     implicit = cheaper if method is None else method == "implicit"
     if method is not None:
-        why = "as asked"
+        why = "requested"
     if setup.duration_s == 0.0:
         state = np.tile(setup.problem.start, (len(times), 1))
-        return Motion(times, state, 0.0, 0.0, "none", "no time passes")
-    if implicit and resolved:  # its steps damp what they do not follow, in the derivatives too
+        return Motion(times, state, 0.0, 0.0, "none", "zero duration")
+    if implicit and resolved:  # implicit steps damp oscillations that they do not resolve, in the derivatives too
         setup = dataclasses.replace(setup, problem=dataclasses.replace(setup.problem, longest_step_s=np.inf))
-    _refuse_hopeless(setup, tolerance, implicit, work_limit)
-    _refuse_chaotic(setup, accuracy, tolerance, implicit)
+    _check_work(setup, tolerance, implicit, work_limit)
+    _check_growth(setup, accuracy, tolerance, implicit)
     last, bound, work = _converge(setup, accuracy, tolerance, implicit, work_limit, dense)
     events = tuple(sorted([*last.events, *setup.stop], key=lambda e: e.time_s))
     return Motion(
@@ -113,35 +114,41 @@ def simulate(
     )
 
 
-def _headroom(accuracy: float) -> float:
-    """How far the first run's tolerance per step lies below the accuracy.
+def _check_scene(scene: object) -> None:
+    if not isinstance(scene, Scene):
+        raise OutsideDomain(f"scene: expected a dynamics.Scene, got {scene!r}")
 
-    A release multiplies the tolerance by 100 at 1e-8 and by 15 at 1e-12 (docs/theory/integration.md): the tighter, the
-    more of the embedded estimate is caution.
+
+def _headroom(accuracy: float) -> float:
+    """Ratio of the accuracy to the first run's tolerance per step.
+
+    A release multiplies the tolerance by 100 at 1e-8 and by 15 at 1e-12 (docs/theory/integration.md): the embedded
+    estimate is more conservative at tighter tolerances.
     """
     return _HEADROOM * min(1.0, (accuracy / 1e-6) ** (1 / 7))
 
 
-def _refuse_hopeless(setup: Setup, tolerance: float, implicit: bool, work_limit: int) -> None:
+def _check_work(setup: Setup, tolerance: float, implicit: bool, work_limit: int) -> None:
     expected = setup.expected_steps(tolerance, implicit) + setup.expected_steps(tolerance / _RATIO, implicit)
-    if expected > 3 * work_limit:  # the forecast is good to a factor of a few
+    if expected > 3 * work_limit:  # the prediction is accurate to a factor of a few
         raise NotConverged(
             f"{setup.duration_s:.3g} s of motion need about {expected:.2g} steps, the limit is {work_limit:.2g}; "
-            f"raise work_limit (a million take {6 if implicit else 1.3} s), ask for less accuracy or a shorter run"
+            f"raise work_limit (a million take {6 if implicit else 1.3} s), reduce the accuracy or shorten the run"
         )
 
 
-def _refuse_chaotic(setup: Setup, accuracy: float, tolerance: float, implicit: bool) -> None:
-    """Look at the beginning of a long run, before all of it is followed twice.
+def _check_growth(setup: Setup, accuracy: float, tolerance: float, implicit: bool) -> None:
+    """Check the beginning of a long run for chaotic growth before the whole run is computed twice.
 
-    Errors that grew so much there that no tolerance can hold them to the accuracy would refuse the whole run too.
+    Raises:
+        NotConverged: errors have grown so much that no tolerance can keep them within the accuracy.
     """
     expected = setup.expected_steps(tolerance, implicit)
-    if expected < _LONG_RUN:
+    if expected < _LONG_RUN_STEPS:
         return
     times = setup.problem.times
     for share in _PILOTS:
-        count = int(np.searchsorted(times, times[0] + share * setup.duration_s, "right"))
+        count = int(np.searchsorted(times, float(times[0] + share * setup.duration_s), "right"))
         if count < 2:
             continue
         problem = dataclasses.replace(setup.problem, times=times[:count])
@@ -151,50 +158,50 @@ def _refuse_chaotic(setup: Setup, accuracy: float, tolerance: float, implicit: b
             raise NotConverged(
                 f"{setup.duration_s:.3g} s of motion, about {expected:.2g} steps: within the first "
                 f"{times[count - 1] - times[0]:.2g} s an error has grown {growth:.2g} times, too fast to end within "
-                f"{accuracy:.2g}: it separates from its neighbours; ask for less or shorten the run"
+                f"{accuracy:.2g}: neighbouring motions diverge; reduce the accuracy or shorten the run"
             )
 
 
 def _converge(
     setup: Setup, accuracy: float, tolerance: float, implicit: bool, work_limit: int, dense: bool
 ) -> tuple[Trajectory, float, int]:
-    """Runs to tighter and tighter tolerances until the bound holds; the last run, its bound, all steps."""
+    """Repeat the run with decreasing tolerances until the bound holds. Returns last run, bound, number of all steps."""
     coarse = run(setup.problem, tolerance, implicit, work_limit)
-    work, ratio, bounds, growths = coarse.tried, _RATIO, [], []
-    for _ in range(_MOST_RUNS):
+    work, ratio, bounds, growths = coarse.tried, _RATIO, list[float](), list[float]()
+    for _ in range(_MAX_RUNS):
         fine_tolerance = max(tolerance / ratio, _FINEST)
         fine = run(setup.problem, fine_tolerance, implicit, work_limit - work, dense)
         work += fine.tried
         difference = _distance(setup, coarse.states, fine.states)
         growths.append(difference / tolerance)
         strong = max(growths) > _STRONG_GROWTH
-        # steps too large for their order: the tighter run may then be hardly the better one
+        # with large steps the error may decrease irregularly: the tighter run may not be more accurate
         margin = 5.0 if fine_tolerance > _COARSE else 3.0 if implicit or fine_tolerance < _ROUNDING_TOLERANCE else 1.0
         bounds.append(max(margin * difference, 5 * max(growths) * fine_tolerance) + _rounding(setup, fine))
         if bounds[-1] <= accuracy and not (strong and len(growths) == 1):
             return fine, bounds[-1], work
         left = difference * fine_tolerance / tolerance
         ratio = float(np.clip(3 * left / accuracy, 10.0, 1e3))
-        hopeless = 5 * max(growths) * _FINEST > accuracy  # no tolerance brings the bound down that far
+        hopeless = 5 * max(growths) * _FINEST > accuracy  # no tolerance reduces the bound sufficiently
         spent = hopeless or work + fine.tried * ratio ** (1 / 8) > work_limit
         if spent or fine_tolerance <= _FINEST or (len(bounds) > 2 and bounds[-1] > 0.5 * bounds[-3]):
             break
         coarse, tolerance = fine, fine_tolerance
     raise NotConverged(
         f"motion over {setup.duration_s:.3g} s: error bound {min(bounds):.2g} at tolerance {tolerance:.2g} per step, "
-        f"wanted {accuracy:.2g} ({work:.2g} steps done, {work_limit:.2g} allowed): "
-        + ("rounding in double precision" if min(bounds) < 1e-9 else "it separates from its neighbours too fast")
-        + "; ask for less or shorten the run"
+        f"expected {accuracy:.2g} ({work:.2g} steps done, {work_limit:.2g} allowed): "
+        + ("rounding in double precision" if min(bounds) < 1e-9 else "neighbouring motions diverge too fast")
+        + "; reduce the accuracy or shorten the run"
     )
 
 
 def _rounding(setup: Setup, fine: Trajectory) -> float:
-    """Error that both runs share: the phase is a double, and so are the angles."""
+    """Error common to both runs: rounding of the phase and of the angles in double precision."""
     phases = [setup.problem.segments.phase(float(t))[0] for t in setup.problem.times[[0, -1]]]
     angles = np.max(np.abs(fine.states[:, 2:4]))
     return 4 * np.finfo(float).eps * (1.0 + max(abs(p) for p in phases) + float(angles))
 
 
-def _distance(setup: Setup, one: np.ndarray, other: np.ndarray) -> float:
+def _distance(setup: Setup, one: Array, other: Array) -> float:
     gap = np.abs(one[:, :4] - other[:, :4]) / setup.problem.weights[:4]
     return float(np.max(gap)) if np.all(np.isfinite(gap)) else np.inf

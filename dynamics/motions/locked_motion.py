@@ -1,31 +1,32 @@
-"""The motion with both pendulums locked, and the rates that set the pace of any motion.
+"""Motion with both pendulums locked, and the rates that determine the step of any motion.
 
-In closed form where the suspension is linear, else by harmonic balance (dynamics.motions.nonlinear_whirl).
+The motion has a closed form if the suspension is linear. Otherwise it is computed by harmonic balance
+(dynamics.motions.nonlinear_whirl).
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.motions.nonlinear_whirl import Direction, whirl_orders
 
-_SHARE = 1e-4  # of a parameter, for differences
+_SHARE = 1e-4  # relative step of a parameter for differences
 
 
 def locked_orbit(
     parameters: RotorParameters, speed_rad_s: float, theta3_rad: float = 0.0, theta4_rad: float = np.pi
 ) -> tuple[complex, complex]:
-    """Steady motion at constant speed with both pendulums locked (without gravity's constant sag).
+    """Steady motion at constant speed with both pendulums locked, without the static deflection under gravity.
 
     Returns:
-        X, Y in m: x = Re(X e^{iψ}), y = Im(Y e^{iψ}); of a suspension that is not linear, the first order.
+        X, Y in m: x = Re(X e^{iψ}), y = Im(Y e^{iψ}). For a suspension that is not linear, the first order.
     Raises:
-        OutsideDomain: exactly in a resonance without damping, or near one that the springs bend over.
-    Source: linear oscillators under F e^{iψ}, F = ω² (S_P + S_A e^{iθ3} + S_B e^{iθ4}), S_P with what a pivot shift
-        that is not compensated adds to it; a bow b adds k b.
+        OutsideDomain: the speed coincides with an undamped resonance, or is near a resonance bent over by the springs.
+    Source: linear oscillators under F e^{iψ}, F = ω² (S_P + S_A e^{iθ3} + S_B e^{iθ4}). S_P includes the moment of an
+        uncompensated pivot shift. A bow b adds k b.
     """
     p = physics_of(parameters)
     if not p.suspension_is_linear:
@@ -42,7 +43,7 @@ def locked_orbit(
     stiff1, stiff2 = p.k1_N_per_m - mass * w * w + 1j * w * c1, p.k2_N_per_m - mass * w * w + 1j * w * c2
     if stiff1 == 0 or stiff2 == 0:
         raise OutsideDomain(
-            f"at {w:.6g} rad/s the rotor runs exactly in a resonance without damping and its whirl grows for ever: "
+            f"at {speed_rad_s:.6g} rad/s the rotor runs in an undamped resonance, where its whirl is unbounded: "
             "expected damping above 0 or another speed"
         )
     return (force + p.k1_N_per_m * p.bow_m) / stiff1, (force + p.k2_N_per_m * p.bow_m) / stiff2
@@ -50,11 +51,11 @@ def locked_orbit(
 
 def locked_orders(
     p: RotorParameters, speed_rad_s: float, theta3_rad: float, theta4_rad: float
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """All orders of x and y with the pendulums locked, x = Re Σ x_k e^{ikψ} and y alike, sag under gravity included.
+) -> tuple[Complex, Complex]:
+    """All orders of x and y with the pendulums locked, x = Re Σ x_k e^{ikψ} and y alike, static deflection included.
 
     Raises:
-        OutsideDomain: near a resonance that the springs bend over.
+        OutsideDomain: the speed is near a resonance bent over by the springs.
     """
     moment = (
         p.forcing_moment_kg_m
@@ -76,8 +77,8 @@ def locked_orders(
 
 def locked_state(
     parameters: RotorParameters, speed_rad_s: float, phase_rad: float, theta3_rad: float, theta4_rad: float
-) -> np.ndarray:
-    """State (8,) on the locked orbit at one phase, sagged by −M_S g/k2 under gravity; the start of a release."""
+) -> Array:
+    """State (8,) on the locked orbit at one phase, with the deflection −M_S g/k2 under gravity; start of a release."""
     if not parameters.suspension_is_linear:
         rows = list[tuple[float, float]]()
         for orders in locked_orders(parameters, speed_rad_s, theta3_rad, theta4_rad):
@@ -93,8 +94,8 @@ def locked_state(
 
 def locked_state_derivatives(
     parameters: RotorParameters, speed_rad_s: float, phase_rad: float, theta3_rad: float, theta4_rad: float
-) -> dict[str, np.ndarray]:
-    """∂(locked_state)/∂(identified parameter), each of shape (8,): the quotient F/(k − M ω² + iωc) differentiated."""
+) -> dict[str, Array]:
+    """∂(locked_state)/∂(identified parameter), each of shape (8,): derivative of the quotient F/(k − M ω² + iωc)."""
     p, w = parameters, speed_rad_s
     if not p.suspension_is_linear:
         return _differences(p, w, phase_rad, theta3_rad, theta4_rad)
@@ -116,9 +117,9 @@ def locked_state_derivatives(
     return out
 
 
-def _differences(p: RotorParameters, speed: float, phase: float, theta3: float, theta4: float) -> dict[str, np.ndarray]:
-    """The same where the suspension is not linear, by central differences."""
-    out = dict[str, np.ndarray]()
+def _differences(p: RotorParameters, speed: float, phase: float, theta3: float, theta4: float) -> dict[str, Array]:
+    """The derivatives for a suspension that is not linear, by central differences."""
+    out = dict[str, Array]()
     for name, value in p.identified().items():
         h = _SHARE * value or _SHARE
         ends = [
@@ -128,14 +129,14 @@ def _differences(p: RotorParameters, speed: float, phase: float, theta3: float, 
     return out
 
 
-def _on_orbit(x: complex, y: complex, speed: float, phase: float, theta3: float, theta4: float) -> np.ndarray:
+def _on_orbit(x: complex, y: complex, speed: float, phase: float, theta3: float, theta4: float) -> Array:
     turn = np.exp(1j * phase)
     rate = 1j * speed * turn
     return np.array([(x * turn).real, (y * turn).imag, theta3, theta4, (rate * x).real, (rate * y).imag, 0.0, 0.0])
 
 
 def damping_rates(parameters: RotorParameters, released: tuple[bool, bool] = (True, True)) -> tuple[float, ...]:
-    """Rates at which each direction and each released pendulum would lose its speed if nothing else acted, 1/s."""
+    """Decay rates of the free speed of each direction and each released pendulum, 1/s."""
     p = parameters
     w1, w2 = p.natural_frequencies_rad_s
     swinging = [m for m, free in zip((p.a, p.b), released, strict=True) if free and m.present]
@@ -147,8 +148,8 @@ def damping_rates(parameters: RotorParameters, released: tuple[bool, bool] = (Tr
 
 
 def fastest_rate(parameters: RotorParameters, speed_rad_s: float, released: tuple[bool, bool] = (True, True)) -> float:
-    """A bound on how fast the state changes, 1/s: sets the step of an explicit method.
+    """Bound on the rate of change of the state, 1/s. It determines the step of an explicit method.
 
-    Absent and locked pendulums have no rate of their own.
+    Absent and locked pendulums have no own rate.
     """
     return max(*parameters.natural_frequencies_rad_s, abs(speed_rad_s), *damping_rates(parameters, released))

@@ -1,35 +1,35 @@
-"""From step to step in compiled code: step control, knots of the speed history, samples, the end of a mode.
+"""Integration from step to step in compiled code: step control, knots of the speed history, samples, end of a mode.
 
-One function serves both methods, so that they share everything but the arithmetic of a step.
+One function is used by both methods. They differ only in the arithmetic of a step.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array, RealSystem
+from dynamics.compiled_code import compiled
 from dynamics.equations.friction import needed_torque
 from dynamics.equations.kernels import FA, rates
 from dynamics.equations.phase_segments import phase_within, segment_of
 from dynamics.motions.explicit_steps import evaluate, explicit_error, explicit_polynomial, explicit_step
 from dynamics.motions.implicit_steps import guess_stages, implicit_polynomial, implicit_step, jacobian_at
 
-# How a march ends
+# Results of `march`
 REACHED, MODE_ENDS_A, MODE_ENDS_B, STEPS_SPENT, STORE_FULL, STEP_TOO_SMALL = range(6)
-# What is watched on a pendulum: nothing, the end of a slide forward or backward, the end of a stick
+# Watched event of a pendulum: none, end of a slide forward or backward, end of sticking
 UNWATCHED, WATCH_FORWARD, WATCH_BACKWARD, WATCH_STUCK = 0, 1, -1, 2
 
-_LOOKS = 4  # instants per step at which a mode's end is looked for
-_SLACK = 3.0  # tolerances of speed below which a slide that has just begun is not asked for its sign
-_HARMLESS = 0.05  # tolerances that stepping across a knot may cost
+_CHECKS = 4  # instants per step at which the end of a mode is checked
+_SLACK = 3.0  # speed, in tolerances, below which the sign of a slide that has just begun is not evaluated
+_MAX_KNOT_ERROR = 0.05  # error of a step across a knot, in tolerances
 
 
-@njit(cache=True, error_model="numpy")
-def _margin(pendulum, watch, y, t, first, last, system, work, phase):
-    """How far a pendulum is from the end of its mode: positive inside."""
+@compiled
+def _margin(
+    pendulum: int, watch: int, y: Array, t: float, first: int, last: int, system: RealSystem, work: Array, phase: Array
+) -> float:
+    """Distance of a pendulum from the end of its mode; positive within the mode."""
     if watch != WATCH_STUCK:
         return watch * y[6 + pendulum]
     p, free_a, free_b, knots, origins, cubics = system
@@ -38,15 +38,28 @@ def _margin(pendulum, watch, y, t, first, last, system, work, phase):
     return abs(p[FA + pendulum]) * phase[1] * phase[1] - abs(torque)
 
 
-@njit(cache=True, error_model="numpy")
-def _mode_end(pendulum, watch, slack, t, h, first, last, system, polynomial, y, work, phase):
-    """Fraction of the step at which a pendulum's mode ends, located to rounding; 2.0 when it lasts.
+@compiled
+def _mode_end(
+    pendulum: int,
+    watch: int,
+    slack: float,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: RealSystem,
+    polynomial: Array,
+    y: Array,
+    work: Array,
+    phase: Array,
+) -> float:
+    """Fraction of the step at which a pendulum's mode ends, located to rounding; 2.0 if it does not end.
 
-    A slide that has just begun is slower than what its step may err by: up to slack it is not asked for its sign.
+    The speed of a slide that has just begun is below the error of its step. Its sign is not evaluated below slack.
     """
     low = 0.0
-    for look in range(1, _LOOKS + 1):
-        high = look / _LOOKS
+    for check in range(1, _CHECKS + 1):
+        high = check / _CHECKS
         evaluate(polynomial, high, y)
         if _margin(pendulum, watch, y, t + high * h, first, last, system, work, phase) < -slack:
             for _ in range(60):
@@ -63,23 +76,38 @@ def _mode_end(pendulum, watch, slack, t, h, first, last, system, polynomial, y, 
     return 2.0
 
 
-@njit(cache=True, error_model="numpy")
-def _landing(t, h, limit, segment, knots, jumps, tolerance):
-    """(end of the step, segment there): cut where crossing a knot would cost more than a share of the tolerance."""
+@compiled
+def _landing(
+    t: float, h: float, limit: float, segment: int, knots: Array, jumps: Array, tolerance: float
+) -> tuple[float, int]:
+    """(end of the step, segment there). The step ends at a knot if crossing it would exceed its tolerance."""
     end, last = min(t + h, limit), segment
     if limit - end < 0.05 * h:
         end = limit
     while last < len(knots) and knots[last] < end:
         width = end - t
-        if width * width * (0.5 * jumps[last, 0] + width / 6.0 * jumps[last, 1]) > _HARMLESS * tolerance:
+        if width * width * (0.5 * jumps[last, 0] + width / 6.0 * jumps[last, 1]) > _MAX_KNOT_ERROR * tolerance:
             return knots[last], last
         last += 1
     return end, last
 
 
-@njit(cache=True, error_model="numpy")
-def _earliest_mode_end(watch, slack, t, h, first, last, system, polynomial, weights, work, phase, y):
-    """(how the march ends, fraction of the step at which it does); (REACHED, 1) when both modes last."""
+@compiled
+def _earliest_mode_end(
+    watch: tuple[int, int],
+    slack: float,
+    t: float,
+    h: float,
+    first: int,
+    last: int,
+    system: RealSystem,
+    polynomial: Array,
+    weights: Array,
+    work: Array,
+    phase: Array,
+    y: Array,
+) -> tuple[int, float]:
+    """(result of the march, fraction of the step at which a mode ends); (REACHED, 1) if neither mode ends."""
     ended, share = REACHED, 1.0
     for pendulum in range(2):
         if watch[pendulum] != UNWATCHED:
@@ -90,58 +118,75 @@ def _earliest_mode_end(watch, slack, t, h, first, last, system, polynomial, weig
     return ended, share
 
 
-@njit(cache=True, error_model="numpy")
-def _guess(y, polynomial, h, last_h, z):
-    """First guess of an implicit step's stages: the last step's polynomial continued, or no change."""
+@compiled
+def _guess(y: Array, polynomial: Array, h: float, last_h: float, z: Array) -> None:
+    """Initial stages of an implicit step: the last step's polynomial extrapolated, or zero."""
     if last_h > 0.0:
         guess_stages(polynomial, h / last_h, y, z)
     else:
         z.fill(0.0)
 
 
-@njit(cache=True, error_model="numpy")
-def _after_rejection(h, error, exponent):
+@compiled
+def _after_rejection(h: float, error: float, exponent: float) -> float:
     if 0.0 <= error < np.inf:
         return h * max(0.2, 0.9 * error**-exponent)
     return 0.2 * h
 
 
-@njit(cache=True, error_model="numpy")
-def _after_success(h, proposed, error, last_error, rejected, exponent):
-    """The next step: proportional to the error and its trend; a step cut short by a limit does not shorten the next."""
+@compiled
+def _after_success(
+    h: float, proposed: float, error: float, last_error: float, rejected: bool, exponent: float
+) -> float:
+    """Next step, from the error and its trend. A step shortened by a limit does not shorten the next one."""
     growth = 0.9 * max(error, 1e-10) ** (-0.75 * exponent) * max(last_error, 1e-4) ** (0.3 * exponent)
     grown = h * min(1.0 if rejected else 6.0, max(0.3, growth))
     return max(proposed, grown) if h < 0.999 * proposed else grown
 
 
-@njit(cache=True, error_model="numpy")
-def _rates_here(y, t, segment, system, phase, k):
+@compiled
+def _rates_here(y: Array, t: float, segment: int, system: RealSystem, phase: Array, k: Array) -> None:
     p, free_a, free_b, knots, origins, cubics = system
     phase_within(t, segment, segment, knots, origins, cubics, phase)
     rates(y, phase[0], phase[1], phase[2], p, free_a, free_b, k[0])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def march(  # noqa: PLR0912, PLR0915 - the one loop that everything stands in
-    y, t, limit, h, stiff, tolerance, weights, system, jumps, longest, watch, times, done, out, store, most_steps
-):
+@compiled(nogil=True)
+def march(  # noqa: PLR0912, PLR0915 - one function: split, the loop's state would be passed in each call
+    y: Array,
+    t: float,
+    limit: float,
+    h: float,
+    stiff: int | None,
+    tolerance: float,
+    weights: Array,
+    system: RealSystem,
+    jumps: Array,
+    longest: float,
+    watch: tuple[int, int],
+    times: Array,
+    done: int,
+    out: Array,
+    store: tuple[Array, Array],
+    most_steps: int,
+) -> tuple[int, float, float, int, int, int]:
     """Advance the state from t to limit within one mode.
 
     Args:
         y: state, shape (8,), advanced in place.
-        h: first step to try, s.
-        stiff: 1 to use dynamics.motions.implicit_steps, None for explicit steps: the code of the other is left out of
-            what is compiled.
-        tolerance, weights: a step may err by tolerance × weights, shape (8,), in the root mean square.
+        h: first trial step, s.
+        stiff: 1 for dynamics.motions.implicit_steps, None for explicit steps. numba compiles only the code of the
+            selected method.
+        tolerance, weights: permitted error of a step is tolerance × weights, shape (8,), in the root mean square.
         system: (packed parameters, free_a, free_b, knots, origins, cubics).
-        jumps: of the phase at the knots (PhaseSegments).
-        longest: no step is longer, s.
-        watch: what is watched on A and on B.
-        times, done, out: instants wanted, how many are written already, their states, shape (n, 8).
-        store: (starts and lengths, shape (m, 2), polynomials, shape (m, 8, 8)) for every step; m = 0: not kept.
-        most_steps: steps after which to come back.
+        jumps: jumps of the phase at the knots (PhaseSegments).
+        longest: longest permitted step, s.
+        watch: watched events of A and B.
+        times, done, out: output instants, number of instants already written, their states, shape (n, 8).
+        store: (starts and lengths, shape (m, 2), polynomials, shape (m, 8, 8)) of every step; not stored if m = 0.
+        most_steps: number of steps after which the function returns.
     Returns:
-        (how it ended, t, next step, samples written, accepted steps, all steps).
+        (result, t, next step, samples written, accepted steps, all steps).
     """
     knots, room = system[3], len(store[0])
     k, polynomial, end, work, scale, phase = (
@@ -193,7 +238,7 @@ def march(  # noqa: PLR0912, PLR0915 - the one loop that everything stands in
                 watch, slack, t, step, segment, last, system, polynomial, weights, work, phase, scale
             )
             if share < 1e-6 and accepted == 0 and step > 1e-6 * abs(first_h):
-                h, rejected = 0.2 * step, True  # too long a step to see the slide that begins here
+                h, rejected = 0.2 * step, True  # the step is too long to resolve the slide that begins here
                 continue
             if ended != REACHED:
                 reached = t + share * step

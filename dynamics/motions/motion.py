@@ -1,25 +1,23 @@
-"""A computed motion: states at the instants asked for, and, if kept, the polynomials between them."""
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+"""A computed motion: states at the output instants and, if kept, the polynomials between them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
 from dynamics.errors import OutsideDomain
 from dynamics.motions.explicit_steps import evaluate
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened during a motion.
+    """Event during a motion.
 
     Attributes:
-        time_s: when.
+        time_s: instant, s.
         kind: "release", "stick", "slide forward", "slide backward" or "stop" (the rotor comes to rest).
         pendulum: 0 for A, 1 for B, None for the rotor.
     """
@@ -31,17 +29,17 @@ class Event:
 
 @dataclass(frozen=True)
 class Piece:
-    """Steps that share the packed parameters and which pendulums are free.
+    """Consecutive steps with the same packed parameters and free pendulums.
 
     Attributes:
-        first, last: steps first … last − 1 of a motion.
-        packed: shape (26,).
-        free_a, free_b: 1.0 or 0.0.
+        first, last: the steps first … last − 1 of a motion.
+        packed: packed parameters, shape (26,).
+        free_a, free_b: 1.0 for a free pendulum, 0.0 otherwise.
     """
 
     first: int
     last: int
-    packed: np.ndarray
+    packed: Array
     free_a: float
     free_b: float
 
@@ -51,14 +49,15 @@ class Polynomials:
     """The motion as one polynomial per step.
 
     Attributes:
-        spans: start and length of each step, shape (m, 2), s; a step may be cut short by the next one's start.
+        spans: start and length of each step, shape (m, 2), s. A step ends at the start of the next one if that is
+            earlier than its length.
         coefficients: powers of (time − start)/length, shape (m, 8 powers, 8 components).
-        end_s: last instant.
-        pieces: what the steps were taken with.
+        end_s: last instant, s.
+        pieces: parameters and free pendulums of the steps.
     """
 
-    spans: np.ndarray
-    coefficients: np.ndarray
+    spans: Array
+    coefficients: Array
     end_s: float
     pieces: tuple[Piece, ...]
 
@@ -68,21 +67,21 @@ class Motion:
     """A computed motion.
 
     Attributes:
-        time_s: shape (n,).
+        time_s: shape (n,), s.
         state: shape (n, 8): x, y, θ3, θ4, ẋ, ẏ, θ̇3, θ̇4 (SI).
-        error_estimate: bound on the error of angles (rad) and of displacements, these as a share of the longest
-            pendulum arm (so in metres they are less than the number), over all instants.
-        step_s: mean step.
+        error_estimate: bound on the error over all instants: of angles in rad, of displacements relative to the
+            longest pendulum arm. In metres displacement errors are below this number.
+        step_s: mean step, s.
         method: "explicit" or "implicit".
-        why: the reason for the method.
-        steps: accepted steps of the run that gave the states.
-        work_steps: all steps computed, error estimate included.
+        why: reason for the method.
+        steps: accepted steps of the returned run.
+        work_steps: all computed steps, including those of the error estimate.
         events: releases, changes between sticking and sliding, the rotor's stop, in order.
-        polynomials: the motion between the instants, when it was asked to be kept.
+        polynomials: the motion between the instants, or None if it was not kept.
     """
 
-    time_s: np.ndarray
-    state: np.ndarray
+    time_s: Array
+    state: Array
     error_estimate: float
     step_s: float
     method: str = "explicit"
@@ -93,37 +92,37 @@ class Motion:
     polynomials: Polynomials | None = field(default=None, repr=False)
 
     @property
-    def displacement_m(self) -> np.ndarray:
-        """Disk centre x, y; shape (n, 2)."""
+    def displacement_m(self) -> Array:
+        """Disk centre x, y, m; shape (n, 2)."""
         return self.state[:, :2]
 
     @property
-    def angles_rad(self) -> np.ndarray:
-        """θ3, θ4; shape (n, 2)."""
+    def angles_rad(self) -> Array:
+        """θ3, θ4, rad; shape (n, 2)."""
         return self.state[:, 2:4]
 
-    def at(self, time_s: np.ndarray | float) -> np.ndarray:
-        """States at any instants within the motion, shape (n, 8).
+    def at(self, time_s: Array | float) -> Array:
+        """States at arbitrary instants within the motion, shape (n, 8).
 
         Raises:
-            OutsideDomain: the motion was computed without dense=True, or an instant lies outside it.
+            OutsideDomain: the motion was computed without dense=True, or an instant is outside the motion.
         """
         kept, times = self._kept(), np.atleast_1d(np.asarray(time_s, float))
         first, last = float(kept.spans[0, 0]), kept.end_s
         if np.any(times < first) or np.any(times > last):
-            raise OutsideDomain(f"the motion covers {first:.6g} to {last:.6g} s, asked {times.min()} to {times.max()}")
+            raise OutsideDomain(f"the motion covers {first:.6g} to {last:.6g} s, got {times.min()} to {times.max()}")
         out = np.empty((len(times), 8))
         _interpolate(times, kept.spans, kept.coefficients, out)
         return out
 
-    def crossings(self, component: int, level: float, direction: int = 0) -> np.ndarray:
-        """Instants at which a component of the state passes a level, ascending, s.
+    def crossings(self, component: int, level: float, direction: int = 0) -> Array:
+        """Instants at which a component of the state crosses a level, ascending, s.
 
-        Each step is searched between four looks, so a pair of crossings within a quarter of a step may be missed.
+        Each step is searched between four points, so two crossings within a quarter of a step may be missed.
 
         Args:
             component: index into the state (2, 3: θ3, θ4).
-            level: in the component's unit.
+            level: level in the component's unit.
             direction: +1 only upwards, −1 only downwards, 0 both.
         Raises:
             OutsideDomain: the motion was computed without dense=True.
@@ -134,36 +133,37 @@ class Motion:
 
     def _kept(self) -> Polynomials:
         if self.polynomials is None:
-            raise OutsideDomain("the motion holds no polynomials: compute it with simulate(..., dense=True)")
+            raise OutsideDomain("the motion has no polynomials: compute it with simulate(..., dense=True)")
         return self.polynomials
 
 
-@njit(cache=True, error_model="numpy")
-def _interpolate(times, spans, coefficients, out):
+@compiled
+def _interpolate(times: Array, spans: Array, coefficients: Array, out: Array) -> None:
     starts = spans[:, 0]
     for i in range(len(times)):
-        step = max(0, np.searchsorted(starts, times[i], side="right") - 1)
+        at: float = times[i]
+        step = max(0, np.searchsorted(starts, at, side="right") - 1)
         evaluate(coefficients[step], (times[i] - spans[step, 0]) / spans[step, 1], out[i])
 
 
-@njit(cache=True, error_model="numpy")
-def _height(polynomial, x, level):
+@compiled
+def _height(polynomial: Array, x: float, level: float) -> float:
     value = polynomial[7]
     for power in range(6, -1, -1):
         value = value * x + polynomial[power]
     return value - level
 
 
-@njit(cache=True, error_model="numpy")
-def _crossings(spans, ends, polynomials, level, direction):
-    found = []
-    below = _height(polynomials[0], 0.0, level)  # the last height that was not zero: carried over steps' joints
+@compiled
+def _crossings(spans: Array, ends: Array, polynomials: Array, level: float, direction: int) -> Array:
+    found: list[float] = []
+    below = _height(polynomials[0], 0.0, level)  # the last nonzero height, kept across the steps
     for step in range(len(spans)):
         polynomial, start, width = polynomials[step], spans[step, 0], spans[step, 1]
         reach = (ends[step] - start) / width
         low = 0.0
-        for look in range(1, 5):
-            high = reach * look / 4.0
+        for check in range(1, 5):
+            high = reach * check / 4.0
             above = _height(polynomial, high, level)
             if below * above < 0.0 or (above == 0.0 and below != 0.0):
                 if direction == 0 or direction * (above - below) > 0.0:

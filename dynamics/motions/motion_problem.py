@@ -1,12 +1,14 @@
-"""From parameters and scene to a problem for the integrator: scales, work to expect, explicit or implicit."""
+"""Problem of the integrator from parameters and scene: scales, expected work, explicit or implicit method."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from dynamics.arguments import numbers
+from dynamics.arguments import real_array
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.phase_segments import PhaseSegments, speed_crossings
 from dynamics.equations.scene import Scene
@@ -16,9 +18,9 @@ from dynamics.motions.motion import Event
 from dynamics.motions.trajectory import Problem
 
 SAMPLES_PER_S = 200.0
-_GUARDS = 64  # instants at which errors are compared at the least
-# Radians of the fastest oscillation per step at a tolerance of 1e-9 (measured on the nominal rig), the real axis'
-# stability limit of the explicit method, and what a step costs
+_MIN_COMPARED_INSTANTS = 64
+# Radians of the fastest oscillation per step at a tolerance of 1e-9 (measured on the nominal rig), the stability limit
+# of the explicit method on the real axis, and the cost of a step
 _EXPLICIT_REACH, _IMPLICIT_REACH = 1.3, 0.6
 _STABLE_REACH = 5.5
 _EXPLICIT_COST_S, _IMPLICIT_COST_S = 2.0e-6, 6.0e-6
@@ -26,19 +28,19 @@ _EXPLICIT_COST_S, _IMPLICIT_COST_S = 2.0e-6, 6.0e-6
 
 @dataclass(frozen=True)
 class Setup:
-    """A problem with what belongs to the caller's view of it.
+    """Problem of the integrator with its relation to the caller's arguments.
 
     Attributes:
-        problem: for the integrator; its instants hold the wanted ones and, when these are few, guards between them.
-        wanted: indices of the wanted instants, shape (n,).
-        arm_m: displacement that counts as much as a radian.
-        damping: the fastest decay, 1/s.
-        oscillation: the fastest oscillation that an implicit method must follow too, 1/s.
-        stop: events known from the speed history alone.
+        problem: the problem. Its instants contain the output instants and, if these are few, instants between them.
+        wanted: indices of the output instants, shape (n,).
+        arm_m: displacement whose error has the same weight as an angle error of 1 rad, m.
+        damping: fastest decay rate, 1/s.
+        oscillation: fastest oscillation that an implicit method must resolve too, 1/s.
+        stop: events that follow from the speed history alone.
     """
 
     problem: Problem
-    wanted: np.ndarray
+    wanted: NDArray[np.intp]
     arm_m: float
     damping: float
     oscillation: float
@@ -46,11 +48,11 @@ class Setup:
 
     @property
     def duration_s(self) -> float:
-        """Length of the run."""
+        """Duration of the run, s."""
         return float(self.problem.times[-1] - self.problem.times[0])
 
     def expected_steps(self, tolerance: float, implicit: bool) -> float:
-        """Steps that one run at a tolerance will take, within a factor of a few."""
+        """Expected number of steps of one run at a tolerance, accurate to a factor of a few."""
         if implicit:
             rate = self.oscillation / (_IMPLICIT_REACH * (tolerance / 1e-9) ** (1 / 6))
         else:
@@ -60,7 +62,7 @@ class Setup:
         return rate * self.duration_s
 
     def prefers_implicit(self, tolerance: float) -> tuple[bool, str]:
-        """Which method is cheaper, and the sentence that says so."""
+        """Whether the implicit method is expected to be faster, and the reason as text."""
         explicit, implicit = self.expected_steps(tolerance, False), self.expected_steps(tolerance, True)
         choice = _IMPLICIT_COST_S * implicit < _EXPLICIT_COST_S * explicit
         return choice, (
@@ -69,13 +71,13 @@ class Setup:
         )
 
 
-def instants(time_s: np.ndarray | float) -> np.ndarray:
-    """The instants a caller means: an array as it is, a number as a duration from 0 at 200 samples a second.
+def instants(time_s: ArrayLike) -> Array:
+    """Output instants from an argument: an array unchanged, a number as a duration from 0 with 200 samples a second.
 
     Raises:
-        OutsideDomain: none, not finite, or not ascending.
+        OutsideDomain: the array is empty, not finite or not ascending, or the duration is invalid.
     """
-    given = numbers("time_s", time_s)
+    given = real_array("time_s", time_s)
     if given.ndim == 0:
         duration = float(given)
         if not (np.isfinite(duration) and 0 < duration * SAMPLES_PER_S < 1e9):
@@ -87,25 +89,25 @@ def instants(time_s: np.ndarray | float) -> np.ndarray:
     return times
 
 
-def motion_problem(parameters: RotorParameters, scene: Scene, times: np.ndarray, resolved: bool = False) -> Setup:
-    """The problem of one run; resolved: with steps of at most a radian of the fastest oscillation.
+def motion_problem(parameters: RotorParameters, scene: Scene, times: Array, resolved: bool = False) -> Setup:
+    """Problem of one run. With `resolved`, steps are at most one radian of the fastest oscillation.
 
     Raises:
-        OutsideDomain: a start state that is not eight finite numbers.
+        OutsideDomain: the start state does not consist of eight finite numbers.
     """
     segments = PhaseSegments.of(scene.history)
     psi, speed, _ = segments.phase(float(times[0]))
     locked = scene.start is None
-    start = locked_state(parameters, speed, psi, 0.0, np.pi) if locked else numbers("start", scene.start).copy()
+    start = locked_state(parameters, speed, psi, 0.0, np.pi) if locked else real_array("start", scene.start).copy()
     if start.shape != (8,) or not np.all(np.isfinite(start)):
-        raise OutsideDomain(f"a start state is eight finite numbers, got {start!r}")
+        raise OutsideDomain(f"a start state must be eight finite numbers, got {start!r}")
     moving = (scene.released[0] and parameters.a.present, scene.released[1] and parameters.b.present)
     go = scene.release_time_s or (-np.inf, -np.inf)
     free_from = (float(go[0]) if moving[0] else np.inf, float(go[1]) if moving[1] else np.inf)
-    _refuse_locked_rates(start, free_from, float(times[0]))
+    _check_locked_rates(start, free_from, float(times[0]))
     all_times = times
-    if len(times) < _GUARDS:
-        all_times = np.union1d(times, np.linspace(times[0], times[-1], _GUARDS))
+    if len(times) < _MIN_COMPARED_INSTANTS:
+        all_times = np.union1d(times, np.linspace(float(times[0]), float(times[-1]), _MIN_COMPARED_INSTANTS))
     peak = _peak_speed(segments, float(times[0]), float(times[-1]))
     w1, w2 = parameters.natural_frequencies_rad_s
     arm = _arm(parameters)
@@ -125,11 +127,11 @@ def motion_problem(parameters: RotorParameters, scene: Scene, times: np.ndarray,
     )
 
 
-def _refuse_locked_rates(start: np.ndarray, free_from: tuple[float, float], begin: float) -> None:
-    """A rate that a lock would swallow without a word.
+def _check_locked_rates(start: Array, free_from: tuple[float, float], begin: float) -> None:
+    """Check that a locked pendulum has no start rate, which the lock would discard.
 
     Raises:
-        OutsideDomain: names the pendulum.
+        OutsideDomain: a locked pendulum has a rate. The message contains the pendulum.
     """
     for i, at in enumerate(free_from):
         if at > begin and start[6 + i] != 0:
@@ -145,7 +147,7 @@ def _arm(parameters: RotorParameters) -> float:
 
 
 def _peak_speed(segments: PhaseSegments, begin: float, end: float) -> float:
-    """The largest |ω| of a run: at its ends, a knot, or where α = 0 inside a cubic."""
+    """Largest |ω| of a run: at its ends, at a knot, or where α = 0 within a cubic, rad/s."""
     c2, c3 = segments.cubics[:, 2], segments.cubics[:, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
         turning = segments.origins - c2 / (3 * c3)

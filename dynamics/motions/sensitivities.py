@@ -1,13 +1,10 @@
-"""How a motion changes with parameters and start state, by differentiating the integrator's own arithmetic.
+"""Derivatives of a motion by parameters and start state, through differentiation of the integrator's arithmetic.
 
-The run that meets the accuracy leaves its steps. Explicit steps are taken again with complex numbers, one parameter
-moved by iε: the imaginary part over ε is the derivative of what was computed, exact to rounding, because ε = 10⁻³⁰
-squared vanishes. Implicit steps are differentiated through their stage equations: the stages are known, so their
-derivatives solve a linear system, one for all parameters.
+The steps of the run that meets the accuracy are recorded. Explicit steps are repeated with complex numbers, one
+parameter shifted by iε. The imaginary part over ε is the derivative of the computed result, exact to rounding, because
+the square of ε = 10⁻³⁰ vanishes. Implicit steps are differentiated through their stage equations: the stages are known,
+so their derivatives solve one linear system for all parameters.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
@@ -16,8 +13,10 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit
+from numpy.typing import ArrayLike, NDArray
 
+from dynamics.arrays import Array, Complex, Numbers, RealSystem, System
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import C1, C2, CA, CB, FA, FB, K1, K2, MASS, PACKED, SP, rates
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.phase_segments import PhaseSegments, phase_within, segment_of
@@ -36,14 +35,14 @@ _EPSILON = 1e-30
 def sensitivities(
     parameters: object,
     scene: Scene,
-    time_s: np.ndarray | float,
+    time_s: ArrayLike,
     names: Sequence[str],
     accuracy: float = 1e-6,
     method: str | None = None,
-) -> tuple[Motion, np.ndarray]:
-    """A motion and its derivatives.
+) -> tuple[Motion, Array]:
+    """Simulate a motion and its derivatives.
 
-    Where the scene gives no start state, the locked orbit's own dependence on the parameters is contained.
+    If the scene has no start state, the derivatives include the dependence of the locked orbit on the parameters.
 
     Args:
         parameters: the rig, or its rotor parameters.
@@ -53,7 +52,7 @@ def sensitivities(
     Returns:
         The motion, and ∂state/∂parameter in SI, shape (len(time_s), 8, len(names)).
     Raises:
-        OutsideDomain: an unknown name, or dry friction (the instants of its switches move with the parameters).
+        OutsideDomain: an unknown name, or dry friction (the instants of its mode changes depend on the parameters).
         NotConverged: as for simulate.
     """
     physics, times = physics_of(parameters), instants(time_s)
@@ -62,24 +61,28 @@ def sensitivities(
     directions = _directions(physics, scene, float(times[0]), names)
     motion = simulate(physics, scene, times, accuracy, method, dense=True, resolved=True)
     out = np.zeros((len(times), 8, len(names)))
-    if motion.polynomials is None:  # no time passes
+    if motion.polynomials is None:  # zero duration
         out[:] = directions[1].T
         return motion, out
     arrays = PhaseSegments.of(scene.history).arrays[:3]
     repeat = _repeat_implicit if motion.method == "implicit" else _repeat_explicit
+
+    def part_of(group: NDArray[np.intp]) -> Array:
+        return repeat(motion, times, directions[0][group], directions[1][group], arrays)
+
     workers = max(1, min(len(names), os.cpu_count() or 1))
     groups = np.array_split(np.arange(len(names)), workers)
     with ThreadPoolExecutor(workers) as pool:
         for group, part in zip(
             groups,
-            pool.map(lambda g: repeat(motion, times, directions[0][g], directions[1][g], arrays), groups),
+            pool.map(part_of, groups),
             strict=True,
         ):
             out[:, :, group] = part
     return motion, out
 
 
-def packed_derivatives(parameters: RotorParameters) -> dict[str, np.ndarray]:
+def packed_derivatives(parameters: RotorParameters) -> dict[str, Array]:
     """∂(RotorParameters.packed)/∂(identified parameter), each of shape (26,): c = 2 ζ sqrt(k M_S) by the chain rule."""
     p = parameters.packed()
     unit = np.eye(len(p))
@@ -94,10 +97,8 @@ def packed_derivatives(parameters: RotorParameters) -> dict[str, np.ndarray]:
     }
 
 
-def _directions(
-    physics: RotorParameters, scene: Scene, begin: float, names: Sequence[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    """What each name moves: packed parameters, shape (n, 26), and start state, shape (n, 8)."""
+def _directions(physics: RotorParameters, scene: Scene, begin: float, names: Sequence[str]) -> tuple[Array, Array]:
+    """Derivatives of packed parameters, shape (n, 26), and of the start state, shape (n, 8), by each name."""
     packed, starts = packed_derivatives(physics), {}
     if scene.start is None:
         psi, speed, _ = PhaseSegments.of(scene.history).phase(begin)
@@ -112,20 +113,20 @@ def _directions(
     )
 
 
-def _locked_rates_rest(start: np.ndarray, piece: Piece) -> None:
-    """A locked pendulum has no speed of its own, whatever the start state says."""
+def _clear_locked_rates(start: Numbers, piece: Piece) -> None:
+    """Set the start rate of a locked pendulum to zero."""
     start[..., 6] *= piece.free_a
     start[..., 7] *= piece.free_b
 
 
 def _repeat_explicit(
-    motion: Motion, times: np.ndarray, packed: np.ndarray, starts: np.ndarray, arrays: tuple[np.ndarray, ...]
-) -> np.ndarray:
+    motion: Motion, times: Array, packed: Array, starts: Array, arrays: tuple[Array, Array, Array]
+) -> Array:
     kept, pieces = _kept(motion)
     out = np.zeros((len(times), 8, len(packed)))
     for column in range(len(packed)):
         y = kept.coefficients[0, 0] + 1j * _EPSILON * starts[column]
-        _locked_rates_rest(y, pieces[0])
+        _clear_locked_rates(y, pieces[0])
         states = np.empty((len(times), 8), dtype=np.complex128)
         done = _write_until(times, kept.spans[0, 0], states, y, 0)
         for piece in pieces:
@@ -138,11 +139,11 @@ def _repeat_explicit(
 
 
 def _repeat_implicit(
-    motion: Motion, times: np.ndarray, packed: np.ndarray, starts: np.ndarray, arrays: tuple[np.ndarray, ...]
-) -> np.ndarray:
+    motion: Motion, times: Array, packed: Array, starts: Array, arrays: tuple[Array, Array, Array]
+) -> Array:
     kept, pieces = _kept(motion)
     dy = starts.copy()
-    _locked_rates_rest(dy, pieces[0])
+    _clear_locked_rates(dy, pieces[0])
     out = np.zeros((len(times), len(packed), 8))
     done = 0
     while done < len(times) and times[done] <= kept.spans[0, 0]:
@@ -160,23 +161,25 @@ def _kept(motion: Motion) -> tuple[Polynomials, tuple[Piece, ...]]:
     return motion.polynomials, motion.polynomials.pieces
 
 
-def _write_until(times: np.ndarray, begin: float, states: np.ndarray, y: np.ndarray, done: int) -> int:
+def _write_until(times: Array, begin: float, states: Numbers, y: Numbers, done: int) -> int:
     while done < len(times) and times[done] <= begin:
         states[done] = y
         done += 1
     return done
 
 
-@njit(cache=True, error_model="numpy")
-def _last_segment(end, segment, knots):
+@compiled
+def _last_segment(end: float, segment: int, knots: Array) -> int:
     while segment < len(knots) and knots[segment] < end:
         segment += 1
     return segment
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _explicit_again(y, spans, end_s, system, times, done, states):
-    """Take recorded steps with a complex state, shape (8,), advanced in place; returns the samples written."""
+@compiled(nogil=True)
+def _explicit_again(
+    y: Complex, spans: Array, end_s: float, system: System, times: Array, done: int, states: Complex
+) -> int:
+    """Repeat recorded steps with a complex state, shape (8,), advanced in place; returns the number of samples."""
     p, free_a, free_b, knots, origins, cubics = system
     k, polynomial = np.zeros((16, 8), dtype=np.complex128), np.zeros((8, 8), dtype=np.complex128)
     end, work = np.empty(8, dtype=np.complex128), np.empty(8, dtype=np.complex128)
@@ -198,9 +201,11 @@ def _explicit_again(y, spans, end_s, system, times, done, states):
     return done
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _implicit_again(dy, spans, coefficients, system, packed, times, done, out):
-    """Carry derivatives, shape (n, 8), through recorded implicit steps; returns the samples written."""
+@compiled(nogil=True)
+def _implicit_again(
+    dy: Array, spans: Array, coefficients: Array, system: RealSystem, packed: Array, times: Array, done: int, out: Array
+) -> int:
+    """Propagate derivatives, shape (n, 8), through recorded implicit steps; returns the number of samples."""
     knots = system[3]
     dz, polynomial = np.empty((len(dy), 5, 8)), np.zeros((8, 8))
     z, segment = np.empty((5, 8)), 0

@@ -1,4 +1,4 @@
-"""One run at one tolerance: pieces of smooth motion between releases and changes of dry friction's mode."""
+"""One run at one tolerance: smooth pieces of motion between releases and mode changes of dry friction."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dynamics.arrays import Array
 from dynamics.equations.friction import BACKWARD, FORWARD, STUCK, Modes, modes_at, with_modes
 from dynamics.equations.kernels import FA
 from dynamics.equations.phase_segments import PhaseSegments
@@ -26,65 +27,65 @@ from dynamics.motions.motion import Event, Piece, Polynomials
 
 _WATCH = {FORWARD: WATCH_FORWARD, BACKWARD: WATCH_BACKWARD, STUCK: WATCH_STUCK}
 _EVENT = {FORWARD: "slide forward", BACKWARD: "slide backward", STUCK: "stick"}
-_STEPS_PER_CALL = 100_000  # compiled code comes back this often, so that an interrupt is heard
-_MOST_SWITCHES_AT_ONCE = 30
-_HOPELESS = 3.0  # times the steps allowed: a forecast is good to a factor of a few
-_SWITCH_STEPS = 10  # what a change of mode costs, in steps
+_STEPS_PER_CALL = 100_000  # compiled code returns after this number of steps, so that interrupts are processed
+_MAX_SWITCHES_AT_ONCE = 30
+_MAX_EXPECTED_RATIO = 3.0  # of expected to permitted steps; the prediction is accurate to a factor of a few
+_SWITCH_STEPS = 10  # cost of a mode change, in steps
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Everything a run needs, laid out for compiled code.
+    """Input of a run, in the layout of compiled code.
 
     Attributes:
-        start: shape (8,).
-        times: instants wanted, shape (n,), ascending; the run goes from the first to the last.
+        start: start state, shape (8,).
+        times: output instants, shape (n,), ascending. The run begins at the first and ends at the last.
         packed: parameters (RotorParameters.packed), shape (26,).
         segments: the rotor's phase.
-        free_from: instants from which A and B are free; inf for a locked one.
-        weights: what the components' errors count in, shape (8,) (one for angles).
-        pace: the fastest rate that needs following, 1/s.
-        longest_step_s: no step is longer.
+        free_from: instants from which A and B are free, s; inf for a locked pendulum.
+        weights: scales of the components' errors, shape (8,) (one for angles).
+        pace: fastest rate that must be resolved, 1/s.
+        longest_step_s: longest permitted step, s.
     """
 
-    start: np.ndarray
-    times: np.ndarray
-    packed: np.ndarray
+    start: Array
+    times: Array
+    packed: Array
     segments: PhaseSegments
     free_from: tuple[float, float]
-    weights: np.ndarray
+    weights: Array
     pace: float
     longest_step_s: float = np.inf
 
     @property
     def has_friction(self) -> bool:
-        """Whether a pendulum that will be free feels dry friction."""
+        """Whether a pendulum that is released during the run has dry friction."""
         return any(self.packed[FA + i] != 0.0 and np.isfinite(self.free_from[i]) for i in range(2))
 
 
 @dataclass
 class Trajectory:
-    """A run's result; `polynomials` only when they were to be kept."""
+    """Result of a run. `polynomials` is None unless they were requested."""
 
-    states: np.ndarray
+    states: Array
     steps: int = 0
     tried: int = 0
-    events: list[Event] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list[Event])
     polynomials: Polynomials | None = None
 
 
 def run(problem: Problem, tolerance: float, implicit: bool, most_steps: int, keep: bool = False) -> Trajectory:
-    """The motion at one tolerance per step.
+    """Compute the motion at one tolerance per step.
 
     Raises:
-        NotConverged: more than most_steps steps, a step that shrinks to nothing, or friction that switches without
-            end.
+        NotConverged: the run needs more than most_steps steps, a step becomes too small, or friction changes modes
+            without end.
     """
     return _Run(problem, tolerance, implicit, most_steps, keep).result()
 
 
 class _Run:
-    """The state of a run between calls of the compiled march."""
+    """State of a run between calls of the compiled march."""
 
     def __init__(self, problem: Problem, tolerance: float, implicit: bool, most_steps: int, keep: bool) -> None:
         self.problem, self.tolerance, self.implicit = problem, tolerance, implicit
@@ -92,7 +93,7 @@ class _Run:
         self.y, self.t = problem.start.copy(), float(problem.times[0])
         self.h, self.done = 0.1 / problem.pace, 0
         self.out = Trajectory(np.empty((len(problem.times), 8)))
-        self.kept: list[tuple[np.ndarray, np.ndarray]] = []
+        self.kept: list[tuple[Array, Array]] = []
         self.pieces: list[Piece] = []
         self.switches_at, self.switches = self.t, 0
 
@@ -117,13 +118,13 @@ class _Run:
         return self.out
 
     def _stretch(self, free: tuple[bool, bool], limit: float) -> None:
-        """March to a limit with the same pendulums free, through all changes of friction's modes."""
+        """Integrate to a limit with the same free pendulums, through all mode changes of friction."""
         p = self.problem.packed
         modes = self._modes(free)
-        rubbed = tuple(free[i] and p[FA + i] != 0.0 for i in range(2))
+        has_friction = tuple(free[i] and p[FA + i] != 0.0 for i in range(2))
         while True:
             packed, free_a, free_b = with_modes(p, modes, free)
-            watch = tuple(_WATCH[modes[i]] if rubbed[i] else UNWATCHED for i in range(2))
+            watch = tuple(_WATCH[modes[i]] if has_friction[i] else UNWATCHED for i in range(2))
             ended = self._march(packed, free_a, free_b, (watch[0], watch[1]), limit)
             if ended == REACHED:
                 return
@@ -132,7 +133,7 @@ class _Run:
             self._count_switch()
             new = self._modes(free, i if modes[i] == STUCK else None)
             self.out.events.extend(
-                Event(self.t, _EVENT[new[j]], j) for j in range(2) if rubbed[j] and new[j] != modes[j]
+                Event(self.t, _EVENT[new[j]], j) for j in range(2) if has_friction[j] and new[j] != modes[j]
             )
             modes = new
             if self.t >= limit:
@@ -142,19 +143,23 @@ class _Run:
         return modes_at(self.y, self.problem.segments.phase(self.t), self.problem.packed, free, leaving)
 
     def _count_switch(self) -> None:
-        """Refuse when modes change again and again while hardly any time passes."""
+        """Count a mode change.
+
+        Raises:
+            NotConverged: modes change repeatedly in almost no time.
+        """
         if self.t - self.switches_at > 1e-6 / self.problem.pace:
             self.switches_at, self.switches = self.t, 0
         self.switches += 1
         self.out.tried += _SWITCH_STEPS
         self.h = min(self.h, 0.05 / self.problem.pace)
-        if self.switches > _MOST_SWITCHES_AT_ONCE:
+        if self.switches > _MAX_SWITCHES_AT_ONCE:
             raise NotConverged(
                 f"dry friction changed modes {self.switches} times around t = {self.t:.9g} s without time passing; "
                 "start from a slightly different state or change the friction slightly"
             )
 
-    def _march(self, packed: np.ndarray, free_a: float, free_b: float, watch: tuple[int, int], limit: float) -> int:
+    def _march(self, packed: Array, free_a: float, free_b: float, watch: tuple[int, int], limit: float) -> int:
         problem, out = self.problem, self.out
         s = problem.segments
         system = (packed, free_a, free_b, s.knots, s.origins, s.cubics)
@@ -187,11 +192,11 @@ class _Run:
             out.tried += tried
             if ended == STEP_TOO_SMALL:
                 raise NotConverged(
-                    f"the step shrank to nothing at t = {self.t:.9g} s (tolerance {self.tolerance:.2g} per step): the "
-                    "motion grows without bound there or the accuracy is beyond double precision"
+                    f"the step became too small at t = {self.t:.9g} s (tolerance {self.tolerance:.2g} per step): the "
+                    "motion is unbounded there or the accuracy is beyond double precision"
                 )
             if ended == STEPS_SPENT and (
-                out.tried >= self.most_steps or self._expected() > _HOPELESS * self.most_steps
+                out.tried >= self.most_steps or self._expected() > _MAX_EXPECTED_RATIO * self.most_steps
             ):
                 raise NotConverged(self._spent())
             if ended in (REACHED, MODE_ENDS_A, MODE_ENDS_B):
@@ -199,7 +204,7 @@ class _Run:
                 return ended
 
     def _expected(self) -> float:
-        """Steps for the whole run at the pace so far."""
+        """Expected number of steps of the whole run, from the steps so far."""
         times = self.problem.times
         return self.out.tried * (times[-1] - times[0]) / max(self.t - times[0], np.finfo(float).tiny)
 
@@ -207,6 +212,6 @@ class _Run:
         times = self.problem.times
         return (
             f"{self.out.tried} steps brought the motion from t = {times[0]:.6g} to {self.t:.6g} of {times[-1]:.6g} s "
-            f"(about {self._expected():.2g} steps for the whole, {self.most_steps:.2g} allowed); raise work_limit, or "
-            "ask for less accuracy or a shorter run"
+            f"(about {self._expected():.2g} steps for the whole, {self.most_steps:.2g} allowed); raise work_limit, "
+            "reduce the accuracy or shorten the run"
         )

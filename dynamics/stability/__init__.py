@@ -1,1 +1,1 @@
-"""Small deviations from a motion: Floquet multipliers, the once-a-revolution map, the map of the balanced state."""
+"""Stability of a motion: Floquet multipliers, the once-a-revolution map, stability maps and borders of Type I."""

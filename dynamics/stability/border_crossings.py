@@ -1,5 +1,5 @@
 # pyright: strict
-"""Where borders cross the sides of a grid's cells: to rounding, each with the side on which it is stable."""
+"""Crossings of stability borders with the sides of a grid's cells, located to rounding."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Flags
 from dynamics.stability.border_cells import BorderCells, Excess, Integers, Lattice
 
 _ROUNDS = 80
-_NARROW = 1e-13  # of a side: where a crossing lies
-Array = NDArray[np.floating]
+_NARROW = 1e-13  # accuracy of a crossing's position, relative to the side
 
-# side k leads from corner k to corner k + 1, anticlockwise: the side's lower point from the cell's, and whether upright
+# Side k leads from corner k to corner k + 1, anticlockwise: lower point of the side from that of the cell; vertical
 _SIDE_I, _SIDE_J = np.array([0, 1, 0, 0]), np.array([0, 0, 1, 0])
 _UPRIGHT = np.array([0, 1, 0, 1])
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """Crossings of a grid's sides.
+    """Crossings of borders with a grid's sides.
 
     Attributes:
-        columns, rows: where they lie, in cells, shape (n,); one of the two is whole.
-        stable_share: of each cell that was asked about, the area of its stable part, shape (cells,).
+        columns, rows: positions in units of cells, shape (n,); one of the two is an integer.
+        stable_share: stable fraction of the area of each given cell, shape (cells,).
     """
 
     columns: Array
@@ -35,7 +35,7 @@ class Crossings:
 
 
 def crossings_of(lattice: Lattice, cells: BorderCells, excess: Excess) -> Crossings:
-    """Every crossing of the sides of cells."""
+    """Locate every crossing of the sides of the cells."""
     below = cells.excess < 0
     crossed = below != np.roll(below, -1, axis=1)
     keys = ((cells.i[:, None] + _SIDE_I) * (lattice.rows + 1) + cells.j[:, None] + _SIDE_J) * 2 + _UPRIGHT
@@ -51,10 +51,10 @@ def crossings_of(lattice: Lattice, cells: BorderCells, excess: Excess) -> Crossi
 
 def _located(
     lattice: Lattice, sides: Integers, cells: BorderCells, keys: Integers, excess: Excess
-) -> tuple[Integers, Integers, NDArray[np.bool_], Array]:
-    """Lower points of sides, whether they are upright, and where on them the crossing lies, 0 … 1.
+) -> tuple[Integers, Integers, Flags, Array]:
+    """Lower points of sides, whether they are vertical, and the position of the crossing on them, 0 … 1.
 
-    Narrowed down by the Illinois method, or a halving where that is slow, on all sides at once.
+    The Illinois method runs on all sides at once, with a bisection every fourth iteration.
     """
     places, upright = np.divmod(sides, 2)
     i, j = np.divmod(places, lattice.rows + 1)
@@ -69,7 +69,7 @@ def _located(
 
 
 def _ends_of_sides(sides: Integers, cells: BorderCells, keys: Integers) -> tuple[Array, Array]:
-    """The excess at the lower and at the upper point of each side, shape (sides,) each."""
+    """The excess at the lower and the upper point of each side, shape (sides,) each."""
     lower, upper = np.empty(len(sides)), np.empty(len(sides))
     for k in range(4):
         place = np.searchsorted(sides, keys[:, k])
@@ -80,7 +80,7 @@ def _ends_of_sides(sides: Integers, cells: BorderCells, keys: Integers) -> tuple
 
 
 def roots(function: Callable[[NDArray[np.intp], Array], Array], low: Array, high: Array) -> Array:
-    """Roots in 0 … 1 of many functions with values of different sign at the ends."""
+    """Roots in 0 … 1 of many functions whose values at the ends have different signs."""
     a, b, fa, fb = np.zeros(len(low)), np.ones(len(low)), low.copy(), high.copy()
     root = np.where(fa == 0, a, b)
     going = np.flatnonzero((fa != 0) & (fb != 0))
@@ -102,17 +102,17 @@ def roots(function: Callable[[NDArray[np.intp], Array], Array], low: Array, high
     return root
 
 
-def _stable_shares(below: NDArray[np.bool_], crossed: NDArray[np.bool_], share: Array) -> Array:
+def _stable_shares(below: Flags, crossed: Flags, share: Array) -> Array:
     """Area of the stable polygon in each cell, corners and crossings joined by straight lines, shape (cells,)."""
     along = np.where(np.arange(4) < 2, share, 1 - share)
     x = _SIDES_X[:, :1].T, (_SIDES_X[:, :1] + (_SIDES_X[:, 1:] * along.T)).T
     y = _SIDES_Y[:, :1].T, (_SIDES_Y[:, :1] + (_SIDES_Y[:, 1:] * along.T)).T
     kept = np.stack([below, crossed], axis=2).reshape(len(below), 8)
     px, py = (np.stack([np.broadcast_to(a, along.shape), b], axis=2).reshape(len(below), 8) for a, b in (x, y))
-    for _ in range(8):  # a point that is not there lies on the one before it
+    for _ in range(8):  # an absent point is replaced by the one before it
         px, py = (np.where(kept, part, np.roll(part, 1, axis=1)) for part in (px, py))
     return np.sum(px * np.roll(py, -1, axis=1) - py * np.roll(px, -1, axis=1), axis=1) / 2
 
 
-_SIDES_X = np.array([[0.0, 1.0], [1.0, 0.0], [1.0, -1.0], [0.0, 0.0]])  # where each side begins and where it leads
+_SIDES_X = np.array([[0.0, 1.0], [1.0, 0.0], [1.0, -1.0], [0.0, 0.0]])  # start and direction of each side
 _SIDES_Y = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, -1.0]])

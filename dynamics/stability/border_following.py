@@ -1,11 +1,11 @@
 # pyright: strict
-"""A border followed from one of its points: a step is predicted by the curve so far and corrected on a circle.
+"""A border followed from one of its points: each step is predicted from the previous points and corrected on a circle.
 
 In a unit square, e(x, y) = max|μ| − 1 is continuous but has kinks where one multiplier overtakes another. On a circle
-of radius s about a point of the border, e changes its sign where the border leaves the circle: the direction is
-narrowed down between one in which it is stable (on the left hand) and one in which it is not. Where the border turns
-by more than a few degrees, or is not near its chord halfway, the step is halved, down to 10⁻⁶, where corners are
-turned: so neither a thin band nor the tip of a tongue is cut off, whatever the grid was.
+of radius s about a point of the border, e changes sign where the border leaves the circle. The direction is bracketed
+between a stable direction (on the left) and an unstable one. If the border turns by more than a few degrees, or is not
+near its chord at the middle, the step is halved, down to 10⁻⁶. At that step the border may turn a corner. Therefore
+neither a thin band nor the tip of a tongue is lost, independent of the grid.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from dataclasses import dataclass
 
 from dynamics.errors import NotConverged
 
-LONGEST, SHORTEST = 0.01, 1e-6  # steps
-_TURN = math.radians(3.0)  # of a step
-_ASIDE = 2.0 * _TURN  # that the border is looked for on both sides of what was predicted
+LONGEST, SHORTEST = 0.01, 1e-6  # step lengths
+_TURN = math.radians(3.0)  # largest turn within a step
+_ASIDE = 2.0 * _TURN  # half-width of the search about the predicted direction
 _SCAN = math.radians(7.0)
 _WIDEST = math.radians(175.0)
-_MOST = 20_000  # steps
-_ROUNDS, _NARROW = 80, 1e-13  # of narrowing a point down, to this share of the square
-_SLOPE = 1e-7  # of the square: distance over which the first direction is taken
+_MAX_STEPS = 20_000
+_ROUNDS, _NARROW = 80, 1e-13  # of the location of a point; accuracy relative to the square
+_SLOPE = 1e-7  # of the square: distance for the first direction
 Excess = Callable[[complex], float]
-"""e at x + i y in the unit square; NaN outside it and where no balanced state exists."""
+"""e at x + i y in the unit square; NaN outside it and where the balanced state does not exist."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Followed:
     """Points of a border in order, x + i y.
 
     Attributes:
-        points: what is stable lies on the left hand.
-        closed: the last point is the first one.
+        points: points; the stable side is on the left.
+        closed: whether the last point is the first one.
     """
 
     points: list[complex]
@@ -43,12 +43,12 @@ class Followed:
 
 
 def follow(excess: Excess, start: complex) -> Followed:
-    """The whole border through a point.
+    """Follow the whole border through a point.
 
     Args:
-        start: on the border, e = 0 to rounding.
+        start: point on the border, e = 0 to rounding.
     Raises:
-        NotConverged: it does not end.
+        NotConverged: the border does not end.
     """
     onward = _one_way(excess, start, _direction(excess, start))
     if onward.closed:
@@ -58,9 +58,9 @@ def follow(excess: Excess, start: complex) -> Followed:
 
 
 def _direction(excess: Excess, at: complex) -> float:
-    """Along the border, with what is stable on the left hand, rad."""
+    """Direction along the border with the stable side on the left, rad."""
     best, found = -math.inf, 0.0
-    count = 64  # the diameter across which the excess changes most
+    count = 64  # number of directions; the excess changes most along the border's normal
     around = [excess(at + _SLOPE * cmath.rect(1.0, 2 * math.pi * k / count)) for k in range(count)]
     for k in range(count):
         left, right = around[(k + count // 4) % count], around[(k - count // 4) % count]
@@ -70,10 +70,10 @@ def _direction(excess: Excess, at: complex) -> float:
 
 
 def _one_way(excess: Excess, start: complex, direction: float) -> Followed:
-    """From a point in a direction, until it comes back there, leaves the square or ends within it."""
+    """Follow the border in a direction until it returns to the start, leaves the square or ends within it."""
     points, step, before, curvature = [start], LONGEST / 8, 0.0, 0.0
     chord = direction
-    for _ in range(_MOST):
+    for _ in range(_MAX_STEPS):
         at, ahead = points[-1], chord + curvature * (step + before) / 2
         if len(points) > 4 and abs(at - start) < 0.9 * step and abs(_folded(ahead - direction)) < 0.5:
             return Followed([*points, start], True)
@@ -98,11 +98,11 @@ def _one_way(excess: Excess, start: complex, direction: float) -> Followed:
         chord, before = found, step
         if abs(turn) < _TURN / 2:
             step = min(1.5 * step, LONGEST)
-    raise NotConverged(f"a border of stability does not end within {_MOST} steps from {start:.6g} of the range")
+    raise NotConverged(f"a border of stability does not end within {_MAX_STEPS} steps from {start:.6g} of the range")
 
 
 def _on_circle(excess: Excess, at: complex, direction: float, step: float, aside: float) -> float | None:
-    """Direction in which the border leaves a circle; None where it is not within `aside` of the one predicted."""
+    """Direction in which the border leaves a circle, rad. None if it is not within `aside` of the prediction."""
 
     def off(angle: float) -> float:
         return excess(at + step * cmath.rect(1.0, angle))
@@ -116,7 +116,7 @@ def _on_circle(excess: Excess, at: complex, direction: float, step: float, aside
 
 
 def _around(excess: Excess, at: complex, direction: float, step: float) -> float | None:
-    """The same, looked for ever farther from the direction predicted."""
+    """Direction in which the border leaves a circle, searched with increasing distance from the prediction, rad."""
     for k in range(int(_WIDEST / _SCAN) + 1):
         for side in (1, -1):
             found = _on_circle(excess, at, direction + side * k * _SCAN, step, 0.6 * _SCAN)
@@ -126,7 +126,7 @@ def _around(excess: Excess, at: complex, direction: float, step: float) -> float
 
 
 def _leaving(excess: Excess, at: complex, direction: float, step: float) -> complex | None:
-    """Point on a side of the square at which the border leaves it within a step; None where it is not found there."""
+    """Point at which the border leaves the square within a step; None if it is not found."""
     way = cmath.rect(1.0, direction)
     across, upwards = _until_a_side(at.real, way.real), _until_a_side(at.imag, way.imag)
     length, upright = min(across, upwards), across <= upwards
@@ -145,14 +145,14 @@ def _leaving(excess: Excess, at: complex, direction: float, step: float) -> comp
 
 
 def _until_a_side(place: float, rate: float) -> float:
-    """Distance at which a coordinate comes to 0 or 1."""
+    """Distance at which a coordinate reaches 0 or 1."""
     return ((1.0 if rate > 0 else 0.0) - place) / rate if rate else math.inf
 
 
 def _root(function: Callable[[float], float], low: float, high: float, narrow: float) -> float:
-    """Root between two places with values of different sign: the Illinois method, every fourth time a halving.
+    """Root between two points whose values have different signs: Illinois method with a bisection every fourth time.
 
-    Ends where the next place is as near as `narrow` to the last one.
+    The iteration ends if the next point is within `narrow` of the last one.
     """
     at_low, at_high = function(low), function(high)
     for turn in range(_ROUNDS):
@@ -176,5 +176,5 @@ def _inside(at: complex) -> bool:
 
 
 def _folded(angle: float) -> float:
-    """An angle within ± π."""
+    """The angle in −π … π, rad."""
     return math.remainder(angle, 2 * math.pi)

@@ -1,10 +1,10 @@
 # pyright: strict
-"""Borders of stability as curves: where the largest multiplier of the balanced state has the modulus 1.
+"""Borders of stability as curves on which the largest multiplier of the balanced state has the modulus 1.
 
-A grid whose cells are halved wherever a border might be finds where borders cross the sides of its finest cells
-(`border_cells`, `border_crossings`); each border is followed from such a crossing with steps of its own
-(`border_following`), until every crossing lies on one: so each is found, and none is cut off by the grid. What is
-handed out is a curve through what was followed, exact between its points too (`border_curves`).
+A grid whose cells are halved near possible borders gives the crossings of borders with the sides of its finest cells
+(`border_cells`, `border_crossings`). Each border is followed from such a crossing with its own steps
+(`border_following`), until every crossing lies on a border. Every crossing is therefore found, independent of the grid.
+The result is a curve through the followed points that is exact between them too (`border_curves`).
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.errors import OutsideDomain
 from dynamics.stability.border_cells import KnownPoints, Lattice, border_cells
 from dynamics.stability.border_crossings import Crossings, crossings_of
@@ -25,18 +25,16 @@ from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_points import cores
 from dynamics.stability.matrix_patches import MatrixPatches, cover
 
-_FIRST = (192, 144)  # cells of the first grid
+_FIRST = (192, 144)  # numbers of cells of the first grid
 LEVELS = 1
-"""Halvings of the first grid, where nothing is said."""
+"""Default number of halvings of the first grid."""
 _SPACING = 1 / 4000
-_STEP = 1e-6  # of the unit square, over which coordinates are differentiated
+_STEP = 1e-6  # of the unit square: step for derivatives of the coordinates
 _REAL = 1e-9  # |Im μ| below which a multiplier counts as real
 
-Array = NDArray[np.floating]
-Complex = NDArray[np.complexfloating]
 Span = tuple[float, float]
 DIVERGENCE, FLUTTER, DOUBLING = "divergence", "flutter", "period doubling"
-"""A multiplier leaves the unit circle at +1; a pair beside the real axis; one at −1."""
+"""Loss of stability: a multiplier leaves the unit circle at +1; a complex pair leaves it; one leaves it at −1."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +42,15 @@ class Border:
     """One branch.
 
     Attributes:
-        x, y: its points in order, shape (n,); what is stable lies on the left hand. The first is repeated at the end
-            where it is closed. Points next to each other are at most `spacing` apart, so straight lines between them
-            leave the border by less than half of that in any direction, and by about spacing²/8 over its radius.
-        multiplier: that crosses the unit circle, of a pair the one with Im μ ≥ 0, complex, shape (n,).
-        closed: whether it is an island; otherwise both ends lie on the range's sides, or where balance ends.
-        spacing: a share of the range, in its logarithm where an axis is logarithmic.
-        curve: the branch in the unit square that stands for the range.
-        lattice: what the unit square is in x and y.
+        x, y: points in order, shape (n,); the stable side is on the left. On a closed branch the first point is
+            repeated at the end. Consecutive points are at most `spacing` apart. Straight lines between them therefore
+            deviate from the border by less than half of that in any direction, and by about spacing²/8 over its radius.
+        multiplier: multiplier that crosses the unit circle, of a pair the one with Im μ ≥ 0, complex, shape (n,).
+        closed: whether the branch is an island. Otherwise both ends lie on the range's sides or where the balanced
+            state ceases to exist.
+        spacing: largest distance of points as a fraction of the range, on a logarithmic axis of its logarithm.
+        curve: the branch in the unit square that represents the range.
+        lattice: relation of the unit square to x and y.
     """
 
     x: Array
@@ -64,27 +63,27 @@ class Border:
 
     @classmethod
     def along(cls, curve: BorderCurve, lattice: Lattice, closed: bool, spacing: float) -> Border:
-        """A branch with points of a curve; see the class."""
+        """Branch with the points of a curve; see the class."""
         at, root = curve.between(spacing)
         return cls(*lattice.places(at), _upper(root**2), closed, spacing, curve, lattice)
 
     def at_spacing(self, spacing: float) -> Border:
-        """The same branch with points as dense as wanted, a share of the range; that costs no new matrices.
+        """The branch with another spacing of points, a fraction of the range. No matrices are computed.
 
         Raises:
-            OutsideDomain: a spacing that is not above 0.
+            OutsideDomain: the spacing is not above 0.
         """
-        _need_a_spacing(spacing)
+        _check_spacing(spacing)
         return Border.along(self.curve, self.lattice, self.closed, spacing)
 
     @property
     def off(self) -> float:
-        """How far the curve may be off the border, as a share of the range; see BorderCurve."""
+        """Largest distance of the curve from the border, as a fraction of the range; see BorderCurve."""
         return self.curve.off
 
     @property
     def kind(self) -> list[str]:
-        """How stability is lost at each point: DIVERGENCE, FLUTTER or DOUBLING."""
+        """Loss of stability at each point: DIVERGENCE, FLUTTER or DOUBLING."""
         real = np.abs(self.multiplier.imag) <= _REAL
         return np.where(real, np.where(self.multiplier.real > 0, DIVERGENCE, DOUBLING), FLUTTER).tolist()
 
@@ -94,15 +93,15 @@ class Borders:
     """All branches in a range.
 
     Attributes:
-        branches: the longest first.
-        stable_share: of the range's area where the balanced state exists and is stable; of a logarithmic axis its
-            logarithm counts.
-        complete_to: sides of the first grid's cells as shares of the range. Every island and every band that holds a
-            point of that grid, so all that is as large as a cell both ways, is found; what lies between its points is
-            found where the multipliers at them hint at it, and may be missed.
-        computed: points of the grid that were computed.
-        bare: parts of the range in the plane's coordinates (u from, to; v from, to) in which no balanced state exists,
-            or its matrix is not smooth: no border is looked for there.
+        branches: branches, the longest first.
+        stable_share: stable fraction of the range's area in which the balanced state exists. On a logarithmic axis
+            the logarithm counts.
+        complete_to: sides of the first grid's cells as fractions of the range. Every island and every band that
+            contains a point of that grid is found, so everything as large as a cell in both directions. Smaller parts
+            are found if the multipliers at the grid points indicate them.
+        computed: number of computed points of the grid.
+        bare: parts of the range in the plane's coordinates (u from, to; v from, to) in which the balanced state does
+            not exist or its matrix is not smooth. Borders are not searched there.
     """
 
     branches: tuple[Border, ...]
@@ -123,19 +122,19 @@ def stability_borders(
     logarithmic: tuple[bool, bool] = (False, False),
     progress: Callable[[float], None] | None = None,
 ) -> Borders:
-    """Every border of stability of Type I in a range of a plane.
+    """Find every border of stability of Type I in a range of a plane.
 
     Args:
-        x_range, y_range: from, to, in values of the plane's numbers.
-        first: cells of the first grid along x and along y, all of whose points are computed.
-        levels: how often a cell of it that may hold a border is halved both ways; 0 … 7.
-        spacing: how far apart the points of a branch may be, as a share of the range: half a pitch of a map with as
-            many points a side as 1/spacing is what straight lines between them may be off along a line of that map.
-        logarithmic: whether x, and whether y, is divided evenly in its logarithm.
-        progress: called with the share done, 0 … 1.
+        x_range, y_range: lower and upper limit, in values of the plane's parameters.
+        first: numbers of cells of the first grid along x and y. All its points are computed.
+        levels: number of halvings, in both directions, of a cell that may contain a border; 0 … 7.
+        spacing: largest distance of the points of a branch, as a fraction of the range. On a map with 1/spacing points
+            per side, straight lines between the points deviate by at most half a pitch along a line of the map.
+        logarithmic: whether x and y are divided evenly in their logarithm.
+        progress: called with the completed share, 0 … 1.
     Raises:
-        OutsideDomain: an empty range, a logarithm of what is not above 0, a first grid without cells, a number of
-            levels outside, a spacing that is not above 0.
+        OutsideDomain: an empty range, a logarithmic range not above 0, a first grid without cells, a number of levels
+            outside 0 … 7, or a spacing not above 0.
     """
     if not (x_range[0] < x_range[1] and y_range[0] < y_range[1] and np.all(np.isfinite([*x_range, *y_range]))):
         raise OutsideDomain(f"ranges must rise and be finite, got x {x_range} and y {y_range}")
@@ -145,21 +144,21 @@ def stability_borders(
         raise OutsideDomain(f"levels must lie in 0 … 7, got {levels!r}")
     if not min(first) >= 1:
         raise OutsideDomain(f"the first grid needs at least one cell each way, got {first!r}")
-    _need_a_spacing(spacing)
-    tell = progress or _unheard
+    _check_spacing(spacing)
+    notify = progress or _ignore
     lattice = Lattice(x_range, y_range, first[0] << levels, first[1] << levels, logarithmic)
     with ThreadPoolExecutor(max_workers=cores()) as pool:
         patches = cover(pool, plane, x_range, y_range)
-        tell(0.2)
+        notify(0.2)
 
         def excess(x: Array, y: Array) -> Array:
             return np.abs(patches.eigenvalues(pool, x, y)[:, 0]) ** 2 - 1.0
 
         known = KnownPoints(lattice, excess)
-        cells = border_cells(known, *first, levels, lambda share: tell(0.2 + 0.3 * share))
+        cells = border_cells(known, *first, levels, lambda share: notify(0.2 + 0.3 * share))
         crossings = crossings_of(lattice, cells, excess)
         slopes = _slopes(pool, patches, lattice)
-        curves = _followed(patches, lattice, crossings, slopes, lambda share: tell(0.6 + 0.4 * share))
+        curves = _followed(patches, lattice, crossings, slopes, lambda share: notify(0.6 + 0.4 * share))
     branches = [Border.along(curve, lattice, closed, spacing) for curve, closed in curves]
     return Borders(
         tuple(sorted(branches, key=lambda branch: -len(branch.x))),
@@ -170,11 +169,11 @@ def stability_borders(
     )
 
 
-def _unheard(share: float) -> None:
+def _ignore(share: float) -> None:
     del share
 
 
-def _need_a_spacing(spacing: float) -> None:
+def _check_spacing(spacing: float) -> None:
     if not 0 < spacing < np.inf:
         raise OutsideDomain(f"the spacing of a border's points must be above 0 and finite, got {spacing!r}")
 
@@ -192,7 +191,7 @@ def _slopes(pool: ThreadPoolExecutor, patches: MatrixPatches, lattice: Lattice) 
 
 
 def _rate(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Derivative on 0 … 1 of a smooth function that is not to be asked beyond."""
+    """Derivative on 0 … 1 of a smooth function that is not defined outside."""
 
     def rate(at: Array) -> Array:
         first = np.clip(at - _STEP, 0.0, 1.0 - 2 * _STEP)
@@ -203,9 +202,9 @@ def _rate(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
 
 
 def _followed(
-    patches: MatrixPatches, lattice: Lattice, crossings: Crossings, slopes: Slopes, tell: Callable[[float], None]
+    patches: MatrixPatches, lattice: Lattice, crossings: Crossings, slopes: Slopes, progress: Callable[[float], None]
 ) -> list[tuple[BorderCurve, bool]]:
-    """Follow borders until every crossing of the grid lies on one; whether each is closed."""
+    """Follow borders until every crossing of the grid lies on one. Returns curves and whether they are closed."""
 
     def excess(at: complex) -> float:
         return abs(patches.largest_there(*lattice.place(at))) ** 2 - 1.0
@@ -223,10 +222,10 @@ def _followed(
         curve = curve_through(np.array(followed.points), slopes)
         curves.append((curve, followed.closed))
         waiting[waiting] = ~curve.holds(seeds[waiting], tangents[waiting])
-        tell(float(1 - waiting.mean()))
+        progress(float(1 - waiting.mean()))
     return curves
 
 
 def _upper(multipliers: Complex) -> Complex:
-    """Of each pair the one above the real axis."""
+    """The multipliers, of each pair the one with Im μ ≥ 0."""
     return np.where(np.imag(multipliers) < 0, np.conj(multipliers), multipliers)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Planes of which a map can be made: two numbers of a rig, and what a rig is at a pair of values."""
+"""Planes of stability maps: two parameters of a rig, and the rig at a pair of their values."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RotorParameters
@@ -18,15 +18,14 @@ from dynamics.errors import DynamicsError, NoBalancedState, NotConverged
 from dynamics.stability.floquet import floquet_multipliers
 from dynamics.stability.map_rigs import MapRigs
 
-Array = NDArray[np.floating]
-
 
 @dataclass(frozen=True)
 class Coordinate:
-    """In which function of a number the half-turn matrix is smooth.
+    """Function of a parameter in which the half-turn matrix is smooth.
 
     Attributes:
-        of: the coordinate of values; back: values of coordinates.
+        of: coordinates from values.
+        back: values from coordinates.
     """
 
     of: Callable[[Array], Array]
@@ -34,12 +33,12 @@ class Coordinate:
 
 
 SAME = Coordinate(lambda value: value, lambda at: at)
-INVERSE = Coordinate(lambda value: 1.0 / value, lambda at: 1.0 / at)  # a speed: modes turn by ω_n/ω a radian
-ROOT = Coordinate(np.sqrt, np.square)  # a stiffness: its mode turns with the root
+INVERSE = Coordinate(lambda value: 1.0 / value, lambda at: 1.0 / at)  # for a speed: modes turn by ω_n/ω per radian
+ROOT = Coordinate(np.sqrt, np.square)  # for a stiffness: the phase of its mode is proportional to the root
 
 
 class Plane(Protocol):
-    """Two numbers x and y of a rig, with everything else fixed."""
+    """Two parameters x and y of a rig, with all others fixed."""
 
     @property
     def x(self) -> Coordinate:
@@ -52,9 +51,9 @@ class Plane(Protocol):
         ...
 
     def rigs(self, x: Array, y: Array) -> MapRigs | None:
-        """What many points are, each of shape (points,); angles are NaN where no balanced state exists.
+        """Properties of many points, shape (points,) each. Angles are NaN where the balanced state does not exist.
 
-        None: a pendulum is absent, which many points at once do not know.
+        None if a pendulum is absent, which the computation of many points does not support.
         """
         ...
 
@@ -63,21 +62,21 @@ class Plane(Protocol):
         ...
 
     def rig_at(self, x: float, y: float) -> tuple[RotorParameters, float]:
-        """Rig and speed (rad/s) at one point, whether or not a balanced state exists."""
+        """Rig and speed (rad/s) at one point, independent of whether a balanced state exists."""
         ...
 
     def one(self, x: float, y: float) -> tuple[RotorParameters, tuple[float, float], float]:
         """Rig, balanced angles (rad) and speed (rad/s) at one point.
 
         Raises:
-            NoBalancedState: there is none.
+            NoBalancedState: the balanced state does not exist.
         """
         ...
 
 
 @dataclass(frozen=True)
 class SpeedStiffnessPlane:
-    """x: speed ratio Ω = ω/ω_n1; y: stiffness ratio K = k2/k1; k1 and the damping ratios stay.
+    """x: speed ratio Ω = ω/ω_n1; y: stiffness ratio K = k2/k1. k1 and the damping ratios are constant.
 
     Attributes:
         parameters: the rig.
@@ -118,7 +117,7 @@ class SpeedStiffnessPlane:
 
 @dataclass(frozen=True)
 class RigPlane:
-    """Any two numbers.
+    """Plane of any two parameters.
 
     Attributes:
         at: rig and running speed, rad/s, at a pair of values.
@@ -140,7 +139,7 @@ class RigPlane:
                 return None
             found = balanced_angles(rig)
             if found and (rig.gravity_m_per_s2 or rig.pivot_shift_m or rig.bow_m):
-                type_one(rig, *found[0], speed)  # says why it has no state at rest
+                type_one(rig, *found[0], speed)  # raises the error with the reason
             rigs.append(rig)
             angles.append(found[0] if found else (np.nan, np.nan))
             speeds.append(speed)
@@ -164,10 +163,10 @@ class RigPlane:
 
 
 def multiplier_at(plane: Plane, x: float, y: float, accuracy: float) -> tuple[float, float]:
-    """Largest multiplier of one point by whatever method serves it, with its bound; NaN without a balanced state.
+    """Largest multiplier at one point by the first successful method, with its bound; NaN without a balanced state.
 
     Raises:
-        NotConverged: no method serves it, even roughly.
+        NotConverged: no method succeeds, even with a low accuracy.
     """
     try:
         matrix = type_one(*_spread(plane.one(x, y)))

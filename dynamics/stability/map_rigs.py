@@ -1,5 +1,5 @@
 # pyright: strict
-"""What the points of a map are to Type I: few numbers each, many points at once."""
+"""Points of a map in the form used by Type I: a few numbers each, many points at once."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -21,8 +20,8 @@ class MapRigs:
 
     Attributes:
         mass_kg: M_S.
-        k_N_per_m, c_Ns_per_m: of the axes x and y.
-        moment_kg_m, inertia_kg_m2, loss_Nms_per_rad, theta_rad: S, J, c and θ of the pendulums A and B.
+        k_N_per_m, c_Ns_per_m: stiffness and damping along x and y.
+        moment_kg_m, inertia_kg_m2, loss_Nms_per_rad, theta_rad: S, J, c and θ of pendulums A and B.
         speed_rad_s: ω.
     """
 
@@ -42,9 +41,9 @@ class MapRigs:
         """One point per rig.
 
         Args:
-            rigs: each with both pendulums.
-            angles: θ3, θ4 of each one's balanced state, rad.
-            speeds_rad_s: of each.
+            rigs: rigs with both pendulums.
+            angles: θ3, θ4 of each rig's balanced state, rad.
+            speeds_rad_s: speed of each rig, rad/s.
         """
         packed = np.array([rig.packed() for rig in rigs])
         pairs = [np.ascontiguousarray(packed[:, i : i + 2].T) for i in (1, 3, 5, 8, 10)]
@@ -52,7 +51,7 @@ class MapRigs:
         return cls(packed[:, 0], k, c, moment, inertia, loss, np.array(angles, float).T, np.array(speeds_rad_s, float))
 
     def at(self, points: NDArray[np.intp] | slice) -> MapRigs:
-        """Some of the points."""
+        """Selection of the points."""
         return MapRigs(**{f.name: getattr(self, f.name)[..., points] for f in dataclasses.fields(self)})
 
     def __len__(self) -> int:
@@ -73,7 +72,7 @@ class MapRigs:
     def units(self) -> Array:
         """Units of each point's eight states in which the blocks of its matrix are comparable, shape (points, 8).
 
-        Displacements by sqrt(J/M_S), their rates by that times the frequency where it is above the speed.
+        Unit of displacements: sqrt(J/M_S). Unit of their rates: that times the frequency if it is above the speed.
         """
         length = np.sqrt(self.inertia_kg_m2.mean(axis=0) / self.mass_kg)
         one = np.ones(len(self))
@@ -83,7 +82,7 @@ class MapRigs:
     def numbers(self) -> Array:
         """κ1, κ2, γ1, γ2, δ_A, δ_B; m/det, g/det, P_A, P_B, Q_A, Q_B and n_i S_i/J_i at ψ = 0, shape (points, 21).
 
-        What they are: see dynamics.stability.floquet.lanes.
+        For their definition see dynamics.stability.floquet.lanes.
         """
         s, j = self.moment_kg_m, self.inertia_kg_m2
         arm = np.exp(1j * self.theta_rad)
@@ -101,5 +100,5 @@ class MapRigs:
 
 
 def _parts(vectors: NDArray[np.inexact]) -> list[Array]:
-    """Real and imaginary part of each, shape (n, points)."""
+    """Real and imaginary part of each vector; the vectors have the shape (n, points)."""
     return [part for vector in vectors for part in (vector.real, vector.imag)]

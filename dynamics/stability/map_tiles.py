@@ -1,5 +1,5 @@
 # pyright: strict
-"""A map in rectangles: on each the half-turn matrices are interpolated, then only eigenvalues are left for a point."""
+"""A map in rectangles: half-turn matrices are interpolated on each, so that a point needs only its eigenvalues."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.stability.floquet.lanes import NUMBERS, half_turn_matrices
 from dynamics.stability.floquet.matrix_rows import multipliers_of_rows
 from dynamics.stability.floquet.matrix_surface import MatrixSurface, fit_surface, nodes_needed
@@ -18,27 +19,26 @@ from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_points import half_turns
 from dynamics.stability.map_rigs import MapRigs
 
-MOST_NODES = 40  # along a side; more: two rectangles cost less
-_FEWEST_NODES = 16
-_WORTH = 3.0  # points that one node's matrix costs as much as
-_ROWS = 8  # of a rectangle, that a thread takes at a time
-_WANTED = 3e-14  # of the matrices' norm
+MAX_NODES = 40  # along a side; for more, two rectangles are cheaper
+_MIN_NODES = 16
+_WORTH = 3.0  # cost of a node's matrix, in points
+_ROWS = 8  # number of rows of a rectangle per task
+_WANTED = 3e-14  # relative to the matrices' norm
 _NODE_ERROR = 2e-13  # of a node's matrix: (rate × span) · (rate × step)^8 times …
-_STEP_ERROR = 1e-7  # … this, measured on the nominal rig at Ω = 0.3 … 5, K = 1 … 16 against 256 steps
-_MOST_STEPS = 1024
+_STEP_ERROR = 1e-7  # … this constant, measured on the nominal rig at Ω = 0.3 … 5, K = 1 … 16 against 256 steps
+_MAX_STEPS = 1024
 
 Indices = NDArray[np.intp]
-Array = NDArray[np.floating]
 Span = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A part of a map whose matrices are interpolated.
+    """Part of a map with interpolated matrices.
 
     Attributes:
         columns, rows: indices into the map's values of x and y.
-        surface: over the coordinates of x and y.
+        surface: matrices over the coordinates of x and y.
     """
 
     columns: Indices
@@ -47,7 +47,7 @@ class Rectangle:
 
 
 def needed_nodes(plane: Plane, u_range: Span, v_range: Span) -> tuple[int, int] | None:
-    """Nodes that a rectangle is expected to need along u and v; None where a pendulum is absent."""
+    """Expected numbers of nodes of a rectangle along u and v; None if a pendulum is absent."""
     corners = _corners(plane, u_range, v_range)
     if corners is None:
         return None
@@ -56,16 +56,16 @@ def needed_nodes(plane: Plane, u_range: Span, v_range: Span) -> tuple[int, int] 
 
 
 def surface_over(pool: ThreadPoolExecutor, plane: Plane, u_range: Span, v_range: Span) -> MatrixSurface | None:
-    """The matrices over a rectangle; None where they are not smooth, or too many steps are needed."""
+    """The matrices over a rectangle; None if they are not smooth or need too many steps."""
     corners = _corners(plane, u_range, v_range)
     if corners is None:
         return None
     units = np.max(corners.units, axis=0)
     swing = np.pi * max(1.0, float(np.max(corners.swings)), float(np.max(corners.fades)))
-    if not swing < _MOST_STEPS:
+    if not swing < _MAX_STEPS:
         return None
     steps = math.ceil(max(8.0, swing * (_STEP_ERROR * swing / _NODE_ERROR) ** (1 / 8)))
-    if steps > _MOST_STEPS:
+    if steps > _MAX_STEPS:
         return None
 
     def matrices_at(u: Array, v: Array, finer: bool) -> Array:
@@ -78,16 +78,16 @@ def surface_over(pool: ThreadPoolExecutor, plane: Plane, u_range: Span, v_range:
 
 
 def _corners(plane: Plane, u_range: Span, v_range: Span) -> MapRigs | None:
-    """Rigs at the corners of a rectangle; u changes first."""
+    """Rigs at the corners of a rectangle; u varies first."""
     return plane.rigs(plane.x.back(np.tile(u_range, 2)), plane.y.back(np.repeat(v_range, 2)))
 
 
 class MapTiles:
-    """Rectangles that cover as much of a map as is worth it.
+    """Rectangles that cover the part of a map for which interpolation reduces the work.
 
     Args:
-        plane: of the map.
-        x, y: its values, shapes (n,) and (m,), in any order.
+        plane: plane of the map.
+        x, y: values of the map, shapes (n,) and (m,), in any order.
     """
 
     def __init__(self, plane: Plane, x: Array, y: Array) -> None:
@@ -95,19 +95,19 @@ class MapTiles:
         self._u, self._v = plane.x.of(x), plane.y.of(y)
 
     def rectangles(self, pool: ThreadPoolExecutor) -> Iterator[Rectangle]:
-        """The rectangles, one after the other."""
+        """Generate the rectangles."""
         yield from self._within(pool, np.argsort(self._u), np.argsort(self._v))
 
     def _within(self, pool: ThreadPoolExecutor, columns: Indices, rows: Indices) -> Iterator[Rectangle]:
-        """Rectangles within sorted columns and rows."""
+        """Generate rectangles within sorted columns and rows."""
         points = len(columns) * len(rows)
-        if points < _WORTH * min(len(columns), _FEWEST_NODES) * min(len(rows), _FEWEST_NODES):
+        if points < _WORTH * min(len(columns), _MIN_NODES) * min(len(rows), _MIN_NODES):
             return
         spans = _span(self._u[columns]), _span(self._v[rows])
         needed = needed_nodes(self._plane, *spans)
         if needed is None:
             return
-        if max(needed) <= MOST_NODES:
+        if max(needed) <= MAX_NODES:
             if points < _WORTH * needed[0] * needed[1]:
                 return
             surface = surface_over(pool, self._plane, *spans)
@@ -127,7 +127,7 @@ class MapTiles:
     def multipliers(
         self, pool: ThreadPoolExecutor, rectangle: Rectangle
     ) -> Iterator[tuple[Indices, Indices, Array, Array]]:
-        """Rows, columns, largest multipliers and bounds, shape (rows, columns), of a rectangle, in parts."""
+        """Generate rows, columns, largest multipliers and bounds, shape (rows, columns), of a rectangle, in parts."""
         surface, columns = rectangle.surface, rectangle.columns
         weights = surface.weights_u(self._u[columns])
         nodes = surface.nodes.reshape(*surface.nodes.shape[:2], -1)
@@ -144,17 +144,17 @@ class MapTiles:
 
 
 def compile_tiles() -> None:
-    """Have compiled what a map's rectangles call, so that who times a map does not time the compiler."""
+    """Compile the functions that a map's rectangles call, so that compilation is not part of a map's time."""
     half_turn_matrices(2, np.ones((1, NUMBERS)), np.ones(8), np.empty((1, 8, 8)))
     one, found, errors = np.ones((1, 1)), np.empty((1, 1)), np.empty((1, 1))
     multipliers_of_rows(np.ones((1, 1, 64)), one, one, 0.0, found, errors)
 
 
 def _half_phases(corners: MapRigs) -> tuple[float, float]:
-    """Half of what the fastest mode turns, or decays, over a rectangle along u and along v, rad.
+    """Half the phase or decay of the fastest mode over a rectangle along u and along v, rad.
 
     Args:
-        corners: u changes first.
+        corners: rigs at the corners; u varies first.
     """
     rates = np.concatenate([np.pi * corners.swings, np.pi * corners.fades, corners.theta_rad]).reshape(-1, 2, 2)
     along_u, along_v = (float(np.nanmax(np.abs(np.diff(rates, axis=axis)), initial=0.0)) / 2 for axis in (2, 1))
@@ -167,7 +167,8 @@ def _span(values: Array) -> Span:
 
 
 def _halves(values: Array, order: Indices) -> list[Indices]:
-    """Sorted indices, parted at the middle of their values; one part where all lie on one side."""
+    """Sorted indices, split at the middle of their values; one part if all lie on one side."""
+
     low, high = _span(values[order])
     cut = int(np.searchsorted(values[order], (low + high) / 2))
     return [part for part in (order[:cut], order[cut:]) if len(part)]

@@ -1,16 +1,17 @@
-"""Largest multiplier of the balanced state over two numbers of a rig."""
+"""Largest multiplier of the balanced state over two parameters of a rig."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from dynamics.arguments import need_number, numbers
+from dynamics.arguments import check_number, real_array
+from dynamics.arrays import Array, Flags
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RotorParameters, physics_of
@@ -20,36 +21,36 @@ from dynamics.stability.map_plane import Plane, SpeedStiffnessPlane, multiplier_
 from dynamics.stability.map_points import cores, explicit_multipliers
 from dynamics.stability.map_tiles import MapTiles
 
-_MOST_POINTS = 20_000_000
-_LEAST_RATIO, _GREATEST_RATIO = 1e-15, 1e15  # beyond, squares and quotients leave the range of a double
-_FINEST = 1e-12
+_MAX_POINTS = 20_000_000
+_MIN_RATIO, _MAX_RATIO = 1e-15, 1e15  # outside, squares and quotients exceed the range of a double
+_MIN_ACCURACY = 1e-12
 
 
 @dataclass(frozen=True)
 class StabilityMap:
-    """The largest multiplier of Type I over a grid of two numbers of a rig.
+    """The largest multiplier of Type I over a grid of two parameters of a rig.
 
     Attributes:
-        plane: whose map it is.
-        x, y: values of its numbers, shapes (n,) and (m,); of `stability_map` speed ratio Ω and stiffness ratio K.
-        multiplier_max: largest modulus over one revolution, shape (m, n); NaN where no balanced state exists.
-        error_estimate: bound on its error, shape (m, n); more than was asked for where no method gives that
-            (see `missed`).
-        counts: points that were interpolated, stepped explicitly many at once, and had one by one.
-        accuracy: what was asked for.
+        plane: plane of the map.
+        x, y: values of its parameters, shapes (n,) and (m,); in `stability_map` speed ratio Ω and stiffness ratio K.
+        multiplier_max: largest modulus over one revolution, shape (m, n); NaN where the balanced state does not exist.
+        error_estimate: bound on its error, shape (m, n). It exceeds the accuracy where no method reaches it (see
+            `missed`).
+        counts: numbers of points that were interpolated, computed explicitly in batches, and computed one by one.
+        accuracy: requested accuracy.
     """
 
     plane: Plane
-    x: NDArray[np.floating]
-    y: NDArray[np.floating]
-    multiplier_max: NDArray[np.floating]
-    error_estimate: NDArray[np.floating]
+    x: Array
+    y: Array
+    multiplier_max: Array
+    error_estimate: Array
     counts: tuple[int, int, int]
     accuracy: float
 
     @property
     def method(self) -> str:
-        """How many points which method served."""
+        """Number of points by method, as text."""
         interpolated, explicit, one_by_one = self.counts
         return (
             f"interpolated: {interpolated}; explicit, {LANES} points at once: {explicit}; point by point: {one_by_one}"
@@ -57,20 +58,20 @@ class StabilityMap:
 
     @property
     def missed(self) -> int:
-        """Points whose bound is larger than what was asked for."""
+        """Number of points whose bound exceeds the requested accuracy."""
         return int(np.count_nonzero(self.error_estimate > self.accuracy * np.maximum(1.0, self.multiplier_max)))
 
     @property
-    def stable(self) -> NDArray[np.bool_]:
-        """Whether the largest multiplier lies inside the unit circle by more than its error, shape (m, n).
+    def stable(self) -> Flags:
+        """Whether the largest multiplier is inside the unit circle by more than its error, shape (m, n).
 
-        A point that has a multiplier without an error estimate stands between others that have one.
+        A NaN error estimate counts as zero: such a point lies between points with an error estimate.
         """
         return self.multiplier_max + np.nan_to_num(self.error_estimate) < 1.0
 
     @property
-    def decay_rate_per_s(self) -> NDArray[np.floating]:
-        """How fast what disturbs the balance dies away, −ln(multiplier_max) over the time of a turn, shape (m, n)."""
+    def decay_rate_per_s(self) -> Array:
+        """Decay rate of disturbances, −ln(multiplier_max) over the time of a revolution, 1/s, shape (m, n)."""
         grid = np.meshgrid(self.x, self.y)
         speeds = self.plane.speeds_rad_s(*(part.ravel() for part in grid)).reshape(self.multiplier_max.shape)
         return -np.log(self.multiplier_max) * speeds / (2 * np.pi)
@@ -78,102 +79,104 @@ class StabilityMap:
 
 def plane_map(
     plane: Plane,
-    x: NDArray[np.floating],
-    y: NDArray[np.floating],
+    x: ArrayLike,
+    y: ArrayLike,
     accuracy: float = 1e-8,
     progress: Callable[[float], None] | None = None,
     threads: int | None = None,
 ) -> StabilityMap:
-    """Largest modulus of the Type I multipliers over one revolution on a grid of a plane.
+    """Compute the largest modulus of the Type I multipliers over one revolution on a grid of a plane.
 
     Args:
-        x, y: values of the plane's numbers, shapes (n,) and (m,), finite.
+        x, y: values of the plane's parameters, shapes (n,) and (m,), finite.
         accuracy: bound on the error, relative to max(1, largest modulus); 1e-12 … 0.1.
-        progress: called with the share of points done, 0 … 1, from the calling thread.
-        threads: that work at it; None: as many as there are processors. The numbers do not depend on them.
+        progress: called with the completed share of points, 0 … 1, from the calling thread.
+        threads: number of threads. None: one per core. The results do not depend on it.
     Raises:
-        OutsideDomain: values that are not finite, an accuracy outside the range, too many points; gravity, a pivot
-            shift or a bow, with which no state is at rest.
-        NotConverged: a point whose multiplier can't be had even roughly; the message names it.
+        OutsideDomain: values are not finite, the accuracy is outside the range, there are too many points, or gravity,
+            a pivot shift or a bow prevents a state at rest.
+        NotConverged: the multiplier of a point cannot be computed even with a low accuracy. The message contains the
+            point.
     """
-    x, y = (np.atleast_1d(numbers(name, values)) for name, values in (("x", x), ("y", y)))
+    x, y = (np.atleast_1d(real_array(name, values)) for name, values in (("x", x), ("y", y)))
     if x.ndim != 1 or y.ndim != 1 or not (np.all(np.isfinite(x)) and np.all(np.isfinite(y))):
         raise OutsideDomain(f"x and y must be one-dimensional and finite, got {x!r} and {y!r}")
-    _need_size(len(x), len(y), accuracy)
-    found, errors, counts = multipliers_on_grid(plane, x, y, accuracy, progress or (lambda share: None), threads)
+    _check_size(len(x), len(y), accuracy)
+    found, errors, counts = multipliers_on_grid(plane, x, y, accuracy, progress or _ignore, threads)
     return StabilityMap(plane, x, y, found, errors, counts, accuracy)
 
 
-def _need_size(columns: int, rows: int, accuracy: float) -> None:
-    need_number(accuracy=accuracy)
-    if not _FINEST <= accuracy <= 0.1:
-        raise OutsideDomain(f"accuracy must lie in {_FINEST:g} … 0.1, got {accuracy!r}")
-    if columns * rows > _MOST_POINTS:
-        raise OutsideDomain(f"a map holds at most {_MOST_POINTS:.0e} points, asked {columns} × {rows}")
+def _check_size(columns: int, rows: int, accuracy: float) -> None:
+    check_number(accuracy=accuracy)
+    if not _MIN_ACCURACY <= accuracy <= 0.1:
+        raise OutsideDomain(f"accuracy must lie in {_MIN_ACCURACY:g} … 0.1, got {accuracy!r}")
+    if columns * rows > _MAX_POINTS:
+        raise OutsideDomain(f"a map has at most {_MAX_POINTS:.0e} points, got {columns} × {rows}")
 
 
 def stability_map(
     rig: RotorParameters | object,
-    speed_ratios: NDArray[np.floating],
-    stiffness_ratios: NDArray[np.floating],
+    speed_ratios: ArrayLike,
+    stiffness_ratios: ArrayLike,
     accuracy: float = 1e-8,
     progress: Callable[[float], None] | None = None,
 ) -> StabilityMap:
-    """Largest modulus of the Type I multipliers over one revolution on a grid.
+    """Compute the largest modulus of the Type I multipliers over one revolution on a grid of speed and stiffness ratio.
 
     Args:
-        rig: RotorParameters, or anything whose `.physics` is; k1 and the damping ratios stay, k2 = K k1. Dry friction
-            is left out.
+        rig: RotorParameters, or an object whose `.physics` is one. k1 and the damping ratios are constant, k2 = K k1.
+            Dry friction is neglected.
         speed_ratios: Ω = ω/ω_n1, shape (n,), 1e-15 … 1e15.
         stiffness_ratios: K = k2/k1, shape (m,), 1e-15 … 1e15.
         accuracy: bound on the error, relative to max(1, largest modulus); 1e-12 … 0.1.
-        progress: called with the share of points done, 0 … 1, from the calling thread.
+        progress: called with the completed share of points, 0 … 1, from the calling thread.
     Raises:
         OutsideDomain: a ratio or an accuracy outside the range.
-        NoBalancedState: no balanced state exists for these first mass moments.
-        NotConverged: a point whose multiplier can't be had even roughly; the message names it.
+        NoBalancedState: the balanced state does not exist for these first mass moments.
+        NotConverged: the multiplier of a point cannot be computed even with a low accuracy. The message contains the
+            point.
     """
     speeds, stiffness = (
-        np.atleast_1d(numbers("speed_ratios", speed_ratios)),
-        np.atleast_1d(numbers("stiffness_ratios", stiffness_ratios)),
+        np.atleast_1d(real_array("speed_ratios", speed_ratios)),
+        np.atleast_1d(real_array("stiffness_ratios", stiffness_ratios)),
     )
     for name, values in (("speed_ratios", speeds), ("stiffness_ratios", stiffness)):
         if values.ndim != 1 or not np.all(np.isfinite(values) & (values > 0)):
             raise OutsideDomain(f"{name} must be one-dimensional, finite and above 0, got {values!r}")
-        if np.any((values < _LEAST_RATIO) | (values > _GREATEST_RATIO)):
+        if np.any((values < _MIN_RATIO) | (values > _MAX_RATIO)):
             raise OutsideDomain(
-                f"{name} must be above 0 and lie in {_LEAST_RATIO:g} … {_GREATEST_RATIO:g}, got "
+                f"{name} must be above 0 and lie in {_MIN_RATIO:g} … {_MAX_RATIO:g}, got "
                 f"{values.min():g} … {values.max():g}"
             )
-    _need_size(len(speeds), len(stiffness), accuracy)
+    _check_size(len(speeds), len(stiffness), accuracy)
     parameters = physics_of(rig)
     angles = balanced_angles(parameters)
     if not angles:
         raise NoBalancedState("no balanced state to map: it needs |S_A − S_B| ≤ S_P ≤ S_A + S_B")
-    type_one(parameters, *angles[0], parameters.speed_rad_s(1.0))  # refuses gravity and a pivot shift
+    type_one(parameters, *angles[0], parameters.speed_rad_s(1.0))  # raises OutsideDomain for gravity or a pivot shift
     plane = SpeedStiffnessPlane(parameters, angles[0])
-    found, errors, counts = multipliers_on_grid(plane, speeds, stiffness, accuracy, progress or (lambda share: None))
+    found, errors, counts = multipliers_on_grid(plane, speeds, stiffness, accuracy, progress or _ignore)
     return StabilityMap(plane, speeds, stiffness, found, errors, counts, accuracy)
 
 
 def multipliers_on_grid(
     plane: Plane,
-    x: NDArray[np.floating],
-    y: NDArray[np.floating],
+    x: Array,
+    y: Array,
     accuracy: float,
     progress: Callable[[float], None],
     threads: int | None = None,
-) -> tuple[NDArray[np.floating], NDArray[np.floating], tuple[int, int, int]]:
-    """Largest multipliers of Type I on a grid of a plane.
+) -> tuple[Array, Array, tuple[int, int, int]]:
+    """Compute the largest multipliers of Type I on a grid of a plane.
 
     Args:
-        x, y: values of the plane's numbers, shapes (n,) and (m,).
+        x, y: values of the plane's parameters, shapes (n,) and (m,).
         accuracy, progress, threads: see `plane_map`.
     Returns:
-        Multipliers and their bounds, shape (m, n), NaN where no balanced state exists; points that were
-        interpolated, stepped explicitly many at once, and had one by one.
+        Multipliers and their bounds, shape (m, n), NaN where the balanced state does not exist; numbers of points that
+        were interpolated, computed explicitly in batches, and computed one by one.
     Raises:
-        NotConverged: a point whose multiplier can't be had even roughly.
+        NotConverged: the multiplier of a point cannot be computed even with a low accuracy.
     """
     found, errors = np.full((2, len(y), len(x)), np.nan)
     with _threads(threads) as pool:
@@ -190,40 +193,44 @@ def multipliers_on_grid(
         row, column = divmod(int(point), len(x))
         found[row, column], errors[row, column] = multiplier_at(plane, float(x[column]), float(y[row]), accuracy)
         progress(1 - (len(left) - done - 1) / found.size)
-    progress(1.0)  # where no balanced state exists nothing was left to do
+    progress(1.0)  # points without a balanced state need no computation
     return found, errors, (found.size - len(rest), len(rest) - len(left), len(left))
 
 
 def multipliers_at_points(
     plane: Plane,
-    x: NDArray[np.floating],
-    y: NDArray[np.floating],
+    x: Array,
+    y: Array,
     accuracy: float,
     progress: Callable[[float], None] | None = None,
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Largest multipliers of Type I at points that form no grid.
+) -> tuple[Array, Array]:
+    """Compute the largest multipliers of Type I at scattered points.
 
     Args:
-        x, y: of the points, shape (points,).
+        x, y: coordinates of the points, shape (points,).
         accuracy, progress: see `stability_map`.
     Returns:
-        Multipliers and their bounds, shape (points,), NaN where no balanced state exists.
+        Multipliers and their bounds, shape (points,), NaN where the balanced state does not exist.
     Raises:
-        NotConverged: a point whose multiplier can't be had even roughly.
+        NotConverged: the multiplier of a point cannot be computed even with a low accuracy.
     """
     found, errors = np.full((2, len(x)), np.nan)
-    tell = progress or (lambda share: None)
+    notify = progress or _ignore
     with _threads() as pool:
-        left = _explicit(pool, plane, x, y, np.arange(len(x)), accuracy, found, errors, tell)
+        left = _explicit(pool, plane, x, y, np.arange(len(x)), accuracy, found, errors, notify)
     for point in left.tolist():
         found[point], errors[point] = multiplier_at(plane, float(x[point]), float(y[point]), accuracy)
-    tell(1.0)
+    notify(1.0)
     return found, errors
 
 
+def _ignore(share: float) -> None:
+    del share
+
+
 @contextmanager
-def _threads(count: int | None = None) -> Iterator[ThreadPoolExecutor]:
-    """So many threads, one a core where nothing is said; what still waits is given up where the work is stopped."""
+def _threads(count: int | None = None) -> Generator[ThreadPoolExecutor]:
+    """Pool of threads, by default one per core. If the work is interrupted, waiting tasks are cancelled."""
     pool = ThreadPoolExecutor(max_workers=count or cores())
     try:
         yield pool
@@ -236,22 +243,22 @@ def _threads(count: int | None = None) -> Iterator[ThreadPoolExecutor]:
 def _explicit(
     pool: ThreadPoolExecutor,
     plane: Plane,
-    x: NDArray[np.floating],
-    y: NDArray[np.floating],
+    x: Array,
+    y: Array,
     rest: NDArray[np.intp],
     accuracy: float,
-    found: NDArray[np.floating],
-    errors: NDArray[np.floating],
+    found: Array,
+    errors: Array,
     progress: Callable[[float], None],
 ) -> NDArray[np.intp]:
-    """Fill what explicit steps serve of the points that are left; those that they do not serve."""
+    """Compute remaining points by explicit steps. Returns the points for which they are not suitable."""
     rigs = plane.rigs(x[rest], y[rest]) if len(rest) else None
     if rigs is None:
         return rest
     there = np.flatnonzero(~np.isnan(rigs.theta_rad).any(axis=0))
     rest, rigs = rest[there], rigs.at(there)
 
-    def done(batch: NDArray[np.intp], multipliers: NDArray[np.floating], bounds: NDArray[np.floating]) -> None:
+    def done(batch: NDArray[np.intp], multipliers: Array, bounds: Array) -> None:
         found.reshape(-1)[rest[batch]], errors.reshape(-1)[rest[batch]] = multipliers, bounds
         progress(float(1 - np.isnan(found).mean()))
 

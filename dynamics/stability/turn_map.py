@@ -1,21 +1,18 @@
-"""How neighbours of a motion move over whole revolutions of the rotor: derivatives of the once-a-revolution map.
+"""Derivatives of the once-a-revolution map: change of neighbouring motions over whole revolutions of the rotor.
 
-The explicit steps of dynamics.motions.explicit_steps are taken with the state and, with the same coefficients, with all
-its derivatives by the state before: K' = J (Y' + h Σ a K'), J the right-hand side's own derivatives in closed form.
-That is the derivative of the very same arithmetic, exact to rounding, at an eighth of the price of complex steps.
+The explicit steps of dynamics.motions.explicit_steps are applied to the state and, with the same coefficients, to its
+derivatives by the initial state: K' = J (Y' + h Σ a K'), J the derivatives of the right-hand side in closed form. The
+result is the derivative of the same arithmetic, exact to rounding, at an eighth of the cost of complex steps.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, RealSystem
+from dynamics.compiled_code import compiled
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.phase_segments import PhaseSegments, phase_within
 from dynamics.equations.quick_derivatives import rate_derivatives
@@ -24,14 +21,14 @@ from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.explicit_steps import BEGIN, COLUMN, NODE, VALUE
 from dynamics.motions.locked_motion import damping_rates
 
-_STEP_RAD = 0.8  # of the fastest oscillation: an error of some 1e-6 a revolution
-_STABLE_REACH = 4.0  # radians of the fastest decay a step may take
-_MOST_STEPS = 4000  # a revolution; beyond it the motion is too stiff or too slow for explicit steps
+_STEP_RAD = 0.8  # step in radians of the fastest oscillation: an error of about 1e-6 per revolution
+_STABLE_REACH = 4.0  # largest step in units of the fastest decay time
+_MAX_STEPS = 4000  # per revolution; beyond it the motion is too stiff or too slow for explicit steps
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
-def _derivatives(states, steps, period, system, out):
-    """Derivatives (8, 8) of the state after a revolution by the state before it, for states (n, 8), into out."""
+@compiled(nogil=True, contract=True)
+def _derivatives(states: Array, steps: int, period: float, system: RealSystem, out: Array) -> None:
+    """Write derivatives (8, 8) of the state after a revolution by the state before it, for states (n, 8), to out."""
     p, free_a, free_b, knots, origins, cubics = system
     k, tangents, by_state = np.zeros((12, 8)), np.zeros((12, 8, 8)), np.zeros((4, 8))
     y, work, end, moved = np.empty(8), np.empty(8), np.empty((8, 8)), np.empty((8, 8))
@@ -68,25 +65,23 @@ def _derivatives(states, steps, period, system, out):
         out[n] = end
 
 
-def turn_derivatives(
-    parameters: RotorParameters, speed_rad_s: float, states: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
-    """Derivatives of the state one revolution later, by the state.
+def turn_derivatives(parameters: RotorParameters, speed_rad_s: float, states: Array) -> Array | None:
+    """Derivatives of the state one revolution later by the state.
 
     Args:
-        parameters: without dry friction.
-        states: at ψ = 0, shape (n, 8).
+        parameters: parameters without dry friction.
+        states: states at ψ = 0, shape (n, 8).
     Returns:
-        Shape (n, 8, 8) in SI; None where explicit steps would be too many.
+        Shape (n, 8, 8) in SI, or None if too many explicit steps are needed.
     """
     turning = float(np.max(np.abs(states[:, 6:]), initial=0.0))
     rate = max(speed_rad_s + turning, *parameters.natural_frequencies_rad_s) / _STEP_RAD
     rate = max(rate, max(damping_rates(parameters)) / _STABLE_REACH)
     period = 2 * math.pi / speed_rad_s
-    if not rate * period < _MOST_STEPS:
+    if not rate * period < _MAX_STEPS:
         return None
     segments = PhaseSegments.of(SpeedHistory.constant(speed_rad_s))
-    # one endless segment: the phase is linear everywhere
+    # one infinite segment: the phase is linear everywhere
     system = (
         parameters.packed(),
         float(parameters.a.present),

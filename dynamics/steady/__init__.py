@@ -1,1 +1,1 @@
-"""Steady motions at constant speed, resting and slipping, and which of them a release reaches."""
+"""Steady motions at constant speed, resting and slipping, and the steady motion that a release reaches."""

@@ -1,9 +1,9 @@
 # pyright: strict
-"""Steady states along one number of a rig: branches, and the values at which another type becomes the stable one.
+"""Steady states along one parameter of a rig: branches, and the values at which the set of stable types changes.
 
-Each value is solved by itself, by `steady_states`; a branch joins the states of one type whose angles lie nearest. A
-break point is a value at which the set of stable types changes. It is bracketed between two values and halved: what
-changes may be a multiplier that passes 1, or a motion that ceases to exist, which leaves no number to have a root of.
+Each value is solved separately by `steady_states`. A branch joins the states of one type with the nearest angles. A
+break point is a value at which the set of stable types changes. It is bracketed between two values and bisected. The
+cause may be a multiplier that crosses 1, or a motion that ceases to exist, so it is not the root of a function.
 """
 
 from __future__ import annotations
@@ -17,36 +17,36 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType, reportMissingTypeStubs]
 
+from dynamics.arrays import Array, Flags
 from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.motions.integrate import locked_orbit
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
 
-Array: TypeAlias = NDArray[np.float64]
 RigAt: TypeAlias = Callable[[float], tuple[RotorParameters, float]]
-"""Value ↦ the rig and its speed in rad/s."""
+"""Function from a value to the rig and its speed in rad/s."""
 
 UNRESOLVED = "?"
-"""In place of the stable types at a value whose states could not be judged."""
-_WIDTH = 1e-6  # of a break point's value: how well it is known
-_SPAN_SHARE = 1e-9  # of the whole range: no break point near 0 is known better
-_CLOSER = (0.004, 0.02, 0.08, 0.25)  # of the distance of the values
+"""Marker for the stable types at a value whose states could not be evaluated."""
+_WIDTH = 1e-6  # relative width of a break point's bracket
+_SPAN_SHARE = 1e-9  # smallest width relative to the whole range, for break points near 0
+_CLOSER = (0.004, 0.02, 0.08, 0.25)  # distances of additional values, relative to the distance of the given values
 _CLOSE = 5.0
-_MOST_BREAKS = 20  # between two values
+_MAX_BREAKS = 20  # between two values
 
 
 @dataclass(frozen=True)
 class Branch:
-    """States of one type, followed from value to value.
+    """States of one type along the parameter.
 
     Attributes:
         type: "I", "II", "III" or "one".
-        values: where it exists, rising, shape (n,).
+        values: parameter values at which it exists, ascending, shape (n,).
         theta_rad: θ3, θ4, without jumps, shape (n, 2).
         amplitude_m: as SteadyState.amplitude_m, shape (n,).
         multiplier_max: largest modulus over one revolution, shape (n,).
-        stable: shape (n,).
+        stable: whether the state is stable, shape (n,).
     """
 
     type: str
@@ -54,7 +54,7 @@ class Branch:
     theta_rad: Array
     amplitude_m: Array
     multiplier_max: Array
-    stable: NDArray[np.bool_]
+    stable: Flags
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,9 @@ class BreakPoint:
     """A value at which the set of stable types changes.
 
     Attributes:
-        value: known to `error`.
+        value: value of the parameter, accurate to `error`.
         error: half the width of the last bracket.
-        before, after: stable types below and above it; ("?",) where they could not be judged.
+        before, after: stable types below and above it; ("?",) if they could not be evaluated.
     """
 
     value: float
@@ -75,14 +75,14 @@ class BreakPoint:
 
 @dataclass(frozen=True)
 class SteadyBranches:
-    """Steady states along one number.
+    """Steady states along one parameter.
 
     Attributes:
-        values: those asked for and more beside each break point, rising, shape (n,).
-        branches: by type and by the value they begin at.
-        break_points: rising.
-        locked_amplitude_m: rms radius with the pendulums locked at 0° and 180°, shape (n,); nan where there is none.
-        unresolved: value and what could not be judged there.
+        values: the given values and additional ones near each break point, ascending, shape (n,).
+        branches: sorted by type and first value.
+        break_points: ascending.
+        locked_amplitude_m: rms radius with the pendulums locked at 0° and 180°, shape (n,); NaN if it does not exist.
+        unresolved: value and the state that could not be evaluated there.
     """
 
     values: Array
@@ -92,7 +92,7 @@ class SteadyBranches:
     unresolved: tuple[tuple[float, str], ...]
 
     def stable_branches(self) -> list[Branch]:
-        """The stable parts of all branches, each without a gap."""
+        """The stable parts of all branches, without gaps."""
         found = list[Branch]()
         for b in self.branches:
             edges = np.flatnonzero(np.diff(b.stable.astype(int))) + 1
@@ -103,60 +103,60 @@ class SteadyBranches:
 
 
 def steady_branches(
-    at: RigAt, values: ArrayLike, accuracy: float = 1e-9, tell: Callable[[float], None] | None = None
+    at: RigAt, values: ArrayLike, accuracy: float = 1e-9, progress: Callable[[float], None] | None = None
 ) -> SteadyBranches:
-    """Steady states at each value, joined to branches, with break points to a millionth of their value.
+    """Compute the steady states at each value, joined to branches, with break points to a millionth of their value.
 
     Args:
-        at: value ↦ (rig, speed in rad/s).
-        values: strictly rising, shape (n,), n ≥ 2, in the number's own unit. Two break points between neighbours that
-            cancel each other are not seen.
-        accuracy: of the multipliers, as `steady_states` takes it; a state within it of 1 is not stable.
-        tell: told the share done, 0 … 1.
+        at: function from a value to (rig, speed in rad/s).
+        values: strictly ascending, shape (n,), n ≥ 2, in the parameter's unit. Two break points between neighbouring
+            values that cancel each other are not found.
+        accuracy: accuracy of the multipliers, as for `steady_states`. A state within it of 1 is not stable.
+        progress: called with the completed share, 0 … 1.
     Raises:
-        OutsideDomain: values that do not rise, or a rig, speed or accuracy outside the domain.
+        OutsideDomain: values not ascending, or a rig, speed or accuracy outside the domain.
     Source: docs/theory/steady_states.md.
     """
-    asked = np.asarray(values, np.float64)
-    if asked.ndim != 1 or len(asked) < 2 or not np.all(np.isfinite(asked)) or not np.all(np.diff(asked) > 0):
-        raise OutsideDomain(f"values: expected at least two, rising and finite, got {values!r:.80}")
-    look = _Look(at, accuracy)
-    for i, value in enumerate(asked.tolist()):
-        look.types(value)
-        if tell is not None:
-            tell(0.8 * (i + 1) / len(asked))
-    least = _SPAN_SHARE * float(asked[-1] - asked[0])
+    given = np.asarray(values, np.float64)
+    if given.ndim != 1 or len(given) < 2 or not np.all(np.isfinite(given)) or not np.all(np.diff(given) > 0):
+        raise OutsideDomain(f"values: expected at least two, ascending and finite, got {values!r:.80}")
+    solutions = _Solutions(at, accuracy)
+    for i, value in enumerate(given.tolist()):
+        solutions.types(value)
+        if progress is not None:
+            progress(0.8 * (i + 1) / len(given))
+    least = _SPAN_SHARE * float(given[-1] - given[0])
     breaks = list[BreakPoint]()
-    for low, high in zip(asked[:-1].tolist(), asked[1:].tolist(), strict=True):
-        breaks += _breaks_between(look, low, high, least)
+    for low, high in zip(given[:-1].tolist(), given[1:].tolist(), strict=True):
+        breaks += _breaks_between(solutions, low, high, least)
     breaks = _merged(breaks)
-    every = np.unique([*asked.tolist(), *_beside(asked, breaks)])
-    found = [look.states(value) for value in every.tolist()]
-    if tell is not None:
-        tell(1.0)
+    every = np.unique([*given.tolist(), *_near_breaks(given, breaks)])
+    found = [solutions.states(value) for value in every.tolist()]
+    if progress is not None:
+        progress(1.0)
     return SteadyBranches(
         every,
         tuple(_joined(every, found)),
         tuple(breaks),
         np.array([_locked_radius(*at(value)) for value in every.tolist()]),
-        tuple(look.unresolved),
+        tuple(solutions.unresolved),
     )
 
 
-def _beside(asked: Array, breaks: Sequence[BreakPoint]) -> list[float]:
-    """Further values on both sides of break points, closer and closer: branches run into them like square roots."""
+def _near_breaks(given: Array, breaks: Sequence[BreakPoint]) -> list[float]:
+    """Additional values on both sides of break points, increasingly dense: branches end there like square roots."""
     found = list[float]()
     for one in breaks:
-        at = int(np.clip(np.searchsorted(asked, one.value), 1, len(asked) - 1))
-        cell = float(asked[at] - asked[at - 1])
+        at = int(np.clip(np.searchsorted(given, one.value), 1, len(given) - 1))
+        cell = float(given[at] - given[at - 1])
         steps = [2 * one.error, *(share * cell for share in _CLOSER)]
         found += [one.value + side * step for step in steps for side in (-1, 1)]
     apart = [min((abs(value - b.value) / b.error for b in breaks if b.error > 0), default=2.0) for value in found]
-    return [v for v, off in zip(found, apart, strict=True) if asked[0] < v < asked[-1] and off > 1.0]
+    return [v for v, off in zip(found, apart, strict=True) if given[0] < v < given[-1] and off > 1.0]
 
 
-class _Look:
-    """What is at a value, found once."""
+class _Solutions:
+    """Steady states at parameter values. Each value is computed once."""
 
     def __init__(self, at: RigAt, accuracy: float) -> None:
         self.unresolved: list[tuple[float, str]] = []
@@ -164,7 +164,7 @@ class _Look:
         self._found: dict[float, Sequence[SteadyState] | None] = {}
 
     def states(self, value: float) -> Sequence[SteadyState]:
-        """All steady states; none where they could not be judged."""
+        """All steady states; empty if they could not be evaluated."""
         if value not in self._found:
             rig, speed = self._at(value)
             try:
@@ -178,32 +178,32 @@ class _Look:
         return self._found[value] or ()
 
     def types(self, value: float) -> tuple[str, ...]:
-        """Types of the stable ones."""
+        """Types of the stable states."""
         states = self.states(value)
         if self._found[value] is None:
             return (UNRESOLVED,)
         return tuple(sorted({s.type for s in states if s.draws}))
 
 
-def _breaks_between(look: _Look, low: float, high: float, least: float) -> list[BreakPoint]:
-    """Break points between two values, the first of them first; several as far as halving meets them."""
+def _breaks_between(solutions: _Solutions, low: float, high: float, least: float) -> list[BreakPoint]:
+    """Break points between two values in ascending order; several of them as far as bisection finds them."""
     found = list[BreakPoint]()
-    while look.types(low) != look.types(high) and len(found) < _MOST_BREAKS:
+    while solutions.types(low) != solutions.types(high) and len(found) < _MAX_BREAKS:
         left, right = low, high
         width = max(_WIDTH * max(abs(low), abs(high)), least)
         while right - left > width:
             middle = 0.5 * (left + right)
             if not left < middle < right:
                 break
-            left, right = (middle, right) if look.types(middle) == look.types(low) else (left, middle)
-        one = BreakPoint(0.5 * (left + right), 0.5 * (right - left), look.types(left), look.types(right))
+            left, right = (middle, right) if solutions.types(middle) == solutions.types(low) else (left, middle)
+        one = BreakPoint(0.5 * (left + right), 0.5 * (right - left), solutions.types(left), solutions.types(right))
         found.append(one)
         low = right
     return found
 
 
 def _merged(breaks: Sequence[BreakPoint]) -> list[BreakPoint]:
-    """Break points so close that between them a multiplier is 1 within its error, as one."""
+    """Break points merged if a multiplier is 1 within its error between them."""
     found = list[BreakPoint]()
     for one in breaks:
         last = found[-1] if found else None
@@ -236,7 +236,7 @@ def _joined(values: Array, found: Sequence[Sequence[SteadyState]]) -> list[Branc
 
 
 def _nearest(far: Array) -> tuple[list[int], list[int]]:
-    """Rows and columns that belong together: the least sum of distances."""
+    """Rows and columns that belong together: smallest sum of distances."""
     rows, columns = cast("tuple[Array, Array]", linear_sum_assignment(far))
     return rows.astype(int).tolist(), columns.astype(int).tolist()
 
@@ -266,7 +266,7 @@ def _apart(one: SteadyState, other: SteadyState) -> float:
 
 
 def _locked_radius(rig: RotorParameters, speed: float) -> float:
-    """Rms radius of the orbit with locked pendulums, m; nan where there is none."""
+    """Rms radius of the orbit with locked pendulums, m; NaN if it does not exist."""
     try:
         x, y = locked_orbit(rig, speed, 0.0, math.pi)
     except (OutsideDomain, NotConverged):

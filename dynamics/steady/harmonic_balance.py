@@ -1,11 +1,8 @@
-"""Newton's method on the balance of a motion's Fourier coefficients, all of it compiled.
+"""Newton's method for the balance of a motion's Fourier coefficients, all of it compiled.
 
-x, y and the angles are sums of cosines and sines at n equally spaced phases; the forces are evaluated at those phases
-and transformed back. What Newton's method solves is ω² u″ − acceleration = 0 in coefficients.
+x, y and the angles are sums of cosines and sines at n equally spaced phases. The forces are evaluated at those phases
+and transformed back. Newton's method solves ω² u″ − acceleration = 0 in coefficients.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
@@ -13,33 +10,36 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Flags, Indices
+from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import rates
 from dynamics.equations.quick_derivatives import rate_derivatives
 
 _ITERATIONS = 25
-_LONGEST_TURN = 0.3  # rad: Newton's step of an angle is cut to this
+_LONGEST_TURN = 0.3  # rad: largest Newton step of an angle
 
 
 class Basis(NamedTuple):
     """Trigonometric functions at n phases.
 
     Attributes:
-        value, slope: of each function (columns) at each phase, shape (n, n); transform: values to coefficients.
-        order: of each function, shape (n,); sine: which of them are sines.
+        value, slope: values and derivatives of each function (columns) at each phase, shape (n, n).
+        transform: matrix from values to coefficients, shape (n, n).
+        order: order of each function, shape (n,).
+        sine: whether each function is a sine, shape (n,).
     """
 
-    value: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    transform: NDArray[np.float64]
-    order: NDArray[np.float64]
-    sine: NDArray[np.bool_]
+    value: Array
+    slope: Array
+    transform: Array
+    order: Array
+    sine: Flags
 
 
-def _basis(phase: NDArray[np.floating], orders: NDArray[np.integer]) -> Basis:
-    """cos and sin of the given orders at equally spaced phases; the highest sine, which vanishes there, left out."""
+def _basis(phase: Array, orders: NDArray[np.integer]) -> Basis:
+    """cos and sin of the given orders at equally spaced phases, without the highest sine, which vanishes there."""
     functions = [(k, sine) for k in orders.tolist() for sine in (False, True) if k > 0 or not sine][: len(phase)]
     order, sine = np.array([k for k, _ in functions], float), np.array([s for _, s in functions])
     angle = phase[:, None] * order
@@ -50,7 +50,7 @@ def _basis(phase: NDArray[np.floating], orders: NDArray[np.integer]) -> Basis:
 
 
 class Grid:
-    """Phases and bases of one resolution; half a revolution where the motion has that symmetry."""
+    """Phases and bases of one resolution, over half a revolution if the motion has that symmetry."""
 
     def __init__(self, half: int, symmetric: bool) -> None:
         self.symmetric = symmetric
@@ -65,17 +65,17 @@ class Grid:
     @staticmethod
     @functools.lru_cache(maxsize=16)
     def of(half: int, symmetric: bool) -> Grid:
-        """The grid with `half` phases in half a revolution; made once."""
+        """The grid with `half` phases in half a revolution. It is cached."""
         return Grid(half, symmetric)
 
-    def whole(self, states: NDArray[np.floating]) -> NDArray[np.floating]:
+    def whole(self, states: Array) -> Array:
         """States over a whole revolution from those over the grid's span."""
         if not self.symmetric:
             return states
         return np.concatenate([states, states * [-1, -1, 1, 1, -1, -1, 1, 1]])
 
-    def coefficients(self, positions: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Coefficients (n, 4) of positions (m, 4) sampled over a whole revolution, interpolated as need be."""
+    def coefficients(self, positions: Array) -> Array:
+        """Coefficients (n, 4) of positions (m, 4) sampled over a whole revolution, interpolated if necessary."""
         m = len(positions)
         spectrum = np.fft.rfft(positions, axis=0) * (2.0 / m)
         spectrum[0] *= 0.5
@@ -92,20 +92,20 @@ class Grid:
 def solve_balance(
     grid: Grid,
     speed_rad_s: float,
-    packed: NDArray[np.floating],
+    packed: Array,
     free: tuple[bool, bool],
-    start: NDArray[np.floating],
+    start: Array,
     least_size_m: float,
-) -> tuple[NDArray[np.floating], float] | None:
-    """Newton's method from a guess.
+) -> tuple[Array, float] | None:
+    """Solve the balance by Newton's method from a guess.
 
     Args:
         packed: parameters in the order of the compiled kernels, without dry friction.
         free: which pendulums move.
         start: coefficients of x, y, θ3, θ4, shape (n, 4).
-        least_size_m: what x, y are held against at least.
+        least_size_m: smallest scale of x, y, m.
     Returns:
-        States (n, 8) over the grid and the last step's size (rad, and of x, y relative to the orbit), or None.
+        States (n, 8) over the grid and the size of the last step (rad; x, y relative to the orbit), or None.
     """
     kept = np.array([0, 1] + [2 + i for i in range(2) if free[i]])
     states, c = np.empty((grid.n, 8)), np.array(start, float, order="C")
@@ -114,9 +114,14 @@ def solve_balance(
     return None if last < 0 else (states, last)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _sample(c, bases, speed, states):
-    """States (n, 8) at the phases from coefficients (n, 4)."""
+@compiled(contract=True)
+def _sample(
+    c: Array,
+    bases: tuple[tuple[Array, Array, Array, Array], tuple[Array, Array, Array, Array]],
+    speed: float,
+    states: Array,
+) -> None:
+    """Write states (n, 8) at the phases from coefficients (n, 4) to states."""
     n = len(c)
     for i in range(4):
         value, slope, _, _ = bases[i // 2]
@@ -128,8 +133,10 @@ def _sample(c, bases, speed, states):
             states[j, i], states[j, 4 + i] = at, speed * rate
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _add_block(transform, factor, value, rate_factor, slope, matrix, top, left):
+@compiled(contract=True)
+def _add_block(
+    transform: Array, factor: Array, value: Array, rate_factor: Array, slope: Array, matrix: Array, top: int, left: int
+) -> None:
     """Subtract transform · (diag(factor) value + diag(rate_factor) slope) from a block of the matrix."""
     n = len(factor)
     change = np.empty(n)
@@ -142,12 +149,24 @@ def _add_block(transform, factor, value, rate_factor, slope, matrix, top, left):
                 row[left + j] -= f * change[j]
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, right):
-    """Newton's matrix (m n, m n) and right-hand side (m n,) of the balance, in units (4,), for m kept coordinates.
+@compiled(contract=True)
+def _linearise(
+    states: Array,
+    c: Array,
+    bases: tuple[tuple[Array, Array, Array, Array], tuple[Array, Array, Array, Array]],
+    phase: Array,
+    speed: float,
+    p: Array,
+    kept: Indices,
+    unit: Array,
+    work: tuple[Array, Array, Array, Array],
+    matrix: Array,
+    right: Array,
+) -> None:
+    """Write Newton's matrix (m n, m n) and right-hand side (m n,), in units (4,), for m kept coordinates.
 
     Args:
-        work: scratch; rates (8,), accelerations (n, 4), their derivatives (4, 8, n), those of one phase (4, 8).
+        work: scratch; rates (8,), accelerations (n, 4), their derivatives (4, 8, n), those at one phase (4, 8).
     """
     out, accelerations, slopes, one = work
     n = len(c)
@@ -161,14 +180,16 @@ def _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, righ
             accelerations[j, i] = out[4 + i]
             for k in range(8):
                 slopes[i, k, j] = one[i, k] * (speed if k >= 4 else 1.0)
-    for row in range(len(right)):  # a slice assignment takes numba long to compile
+    for row in range(len(right)):  # numba compiles a slice assignment slowly
         for column in range(len(right)):
             matrix[row, column] = 0.0
     for r in range(len(kept)):
-        i, top = kept[r], r * n
+        i: int = kept[r]
+        top = r * n
         _, _, transform, order = bases[i // 2]
         for q in range(len(kept)):
-            value, slope, _, _ = bases[kept[q] // 2]
+            axis: int = kept[q] // 2
+            value, slope, _, _ = bases[axis]
             _add_block(transform, slopes[i, kept[q]], value, slopes[i, 4 + kept[q]], slope, matrix, top, q * n)
         for k in range(n):
             curvature, driven = -((speed * order[k]) ** 2), 0.0
@@ -182,9 +203,9 @@ def _linearise(states, c, bases, phase, speed, p, kept, unit, work, matrix, righ
                     matrix[top + k, q * n + j] *= factor
 
 
-@njit(cache=True, error_model="numpy")
-def _scale_rows(matrix, right):
-    """Bring the rows to one size; False where one is empty or not finite."""
+@compiled
+def _scale_rows(matrix: Array, right: Array) -> bool:
+    """Scale the rows to equal size. False if a row is zero or not finite."""
     for i in range(len(right)):
         size = 0.0
         for j in range(len(right)):
@@ -200,9 +221,9 @@ def _scale_rows(matrix, right):
     return True
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _eliminate(a, b):
-    """Solve a x = b by elimination with the largest pivot of each column; x into b. False where a is singular."""
+@compiled(contract=True)
+def _eliminate(a: Array, b: Array) -> bool:
+    """Solve a x = b by elimination with column pivoting; x is written to b. False if a is singular."""
     n = len(b)
     for k in range(n):
         pivot = k
@@ -230,9 +251,9 @@ def _eliminate(a, b):
     return True
 
 
-@njit(cache=True, error_model="numpy")
-def _solve(matrix, right):
-    """Solution into right; False where there is none."""
+@compiled
+def _solve(matrix: Array, right: Array) -> bool:
+    """Write the solution to right. False if it does not exist."""
     if not _scale_rows(matrix, right):
         return False
     if not _eliminate(matrix, right):
@@ -243,14 +264,23 @@ def _solve(matrix, right):
     return largest < np.inf
 
 
-@njit(cache=True, error_model="numpy")
-def _newton(c, bases, phase, speed, p, kept, least_size, states):
+@compiled
+def _newton(
+    c: Array,
+    bases: tuple[tuple[Array, Array, Array, Array], tuple[Array, Array, Array, Array]],
+    phase: Array,
+    speed: float,
+    p: Array,
+    kept: Indices,
+    least_size: float,
+    states: Array,
+) -> float:
     """Newton's method on coefficients c (n, 4), in place.
 
     Args:
         states: shape (n, 8), filled.
     Returns:
-        Size of the last step (rad, and of x, y relative to the orbit); −1 where the iteration does not converge.
+        Size of the last step (rad; x, y relative to the orbit), or −1 if the iteration does not converge.
     """
     n, m = len(c), len(kept)
     work = (np.empty(8), np.empty((n, 4)), np.empty((4, 8, n)), np.empty((4, 8)))

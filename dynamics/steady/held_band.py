@@ -1,12 +1,12 @@
 # pyright: strict
-"""Where pendulums with dry friction come to rest for good, and how the disk's orbit goes with it.
+"""Angles at which pendulums with dry friction rest permanently, and the corresponding orbit of the disk.
 
-A pendulum at rest on the rotor needs the torque T = S Im(conj(p̈) e^{iφ}) to be held. With the disk's orbit
-q = F e^{iψ} + B e^{−iψ} it has a mean, −ω² S Im(conj(F + R_C) e^{iθ}), and pulsates twice a revolution by ω² S |B|.
-Friction holds for good where mean and pulsation together stay below it for both pendulums; elsewhere the pulsation
-shakes a pendulum loose and it creeps on. About frictionless angles both are linear in the angles. What can be held is
-then a region that lies inside the outer band of dynamics.steady.stick_band and vanishes where the pulsation alone
-exceeds the friction. Source: docs/theory/validation.md.
+A pendulum at rest on the rotor needs the torque T = S Im(conj(p̈) e^{iφ}). With the disk's orbit
+q = F e^{iψ} + B e^{−iψ} this torque has the mean −ω² S Im(conj(F + R_C) e^{iθ}) and a pulsation of ω² S |B| twice a
+revolution. Friction holds permanently if the sum of mean and pulsation is below it for both pendulums. Otherwise the
+pulsation releases a pendulum periodically and it creeps. Near frictionless angles both are linear in the angles. The
+held region lies inside the outer band of dynamics.steady.stick_band. It vanishes if the pulsation alone exceeds the
+friction. Source: docs/theory/validation.md.
 """
 
 from __future__ import annotations
@@ -15,13 +15,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.locked_motion import locked_orbit
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _STEP_RAD = 1e-6
 _TURN = np.linspace(0, 2 * math.pi, 1440, endpoint=False)
@@ -30,14 +27,14 @@ _DIRECTIONS: Array = np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
 
 @dataclass(frozen=True)
 class HeldBand:
-    """Angles at which friction may hold both pendulums, about frictionless ones.
+    """Angles at which friction can hold both pendulums, relative to frictionless ones.
 
     Attributes:
-        half_width_rad: of A and B, shape (2,): the farthest either may rest; π where nothing draws it back.
-        covariance: of both angles, rad², shape (2, 2): evenly spread over the region's edge, where a creep ends, and
-            as far as that edge along the slowest direction, along which a creep comes.
-        outer_rad: of A and B, shape (2,): how far the mean torque alone leaves either at rest (stick_band). From there
-            to the region a pendulum creeps, shaken loose twice a revolution.
+        half_width_rad: largest deviation of A and B, shape (2,); π without a restoring torque.
+        covariance: covariance of both angles, rad², shape (2, 2): uniform over the region's edge, where a creep ends,
+            and extended to that edge along the slowest direction, along which a creep approaches.
+        outer_rad: largest deviation of A and B permitted by the mean torque alone, shape (2,) (stick_band). Between it
+            and the region a pendulum creeps, because the pulsation releases it twice a revolution.
         orbit_slopes: ∂(X, Y)/∂(θ3, θ4) of the held orbit x = Re(X e^{iψ}), y = Re(Y e^{iψ}), m/rad, shape (2, 2).
     """
 
@@ -48,27 +45,27 @@ class HeldBand:
 
     @property
     def whirl_variance_m2(self) -> Array:
-        """Variance of the real or the imaginary part of X and Y, shape (2,), phases taken as equally likely."""
+        """Variance of the real or the imaginary part of X and Y, m², shape (2,), for uniformly distributed phases."""
         spread = self.orbit_slopes @ self.covariance @ np.conj(self.orbit_slopes).T
         return 0.5 * np.real(np.diag(spread))
 
 
 def held_band(p: RotorParameters, speed: float, theta: tuple[float, float], torque_Nm: Array) -> HeldBand:
-    """Where pendulums may rest about frictionless angles.
+    """Angles at which pendulums can rest, relative to frictionless angles.
 
     Args:
-        speed: rad/s.
-        theta: θ3, θ4 of a frictionless steady state, rad; means over a revolution where they wobble.
+        speed: speed of the rotor, rad/s.
+        theta: θ3, θ4 of a frictionless steady state, rad; means over a revolution if they oscillate.
         torque_Nm: dry friction of A and B at this speed, shape (2,), not negative.
     Raises:
-        OutsideDomain: exactly in a resonance without damping.
+        OutsideDomain: the speed coincides with an undamped resonance.
     """
     moments = np.array([p.a.first_moment_kg_m, p.b.first_moment_kg_m]) * speed**2
     here = np.array(theta)
     ends = [[_orbit(p, speed, here + sign * step) for sign in (1, -1)] for step in _STEP_RAD * np.eye(2)]
     slopes = np.stack([(up - down) / (2 * _STEP_RAD) for up, down in ends], axis=1)
     orbit = _orbit(p, speed, here)
-    # conj(F) e^{iθ} by the angles: through F, and for a pendulum's own angle by turning
+    # derivative of conj(F) e^{iθ} by the angles: through F, and through a pendulum's own angle
     forward, forward_by = orbit[0] + 1j * orbit[1], slopes[0] + 1j * slopes[1]  # twice F
     shift = 2 * p.pivot_shift_m
     turn = np.exp(1j * here)
@@ -84,7 +81,7 @@ def held_band(p: RotorParameters, speed: float, theta: tuple[float, float], torq
     area = float(np.sum(reach**2))
     if not area > 0:
         return HeldBand(np.zeros(2), np.zeros((2, 2)), outer, slopes)
-    # of an ellipse's edge twice that of what it holds, ∫ u uᵀ r³ dr dφ over ∫ r dr dφ
+    # the edge of an ellipse has twice the variance of its area: ∫ u uᵀ r³ dr dφ over ∫ r dr dφ
     covariance = np.asarray((ends_rad * reach[:, None]).T @ (ends_rad * reach[:, None]) / area, np.float64)
     viscous = np.array([p.a.damping_Nms_per_rad, p.b.damping_Nms_per_rad])
     slowest = _slowest(stiffness / (viscous if np.all(viscous > 0) else np.ones(2))[:, None])
@@ -94,7 +91,7 @@ def held_band(p: RotorParameters, speed: float, theta: tuple[float, float], torq
 
 
 def _slowest(rates: Array) -> Array:
-    """Direction in which both angles come to rest last, of length 1; 0 where they wind in, which has none."""
+    """Unit vector along which both angles come to rest last; 0 if they spiral, which has no such direction."""
     values, vectors = np.linalg.eig(rates)
     if np.iscomplexobj(values) or not np.all(np.isfinite(values)):
         return np.zeros(2)
@@ -102,13 +99,13 @@ def _slowest(rates: Array) -> Array:
 
 
 def _along(covariance: Array, end: Array) -> float:
-    """Variance along an end by that end's square, at most 1."""
+    """Variance along a vector divided by the square of its length, at most 1."""
     square = float(end @ end)
     return min(1.0, float(end @ covariance @ end) / square**2) if square > 0 else 1.0
 
 
 def _outer(stiffness: Array, torque_Nm: Array) -> Array:
-    """|K⁻¹| M, at most π; π where nothing draws the pendulums back."""
+    """|K⁻¹| M, at most π; π without a restoring torque."""
     try:
         compliance = np.abs(np.asarray(np.linalg.inv(stiffness), np.float64))
     except np.linalg.LinAlgError:
@@ -117,9 +114,9 @@ def _outer(stiffness: Array, torque_Nm: Array) -> Array:
 
 
 def _reach(stiffness: Array, backward: Complex, moments: Array, torque_Nm: Array) -> Array:
-    """How far friction holds both pendulums along each direction of the angles, rad, shape (n,), at most π.
+    """Largest held deviation of both pendulums along each direction of the angles, rad, shape (n,), at most π.
 
-    Along r u it holds while |K u| r + m |B0 + (B1·u) r| ≤ M: a quadratic in r for each pendulum.
+    Along r u friction holds while |K u| r + m |B0 + (B1·u) r| ≤ M: a quadratic in r for each pendulum.
 
     Args:
         backward: B0 and its derivatives by θ3, θ4, shape (3,).

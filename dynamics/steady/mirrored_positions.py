@@ -1,10 +1,10 @@
 # pyright: strict
-"""Both balanced positions of a pair of pendulums when each has a pivot and a torque of its own.
+"""Both balanced positions of a pair of pendulums with individual pivots and torques.
 
 In the rotating frame, with D = k − M_S ω² + iωc, the fixed first moment F and the pivots R_i e^{iψ} from the axis,
     D z = ω² (F + S_A e^{iθ3} + S_B e^{iθ4}),     S_i ω² Im(conj(z + R_i) e^{iθ_i}) = τ_i.
-z is eliminated; θ3 and θ4 are found by Newton's method from the two positions that balance without imperfection, which
-grow to their size in steps. With τ = 0 and R_A = R_B the pivot rests in both positions, so that |z| = |R| in both.
+z is eliminated. Newton's method finds θ3 and θ4 from the two positions without imperfections, which are increased in
+steps. With τ = 0 and R_A = R_B the pivot is at rest in both positions, so that |z| = |R| in both.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
@@ -24,18 +24,18 @@ from dynamics.steady.steady_motions import check_request
 _STEPS = 16
 _ROUNDS = 30
 _ARRIVED = 1e-13
-_FAR_RAD = 0.5  # a Newton step beyond this has left the branch
+_MAX_STEP_RAD = 0.5  # largest Newton step on the branch
 
 
 @dataclass(frozen=True)
 class Imperfections:
-    """What a rig's maker did not want.
+    """Imperfections of a rig.
 
     Attributes:
-        pivot_a_m, pivot_b_m: where each pendulum's pivot stands in the rotor's frame, x along the imbalance, m. The
-            imbalance that it brings is taken to be balanced away.
-        torque_a_Nm, torque_b_Nm: constant torque on each pendulum along the rotation, as dry friction holds at rest or
-            as air that does not turn with the rotor drags, N m.
+        pivot_a_m, pivot_b_m: position of each pendulum's pivot in the rotor's frame, x along the imbalance, m. The
+            imbalance caused by it is assumed to be compensated.
+        torque_a_Nm, torque_b_Nm: constant torque on each pendulum in the direction of rotation, N m: dry friction at
+            rest, or drag of air that does not rotate with the rotor.
     """
 
     pivot_a_m: complex = 0j
@@ -46,11 +46,11 @@ class Imperfections:
 
 @dataclass(frozen=True)
 class BalancedPosition:
-    """One of the two.
+    """One of the two balanced positions.
 
     Attributes:
         theta_rad: θ3, θ4, in [0, 2π).
-        z_m: disk centre in the rotor's frame; its modulus is the radius of the whirl that is left.
+        z_m: disk centre in the rotor's frame, m. Its modulus is the radius of the residual whirl.
     """
 
     theta_rad: tuple[float, float]
@@ -60,17 +60,17 @@ class BalancedPosition:
 def mirrored_positions(
     rig: RotorParameters | object, speed_rad_s: float, imperfections: Imperfections
 ) -> tuple[BalancedPosition, BalancedPosition]:
-    """Where both pendulums rest on either side, and the whirl that is left there.
+    """Compute both balanced positions and the residual whirl.
 
     Args:
-        rig: RotorParameters, or anything whose `.physics` is; isotropic, without gravity, bow and pivot shift.
-        speed_rad_s: rad/s.
+        rig: RotorParameters, or an object whose `.physics` is one; isotropic, without gravity, bow and pivot shift.
+        speed_rad_s: speed of the rotor, rad/s.
     Returns:
-        That with θ3 ≤ π without imperfection, and its mirror image.
+        The position with θ3 ≤ π without imperfections, and its mirror image.
     Raises:
         OutsideDomain: another rig or speed, or numbers that are not finite.
-        NoBalancedState: pendulums that balance nothing, or a single position.
-        NotConverged: imperfections so large that a position is lost on the way.
+        NoBalancedState: the pendulums cannot balance the rig, or there is a single position.
+        NotConverged: the imperfections are so large that a position is lost while they are increased.
     Source: docs/theory/steady_states.md.
     """
     p = physics_of(rig)
@@ -90,8 +90,8 @@ def mirrored_positions(
     return first, second
 
 
-def _followed(p: RotorParameters, speed: float, theta: NDArray[np.float64], whole: Imperfections) -> BalancedPosition:
-    """From the balanced angles to the whole imperfection."""
+def _followed(p: RotorParameters, speed: float, theta: Array, whole: Imperfections) -> BalancedPosition:
+    """Continue from the balanced angles to the whole imperfection."""
     z = 0j
     for share in np.linspace(0, 1, _STEPS + 1)[1:].tolist():
         part = replace(
@@ -106,9 +106,7 @@ def _followed(p: RotorParameters, speed: float, theta: NDArray[np.float64], whol
     return BalancedPosition((a, b), z)
 
 
-def _newton(
-    p: RotorParameters, speed: float, theta: NDArray[np.float64], part: Imperfections
-) -> tuple[NDArray[np.float64], complex]:
+def _newton(p: RotorParameters, speed: float, theta: Array, part: Imperfections) -> tuple[Array, complex]:
     stiffness, square = dynamic_stiffness(p, speed), speed**2
     moments = np.array([p.a.first_moment_kg_m, p.b.first_moment_kg_m])
     pivots = np.array([part.pivot_a_m, part.pivot_b_m])
@@ -124,11 +122,11 @@ def _newton(
             step = np.linalg.solve(slope, off)
         except np.linalg.LinAlgError:
             break
-        if not np.all(np.abs(step) < _FAR_RAD):
+        if not np.all(np.abs(step) < _MAX_STEP_RAD):
             break
         theta = theta - step
         if float(np.max(np.abs(step))) < _ARRIVED:
             return theta, complex(square * (p.forcing_moment_kg_m + moments @ np.exp(1j * theta)) / stiffness)
     if float(np.max(np.abs(step))) < 1e2 * _ARRIVED:
         return theta, z
-    raise NotConverged(f"the balanced position is lost on the way to {part}")
+    raise NotConverged(f"the balanced position is lost while the imperfections are increased to {part}")

@@ -1,11 +1,11 @@
 """Periodic orbits at constant speed by harmonic balance in the rotor's phase.
 
-A steady motion repeats with the rotor. Without gravity it even repeats after half a revolution, x and y with their
-sign turned: x, y hold odd orders of the rotor's phase, θ3, θ4 even ones. The unknowns are the Fourier coefficients
-that N equally spaced phases of half a revolution resolve (2N of a whole one with gravity); the forces are evaluated at
+A steady motion is periodic with the rotor. Without gravity, x and y change sign after half a revolution and the angles
+repeat: x, y contain odd orders of the rotor's phase, θ3, θ4 even ones. The unknowns are the Fourier coefficients
+that N equally spaced phases of half a revolution resolve (2N of a whole one with gravity). The forces are evaluated at
 those phases and transformed back. Newton's method solves the balance, with the exact Jacobian of the compiled kernel.
-No time step and no stability limit: the stiffest damping and the slowest speed cost the same as the nominal rig. The
-error falls faster than any power of N; N is doubled until the orbit no longer moves.
+The method has neither a time step nor a stability limit: the cost is independent of damping and speed. The error
+decreases faster than any power of N. N is doubled until the orbit does not change.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.kernels import BX, BY, FA, FB, GRAVITY
 from dynamics.equations.parameters import RotorParameters
 from dynamics.steady.harmonic_balance import Grid, solve_balance
 
-_FIRST, _LARGEST = 8, 256  # phases per half revolution
-_OF_BOW = 1e-3  # of a bow: an orbit below is none
+_MIN_PHASES, _MAX_PHASES = 8, 256  # phases per half revolution
+_MIN_BOW_RATIO = 1e-3  # scale of x, y relative to a bow
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,13 @@ class Orbit:
 
     Attributes:
         states: shape (n, 8), at n equally spaced phases ψ_j = 2πj/n of a whole revolution.
-        coarse_states: the same orbit from half as many phases, shape (n/2, 8).
+        coarse_states: the orbit from half as many phases, shape (n/2, 8).
         angle_error_rad, position_error_m: bounds on the error of the angles and of x, y, from doubling the number of
             phases and from Newton's last step.
     """
 
-    states: NDArray[np.floating]
-    coarse_states: NDArray[np.floating]
+    states: Array
+    coarse_states: Array
     angle_error_rad: float
     position_error_m: float
 
@@ -43,26 +43,24 @@ class Orbit:
 def coarse_orbit(
     parameters: RotorParameters,
     speed_rad_s: float,
-    guess: NDArray[np.floating],
+    guess: Array,
     released: tuple[bool, bool] = (True, True),
-) -> NDArray[np.floating] | None:
-    """The orbit at the lowest resolution, enough to tell it from others.
+) -> Array | None:
+    """The orbit at the lowest resolution, sufficient to distinguish it from others.
 
     Args:
         guess: as for periodic_orbit.
     Returns:
-        States over a whole revolution, shape (16, 8); None when Newton's method does not converge.
+        States over a whole revolution, shape (16, 8), or None if Newton's method does not converge.
     """
     packed, free = _frictionless(parameters, released)
-    grid = Grid.of(_FIRST, bool(packed[GRAVITY] == 0.0))
+    grid = Grid.of(_MIN_PHASES, bool(packed[GRAVITY] == 0.0))
     solved = solve_balance(grid, speed_rad_s, packed, free, grid.coefficients(guess), _least_size(packed))
     return None if solved is None else grid.whole(solved[0])
 
 
-def _frictionless(
-    parameters: RotorParameters, released: tuple[bool, bool]
-) -> tuple[NDArray[np.floating], tuple[bool, bool]]:
-    """Packed parameters without dry friction, and which pendulums are there and free."""
+def _frictionless(parameters: RotorParameters, released: tuple[bool, bool]) -> tuple[Array, tuple[bool, bool]]:
+    """Packed parameters without dry friction, and which pendulums exist and are free."""
     packed = parameters.packed()
     packed[FA] = packed[FB] = 0.0
     return packed, (released[0] and parameters.a.present, released[1] and parameters.b.present)
@@ -71,23 +69,23 @@ def _frictionless(
 def periodic_orbit(
     parameters: RotorParameters,
     speed_rad_s: float,
-    guess: NDArray[np.floating],
+    guess: Array,
     accuracy: float,
     released: tuple[bool, bool] = (True, True),
 ) -> Orbit | None:
-    """The periodic orbit that Newton's method reaches from a guess.
+    """The periodic orbit found by Newton's method from a guess.
 
-    Dry friction is left out: it turns an orbit into a band of resting poses (see dynamics.steady.steady_motions).
+    Dry friction is neglected: with it an orbit becomes a band of rest positions (see dynamics.steady.steady_motions).
 
     Args:
         guess: positions x, y (m), θ3, θ4 (rad) at equally spaced phases of a whole revolution, shape (n, 4).
-        accuracy: wanted error of the angles (rad), and of x, y relative to the orbit's size.
+        accuracy: permitted error of the angles (rad), and of x, y relative to the orbit's size.
     Returns:
-        None when the iteration does not converge.
+        The orbit, or None if the iteration does not converge.
     """
     packed, free = _frictionless(parameters, released)
-    positions, before, half = guess, None, _FIRST
-    while half <= _LARGEST:
+    positions, before, half = guess, None, _MIN_PHASES
+    while half <= _MAX_PHASES:
         grid = Grid.of(half, bool(packed[GRAVITY] == 0.0))
         solved = solve_balance(grid, speed_rad_s, packed, free, grid.coefficients(positions), _least_size(packed))
         if solved is None:
@@ -105,6 +103,6 @@ def periodic_orbit(
     return None
 
 
-def _least_size(packed: NDArray[np.floating]) -> float:
-    """What x, y are held against at least, m: pendulums that balance a bow leave the disk at rest."""
-    return _OF_BOW * float(np.hypot(packed[BX], packed[BY]))
+def _least_size(packed: Array) -> float:
+    """Smallest scale of x, y, m. If pendulums balance a bow, the disk is at rest."""
+    return _MIN_BOW_RATIO * float(np.hypot(packed[BX], packed[BY]))

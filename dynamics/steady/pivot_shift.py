@@ -1,10 +1,10 @@
 # pyright: strict
-"""A balancer whose pivot stands beside the rotor's axis: what is left of the vibration, over the shift.
+"""Residual vibration of a balancer with a pivot shifted from the rotor's axis, over the shift.
 
-With a compensated shift R_C the pendulums bring their pivot to rest as long as they can: z = −R_C, so that the radius
-that is left is the shift itself. They need S_A e^{iθ3} + S_B e^{iθ4} = M_S R_C − S_P − (k + iωc) R_C/ω². The modulus
-of the right side is least near R_C = e = S_P/M_S, where equal pendulums stand opposed, and reaches S_A + S_B near
-R_C = (S_P + S_A + S_B)/M_S, where they come together and nothing is left to balance with.
+With a compensated shift R_C the pendulums bring their pivot to rest if they can: z = −R_C, so that the residual radius
+is the shift itself. This requires S_A e^{iθ3} + S_B e^{iθ4} = M_S R_C − S_P − (k + iωc) R_C/ω². The modulus of the
+right side is smallest near R_C = e = S_P/M_S, where equal pendulums are opposed. It reaches S_A + S_B near
+R_C = (S_P + S_A + S_B)/M_S, where they come together and balancing ends.
 """
 
 from __future__ import annotations
@@ -12,18 +12,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias, cast
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize_scalar  # pyright: ignore[reportUnknownVariableType, reportMissingTypeStubs]
 
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.steady.branches import SteadyBranches, steady_branches
 from dynamics.steady.singular_points import singular_points
-
-Array: TypeAlias = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -31,13 +30,14 @@ class ShiftedPivot:
     """Steady states over the relative shift ρ_C = R_C/e.
 
     Attributes:
-        eccentricity_m: e.
-        found: branches over ρ_C, break points and locked amplitudes with them.
-        ratio: shift and α = released over locked amplitude of the stable state, (n,) each; one of two mirror images.
-        theta_rad: θ3, θ4 of it, (n, 2).
+        eccentricity_m: e, m.
+        found: branches over ρ_C with break points and locked amplitudes.
+        ratio: shift and α = released over locked amplitude of the stable state, (n,) each, for one of two mirror
+            images.
+        theta_rad: θ3, θ4 of that state, (n, 2).
         apart_rad: the smaller angle between the pendulums, 0 … π, (n,).
-        most_apart: ρ_C at which that is largest.
-        together: ρ_C from which the stable state is Type III; nan where there is none in the range.
+        most_apart: ρ_C at which this angle is largest.
+        together: ρ_C from which the stable state is Type III; NaN if the range contains no such ρ_C.
     """
 
     eccentricity_m: float
@@ -54,18 +54,18 @@ def shifted_pivot(
     speed_rad_s: float,
     relative_shift: ArrayLike,
     eccentricity_m: float | None = None,
-    tell: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> ShiftedPivot:
-    """Released over locked amplitude and pendulum angles over the pivot's shift.
+    """Compute the ratio of released to locked amplitude and the pendulum angles over the pivot's shift.
 
     Args:
-        rig: RotorParameters, or anything whose `.physics` is; its own shift is replaced.
-        speed_rad_s: rad/s.
-        relative_shift: ρ_C = R_C/e, rising, not negative, shape (n,), n ≥ 2.
-        eccentricity_m: e; None: S_P/M_S.
-        tell: told the share done.
+        rig: RotorParameters, or an object whose `.physics` is one; its own shift is replaced.
+        speed_rad_s: speed of the rotor, rad/s.
+        relative_shift: ρ_C = R_C/e, ascending, not negative, shape (n,), n ≥ 2.
+        eccentricity_m: e, m. None: S_P/M_S.
+        progress: called with the completed share, 0 … 1.
     Raises:
-        OutsideDomain: no imbalance, or shifts that do not rise from 0.
+        OutsideDomain: no imbalance, or shifts that are negative or not ascending.
         NotConverged: as steady_states.
     Source: docs/theory/steady_states.md.
     """
@@ -76,7 +76,7 @@ def shifted_pivot(
         raise OutsideDomain(f"shifted pivot: expected an eccentricity above 0 m, got {e!r}")
     if shifts.ndim != 1 or np.any(shifts < 0):
         raise OutsideDomain(f"shifted pivot: expected relative shifts of 0 or more, got {relative_shift!r:.80}")
-    found = steady_branches(lambda rho: (replace(p, pivot_shift_m=rho * e), speed_rad_s), shifts, tell=tell)
+    found = steady_branches(lambda rho: (replace(p, pivot_shift_m=rho * e), speed_rad_s), shifts, progress=progress)
     values, amplitude, theta = _stable(found)
     locked = np.interp(values, found.values, found.locked_amplitude_m)
     apart = np.abs(np.angle(np.exp(1j * (theta[:, 0] - theta[:, 1]))))
@@ -93,7 +93,7 @@ def shifted_pivot(
 
 
 def _stable(found: SteadyBranches) -> tuple[Array, Array, Array]:
-    """Values, amplitudes and angles of the stable states, of mirror images the first."""
+    """Values, amplitudes and angles of the stable states; the first one of mirror images."""
     taken: dict[float, tuple[float, Array]] = {}
     for b in found.stable_branches():
         for i, value in enumerate(b.values.tolist()):
@@ -104,7 +104,7 @@ def _stable(found: SteadyBranches) -> tuple[Array, Array, Array]:
 
 
 def _most_apart(p: RotorParameters, speed: float, e: float, values: Array, apart: Array) -> float:
-    """The shift at which the pendulums of the balancing state stand farthest apart, between the values beside it."""
+    """The shift at which the pendulums of the balancing state are farthest apart, between neighbouring values."""
     if len(values) < 3:
         return math.nan
     at = int(np.argmax(apart))

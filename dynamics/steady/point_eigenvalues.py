@@ -1,5 +1,5 @@
 # pyright: strict
-"""Eigenvalues of small motions about a singular point: how each grows or dies away, seen on the rotor."""
+"""Eigenvalues of small motions about a singular point: growth or decay of each mode in the rotating frame."""
 
 from __future__ import annotations
 
@@ -7,37 +7,35 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics.arguments import need_number
+from dynamics.arguments import check_number
+from dynamics.arrays import Complex, Indices
 from dynamics.equations.linearised import rotating_frame
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.steady.singular_points import SingularPoint
 from dynamics.steady.whirl import circular_whirl
 
-_ROUNDING = 1e-13  # of the matrix's norm
+_ROUNDING = 1e-13  # relative to the matrix's norm
 
 
-def point_eigenvalues(
-    rig: RotorParameters | object, speed_rad_s: float, points: Sequence[SingularPoint]
-) -> NDArray[np.complex128]:
-    """Eigenvalues λ of δẏ = A δy about singular points of an isotropic rig, in the frame that turns with the rotor.
+def point_eigenvalues(rig: RotorParameters | object, speed_rad_s: float, points: Sequence[SingularPoint]) -> Complex:
+    """Eigenvalues λ of δẏ = A δy about singular points of an isotropic rig, in the frame that rotates with the rotor.
 
-    The multipliers over one revolution are e^{2πλ/ω}; the eigenvalues keep what those lose where λ is large.
+    The multipliers over one revolution are e^{2πλ/ω}. For large λ the eigenvalues keep information that these lose.
 
     Args:
-        rig: RotorParameters, or anything whose `.physics` is; isotropic, both pendulums there, no gravity.
+        rig: RotorParameters, or an object whose `.physics` is one; isotropic, with both pendulums, without gravity.
         speed_rad_s: running speed, rad/s, above 0.
-        points: as dynamics.steady.singular_points.singular_points gives them for this rig and speed.
+        points: result of dynamics.steady.singular_points.singular_points for this rig and speed.
     Returns:
         Shape (points, 8), 1/s, the largest real part first.
     Raises:
-        OutsideDomain: another suspension, gravity, a pendulum that is not there, or a speed not above 0.
+        OutsideDomain: another suspension, gravity, an absent pendulum, or a speed not above 0.
     Source: the source's (3-26) to (3-32), with the matrix derived from its energies (dynamics.equations.linearised).
     """
     p = physics_of(rig)
-    need_number(speed_rad_s=speed_rad_s)
+    check_number(speed_rad_s=speed_rad_s)
     if not 0 < speed_rad_s < math.inf:
         raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
     if not (p.a.present and p.b.present):
@@ -45,13 +43,13 @@ def point_eigenvalues(
     found = np.empty((len(points), 8), np.complex128)
     for own, point in zip(found, points, strict=True):
         matrix = rotating_frame(p, circular_whirl(speed_rad_s, point)[0], speed_rad_s)
-        values: NDArray[np.complex128] = np.asarray(np.linalg.eigvals(np.asarray(matrix.at(0.0))), np.complex128)
+        values: Complex = np.asarray(np.linalg.eigvals(np.asarray(matrix.at(0.0))), np.complex128)
         own[:] = values[np.argsort(-values.real)]
     return found
 
 
-def stability_of(eigenvalues: NDArray[np.complex128]) -> NDArray[np.int64]:
-    """1 where all eigenvalues of a point have a negative real part, −1 where one has a positive one, 0 within rounding.
+def stability_of(eigenvalues: Complex) -> Indices:
+    """1 if all eigenvalues of a point have a negative real part, −1 if one has a positive real part, 0 within rounding.
 
     Args:
         eigenvalues: shape (…, 8), 1/s.

@@ -1,14 +1,13 @@
 # pyright: strict
-"""Where the singular points of Types II and III are lost: speeds and damping ratios with no such point at all.
+"""Loss of singular points of Types II and III: speeds and damping ratios at which such a point does not exist.
 
-Pendulums in line make the moment S_T e^{iθ}: S_T = |S_A − S_B| opposed (Type II), S_A + S_B together (Type III). Their
-torque vanishes at sin(θ + φ_H) = −(S_T/S_P) sin φ_H, φ_H the lag of the whirl behind the force that drives it. It
-turns to nothing where S_T sin φ_H > S_P. On an isotropic suspension tan φ_H = 2ζΩ/(1 − Ω²), so with tan β and
-sin β = S_P/S_T the pair is lost where
-
+Pendulums in line have the moment S_T e^{iθ}: S_T = |S_A − S_B| opposed (Type II), S_A + S_B together (Type III). Their
+torque vanishes at sin(θ + φ_H) = −(S_T/S_P) sin φ_H, φ_H the lag of the whirl behind its exciting force. There is no
+solution if S_T sin φ_H > S_P. On an isotropic suspension tan φ_H = 2ζΩ/(1 − Ω²), so with tan β and sin β = S_P/S_T the
+pair is lost if
     2ζΩ > |1 − Ω²| tan β:    ζ(Ω) = |1 − Ω²| tan β / (2Ω),    Ω∓(ζ) = sqrt(1 + t²) ∓ t,  t = ζ / tan β,
 
-and Ω₊ = 1/Ω₋. S_T ≤ S_P is never lost, at no damping.
+and Ω₊ = 1/Ω₋. For S_T ≤ S_P the pair is not lost at any damping.
 """
 
 from __future__ import annotations
@@ -19,14 +18,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics.arguments import numbers
+from dynamics.arguments import real_array
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.steady.singular_points import dynamic_stiffness
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -35,8 +32,8 @@ class PointLoss:
 
     Attributes:
         type: "II" (opposed) or "III" (together).
-        moment_kg_m: S_T.
-        speed_ratios: pairs from, to of Ω = ω/ω_n1 between which there is none; empty where it is never lost.
+        moment_kg_m: S_T, kg m.
+        speed_ratios: intervals (from, to) of Ω = ω/ω_n1 without such a point; empty if it is never lost.
     """
 
     type: str
@@ -55,11 +52,11 @@ def damping_at_loss(share: float, speed_ratio: Array) -> Array:
         share: S_P/S_T, not negative.
         speed_ratio: Ω, above 0, any shape.
     Returns:
-        ζ(Ω); inf where the pair is never lost (share at least 1).
+        ζ(Ω); inf if the pair is never lost (share at least 1).
     Raises:
-        OutsideDomain: a share or a speed ratio outside this.
+        OutsideDomain: a share or a speed ratio outside these ranges.
     """
-    ratio, tangent = numbers("speed_ratio", speed_ratio), _tangent(share)
+    ratio, tangent = real_array("speed_ratio", speed_ratio), _tangent(share)
     if not np.all((ratio > 0) & np.isfinite(ratio)):
         raise OutsideDomain(f"speed ratios: expected finite values above 0, got {speed_ratio!r}")
     if tangent == math.inf:
@@ -74,11 +71,11 @@ def speeds_at_loss(share: float, zeta: Array) -> tuple[Array, Array]:
         share: S_P/S_T, not negative.
         zeta: damping ratios, not negative, any shape.
     Returns:
-        Ω₋ and Ω₊ = 1/Ω₋; both 1 where nothing is lost.
+        Ω₋ and Ω₊ = 1/Ω₋; both 1 if nothing is lost.
     Raises:
-        OutsideDomain: a share or a damping ratio outside this.
+        OutsideDomain: a share or a damping ratio outside these ranges.
     """
-    damping, tangent = numbers("zeta", zeta), _tangent(share)
+    damping, tangent = real_array("zeta", zeta), _tangent(share)
     if not np.all((damping >= 0) & np.isfinite(damping)):
         raise OutsideDomain(f"damping ratios: expected finite values not below 0, got {zeta!r}")
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -90,19 +87,19 @@ def speeds_at_loss(share: float, zeta: Array) -> tuple[Array, Array]:
 def point_losses(rig: RotorParameters | object) -> tuple[PointLoss, PointLoss]:
     """Speeds at which a rig has no singular points of Type II, and of Type III.
 
-    Exact on an isotropic suspension without gravity. Otherwise this is the condition of the mean torque, that of
-    pendulums at rest on the rotor: where it says lost, an orbit of heavy pendulums that wobble may still exist.
+    The result is exact on an isotropic suspension without gravity. Otherwise it is the condition of the mean torque for
+    pendulums at rest on the rotor: in a lost interval an orbit with oscillating heavy pendulums may still exist.
 
     Args:
-        rig: RotorParameters, or anything whose `.physics` is; linear suspension, no pivot shift, no bow.
+        rig: RotorParameters, or an object whose `.physics` is one; linear suspension, no pivot shift, no bow.
     Raises:
-        OutsideDomain: a suspension that is not linear, a pivot shift or a bow.
-    Source: docs/theory/steady_states.md; checked against singular_points on both sides of each border.
+        OutsideDomain: the suspension is not linear, or there is a pivot shift or a bow.
+    Source: docs/theory/steady_states.md; verified against singular_points on both sides of each border.
     """
     p = physics_of(rig)
     if not p.suspension_is_linear or p.pivot_shift_m != 0 or p.bow_m != 0:
         raise OutsideDomain(
-            "where singular points are lost is known for a linear suspension without pivot shift and bow; ask "
+            "the loss of singular points is known for a linear suspension without pivot shift and bow; use "
             "steady_states at single speeds for this rig"
         )
     a, b = p.a.first_moment_kg_m, p.b.first_moment_kg_m
@@ -113,8 +110,8 @@ def point_losses(rig: RotorParameters | object) -> tuple[PointLoss, PointLoss]:
 
 
 def _tangent(share: float) -> float:
-    """tan β of sin β = share; inf from 1 on."""
-    (value,) = numbers("share", [share])
+    """tan β for sin β = share; inf for a share of at least 1."""
+    (value,) = real_array("share", [share])
     if not value >= 0:
         raise OutsideDomain(f"share S_P/S_T: expected a value not below 0, got {share!r}")
     return math.inf if value >= 1 else float(value / math.sqrt((1 - value) * (1 + value)))
@@ -133,7 +130,7 @@ def _lost(p: RotorParameters, moment: float) -> tuple[tuple[float, float], ...]:
 
 
 def _excess(p: RotorParameters, moment: float, ratio: float) -> float:
-    """sin φ_H − S_P/S_T, above 0 where the pair is lost."""
+    """sin φ_H − S_P/S_T, positive if the pair is lost."""
     stiffness = dynamic_stiffness(p, p.speed_rad_s(ratio))
     if not math.isfinite(abs(stiffness)):
         return -1.0
@@ -159,7 +156,7 @@ def _candidates(p: RotorParameters, share: float) -> list[float]:
 
 
 def _between(places: list[float], excess: Callable[[float], float]) -> tuple[tuple[float, float], ...]:
-    """Intervals of speed ratios with excess > 0; none of its changes of sign lies far from one of the places."""
+    """Intervals of speed ratios with excess > 0. Each sign change must be close to one of the places."""
     edges = [0.0, *places, 2 * places[-1] + 1.0]
     probes = [0.5 * (low + high) for low, high in pairwise(edges) if high > low]
     at = [excess(ratio) for ratio in probes]
@@ -172,7 +169,7 @@ def _between(places: list[float], excess: Callable[[float], float]) -> tuple[tup
 
 
 def _sign_change(excess: Callable[[float], float], low: float, high: float) -> float:
-    """Where excess changes its sign once between two speed ratios, halved to the last digit."""
+    """Position of the only sign change of excess between two speed ratios, bisected to the last digit."""
     rises = excess(high) > 0
     while low < (middle := 0.5 * (low + high)) < high:
         low, high = (low, middle) if (excess(middle) > 0) == rises else (middle, high)

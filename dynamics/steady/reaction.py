@@ -1,8 +1,8 @@
 # pyright: strict
-"""How the pendulums answer a sudden change of the rig at speed: an imbalance that jumps, a spring that is changed.
+"""Reaction of the pendulums to a sudden change of the rig at speed, for example of the imbalance or of a spring.
 
-The rotor turns on at its speed. The motion starts in the stable state of the rig as it was and is followed with the
-equations of the rig as it is. Source: docs/theory/steady_states.md, "Reaction to a sudden change".
+The rotor keeps its speed. The motion starts in the stable state of the original rig and is simulated with the equations
+of the changed rig. Source: docs/theory/steady_states.md, "Reaction to a sudden change".
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics.arguments import need_number
+from dynamics.arguments import check_number
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.scene import Scene
 from dynamics.equations.speed_history import SpeedHistory
@@ -22,11 +22,9 @@ from dynamics.motions.integrate import simulate
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
 
-Array = NDArray[np.float64]
-
-_PER_TURN = 32
-_CONSTANTS = 14.0  # time constants of the slowest motion that are followed
-_LEAST_TURNS, _LONGEST_S = 60, 600.0
+_SAMPLES_PER_REVOLUTION = 32
+_CONSTANTS = 14.0  # simulated time in time constants of the slowest motion
+_MIN_REVOLUTIONS, _MAX_S = 60, 600.0
 _NEAR_RAD = 1e-2
 
 
@@ -35,15 +33,16 @@ class Reaction:
     """A motion after a sudden change.
 
     Attributes:
-        before: stable state in which it starts.
-        after: stable state of the changed rig that it has reached; None where it has reached none by its end.
-        time_s: after the change, at the middle of each revolution, shape (n,).
+        before: stable state of the original rig, in which the motion starts.
+        after: stable state of the changed rig reached by the motion, or None.
+        time_s: time after the change at the middle of each revolution, s, shape (n,).
         amplitude_m: rms distance of the disk's centre from its mean over each revolution, shape (n,).
-        theta_rad: means of θ3, θ4 over each revolution, counted on, shape (n, 2).
+        theta_rad: means of θ3, θ4 over each revolution, not reduced, shape (n, 2).
         peak_m: largest amplitude after the change.
-        reaction_s: time from which on the amplitude stays within the wanted share of its largest deviation from the
-            end; NaN where no state was reached.
-        time_constant_s: of the slowest deviation from the state reached, by its largest multiplier; NaN without.
+        reaction_s: time from which the amplitude stays within the given share of its largest deviation from the end, s;
+            NaN if no state was reached.
+        time_constant_s: time constant of the slowest deviation from the state reached, from its largest multiplier, s;
+            NaN if no state was reached.
     """
 
     before: SteadyState
@@ -63,17 +62,17 @@ def reaction(
     share: float = 0.05,
     seconds: float | None = None,
 ) -> Reaction:
-    """Follow the motion from the stable state of one rig with the equations of another.
+    """Simulate the motion from the stable state of one rig with the equations of another.
 
     Args:
-        rig, changed: as they are before and after; RotorParameters, or anything whose `.physics` is.
-        speed_rad_s: rotor's speed, unchanged.
-        share: of the largest deviation of the amplitude, at which the reaction counts as over; above 0, below 1.
-        seconds: followed; None: fourteen time constants of the slowest stable state of the changed rig.
+        rig, changed: original and changed rig: RotorParameters, or an object whose `.physics` is one.
+        speed_rad_s: speed of the rotor, rad/s, constant.
+        share: fraction of the largest deviation of the amplitude at which the reaction counts as finished; 0 … 1.
+        seconds: simulated time, s. None: fourteen time constants of the slowest stable state of the changed rig.
     Raises:
-        OutsideDomain: the rig has no stable state to start from, or a share or a time outside.
+        OutsideDomain: the rig has no stable state, or an argument is outside its range.
     """
-    need_number(speed_rad_s=speed_rad_s, share=share)
+    check_number(speed_rad_s=speed_rad_s, share=share)
     if not 0 < share < 1:
         raise OutsideDomain(f"share must lie between 0 and 1, got {share!r}")
     old, new = physics_of(rig), physics_of(changed)
@@ -83,17 +82,17 @@ def reaction(
     ends = [state for state in steady_states(new, speed_rad_s, 1e-8) if state.stable]
     constants = [_time_constant(state, speed_rad_s) for state in ends]
     if seconds is None:
-        seconds = min(_LONGEST_S, _CONSTANTS * max(constants, default=5.0))
+        seconds = min(_MAX_S, _CONSTANTS * max(constants, default=5.0))
     turn = 2 * math.pi / speed_rad_s
     if not (math.isfinite(seconds) and seconds > 0):
         raise OutsideDomain(f"seconds must be finite and above 0, got {seconds!r}")
-    turns = max(_LEAST_TURNS, math.ceil(seconds / turn))
-    time = np.arange(turns * _PER_TURN) * (turn / _PER_TURN)
+    turns = max(_MIN_REVOLUTIONS, math.ceil(seconds / turn))
+    time = np.arange(turns * _SAMPLES_PER_REVOLUTION) * (turn / _SAMPLES_PER_REVOLUTION)
     scene = Scene(SpeedHistory.constant(speed_rad_s), (old.a.present, old.b.present), stable[0].start)
     motion = simulate(new, scene, time, 1e-6)
-    centre = np.asarray(motion.displacement_m, np.float64).reshape(turns, _PER_TURN, 2)
+    centre = np.asarray(motion.displacement_m, np.float64).reshape(turns, _SAMPLES_PER_REVOLUTION, 2)
     amplitude = np.sqrt(np.mean(np.sum((centre - centre.mean(axis=1, keepdims=True)) ** 2, axis=2), axis=1))
-    theta = np.asarray(motion.angles_rad, np.float64).reshape(turns, _PER_TURN, 2).mean(axis=1)
+    theta = np.asarray(motion.angles_rad, np.float64).reshape(turns, _SAMPLES_PER_REVOLUTION, 2).mean(axis=1)
     reached = [i for i, end in enumerate(ends) if _apart(theta[-1], end.theta_rad) < _NEAR_RAD]
     after = ends[reached[0]] if reached else None
     took = math.nan
@@ -115,7 +114,7 @@ def reaction(
 
 
 def _time_constant(state: SteadyState, speed_rad_s: float) -> float:
-    """Of the slowest deviation, s."""
+    """Time constant of the slowest deviation, s."""
     return -2 * math.pi / speed_rad_s / math.log(state.multiplier_max)
 
 

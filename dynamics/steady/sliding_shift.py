@@ -1,14 +1,15 @@
 # pyright: strict
-"""How dry friction moves a steady motion in which the pendulums wobble and never stick, to first order in the friction.
+"""Shift of a steady motion with oscillating, never sticking pendulums by dry friction, to first order in the friction.
 
-Where the suspension differs between x and y, Types II and III wobble twice a revolution. Friction −M sign θ̇ is then a
-periodic torque on the frictionless motion y(t). With the linearised motion's Φ(t) and b(t) the accelerations that a
+If the suspension differs between x and y, the pendulums of Types II and III oscillate twice a revolution. Friction
+−M sign θ̇ is then a periodic torque on the frictionless motion y(t). With the linearised motion's Φ(t), and b(t) the
+accelerations due to a torque of 1 N m on a pendulum,
 torque of 1 N m on a pendulum makes,
 
     δy(t) = Φ(t) (δy0 + ∫₀ᵗ Φ(s)⁻¹ b(s) (−M sign θ̇(s)) ds),      δy0 = (1 − ∂H/∂y)⁻¹ H-turn Φ(T) ∫₀ᵀ …,
 
-T half a revolution. A viscous damping that takes the same power moves the angles by half of it: a wobble with even
-harmonics goes one way for longer than the other, and friction has a mean then. Source: docs/theory/validation.md.
+T half a revolution. Viscous damping with the same power shifts the angles by half of it: an oscillation with even
+harmonics has unequal durations in both directions, so friction has a mean. Source: docs/theory/validation.md.
 """
 
 from __future__ import annotations
@@ -17,33 +18,31 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.parameters import RotorParameters
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Motion = Callable[[Array, Array], Array]
-"""(state at ψ = 0, instants) ↦ states (n, 8) of the rig with both pendulums free."""
+"""Function from (state at ψ = 0, instants) to states (n, 8) of the rig with both pendulums free."""
 
 _INSTANTS = 128
-_TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])  # half a revolution on, x and y are what −x and −y were
+_TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])  # x and y change sign after half a revolution
 _STEPS = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])
-_STANDS_RAD_S = 1e-6  # less is no wobble
+_MIN_RATE_RAD_S = 1e-6  # smallest rate of an oscillation
 
 
 def sliding_shift(p: RotorParameters, speed: float, start: Array, motion: Motion, torque_Nm: Array) -> Complex:
     """Shifts of mean θ3, θ4 (rad) and of the complex order-1 amplitudes of x and y (m), shape (4,) complex.
 
     Args:
-        speed: rad/s.
-        start: of the frictionless steady motion at ψ = 0, shape (8,).
-        motion: integrates.
-        torque_Nm: dry friction of A and B, shape (2,). A pendulum without a wobble is left out: it sticks.
+        speed: speed of the rotor, rad/s.
+        start: state of the frictionless steady motion at ψ = 0, shape (8,).
+        motion: function that integrates the motion.
+        torque_Nm: dry friction of A and B, N m, shape (2,). A pendulum that does not oscillate sticks and is omitted.
     """
     times = np.linspace(0, math.pi / speed, _INSTANTS + 1)
     states = motion(start, times)
-    wobbles = np.max(np.abs(states[:, 6:8]), axis=0) > _STANDS_RAD_S
+    wobbles = np.max(np.abs(states[:, 6:8]), axis=0) > _MIN_RATE_RAD_S
     if not np.any(wobbles & (torque_Nm > 0)):
         return np.zeros(4, np.complex128)
     along = np.stack(
@@ -65,18 +64,18 @@ def _nudges() -> list[tuple[Array, float]]:
 
 
 def _mean_sign(rates: Array) -> Array:
-    """Mean of the sign between instants where rates are straight lines, shape (n − 1, 2)."""
+    """Mean sign of linearly interpolated rates between instants, shape (n − 1, 2)."""
     change, size = np.diff(rates, axis=0), np.diff(np.abs(rates), axis=0)
     return np.where(np.abs(change) > 0, size / np.where(change == 0, 1.0, change), np.sign(rates[1:]))
 
 
 def _mean(values: Complex | Array) -> Complex:
-    """Over half a revolution by the trapezoidal rule; odd orders times e^{−iψ} and even ones repeat with it."""
+    """Mean over half a revolution by the trapezoidal rule, exact for odd orders times e^{−iψ} and for even orders."""
     return np.asarray((values[1:-1].sum(axis=0) + 0.5 * (values[0] + values[-1])) / (len(values) - 1), np.complex128)
 
 
 def _push(p: RotorParameters, speed: float, times: Array, states: Array) -> Array:
-    """Rates of the state by a torque on each pendulum, shape (n, 8, 2)."""
+    """Rates of the state due to a torque on each pendulum, shape (n, 8, 2)."""
     moments = np.array([p.a.first_moment_kg_m, p.b.first_moment_kg_m])
     inertias = np.array([p.a.inertia_kg_m2, p.b.inertia_kg_m2])
     phi = speed * times[:, None] + states[:, 2:4]

@@ -1,9 +1,9 @@
 """Steady motions at constant speed and their stability.
 
 Type I (balanced), II (pendulums opposed), III (together). On an isotropic suspension they are rest points of the
-rotating frame in closed form (dynamics.steady.singular_points); otherwise Types II and III are periodic orbits
-(dynamics.steady.orbits) found from the mean torque's singular points. Every one is judged by the multipliers of its own
-linearised equations (dynamics.equations.linearised, dynamics.stability.floquet).
+rotating frame in closed form (dynamics.steady.singular_points). Otherwise Types II and III are periodic orbits
+(dynamics.steady.orbits), found from the mean torque's singular points. The stability of each is determined by the
+multipliers of its own linearised equations (dynamics.equations.linearised, dynamics.stability.floquet).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics.arguments import need_number, need_pair
+from dynamics.arguments import check_number, check_pair
+from dynamics.arrays import Array
 from dynamics.equations.balancing import balanced_angles, balancing_region
 from dynamics.equations.linearised import along, rotating_frame, type_one
 from dynamics.equations.model import AUTONOMOUS, CLOSED_FORM, Model, choose_model
@@ -29,11 +29,11 @@ from dynamics.steady.steady_state import SteadyState, SteadyStates
 from dynamics.steady.stick_band import stick_half_width
 from dynamics.steady.whirl import PHASES, circular_whirl, locked_whirl
 
-_SAME_RAD = 1e-4  # orbits whose mean angles lie closer are one
-_MOST_HARMONICS = 32  # of the matrix along a motion whose damping has kinks; half as many tell the error
-_OF_KINKED = 0.3  # of the accuracy, for such an orbit: its orders fall like 1/k⁵
+_SAME_RAD = 1e-4  # difference of mean angles below which two orbits are the same
+_MAX_HARMONICS = 32  # of the matrix along a motion whose damping has kinks; half as many give the error
+_KINKED_ACCURACY = 0.3  # relative accuracy of such an orbit, because its orders decrease as 1/k⁵
 _Angles: TypeAlias = tuple[float, float]
-_FURTHER_ANGLES = np.arange(8) * math.pi / 4  # extra starts where the mean torque is no good guide
+_FURTHER_ANGLES = np.arange(8) * math.pi / 4  # additional starts, where the mean torque is not sufficient
 
 
 def steady_states(
@@ -45,29 +45,29 @@ def steady_states(
     *,
     at_least: str | None = None,
 ) -> SteadyStates:
-    """Every steady motion of Types I, II, III at a constant speed, stable ones first.
+    """Compute every steady motion of Types I, II, III at a constant speed, stable ones first.
 
     Args:
-        rig: RotorParameters, or anything whose `.physics` is.
+        rig: RotorParameters, or an object whose `.physics` is one.
         speed_rad_s: running speed, rad/s, above 0.
-        accuracy: wanted error of the largest multiplier (relative to max(1, its modulus)), of the angles (rad) and of
-            the amplitude (relative to the orbit's size).
-        released, locked_at_rad: which pendulums are free, and where the others are held.
-        at_least: name of a bigger model to use (dynamics.equations.model), for comparison.
+        accuracy: permitted error of the largest multiplier (relative to max(1, its modulus)), of the angles (rad) and
+            of the amplitude (relative to the orbit's size).
+        released, locked_at_rad: which pendulums are free, and the angles of the others.
+        at_least: name of the smallest permitted model (dynamics.equations.model), for comparisons.
     Raises:
         OutsideDomain: a speed or accuracy outside the domain.
-        NotConverged: the accuracy can't be guaranteed for any of the states; where it can for some, the others are
-            named in `unresolved`.
+        NotConverged: the accuracy cannot be guaranteed for any of the states. If it can for some of them, the others
+            are listed in `unresolved`.
     Source: docs/theory/steady_states.md.
     """
     parameters = physics_of(rig)
     check_request(speed_rad_s, accuracy)
-    need_pair(released=released, locked_at_rad=locked_at_rad)
+    check_pair(released=released, locked_at_rad=locked_at_rad)
     model = choose_model(parameters, released, at_least=at_least)
     points = singular_points(parameters, speed_rad_s, released, locked_at_rad)
     search = _Search()
     if model.name in (CLOSED_FORM, AUTONOMOUS):
-        # a suspension that is not linear never comes here: choose_model takes a bigger model
+        # a suspension that is not linear is excluded here: choose_model selects a larger model
         for point in points:
             search.judge(point.type, lambda p=point: _from_point(parameters, speed_rad_s, p, accuracy, released, model))
     else:
@@ -76,16 +76,16 @@ def steady_states(
 
 
 class _Search:
-    """What a search has found, and what it could not judge."""
+    """States found by a search, and states that could not be evaluated."""
 
     def __init__(self) -> None:
         self.found: list[SteadyState] = []
         self.unresolved: list[str] = []
         self._refused: NotConverged | None = None
-        self._places: list[_Angles] = []  # mean angles of every motion met, judged or not
+        self._places: list[_Angles] = []  # mean angles of every motion found, evaluated or not
 
     def judge(self, kind: str, make: Callable[[], SteadyState], theta: _Angles | None = None) -> None:
-        """Add a state; one whose multipliers can't be had is named in `unresolved`."""
+        """Add a state. If its multipliers cannot be computed, it is added to `unresolved`."""
         if theta is not None:
             self._places.append(theta)
         try:
@@ -94,22 +94,22 @@ class _Search:
             self._refused = refusal
             self.unresolved.append(f"{kind}: {refusal}")
 
-    def knows(self, theta: _Angles) -> bool:
-        """Whether a motion with these mean angles has been met."""
+    def contains(self, theta: _Angles) -> bool:
+        """Whether a motion with these mean angles has been found."""
         return any(_apart(theta, place) < _SAME_RAD for place in self._places)
 
     def outcome(self) -> SteadyStates:
-        """All that was found.
+        """All states found.
 
         Raises:
-            NotConverged: there are motions, and none of them could be judged.
+            NotConverged: there are motions, and none of them could be evaluated.
         """
         if self._refused is not None and not self.found:
             raise self._refused
         met: set[str] = set()
-        found = []
+        found: list[SteadyState] = []
         for s in self.found:
-            if not (s.any_angle and s.type in met):  # a circle of states is named once
+            if not (s.any_angle and s.type in met):  # a circle of states is listed once
                 found.append(s)
                 met.add(s.type if s.any_angle else "")
         return SteadyStates(found, self.unresolved)
@@ -124,24 +124,24 @@ def _search_orbits(
     released: tuple[bool, bool],
     model: Model,
 ) -> None:
-    """Orbits near the singular points of the mean torque, and from further angles."""
-    further = []
+    """Search orbits from the singular points of the mean torque and from additional angles."""
+    further: list[SingularPoint] = []
     if all(released) and p.a.present and p.b.present:
         for angle in _FURTHER_ANGLES:
             further += [SingularPoint("II", (angle, angle + math.pi), 0j), SingularPoint("III", (angle, angle), 0j)]
     linear = p if p.suspension_is_linear else replace(p, hardening_per_m2=(0.0, 0.0), damping_growth_s_per_m=(0.0, 0.0))
     for point in points + further:
         theta = point.theta_rad
-        twin = _changed_over(p, search, theta)
+        twin = _exchanged(p, search, theta)
         if twin is not None:
             search.judge(point.type, lambda t=twin: t, twin.theta_rad)
         elif point.type == "I" and _rests(p):
             search.judge("I", lambda t=theta: _balanced(p, speed, t, accuracy, model), theta)
         else:
             coarse = coarse_orbit(p, speed, _first_guess(linear, speed, theta), released)
-            if coarse is not None and search.knows(_mean_angles(coarse)):
+            if coarse is not None and search.contains(_mean_angles(coarse)):
                 continue
-            share = _OF_KINKED if _is_kinked(p) else 0.01
+            share = _KINKED_ACCURACY if _is_kinked(p) else 0.01
             orbit = None if coarse is None else periodic_orbit(p, speed, coarse[:, :4], share * accuracy, released)
             if orbit is None:
                 search.unresolved += (
@@ -149,14 +149,14 @@ def _search_orbits(
                 )
                 continue
             mean = _mean_angles(orbit.states)
-            if not search.knows(mean):
+            if not search.contains(mean):
                 kind = point.type if point.type in ("one", "none") else _kind(mean, points)
                 make = lambda k=kind, o=orbit: _from_orbit(p, speed, k, o, accuracy, released, model)  # noqa: E731
                 search.judge(kind, make, mean)
 
 
-def _first_guess(linear: RotorParameters, speed: float, theta: _Angles) -> NDArray[np.floating]:
-    """Positions (n, 4) of the linear orbit; in a resonance without damping, where it has none, of the rotor at rest."""
+def _first_guess(linear: RotorParameters, speed: float, theta: _Angles) -> Array:
+    """Positions (n, 4) of the linear orbit; in an undamped resonance, where it does not exist, of the rotor at rest."""
     try:
         return locked_whirl(linear, speed, theta)[:, :4]
     except OutsideDomain:
@@ -164,18 +164,18 @@ def _first_guess(linear: RotorParameters, speed: float, theta: _Angles) -> NDArr
 
 
 def multipliers(rig: RotorParameters | object, speed_rad_s: float, accuracy: float = 1e-8) -> SteadyState:
-    """The balanced state (Type I) at a speed with its multipliers over one revolution.
+    """Compute the balanced state (Type I) at a speed with its multipliers over one revolution.
 
     Args:
         rig, speed_rad_s, accuracy: as for steady_states.
     Raises:
-        NoBalancedState: the pendulums can't balance this imbalance, or a pivot shift, gravity or a bow leaves no rest.
+        NoBalancedState: the pendulums cannot balance this imbalance, or a pivot shift, gravity or a bow prevents rest.
     """
     parameters = physics_of(rig)
     check_request(speed_rad_s, accuracy)
     if not _rests(parameters):
         raise NoBalancedState(
-            "a pivot shift, gravity or a bow moves the disk in every state; ask steady_states for them"
+            "a pivot shift, gravity or a bow moves the disk in every state; use steady_states for them"
         )
     angles = balanced_angles(parameters)
     if not angles:
@@ -189,12 +189,12 @@ def multipliers(rig: RotorParameters | object, speed_rad_s: float, accuracy: flo
 
 
 def check_request(speed_rad_s: float, accuracy: float) -> None:
-    """Refuse a speed or an accuracy no service can take.
+    """Check the speed and the accuracy of a request.
 
     Raises:
-        OutsideDomain: speed not above 0 and finite, accuracy not within 1e-12 … 0.1.
+        OutsideDomain: the speed is not above 0 and finite, or the accuracy is not within 1e-12 … 0.1.
     """
-    need_number(speed_rad_s=speed_rad_s, accuracy=accuracy)
+    check_number(speed_rad_s=speed_rad_s, accuracy=accuracy)
     if not 0 < speed_rad_s < math.inf:
         raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
     if not 1e-12 <= accuracy <= 0.1:
@@ -202,14 +202,14 @@ def check_request(speed_rad_s: float, accuracy: float) -> None:
 
 
 def _rests(parameters: RotorParameters) -> bool:
-    """Whether the balanced state leaves the disk at rest."""
+    """Whether the disk is at rest in the balanced state."""
     return parameters.pivot_shift_m == 0 and parameters.gravity_m_per_s2 == 0 and parameters.bow_m == 0
 
 
 def _balanced(
     p: RotorParameters, speed: float, theta: tuple[float, float], accuracy: float, model: Model
 ) -> SteadyState:
-    """The balanced state: the disk rests, so that all but the multipliers is said without computing."""
+    """The balanced state. The disk is at rest, so only the multipliers are computed."""
     states = np.zeros((PHASES, 8))
     states[:, 2:4] = theta
     judged = floquet_multipliers(type_one(p, *theta, speed), accuracy)
@@ -236,7 +236,7 @@ def _balanced(
 def _from_point(
     p: RotorParameters, speed: float, point: SingularPoint, accuracy: float, released: tuple[bool, bool], model: Model
 ) -> SteadyState:
-    """A rest point of the rotating frame, or the linear orbit of a rotor with nothing free."""
+    """A rest point of the rotating frame, or the linear orbit of a rotor without free pendulums."""
     states = circular_whirl(speed, point) if model.name == AUTONOMOUS else locked_whirl(p, speed, point.theta_rad)
     if model.name == AUTONOMOUS:
         matrix = rotating_frame(p, states[0], speed, released)
@@ -256,7 +256,7 @@ def _from_orbit(
     released: tuple[bool, bool],
     model: Model,
 ) -> SteadyState:
-    most = (_MOST_HARMONICS, _MOST_HARMONICS // 2) if _is_kinked(p) else (None, None)
+    most = (_MAX_HARMONICS, _MAX_HARMONICS // 2) if _is_kinked(p) else (None, None)
     fine, coarse = (
         floquet_multipliers(along(p, states, speed, released, m), 0.5 * accuracy)
         for states, m in zip((orbit.states, orbit.coarse_states), most, strict=True)
@@ -267,13 +267,13 @@ def _from_orbit(
     if state.error_estimate > accuracy * max(1.0, state.multiplier_max):
         raise NotConverged(
             f"Type {kind} at {speed:.6g} rad/s: multiplier {state.multiplier_max:.6g} known to "
-            f"{state.error_estimate:.2g}, wanted {accuracy:.2g}; ask for less"
+            f"{state.error_estimate:.2g}, expected {accuracy:.2g}; reduce the accuracy"
         )
     return state
 
 
 def _is_kinked(p: RotorParameters) -> bool:
-    """Whether a damping has a kink where its speed vanishes."""
+    """Whether a damping force has a kink at zero speed."""
     return any((*p.damping_growth_s_per_m, p.a.drag_Nms2_per_rad2, p.b.drag_Nms2_per_rad2))
 
 
@@ -281,7 +281,7 @@ def _described(
     p: RotorParameters,
     speed: float,
     kind: str,
-    states: NDArray[np.floating],
+    states: Array,
     judged: Multipliers,
     errors: tuple[float, float],
     model: Model,
@@ -309,7 +309,7 @@ def _described(
 
 
 def _kind(mean: _Angles, points: list[SingularPoint]) -> str:
-    """Type of an orbit: balanced when nearest to such a point, else by the angle between the pendulums."""
+    """Type of an orbit: I if nearest to such a point, otherwise from the angle between the pendulums."""
     gap = abs((mean[0] - mean[1] + math.pi) % (2 * math.pi) - math.pi)
     aligned = {"III": gap, "II": math.pi - gap}
     balanced = [_apart(mean, p.theta_rad) for p in points if p.type == "I"]
@@ -318,20 +318,20 @@ def _kind(mean: _Angles, points: list[SingularPoint]) -> str:
     return min(aligned, key=lambda k: aligned[k])
 
 
-def _changed_over(p: RotorParameters, search: _Search, theta: _Angles) -> SteadyState | None:
-    """A motion found with A and B changed over, when they are alike: the motion near the angles asked for."""
+def _exchanged(p: RotorParameters, search: _Search, theta: _Angles) -> SteadyState | None:
+    """A motion found with A and B exchanged, if these are equal, near the given angles."""
     if p.a != p.b:
         return None
     for s in search.found:
         own, over = s.theta_rad, (s.theta_rad[1], s.theta_rad[0])
-        if _apart(over, theta) < 0.05 and _apart(over, own) > 0.2 and not search.knows(over):
+        if _apart(over, theta) < 0.05 and _apart(over, own) > 0.2 and not search.contains(over):
             states = s.states[:, [0, 1, 3, 2, 4, 5, 7, 6]]
             widths = s.stick_half_width_rad[::-1]
             return replace(s, theta_rad=over, states=states, start=states[0].copy(), stick_half_width_rad=widths)
     return None
 
 
-def _mean_angles(states: NDArray[np.floating]) -> _Angles:
+def _mean_angles(states: Array) -> _Angles:
     """Mean θ3, θ4 of a motion, rad."""
     theta = states[:, 2:4].mean(axis=0)
     return float(theta[0]), float(theta[1])

@@ -1,4 +1,4 @@
-"""What is known of a steady motion, and of all at one speed."""
+"""Properties of a steady motion, and the list of all at one speed."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.model import Model
 
 
@@ -21,26 +21,26 @@ class SteadyState:
         theta_rad: mean θ3, θ4 over a revolution, in [0, 2π).
         start: state at ψ = 0, shape (8,).
         states: the motion at equally spaced phases of one revolution, shape (n, 8).
-        amplitude_m: rms distance of the disk centre from the orbit's middle; for a circle its radius.
+        amplitude_m: rms distance of the disk centre from the orbit's centre; for a circle its radius.
         x_m, y_m: complex order-1 amplitudes, x = Re(x_m e^{iψ}), y = Im(y_m e^{iψ}).
-        multipliers: complex multipliers over one revolution, largest first; shape (8,), fewer when something is locked.
+        multipliers: complex multipliers over one revolution, largest first; shape (8,), fewer with locked pendulums.
         error_estimate: bound on the error of the largest modulus.
         angle_error_rad, amplitude_error_m: bounds on the errors of theta_rad and amplitude_m.
-        model: the model taken, and why.
-        method: how the multipliers were found, and why so.
-        stick_half_width_rad: with dry friction, how far either side of θ3, θ4 a pendulum may rest (0, 0 without).
-        any_angle: whether nothing singles out a direction of the rotor (no imbalance, no shift, no gravity): both
-            pendulums may be turned together by any angle, and this is one of a circle of states.
+        model: selected model with its reason.
+        method: method of the multipliers with its reason.
+        stick_half_width_rad: with dry friction, largest deviation from θ3, θ4 of a resting pendulum (0, 0 without).
+        any_angle: whether the rotor has no preferred direction (no imbalance, no shift, no gravity). Both pendulums may
+            then be turned together by any angle, and this is one of a circle of states.
     """
 
     type: str
     theta_rad: tuple[float, float]
-    start: NDArray[np.floating]
-    states: NDArray[np.floating]
+    start: Array
+    states: Array
     amplitude_m: float
     x_m: complex
     y_m: complex
-    multipliers: NDArray[np.complexfloating]
+    multipliers: Complex
     error_estimate: float
     angle_error_rad: float
     amplitude_error_m: float
@@ -56,7 +56,7 @@ class SteadyState:
 
     @property
     def stability(self) -> str:
-        """ "stable", "unstable", or "undecided" when the largest modulus is 1 within its error."""
+        """ "stable", "unstable", or "undecided" if the largest modulus is 1 within its error."""
         if self.multiplier_max + self.error_estimate < 1.0:
             return "stable"
         return "unstable" if self.multiplier_max - self.error_estimate > 1.0 else "undecided"
@@ -68,7 +68,7 @@ class SteadyState:
 
     @property
     def draws(self) -> bool:
-        """Whether it is stable, or one of a circle of states that is, along which nothing moves."""
+        """Whether the state is stable, or one of an attracting circle of states, along which it is neutral."""
         return self.stable or (self.any_angle and float(np.abs(self.multipliers[1])) + self.error_estimate < 1.0)
 
 
@@ -76,9 +76,9 @@ class SteadyStates(list[SteadyState]):
     """Steady motions found at one speed, stable ones first.
 
     Attributes:
-        unresolved: what is missing from the list, a line each: singular points of the mean torque near which the
-            search for an orbit did not converge (such a motion may exist or not: the imbalance may be too small to
-            choose an angle), and motions whose multipliers could not be had to the accuracy.
+        unresolved: incomplete results, one line each: singular points of the mean torque near which the search for an
+            orbit did not converge (the motion may or may not exist, because the imbalance may be too small to select
+            an angle), and motions whose multipliers could not be computed to the accuracy.
     """
 
     def __init__(self, states: Iterable[SteadyState] = (), unresolved: Sequence[str] = ()) -> None:

@@ -1,7 +1,7 @@
-"""Where dry friction holds a pendulum beside its frictionless rest.
+"""Angles near the frictionless rest at which dry friction holds a pendulum.
 
-The mean torque near a rest is K δθ; friction of F φ̇² = F ω² holds as long as |K δθ| ≤ F ω² for each pendulum, so the
-band reaches |K⁻¹| F ω² to either side.
+The mean torque near a rest position is K δθ. Friction F φ̇² = F ω² holds as long as |K δθ| ≤ F ω² for each pendulum.
+The band therefore extends |K⁻¹| F ω² to either side.
 """
 
 from __future__ import annotations
@@ -9,19 +9,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.integrate import locked_orbit
 
 
 def stick_half_width(p: RotorParameters, speed: float, theta: tuple[float, float]) -> tuple[float, float]:
-    """How far from resting angles dry friction holds each pendulum against the mean torque, to first order.
+    """Largest deviation of each pendulum from its rest at which dry friction holds it, to first order.
 
     Args:
         theta: θ3, θ4 of a frictionless rest, rad.
     Returns:
-        Half widths for A and B, rad; π where friction holds anywhere, 0 without friction.
+        Half widths for A and B, rad; π if friction holds at any angle, 0 without friction.
     """
     arms = np.array([p.a.friction_arm_m * p.a.first_moment_kg_m, p.b.friction_arm_m * p.b.first_moment_kg_m])
     if not np.any(arms):
@@ -29,7 +29,7 @@ def stick_half_width(p: RotorParameters, speed: float, theta: tuple[float, float
     step = 1e-6
     slope = np.empty((2, 2))
     for j in range(2):
-        ends = []
+        ends: list[Array] = []
         for sign in (1, -1):
             moved = [theta[i] + (sign * step if i == j else 0.0) for i in range(2)]
             ends.append(_mean_torque(p, speed, (moved[0], moved[1])))
@@ -42,12 +42,12 @@ def stick_half_width(p: RotorParameters, speed: float, theta: tuple[float, float
 
 
 def held_share(p: RotorParameters, speed: float, theta: tuple[float, float]) -> tuple[float, float]:
-    """Mean torque on pendulums at rest on the rotor over the friction that can hold them, not linearised.
+    """Ratio of the mean torque on pendulums at rest on the rotor to the largest friction torque, not linearised.
 
     Args:
-        theta: θ3, θ4 where they rest, rad.
+        theta: θ3, θ4 of the pendulums, rad.
     Returns:
-        Of A and B; above 1 friction does not hold it there, inf without friction and with a torque.
+        Ratios of A and B. Above 1 friction does not hold; inf without friction and with a torque.
     """
     arms = (p.a.friction_arm_m * p.a.first_moment_kg_m, p.b.friction_arm_m * p.b.first_moment_kg_m)
     shares = [
@@ -57,7 +57,7 @@ def held_share(p: RotorParameters, speed: float, theta: tuple[float, float]) -> 
     return shares[0], shares[1]
 
 
-def _mean_torque(p: RotorParameters, speed: float, theta: tuple[float, float]) -> NDArray[np.floating]:
+def _mean_torque(p: RotorParameters, speed: float, theta: tuple[float, float]) -> Array:
     """Torque on pendulums at rest on the rotor, mean over a revolution, N m, shape (2,)."""
     x, y = locked_orbit(p, speed, *theta)
     pivot = (x + y) / 2 + p.pivot_shift_m

@@ -21,7 +21,7 @@ from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.periodic_matrix import (
     PeriodicMatrix,
-    evaluate,  # pyright: ignore[reportUnknownVariableType]
+    evaluate,
 )
 from dynamics.stability.floquet import piecewise, single_pass
 from dynamics.stability.floquet.methods import per_radian

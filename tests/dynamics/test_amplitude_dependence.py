@@ -83,7 +83,7 @@ def test_the_kernels_own_derivatives() -> None:
 
 @pytest.mark.parametrize("frictional", [False, True])
 def test_derivatives_of_the_free_motion(frictional: bool) -> None:
-    """By the start state and by k, c and S_P, beside the motion with the number moved."""
+    """Derivatives by the start state and by k, c and S_P, compared with motions with changed parameters."""
     packed, history = rig().packed(), SpeedHistory.constant(SPEED)
     times = np.array([0.1, 0.25])
 

@@ -1,4 +1,4 @@
-"""What is no number, no pair or no scene is refused in words, and so are numbers no equation can take."""
+"""OutsideDomain is raised for values that are not numbers, pairs or scenes, and for numbers outside the domain."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NO_NUMBERS: list[Any] = ["3", None, [1.0, 2.0], 1j, True, {}, np.array([1.0, 2.0
 def test_what_is_no_number_is_refused_by_name(wrong: Any) -> None:
     p = rig()
     scene = Scene(SpeedHistory.constant(30.0))
-    asked = {
+    requests = {
         "speed": lambda: steady_states(p, wrong),
         "accuracy": lambda: multipliers(p, 30.0, wrong),
         "accuracy of a run": lambda: simulate(p, scene, 1.0, wrong),
@@ -37,9 +37,9 @@ def test_what_is_no_number_is_refused_by_name(wrong: Any) -> None:
         "mass": lambda: replace(p, rotor_mass_kg=wrong),
         "zeta": lambda: replace(p, zeta1=wrong),
     }
-    for name, ask in asked.items():
+    for name, request in requests.items():
         with pytest.raises(OutsideDomain, match="number") as refusal:
-            ask()
+            request()
         assert "TypeError" not in str(refusal.value), name
 
 
@@ -47,7 +47,7 @@ def test_what_is_no_number_is_refused_by_name(wrong: Any) -> None:
 def test_what_is_no_pair_or_row_is_refused(wrong: Any) -> None:
     p = rig()
     history = SpeedHistory.constant(30.0)
-    for ask in (
+    for request in (
         lambda: steady_states(p, 30.0, released=wrong),
         lambda: release_outcome(p, 30.0, wrong),
         lambda: Scene(history, wrong),
@@ -56,7 +56,7 @@ def test_what_is_no_pair_or_row_is_refused(wrong: Any) -> None:
         lambda: simulate(p, Scene(history), wrong if wrong != (1.0,) else "x"),
     ):
         with pytest.raises(OutsideDomain):
-            ask()
+            request()
 
 
 def test_a_rate_on_a_locked_pendulum_is_refused() -> None:
@@ -129,6 +129,6 @@ def test_a_moment_needs_a_mass_to_make_it() -> None:
 
 def test_a_motion_that_separates_beyond_rounding_is_refused_before_it_is_refined() -> None:
     """At 10⁵ rad/s errors grow by 10¹⁰ and more in a tenth of a second: no tolerance of a double is enough."""
-    with pytest.raises(DynamicsError, match="separates from its neighbours") as refusal:
+    with pytest.raises(DynamicsError, match="neighbouring motions diverge") as refusal:
         simulate(rig(), Scene(SpeedHistory.constant(1e5)), 0.3, 1e-8)
     assert float(str(refusal.value).split("(")[1].split(" steps")[0]) < 3e5

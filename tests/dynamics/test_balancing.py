@@ -1,4 +1,4 @@
-"""Regions, balanced angles at and beside the borders, and the ring of the centre of gravity."""
+"""Regions, balanced angles on and near the borders, and the ring of the centre of gravity."""
 
 from __future__ import annotations
 

@@ -21,17 +21,17 @@ _MOMENT = st.floats(0.0, 1.0).map(lambda x: 1e-6 * round(1e6 * x))
 def test_the_region_changes_at_the_margins_only(a: float, b: float, s: float) -> None:
     found = balancing_margins(a, b, s)
     assert found.region == balancing_region(a, b, s)
-    beside = 1e-9
+    offset = 1e-9
     for margin, sign in ((found.may_grow_kg_m, 1), (found.may_shrink_kg_m, -1)):
         if margin is None:
             far = s + 10.0 if sign > 0 else 0.0
             assert balancing_region(a, b, far) == found.region
             continue
         assert margin >= 0
-        if margin > 2 * beside:
-            assert balancing_region(a, b, s + sign * (margin - beside)) == found.region
-        if s + sign * (margin + beside) >= 0:
-            assert balancing_region(a, b, s + sign * (margin + beside)) != found.region
+        if margin > 2 * offset:
+            assert balancing_region(a, b, s + sign * (margin - offset)) == found.region
+        if s + sign * (margin + offset) >= 0:
+            assert balancing_region(a, b, s + sign * (margin + offset)) != found.region
 
 
 def test_three_regions() -> None:

@@ -219,7 +219,7 @@ def test_slipping_cells_have_a_slipping_orbit(slipping):
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"a": Pendulum(0.075, 0.054, 1e-3, friction_arm_m=1e-5)}, "friction"),
         ({"a": Pendulum.absent(), "b": Pendulum.absent()}, "pendulum"),
@@ -227,9 +227,9 @@ def test_slipping_cells_have_a_slipping_orbit(slipping):
         ({"a": Pendulum(1e-8, 0.054, 50.0)}, "steps"),
     ],
 )
-def test_what_has_no_basins_is_refused(changed, said):
+def test_what_has_no_basins_is_refused(changed, message):
     p = replace(rig(), **changed)
-    with pytest.raises(OutsideDomain, match=said):
+    with pytest.raises(OutsideDomain, match=message):
         basins(p, _speed(p, E), [0.1], [3.0], 1.0)
 
 
@@ -283,7 +283,12 @@ def test_stable_motions_along_a_row():
 def test_an_orbit_that_releases_miss_comes_from_a_neighbour(monkeypatch):
     p, damped = rig(zeta=0.02), rig(zeta=0.05)
     near = [rig(zeta=z) for z in (0.049, 0.051)]
-    rigs = [near[0], p, near[1], damped]  # two rows: the one below the first sees it, and hands it on to the right
+    rigs = [
+        near[0],
+        p,
+        near[1],
+        damped,
+    ]  # two rows: the orbit is continued down, then to the right
     released = coexisting.slipping_orbit
     first = _speed(near[0], D)
     monkeypatch.setattr(
@@ -322,9 +327,9 @@ def test_multiplier_across_is_what_motions_beside_the_orbit_shrink_by():
     strobe = turning.strobed(locked_state(p, turning.speed_rad_s, 0.0, 1.5, 3.6), 1500)[-700:]
     orbit = slipping_orbit(turning, strobe, None)
     assert orbit is not None
-    beside = orbit.values[0].copy()
-    beside[turning.free] += 1e-3 * turning.units[turning.free]
-    apart = _off_curve(orbit, turning.strobed(beside, 60)[15:], turning)
+    nearby = orbit.values[0].copy()
+    nearby[turning.free] += 1e-3 * turning.units[turning.free]
+    apart = _off_curve(orbit, turning.strobed(nearby, 60)[15:], turning)
     slope = np.polyfit(np.arange(len(apart)), np.log(apart), 1)[0]
     assert math.exp(slope) == pytest.approx(orbit.multiplier_across, abs=0.005)
 

@@ -115,8 +115,8 @@ def test_all_points_of_a_curve_are_held_and_few_others() -> None:
     curve = curve_through(round_the_island(0.3, 60), island(0.3))
     at = round_the_island(0.3, 500)
     assert curve.holds(at, curve_tangents(at, island(0.3))).all()
-    beside = MIDDLE + (at - MIDDLE) * (1 + 1e-6)
-    assert not curve.holds(beside, curve_tangents(beside, island(0.3))).any()
+    nearby = MIDDLE + (at - MIDDLE) * (1 + 1e-6)
+    assert not curve.holds(nearby, curve_tangents(nearby, island(0.3))).any()
 
 
 def test_points_that_coincide_are_one() -> None:

@@ -153,7 +153,7 @@ def test_points_of_a_border_are_exact_and_say_how_stability_is_lost() -> None:
 
 @pytest.mark.parametrize("zeta", [0.005, 0.1])
 def test_multipliers_along_borders_are_those_that_scipy_finds(zeta: float) -> None:
-    """Over a whole revolution, by equations written down anew."""
+    """Over a whole revolution, by equations written independently."""
     parameters = rig(zeta=zeta)
     _, found = borders_of(zeta, (1.2, 4.6), (8.0, 16.0))
     checked = against_scipy(parameters, found.branches, 211)

@@ -99,7 +99,7 @@ def test_what_cannot_be_judged_is_named(monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.parametrize("values", [[1.0], [2.0, 1.0], [1.0, 1.0], [1.0, math.nan], [[1.0, 2.0]]])
 def test_values_must_rise(values: list[float]) -> None:
-    with pytest.raises(OutsideDomain, match="at least two, rising"):
+    with pytest.raises(OutsideDomain, match="at least two, ascending"):
         steady_branches(lambda ratio: (rig(), ratio), values)
 
 

@@ -79,7 +79,7 @@ def test_importing_the_packages_leaves_numba_as_the_program_has_it() -> None:
 def test_where_the_users_cache_cannot_be_written_a_place_of_the_process_is_used(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """numba itself finds no place beside read-only sources and without a home, and refuses to compile."""
+    """With read-only sources and without a home directory numba has no cache directory and does not compile."""
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setitem(sys.modules, "numba", type(sys)("numba"))
     sys.modules["numba"].config = type("Config", (), {})()  # type: ignore[attr-defined]

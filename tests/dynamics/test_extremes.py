@@ -1,4 +1,4 @@
-"""The corners of the domain of validity: true within the accuracy asked, or a refusal that helps.
+"""The corners of the domain of validity: results within the requested accuracy, or an error with the next step.
 
 The references are ball arithmetic (dynamics.bench.arb_peer) and heyoka (dynamics.bench.heyoka_peer); thousands of
 draws are held against them by benchmarks/dynamics_extremes.py, this file keeps the named extremes and a few draws.
@@ -178,7 +178,7 @@ def test_states_of_a_pivot_shift_as_large_as_the_eccentricity_whirl_about_the_pi
 
 
 def release(p: RotorParameters, speed_ratio: float, duration_s: float, accuracy: float, ramp: float = 0.0) -> Motion:
-    """Both pendulums let go 0.2° and 0.1° beside 0° and 180°; the motion is finite and true against heyoka."""
+    """Both pendulums released 0.2° and 0.1° from 0° and 180°: the motion is finite and agrees with heyoka."""
     pytest.importorskip("heyoka")
     speed = p.speed_rad_s(speed_ratio)
     start = locked_state(p, speed, 0.0, math.radians(0.2), math.pi + math.radians(0.1))

@@ -157,7 +157,7 @@ def test_every_method_serves_through_the_one_verb(name: str, speed_ratio: float)
     found = floquet_multipliers(matrix, accuracy, name)
     truth = largest(METHODS["implicit"].monodromy(matrix, 64))
     assert found.method == name
-    assert "asked" in found.why
+    assert "requested" in found.why
     assert abs(found.largest - truth) <= found.error_estimate <= accuracy * max(1, truth)
     assert np.all(np.diff(np.abs(found.values)) <= 0)
 
@@ -224,7 +224,7 @@ def test_against_heyoka() -> None:
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-2, 1e-4, 1e-6, 1e-9]))
 @example(299, 1e-2)  # 14 and 28 steps agree by chance
 @example(482065, 1e-4)  # 12 and 24 steps do, at 1.9 rad a step
-@example(2910, 1e-6)  # and at 0.6 rad a step, beside modes that die within one
+@example(2910, 1e-6)  # and at 0.6 rad a step, with modes that decay within one
 def test_the_bound_holds_in_random_draws(seed: int, accuracy: float) -> None:
     random = np.random.default_rng(seed)
     c = 10 ** random.uniform(-8, 1.7) * random.integers(0, 2)
@@ -373,7 +373,7 @@ def test_an_accuracy_out_of_reach_is_refused_with_the_bound_it_reached() -> None
 
 
 def test_scalar_equation_with_a_known_answer() -> None:
-    """y' = (a + b cos ψ) y over 2π: exp(2π a/ω), whatever b."""
+    """y' = (a + b cos ψ) y over 2π: exp(2π a/ω), independent of b."""
     h = np.array([[[-0.3 + 0j]], [[2.0 - 1.5j]]])
     for speed in (0.5, 3.0):
         found = floquet_multipliers(PeriodicMatrix(h, speed, None), 1e-11)

@@ -80,15 +80,15 @@ def _integrated(theta: tuple[float, float], imperfect: Imperfections) -> tuple[c
 
 
 @pytest.mark.parametrize(
-    ("p", "said"),
+    ("p", "message"),
     [
         (rig(2.0), "isotropic"),
         (replace(_P, pivot_shift_m=1e-4), "pivot shift"),
         (replace(_P, gravity_m_per_s2=9.81), "gravity"),
     ],
 )
-def test_mirrored_positions_refuse_another_rig(p, said: str) -> None:
-    with pytest.raises(OutsideDomain, match=said):
+def test_mirrored_positions_refuse_another_rig(p, message: str) -> None:
+    with pytest.raises(OutsideDomain, match=message):
         mirrored_positions(p, _SPEED, Imperfections())
 
 

@@ -37,7 +37,7 @@ def test_the_smallest_exact_model(parameters, released, steady, name, word) -> N
 
 def test_a_bigger_model_can_be_asked_for_and_a_smaller_cannot() -> None:
     assert choose_model(rig(1.0), at_least=HALF_REVOLUTION).name == HALF_REVOLUTION
-    assert "asked for" in choose_model(rig(1.0), at_least=HALF_REVOLUTION).why
+    assert "requested" in choose_model(rig(1.0), at_least=HALF_REVOLUTION).why
     assert choose_model(rig(), at_least=AUTONOMOUS).name == HALF_REVOLUTION
     with pytest.raises(OutsideDomain, match="expected one of"):
         choose_model(rig(), at_least="small")

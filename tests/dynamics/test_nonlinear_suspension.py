@@ -1,4 +1,4 @@
-"""Steady motions and the locked orbit of a suspension that is not linear, beside an independent simulation."""
+"""Steady motions and the locked orbit of a nonlinear suspension, compared with an independent simulation."""
 
 from __future__ import annotations
 
@@ -83,5 +83,5 @@ def test_no_closed_form_is_chosen_and_a_resonance_that_is_bent_over_is_refused()
     assert "depends on the motion" in choose_model(alike).why
     state = steady_states(p, p.speed_rad_s(0.9), 1e-6, (False, False))[0]
     assert abs(state.x_m - locked_orbit(p, p.speed_rad_s(0.9))[0]) < 1e-8
-    with pytest.raises(OutsideDomain, match="bend over"):
+    with pytest.raises(OutsideDomain, match="bent over"):
         locked_orbit(replace(p, hardening_per_m2=(-1e5, 0.0), **DRAGGED), p.speed_rad_s(0.9))

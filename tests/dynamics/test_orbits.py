@@ -1,4 +1,4 @@
-"""Harmonic balance: spectral convergence, the same orbit from any guess, and what it does when there is none."""
+"""Harmonic balance: spectral convergence, the same orbit from any guess, and None if it does not exist."""
 
 from __future__ import annotations
 

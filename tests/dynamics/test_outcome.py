@@ -66,7 +66,7 @@ def test_no_slipping_is_claimed_where_an_independent_integration_locks(ratio: fl
 
 
 def test_one_strobe_near_a_state_is_not_rest_there() -> None:
-    """Passing a state's angles at speed is no arrival: the rates count, and the motion must come nearer."""
+    """A motion that passes a state's angles at speed has not arrived: the rates count, and the motion must approach."""
     p = rig()
     speed = p.speed_rad_s(1.6)
     states = [s for s in steady_states(p, speed, 1e-6) if s.stable]

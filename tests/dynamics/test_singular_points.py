@@ -71,7 +71,7 @@ def test_published_figures(p: RotorParameters, ratio: float, kind: str, angle_de
 
 
 def test_a_pair_is_lost_where_damping_asks_for_more_torque_than_the_imbalance_has() -> None:
-    """|S_T sin φ_H| > S_P near resonance at high damping; the loss is where the formula says, to a part in 1e9."""
+    """|S_T sin φ_H| > S_P near resonance at high damping; the loss agrees with the formula, to a part in 1e9."""
     p = rig(1.0, 0.2)
     together = p.a.first_moment_kg_m + p.b.first_moment_kg_m
 
@@ -84,11 +84,11 @@ def test_a_pair_is_lost_where_damping_asks_for_more_torque_than_the_imbalance_ha
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if sine(middle) > 1 else (middle, high)
-    beside = [
+    nearby = [
         aligned_points(dynamic_stiffness(p, p.speed_rad_s(r)), p.speed_rad_s(r), together, p.imbalance_moment_kg_m)
         for r in (low * (1 - 1e-9), low * (1 + 1e-9))
     ]
-    assert [len(x) for x in beside] == [2, 0]
+    assert [len(x) for x in nearby] == [2, 0]
 
 
 def test_pivot_shift_far_above_resonance_turns_the_balanced_pair() -> None:
@@ -130,7 +130,7 @@ def test_one_free_pendulum_lies_along_the_whirl() -> None:
 def test_a_resonance_without_damping_is_named() -> None:
     speed = 16.0  # a power of two: M ω² has no rounding
     p = replace(rig(zeta=0.0), k1_N_per_m=rig().total_mass_kg * speed**2)
-    with pytest.raises(OutsideDomain, match="resonance without damping"):
+    with pytest.raises(OutsideDomain, match="undamped resonance"):
         locked_orbit(p, speed)
     assert {s.type for s in steady_states(p, speed)} >= {"I"}
     assert singular_points(replace(p, k2_N_per_m=p.k1_N_per_m), speed, (False, False)) == []

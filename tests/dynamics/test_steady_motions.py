@@ -84,10 +84,10 @@ def test_type_three_orbits_are_where_a_long_simulation_ends(ratio: float, turns:
     p = rig()
     speed = p.speed_rad_s(ratio)
     orbit = next(s for s in steady_states(p, speed, 1e-9) if s.stable)
-    beside = orbit.start + np.array([1e-4, -1e-4, 0.03, -0.02, 0, 0, 0, 0])
+    nearby = orbit.start + np.array([1e-4, -1e-4, 0.03, -0.02, 0, 0, 0, 0])
     end = 2 * np.pi * turns / speed
     times = np.concatenate([[0.0], end + 2 * np.pi * np.arange(65) / 64 / speed])
-    motion = simulate(p, Scene(SpeedHistory.constant(speed), start=beside), times, 1e-8)
+    motion = simulate(p, Scene(SpeedHistory.constant(speed), start=nearby), times, 1e-8)
     mean = motion.angles_rad[1:-1].mean(axis=0)
     assert apart(orbit.theta_rad, (mean[0], mean[1])) < 1e-6
     assert np.max(np.abs(motion.state[1, 2:4] - orbit.start[2:4])) < 1e-6

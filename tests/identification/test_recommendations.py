@@ -130,9 +130,7 @@ def test_the_tightest_accuracy_that_costs_no_more_is_recommended() -> None:
     ]
     (found,) = recommended_accuracies(rows)
     assert found.setting == "accuracy 1e-09"
-    assert found.text.startswith(
-        "motion: ask for 1e-09, it takes 1.4 times the time of 1e-03; its largest true error here"
-    )
+    assert found.text.startswith("motion: use 1e-09, it takes 1.4 times the time of 1e-03; its largest true error here")
     assert "tighter ones take 5 times the time" in found.text
 
 
@@ -161,6 +159,6 @@ def test_a_page_begins_with_them() -> None:
     rows = [row("fast", 1.0, 1.0), row("balanced", 2.0, 1.0)]
     text = markdown(tables.page(rows, [], machine, ["a note"]))
     lines = [line for line in text.splitlines() if line]
-    assert lines[1] == "What to take, by this run's rows:"
+    assert lines[1] == "Recommended settings, from the rows of this run:"
     assert lines[2].startswith("- ring-down: take fast; ")
     assert text.index("take fast") < text.index("a note") < text.index("| fit | fast |")

@@ -1,4 +1,4 @@
-"""Floquet multipliers: several methods behind one verb, each answer with a bound on its error."""
+"""Floquet multipliers by several methods, each result with a bound on its error."""
 
 from dynamics.stability.floquet.choice import METHODS
 from dynamics.stability.floquet.methods import MonodromyMethod

@@ -1,35 +1,31 @@
-"""How far eigenvalues may be off when the matrix is: first and second order, and clusters where that fails."""
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+"""Error bounds of eigenvalues from the error of the matrix: first and second order, and clusters."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
+
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 
 _ROUNDING = float(np.finfo(float).eps)
 _COARSE, _BY_CHANCE = 1e-4, 1 / 16
-_SEPARATE = 0.25  # a coupling below this share of the gap leaves an eigenvalue on its own
-_MOST_ROUNDS, _LARGEST_UNIT = 100, 2.0**500  # of balancing; in one step
+_SEPARATE = 0.25  # ratio of coupling to gap below which an eigenvalue is treated as separate
+_MAX_ROUNDS, _MAX_UNIT = 100, 2.0**500  # of balancing; of one factor
 
 
-def eigenvalues_with_bounds(
-    matrix: NDArray[np.floating], change: NDArray[np.floating], roundings: float
-) -> tuple[NDArray[np.complexfloating], NDArray[np.floating]]:
+def eigenvalues_with_bounds(matrix: Array, change: Array, roundings: float) -> tuple[Complex, Array]:
     """Eigenvalues of a matrix with a bound on the error of each.
 
-    In the basis of the eigenvectors X the error matrix is G = X⁻¹ E X; an eigenvalue moves by G_ii at first and
-    Σ_j G_ij G_ji/(σ_i − σ_j) at second order. Where a neighbour is nearer than the coupling to it (nearly defective
-    pairs), the k-th root of the coupling times the gaps takes over, as in a Jordan block. What rounding did is the
-    same in all units (sums and products of floating point numbers do not see a factor), so it is judged in those
-    that balance the matrix.
+    In the basis of the eigenvectors X the error matrix is G = X⁻¹ E X. An eigenvalue moves by G_ii at first and
+    Σ_j G_ij G_ji/(σ_i − σ_j) at second order. If a neighbour is nearer than the coupling to it (nearly defective
+    pairs), the bound is the k-th root of the coupling times the gaps, as in a Jordan block. The effect of rounding is
+    the same in all units (a power of two does not change the rounding of sums and products), so it is bounded in the
+    units that balance the matrix.
 
     Args:
         matrix: shape (n, n), finite.
-        change: error matrix known with its sign (difference of two resolutions), shape (n, n).
-        roundings: rounding errors gathered on the way, in units of eps of the balanced matrix.
+        change: error matrix with sign (difference of two resolutions), shape (n, n).
+        roundings: accumulated rounding errors, in units of eps of the balanced matrix.
     Returns:
         Eigenvalues, shape (n,), largest modulus first, and bounds, shape (n,).
     """
@@ -47,32 +43,32 @@ def eigenvalues_with_bounds(
     own, inverse, basis = (np.ascontiguousarray(m, np.complex128) for m in (values, left, right))
     if not _moves(own, inverse, basis, scaled, moved, roundings * _ROUNDING, bounds):
         spread = roundings * _ROUNDING * (np.abs(scaled) + np.linalg.norm(scaled) / n)
-        bounds[:] = _whole_spectrum(scaled, np.abs(moved) + spread)
+        bounds[:] = _whole_spectrum(scaled, np.asarray(np.abs(moved) + spread, np.float64))
     return values, bounds
 
 
-def balancing_units(size: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Units of the states, powers of two, in which rows and columns of a matrix are of like size, shape (n,).
+def balancing_units(size: Array) -> Array:
+    """Units of the states, powers of two, in which rows and columns of a matrix have similar norms, shape (n,).
 
     Args:
-        size: absolute values of the matrix, shape (n, n); its diagonal does not count.
+        size: absolute values of the matrix, shape (n, n); the diagonal is ignored.
     """
     unit = np.empty(len(size))
     _balance(np.array(size, float), unit)
     return unit
 
 
-@njit(cache=True, error_model="numpy")
-def _balance(size, unit):
-    """Units in which the columns and rows of |A| have like norms, into unit (n,); size (n, n) is scaled with them.
+@compiled
+def _balance(size: Array, unit: Array) -> None:
+    """Write units in which columns and rows of |A| have similar norms to unit (n,); scale size (n, n) with them.
 
     Source: E. E. Osborne, Journal of the ACM 7 (1960) 338, with powers of two (B. N. Parlett, C. Reinsch, Numerische
     Mathematik 13 (1969) 293).
     """
     n = len(unit)
-    for i in range(n):  # a slice assignment takes numba long to compile
+    for i in range(n):  # numba compiles a slice assignment slowly
         unit[i] = 1.0
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         settled = True
         for i in range(n):
             column, row = 0.0, 0.0
@@ -84,9 +80,9 @@ def _balance(size, unit):
             if not (0.0 < column < np.inf and 0.0 < row < np.inf):
                 continue
             factor, before = 1.0, column + row
-            while column < 0.5 * row and factor < _LARGEST_UNIT:
+            while column < 0.5 * row and factor < _MAX_UNIT:
                 factor, column, row = 2.0 * factor, 2.0 * column, 0.5 * row
-            while row < 0.5 * column and factor > 1.0 / _LARGEST_UNIT:
+            while row < 0.5 * column and factor > 1.0 / _MAX_UNIT:
                 factor, column, row = 0.5 * factor, 0.5 * column, 2.0 * row
             if column + row < 0.95 * before:
                 settled = False
@@ -98,9 +94,9 @@ def _balance(size, unit):
             return
 
 
-@njit(cache=True, error_model="numpy")
-def _in_balancing_units(matrix, change, unit, scaled, moved):
-    """Matrix and change in the units that balance the matrix, into scaled and moved; the units into unit."""
+@compiled
+def _in_balancing_units(matrix: Array, change: Array, unit: Array, scaled: Array, moved: Array) -> None:
+    """Write matrix and change, in the units that balance the matrix, to scaled and moved; write the units to unit."""
     n = len(unit)
     for i in range(n):
         for j in range(n):
@@ -112,9 +108,9 @@ def _in_balancing_units(matrix, change, unit, scaled, moved):
             scaled[i, j], moved[i, j] = matrix[i, j] * factor, change[i, j] * factor
 
 
-@njit(cache=True, error_model="numpy")
-def _couple(left, right, matrix, change, rounding, coupling):
-    """Bounds on |G| into coupling (n, n); whether they are finite.
+@compiled
+def _couple(left: Complex, right: Complex, matrix: Array, change: Array, rounding: float, coupling: Array) -> bool:
+    """Write bounds on |G| to coupling (n, n). Returns whether they are finite.
 
     Args:
         left, right: inverse and matrix of the eigenvectors.
@@ -146,16 +142,18 @@ def _couple(left, right, matrix, change, rounding, coupling):
                 known += through[k] * right[k, j]
                 unknown += spread[k] * size
                 length += size * size
-            # eig itself leaves an error of a few roundings of the matrix's norm, in every direction
+            # eig has an error of a few roundings of the matrix's norm, in every direction
             coupling[i, j] = abs(known) + unknown + 2 * _ROUNDING * norm * whole * np.sqrt(length)
             if not np.isfinite(coupling[i, j]):
                 return False
     return True
 
 
-@njit(cache=True, error_model="numpy")
-def _moves(values, left, right, matrix, change, rounding, bounds):
-    """Bounds on the moves of all eigenvalues into bounds (n,); False where only the whole spectrum's will do."""
+@compiled
+def _moves(
+    values: Complex, left: Complex, right: Complex, matrix: Array, change: Array, rounding: float, bounds: Array
+) -> bool:
+    """Write bounds on the moves of all eigenvalues to bounds (n,). False if only the bound of the spectrum applies."""
     n = len(values)
     coupling, gaps = np.empty((n, n)), np.empty(n - 1)
     if not _couple(left, right, matrix, change, rounding, coupling):
@@ -166,15 +164,15 @@ def _moves(values, left, right, matrix, change, rounding, bounds):
         for j in range(n):
             if j != i:
                 by_chance = max(by_chance, np.sqrt(coupling[i, j] * coupling[j, i]))
-        # one entry of G says little while the others are so large that the method's order does not show yet: two
-        # coarse resolutions may agree by chance
+        # one entry of G is not reliable while the others are so large that the method is not yet in its asymptotic
+        # range: two coarse resolutions may agree by chance
         if by_chance > _COARSE:
             bounds[i] += _BY_CHANCE * by_chance
     return True
 
 
-@njit(cache=True, error_model="numpy")
-def _moved(values, coupling, i, gaps):
+@compiled
+def _moved(values: Complex, coupling: Array, i: int, gaps: Array) -> float:
     """Bound on the move of one eigenvalue; gaps (n − 1,) is scratch."""
     n, own = len(values), coupling[i, i]
     second, strength, apart, count = 0.0, own, True, 0
@@ -182,7 +180,7 @@ def _moved(values, coupling, i, gaps):
         if j == i:
             continue
         gap, mutual = abs(values[j] - values[i]), coupling[i, j] * coupling[j, i]
-        left = gap - own - coupling[j, j]  # when first-order moves have brought them nearer
+        left = gap - own - coupling[j, j]  # gap after first-order moves
         if mutual > (_SEPARATE * left) ** 2 or (left <= 0 and mutual != 0):
             apart = False
         if left > 0:
@@ -205,7 +203,7 @@ def _moved(values, coupling, i, gaps):
     return 2 * n * product ** (1 / n)
 
 
-def _whole_spectrum(matrix: NDArray[np.floating], error: NDArray[np.floating]) -> float:
+def _whole_spectrum(matrix: Array, error: Array) -> float:
     """Elsner's bound, for any matrix: (‖A‖ + ‖A + E‖)^(1 − 1/n) ‖E‖^(1/n)."""
     n, norm = len(matrix), float(np.linalg.norm(matrix))
     size = float(np.linalg.norm(error)) + _ROUNDING * norm

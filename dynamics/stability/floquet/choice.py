@@ -1,7 +1,4 @@
-"""Which method, and how many steps to begin with: a cost model with measured constants."""
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+"""Selection of method and initial number of steps, by a cost model with measured constants."""
 
 from __future__ import annotations
 
@@ -10,9 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.errors import NotConverged
 from dynamics.stability.floquet import (
@@ -40,22 +37,22 @@ _ALL: tuple[MonodromyMethod, ...] = (
 )
 METHODS: dict[str, MonodromyMethod] = {method.NAME: method for method in _ALL}
 _EPS = float(np.finfo(float).eps)
-_PHASES = 8  # at which the rates are looked at
+_PHASES = 8  # phases at which the rates are computed
 AUTOMATIC = (explicit.NAME, magnus.NAME, implicit.NAME, commutator_free.NAME)
 
 
 @dataclass(frozen=True)
 class _Cost:
-    """Measured figures of one method.
+    """Measured constants of one method.
 
     Attributes:
         step_us: time of a step with n = 8 and two harmonics, µs.
-        harmonic_us: time of a step per further harmonic, µs.
-        error: e in error ≈ e · (rate × span) · (rate × step)^order for a rate that lives through the span.
-        longest: largest rate × step at which the method works at all.
-        fewest: steps to begin with.
-        step_roundings, rate_roundings: rounding errors gathered per step, and per unit of fastest rate × span.
-        three: whether two resolutions may agree by chance, so that a third, coarser one is held against them.
+        harmonic_us: time of a step per additional harmonic, µs.
+        error: e in error ≈ e · (rate × span) · (rate × step)^order for a rate that does not decay in the span.
+        longest: largest permitted rate × step.
+        fewest: smallest number of steps.
+        step_roundings, rate_roundings: accumulated rounding errors per step, and per unit of fastest rate × span.
+        three: whether a third, coarser resolution is compared, because two may agree by chance.
     """
 
     step_us: float
@@ -81,22 +78,22 @@ _COSTS = {
     single_pass.NAME: _Cost(300.0, step_roundings=10.0, rate_roundings=10.0),
     piecewise.NAME: _Cost(3.0, rate_roundings=10.0),
 }
-# Magnus: error ≈ (slow + fast · (rate × span)^power) · (phase per step)^6. What is constant is followed exactly,
-# however fast, so at one phase per step the error grows with less than the sixth power of the rate (same runs).
+# Magnus: error ≈ (slow + fast · (rate × span)^power) · (phase per step)^6. A constant part is integrated exactly,
+# independent of its rate, so at one phase per step the error grows with less than the sixth power of the rate.
 _MAGNUS_SLOW, _MAGNUS_FAST, _MAGNUS_POWER = 0.3, 1.5e-8, 3.6
-# Commutator-free: a step near half a turn of a fast mode resonates with it; two resolutions can then agree by chance.
+# Commutator-free: a step near half a period of a fast mode resonates with it; two resolutions can agree by chance.
 _COMMUTATOR_FREE_SWING = 2.0  # rad of the fastest oscillation, damped or not, in the coarser run's step
-_DEAD = 35.0  # decay exponent over the span beyond which a mode leaves nothing (e^−35 = 6e-16)
-BUDGET_US = 1.4e6  # of one call
+_MAX_DECAY = 35.0  # decay exponent over the span above which a mode is negligible (e^−35 = 6e-16)
+BUDGET_US = 1.4e6  # computing time of one call, µs
 
 
 class Plan(NamedTuple):
-    """A method with the coarser of its first two numbers of steps, and why it was taken.
+    """A method with the coarser of its first two numbers of steps, and the reason.
 
     Attributes:
         step_us: expected time of a step, µs.
         step_roundings, rate_roundings, fastest: rounding error in units of eps: steps and fastest rate × span.
-        three: whether a third resolution, of half as many steps, is held against the first two.
+        three: whether a third resolution, with half as many steps, is compared with the first two.
     """
 
     method: MonodromyMethod
@@ -114,9 +111,9 @@ class Plan(NamedTuple):
         return (3.5 if self.three else 3.0) * self.steps * self.step_us
 
 
-@njit(cache=True, error_model="numpy")
-def _eigenvalues_along(series, span, found):
-    """Eigenvalues of A(ψ) at equally spaced phases of the span into found (phases, n); whether all came out."""
+@compiled
+def _eigenvalues_along(series: Complex, span: float, found: Complex) -> bool:
+    """Write eigenvalues of A(ψ) at equally spaced phases of the span to found (phases, n); whether all converged."""
     phases, n = found.shape
     a = np.empty((n, n))
     for i in range(phases):
@@ -126,8 +123,8 @@ def _eigenvalues_along(series, span, found):
     return True
 
 
-def _rates(matrix: PeriodicMatrix) -> NDArray[np.complexfloating]:
-    """Eigenvalues of A(ψ) at eight phases times the span: growth and turns of each mode over the span."""
+def _rates(matrix: PeriodicMatrix) -> Complex:
+    """Eigenvalues of A(ψ) at eight phases times the span: growth and phase of each mode over the span."""
     span = span_rad(matrix)
     found = np.empty((_PHASES, matrix.dimension), np.complex128)
     if not _eigenvalues_along(per_radian(matrix), span, found):
@@ -136,30 +133,32 @@ def _rates(matrix: PeriodicMatrix) -> NDArray[np.complexfloating]:
     return found.ravel() * span
 
 
-@njit(cache=True, error_model="numpy")
-def _most_steps(rates, accuracy, error, order, longest, dead_count, swing):
-    """Steps that the most demanding of the rates needs.
+@compiled
+def _max_steps(
+    rates: Complex, accuracy: float, error: float, order: float, longest: float, limits_decayed: bool, swing: float
+) -> float:
+    """Number of steps required by the most demanding rate.
 
     Args:
-        rates: growth and turns over the span.
-        error, order, longest: of the method; see _Cost.
-        dead_count: whether a mode that has died still needs steps of the longest kind.
-        swing: rad of oscillation, damped or not, that a step may take.
+        rates: growth and phase over the span.
+        error, order, longest: constants of the method; see _Cost.
+        limits_decayed: whether a negligible mode still limits the step by `longest`.
+        swing: largest phase of an oscillation per step, damped or not, rad.
     """
     most = 0.0
     for rate in rates:
         size = max(abs(rate), 1e-9)
-        if rate.real > -_DEAD:
+        if rate.real > -_MAX_DECAY:
             left = np.exp(min(2 * rate.real, 0.0))
             most = max(most, size / min((accuracy / (error * size * left)) ** (1.0 / order), longest))
-        elif dead_count:
+        elif limits_decayed:
             most = max(most, size / longest)
         most = max(most, abs(rate.imag) / swing)
     return most
 
 
-def _steps(name: str, rates: NDArray[np.complexfloating], fastest: float, accuracy: float) -> int:
-    """Steps for which the coarser run is expected to meet the accuracy; fastest: the largest |rate|."""
+def _steps(name: str, rates: Complex, fastest: float, accuracy: float) -> int:
+    """Number of steps for which the coarser run is expected to meet the accuracy; fastest: the largest |rate|."""
     cost, order = _COSTS[name], METHODS[name].ORDER
     if name not in AUTOMATIC:
         return cost.fewest
@@ -167,30 +166,30 @@ def _steps(name: str, rates: NDArray[np.complexfloating], fastest: float, accura
         size = max(fastest, 1e-9)
         turned = (_MAGNUS_SLOW + _MAGNUS_FAST * size**_MAGNUS_POWER) / accuracy
         return max(cost.fewest, math.ceil(size / cost.longest), math.ceil(np.pi * turned ** (1.0 / order)))
-    dead_count = name == explicit.NAME  # elsewhere what has died needs no steps
+    limits_decayed = name == explicit.NAME  # in the other methods a negligible mode does not limit the step
     swing = _COMMUTATOR_FREE_SWING if name == commutator_free.NAME else math.inf
-    needed = _most_steps(rates, accuracy, cost.error, float(order), cost.longest, dead_count, swing)
+    needed = _max_steps(rates, accuracy, cost.error, float(order), cost.longest, limits_decayed, swing)
     return max(cost.fewest, math.ceil(needed))
 
 
 def plans(matrix: PeriodicMatrix, accuracy: float, name: str | None = None) -> list[Plan]:
-    """The methods worth trying for a matrix, cheapest first.
+    """Suitable methods for a matrix, the cheapest first.
 
     Args:
-        name: a method of METHODS that the caller insists on.
+        name: requested method of METHODS, or None.
     Raises:
-        NotConverged: every method would take too many steps, or round too much.
+        NotConverged: every method would take too many steps, or its rounding error would be too large.
     """
     rates = _rates(matrix)
     further = max(0, len(matrix.harmonics) - 3)
     fastest, swing = float(np.max(np.abs(rates))), float(np.max(np.abs(rates.imag)))
-    why = f"fastest rate × span {fastest:.2g}, swing {swing:.2g} rad" if name is None else "as asked"
+    why = f"fastest rate × span {fastest:.2g}, swing {swing:.2g} rad" if name is None else "requested"
     found: list[Plan] = []
     for candidate in (name,) if name else AUTOMATIC:
         cost = _COSTS[candidate]
         steps = _steps(candidate, rates, fastest, accuracy)
         step_us = cost.step_us + cost.harmonic_us * further
-        if candidate == commutator_free.NAME:  # each doubling of rate × step is one more squaring
+        if candidate == commutator_free.NAME:  # each doubling of rate × step adds one squaring
             step_us += 0.4 * max(0.0, math.log2(max(1.0, fastest / steps)))
         plan = Plan(
             METHODS[candidate], steps, why, step_us, cost.step_roundings, cost.rate_roundings, fastest, cost.three
@@ -201,6 +200,6 @@ def plans(matrix: PeriodicMatrix, accuracy: float, name: str | None = None) -> l
     if not found:
         raise NotConverged(
             f"rates × span up to {fastest:.3g} (swing {swing:.3g} rad) take more steps, or round more, than a result "
-            f"of accuracy {accuracy:.2g} allows; ask for less accuracy, a higher speed or a smaller stiffness ratio"
+            f"of accuracy {accuracy:.2g} allows; reduce the accuracy or the stiffness ratio, or use a higher speed"
         )
     return sorted(found, key=lambda p: p.cost_us)

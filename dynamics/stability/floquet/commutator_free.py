@@ -1,20 +1,17 @@
 """Commutator-free Magnus integrator of order 4: two exponentials a step, no commutator.
 
     y ← exp(h(a₋ A1 + a₊ A2)) exp(h(a₊ A1 + a₋ A2)) y,   a± = 1/4 ± √3/6, at the two Gauss points.
-A commutator multiplies the fastest rate into the step's error; without one a stiff constant part does no harm, and
-the oscillations beside it are followed exactly. For stiff and undamped at once.
+A commutator would multiply the step's error by the fastest rate. Without it a stiff constant part does not increase
+the error, and the oscillations are integrated exactly. The method suits motions that are stiff and undamped at once.
 Source: S. Blanes, P. C. Moan, Applied Numerical Mathematics 56 (2006) 1519.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
 from dynamics.stability.floquet.small_matrices import exponential, multiply
@@ -24,8 +21,8 @@ ORDER = 4
 _NODE = np.sqrt(3.0) / 6.0
 
 
-@njit(cache=True, error_model="numpy")
-def _fundamental(series, span, steps):
+@compiled
+def _fundamental(series: Complex, span: float, steps: int) -> Array:
     n = series.shape[1]
     h = span / steps
     y, next_y, mixed, step_matrix = np.eye(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
@@ -45,6 +42,6 @@ def _fundamental(series, span, steps):
     return y
 
 
-def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
     """See MonodromyMethod."""
     return turned(matrix, _fundamental(per_radian(matrix), span_rad(matrix), steps))

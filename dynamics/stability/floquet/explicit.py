@@ -1,14 +1,11 @@
-"""Explicit Runge–Kutta of order 8 with equal steps, all columns at once: the first choice unless stiff or very slow."""
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+"""Explicit Runge–Kutta of order 8 with equal steps, all columns at once: default unless stiff or very slow."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.periodic_matrix import PeriodicMatrix
 from dynamics.motions.dormand_prince import NODES, STAGES, STEPS, WEIGHTS
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
@@ -17,12 +14,12 @@ NAME = "explicit"
 ORDER = 8
 
 
-_COLUMNS = 8  # side by side: a number that the compiler knows fills its vectors
+_COLUMNS = 8  # processed together; a constant lets the compiler use full vectors
 
 
-@njit(cache=True, error_model="numpy")
-def _real_series(series):
-    """Real parts, then minus imaginary ones, of the coefficients: A(ψ) = Σ_p wave_p part_p; shape (2m + 1, n²)."""
+@compiled
+def _real_series(series: Complex) -> Array:
+    """Real parts, then negative imaginary parts, of the coefficients: A(ψ) = Σ_p wave_p part_p; shape (2m + 1, n²)."""
     orders, n = series.shape[0], series.shape[1]
     parts = np.empty((2 * orders - 1, n * n))
     for k in range(orders):
@@ -34,9 +31,9 @@ def _real_series(series):
     return parts
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _matrix_at(parts, c, s, a):
-    """A(ψ) into a, shape (n²,), from c = cos ψ and s = sin ψ; those of multiples of ψ by turning on."""
+@compiled(contract=True)
+def _matrix_at(parts: Array, c: float, s: float, a: Array) -> None:
+    """Write A(ψ) to a, shape (n²,), from c = cos ψ and s = sin ψ; multiples of ψ by the addition theorem."""
     x, y = 1.0, 0.0
     for i in range(len(a)):
         a[i] = parts[0, i]
@@ -46,9 +43,9 @@ def _matrix_at(parts, c, s, a):
             a[i] += x * parts[k, i] + y * parts[k + 1, i]
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _times(a, y, out):
-    """out = a y with a (n²,), y and out (n · 8,): the rows' zeros (half of them are unit rows) cost nothing."""
+@compiled(contract=True)
+def _times(a: Array, y: Array, out: Array) -> None:
+    """out = a y with a (n²,), y and out (n · 8,). Zeros of a row are skipped; half of the rows are unit rows."""
     n = len(y) // _COLUMNS
     for i in range(n):
         row = out[i * _COLUMNS : (i + 1) * _COLUMNS]
@@ -61,8 +58,8 @@ def _times(a, y, out):
                     row[j] += f * y[k * _COLUMNS + j]
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _fundamental(series, span, steps):
+@compiled(contract=True)
+def _fundamental(series: Complex, span: float, steps: int) -> Array:
     n = series.shape[1]
     size, h = n * _COLUMNS, span / steps
     parts, whole = _real_series(series), np.empty((n, n))
@@ -93,6 +90,6 @@ def _fundamental(series, span, steps):
     return whole
 
 
-def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
     """See MonodromyMethod. Twelve evaluations a step; stable up to about five radians of the fastest rate a step."""
     return turned(matrix, _fundamental(per_radian(matrix), span_rad(matrix), steps))

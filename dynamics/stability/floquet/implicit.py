@@ -1,21 +1,18 @@
-"""Radau IIA collocation with five stages (order 9): for stiff matrices, however stiff.
+"""Radau IIA collocation with five stages (order 9): for stiff matrices of any stiffness.
 
-The stage values solve Y_i − h Σ_j a_ij A(ψ_j) Y_j = y, one linear system a step; the last stage is the end of the
-step. The method is L-stable: a rate of −10¹³ /s leaves nothing behind and asks for no short step. Rows are scaled to
-size one before elimination, so that a fast pendulum's row does not drown the others.
+The stage values solve Y_i − h Σ_j a_ij A(ψ_j) Y_j = y, one linear system a step. The last stage is the end of the step.
+The method is L-stable: a mode with a rate of −10¹³ /s vanishes and does not limit the step. Rows are scaled to size one
+before elimination, so that the row of a fast pendulum does not dominate the others.
 Source: Hairer, Wanner, Solving Ordinary Differential Equations II (Springer 1996), section IV.5.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.polynomial import Legendre, legendre
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
 
@@ -24,7 +21,7 @@ STAGES = 5
 ORDER = 2 * STAGES - 1
 
 
-def _radau_coefficients(stages: int) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _radau_coefficients(stages: int) -> tuple[Array, Array]:
     """Nodes c on (0, 1] (roots of P_s − P_{s−1}, shifted) and a_ij = ∫_0^{c_i} ℓ_j, ℓ_j the Lagrange polynomials."""
     nodes = np.sort(np.real((Legendre.basis(stages) - Legendre.basis(stages - 1)).roots())).astype(float)
     nodes[-1] = 1.0
@@ -36,8 +33,8 @@ def _radau_coefficients(stages: int) -> tuple[NDArray[np.floating], NDArray[np.f
 _NODES, _STEPS = _radau_coefficients(STAGES)
 
 
-@njit(cache=True, error_model="numpy")
-def _fundamental(series, span, steps):
+@compiled
+def _fundamental(series: Complex, span: float, steps: int) -> Array:
     n = series.shape[1]
     h = span / steps
     y, a = np.eye(n), np.empty((n, n))
@@ -60,13 +57,13 @@ def _fundamental(series, span, steps):
             for c in range(n):
                 right[row, c] = y[row % n, c] / size
         y = np.ascontiguousarray(np.linalg.solve(system, right)[(STAGES - 1) * n :])
-    return y
+    return y  # pyright: ignore[reportReturnType]  # numpy types a solution as floating
 
 
-def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
     """See MonodromyMethod."""
     try:
         fundamental = _fundamental(per_radian(matrix), span_rad(matrix), steps)
-    except np.linalg.LinAlgError:  # a step for which 1/h is an eigenvalue: another step number will do
+    except np.linalg.LinAlgError:  # 1/h is an eigenvalue at this step; another number of steps succeeds
         fundamental = np.full((matrix.dimension, matrix.dimension), np.nan)
     return turned(matrix, fundamental)

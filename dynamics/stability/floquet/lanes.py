@@ -1,37 +1,35 @@
-"""Type I on many points of a map at once: explicit Runge–Kutta of order 8 with eight points side by side.
+"""Type I at many points of a map at once: explicit Runge–Kutta of order 8 with eight points in parallel lanes.
 
 In the phase as independent variable
     q'' = W(ψ) [−(κ1 x + γ1 x', κ2 y + γ2 y') + Σ_i S_i (2 θ_i' e_i − (θ_i + δ_i θ_i') n_i)],
     θ_i'' = (S_i/J_i) n_i·q'' − δ_i θ_i',        κ = k/ω², γ = c/ω, δ_i = c_i/(J_i ω).
-As complex numbers e_i = e^{i(ψ+θ_i)}, n_i = −i e_i, and W a = (m a + g e^{2iψ} ā)/(m² − |g|²) (linearised.type_one): so
-W S_i e_i = e^{iψ} P_i and W S_i n_i = e^{iψ} Q_i with constants P_i, Q_i, and a point is 21 numbers. Positions are
-integrals of rates: the stages of order one (A) and two (A²) need one stored acceleration each (the Nyström form of
-the same method).
+As complex numbers e_i = e^{i(ψ+θ_i)}, n_i = −i e_i, and W a = (m a + g e^{2iψ} ā)/(m² − |g|²) (linearised.type_one).
+Therefore W S_i e_i = e^{iψ} P_i and W S_i n_i = e^{iψ} Q_i with constants P_i, Q_i, and a point is 21 numbers.
+Positions are integrals of rates: the stages of order one (A) and two (A²) need one stored acceleration each (the
+Nyström form of the method).
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.motions.dormand_prince import NODES, STAGES, STEPS, WEIGHTS
 from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
 
 LANES = 8
 _N = 8
-_WIDE = _N * LANES  # one component of all columns and lanes
+_WIDE = _N * LANES  # length of one component of all columns and lanes
 _STATE = 4 * _WIDE
 EPS = 2.220446049250313e-16
 NUMBERS = 21
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 
 
-def _terms() -> tuple[NDArray[np.intp], NDArray[np.floating], NDArray[np.floating], NDArray[np.intp]]:
-    """Earlier stages that each stage (last row: the step's end) adds, in fours: indices, weights in A, in A², count."""
+def _terms() -> tuple[NDArray[np.intp], Array, Array, NDArray[np.intp]]:
+    """Earlier stages added at each stage (last row: the step's end), in fours: indices, weights in A, in A², count."""
     first = np.vstack([STEPS, WEIGHTS])
     second = np.vstack([STEPS @ STEPS, WEIGHTS @ STEPS])
     index, a, b = np.zeros((STAGES + 1, 12), np.intp), np.zeros((STAGES + 1, 12)), np.zeros((STAGES + 1, 12))
@@ -48,9 +46,9 @@ _INDEX, _FIRST, _SECOND, _FOURS = _terms()
 _ALL_NODES = np.append(NODES, 1.0)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _at_phase(phase, numbers, c):
-    """What eight points' numbers are at a phase: W_xx, W_xy, W_yy and the six turning vectors, into c (15, LANES)."""
+@compiled(nogil=True)
+def _at_phase(phase: float, numbers: Array, c: Array) -> None:
+    """Write W_xx, W_xy, W_yy and the six rotating vectors of eight points at a phase to c (15, LANES)."""
     x, y = np.cos(phase), np.sin(phase)
     x2, y2 = x * x - y * y, 2 * x * y
     for lane in range(LANES):
@@ -65,9 +63,9 @@ def _at_phase(phase, numbers, c):
             c[4 + 2 * q, lane] = x * im + y * re
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _accelerate(position, rate, c, rig, out):
-    """Accelerations of all columns and lanes at one node.
+@compiled(nogil=True)
+def _accelerate(position: Array, rate: Array, c: Array, rig: Array, out: Array) -> None:
+    """Write the accelerations of all columns and lanes at one node to out.
 
     Args:
         position, rate, out: shape (256,): component, column, lane.
@@ -92,9 +90,9 @@ def _accelerate(position, rate, c, rig, out):
             out[3 * _WIDE + i] = c[13, lane] * ax + c[14, lane] * ay - lb
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _gather(stage, h, position, rate, k, new_position, new_rate):
-    """State at a stage (or, for stage 12, at the step's end) from the accelerations so far."""
+@compiled(nogil=True)
+def _gather(stage: int, h: float, position: Array, rate: Array, k: Array, new_position: Array, new_rate: Array) -> None:
+    """Compute the state at a stage (for stage 12 at the step's end) from the previous accelerations."""
     ch = _ALL_NODES[stage] * h
     for i in range(_STATE):
         new_rate[i] = rate[i]
@@ -114,9 +112,9 @@ def _gather(stage, h, position, rate, k, new_position, new_rate):
             new_position[i] += (b0 * v0 + b1 * v1) + (b2 * v2 + b3 * v3)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _march(steps, rig, work, k, c):
-    """Fundamental matrices of eight points over half a revolution, into work[0] (positions) and work[1] (rates)."""
+@compiled(nogil=True)
+def _march(steps: int, rig: Array, work: Array, k: Array, c: Array) -> None:
+    """Write fundamental matrices of eight points over half a revolution to work[0] (positions) and work[1] (rates)."""
     h = np.pi / steps
     position, rate, new_position, new_rate = work[0], work[1], work[2], work[3]
     position[:] = 0.0
@@ -136,17 +134,17 @@ def _march(steps, rig, work, k, c):
         rate[:] = new_rate
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _eight(numbers, start, rig):
-    """The numbers of eight points, the last one repeated, into rig (21, LANES)."""
+@compiled(nogil=True)
+def _eight(numbers: Array, start: int, rig: Array) -> None:
+    """Write the numbers of eight points to rig (21, LANES); the last point is repeated."""
     for lane in range(LANES):
         for q in range(NUMBERS):
             rig[q, lane] = numbers[min(start + lane, numbers.shape[0] - 1), q]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _half_turn(work, lane, scale, out):
-    """One lane's D Φ(π) in scaled coordinates into out (8, 8); returns its Frobenius norm."""
+@compiled(nogil=True)
+def _half_turn(work: Array, lane: int, scale: Array, out: Array) -> float:
+    """Write D Φ(π) of one lane in scaled coordinates to out (8, 8); returns its Frobenius norm."""
     total = 0.0
     for row in range(_N):
         for column in range(_N):
@@ -157,9 +155,9 @@ def _half_turn(work, lane, scale, out):
     return np.sqrt(total)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def largest(values):
-    """Index of the largest modulus and the distance of that eigenvalue to its nearest neighbour."""
+@compiled(nogil=True)
+def largest(values: Complex) -> tuple[int, float]:
+    """Index of the largest modulus, and distance of that eigenvalue to its nearest neighbour."""
     best = 0
     for i in range(1, _N):
         if abs(values[i]) > abs(values[best]):
@@ -171,25 +169,24 @@ def largest(values):
     return best, gap
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def sensitive(noise, norm, gap):
-    """How far noise in a matrix moves an eigenvalue with its neighbour at a distance.
+@compiled(nogil=True)
+def sensitive(noise: float, norm: float, gap: float) -> float:
+    """Change of an eigenvalue due to noise in the matrix, for a given distance to the nearest eigenvalue.
 
-    A pair at distance g has condition ‖Φ‖/g: first order far apart, a square root where it merges.
+    A pair at distance g has condition ‖Φ‖/g: the change is of first order for a large gap and a square root if the
+    pair merges.
     """
     return min(noise * (1 + norm / max(gap, 1e-300)), np.sqrt(noise * norm) + noise)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def half_turn_matrices(
-    steps: int, numbers: NDArray[np.floating], units: NDArray[np.floating], found: NDArray[np.floating]
-) -> None:
-    """D Φ(π) for many points with one number of steps.
+@compiled(nogil=True)
+def half_turn_matrices(steps: int, numbers: Array, units: Array, found: Array) -> None:
+    """Compute D Φ(π) for many points with one number of steps.
 
     Args:
-        steps: per half revolution.
-        numbers: of the points, shape (points, 21); see map_rigs.MapRigs.
-        units: of the eight states, shape (8,).
+        steps: number of steps per half revolution.
+        numbers: numbers of the points, shape (points, 21); see map_rigs.MapRigs.
+        units: units of the eight states, shape (8,).
         found: shape (points, 8, 8), filled, in these units.
     """
     rig, c = np.empty((NUMBERS, LANES)), np.empty((15, LANES))
@@ -201,26 +198,20 @@ def half_turn_matrices(
             _half_turn(work, lane, units, found[start + lane])
 
 
-# Of what the finer run changed it leaves 1/255, of a merging pair's move 1/16: a quarter of the eigenvalue's move is
-# on the safe side. Where that move happens to vanish the change of the whole matrix stands in.
+# The finer run leaves 1/255 of the change between the runs, of a merging pair's move 1/16. A quarter of the
+# eigenvalue's move is therefore a bound. Where that move happens to vanish, the change of the whole matrix is used.
 _MOVED, _CHANGE = 0.25, 1.0 / 16384.0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def largest_multipliers(
-    steps: int,
-    numbers: NDArray[np.floating],
-    units: NDArray[np.floating],
-    found: NDArray[np.floating],
-    errors: NDArray[np.floating],
-) -> None:
-    """Largest multiplier over a revolution, and a bound on its error, for many points with one number of steps.
+@compiled(nogil=True)
+def largest_multipliers(steps: int, numbers: Array, units: Array, found: Array, errors: Array) -> None:
+    """Compute the largest multiplier over a revolution and its error bound for many points with one number of steps.
 
     Args:
-        steps: of the finer of two runs, per half revolution; even.
-        numbers: of the points, shape (points, 21); see map_rigs.MapRigs.
-        units: of each point's states, in which the matrix's blocks are comparable, shape (points, 8).
-        found, errors: shape (points,), filled; NaN where the eigenvalues did not come out.
+        steps: number of steps per half revolution of the finer of two runs; even.
+        numbers: numbers of the points, shape (points, 21); see map_rigs.MapRigs.
+        units: units of each point's states in which the matrix's blocks are comparable, shape (points, 8).
+        found, errors: shape (points,), filled; NaN where the eigenvalues did not converge.
     """
     points = numbers.shape[0]
     rig, c, k = np.empty((NUMBERS, LANES)), np.empty((15, LANES)), np.empty((STAGES, _STATE))

@@ -1,20 +1,17 @@
-"""Magnus integrators: each step one exponential of a commutator series at Gauss points.
+"""Magnus integrators: each step is one exponential of a commutator series at Gauss points.
 
-The constant part of A(ψ), however fast, is followed exactly; only its change within a step costs accuracy.
+The constant part of A(ψ) is integrated exactly at any rate. Only its change within a step causes an error.
 Source: Blanes, Casas, Oteo, Ros, The Magnus expansion and some of its applications, Physics Reports 470 (2009),
 section 5.4: with α1 = h A(mid), α2 = √15/3 h (A3 − A1), α3 = 10/3 h (A3 − 2 A2 + A1) at the three Gauss points,
     C1 = [α1, α2],  C2 = −1/60 [α1, 2 α3 + C1],  Ω = α1 + α3/12 + 1/240 [−20 α1 − α3 + C1, α2 + C2]   (order 6).
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
 from dynamics.stability.floquet.small_matrices import exponential, multiply
@@ -24,8 +21,8 @@ ORDER = 6
 _NODE = np.sqrt(15.0) / 10.0
 
 
-@njit(cache=True, error_model="numpy")
-def _commutator(a, b, work, out):
+@compiled
+def _commutator(a: Array, b: Array, work: Array, out: Array) -> None:
     multiply(a, b, out)
     multiply(b, a, work)
     n = a.shape[0]
@@ -34,8 +31,8 @@ def _commutator(a, b, work, out):
             out[i, j] -= work[i, j]
 
 
-@njit(cache=True, error_model="numpy")
-def _fundamental(series, span, steps):
+@compiled
+def _fundamental(series: Complex, span: float, steps: int) -> Array:
     n = series.shape[1]
     h = span / steps
     y, next_y, omega, step_matrix = np.eye(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
@@ -72,6 +69,6 @@ def _fundamental(series, span, steps):
     return y
 
 
-def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
     """See MonodromyMethod."""
     return turned(matrix, _fundamental(per_radian(matrix), span_rad(matrix), steps))

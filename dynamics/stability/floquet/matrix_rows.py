@@ -1,23 +1,20 @@
-"""Largest multipliers along rows of a map whose half-turn matrices are interpolated."""
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
+"""Largest multipliers along rows of a map, from interpolated half-turn matrices."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex, Indices
+from dynamics.compiled_code import compiled
 from dynamics.stability.floquet.lanes import EPS, largest, sensitive
 from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
 
-_SIDE = 4  # points whose sums are taken side by side
+_SIDE = 4  # number of points whose sums are computed together
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
-def _four_matrices(row, weights, start, out):
-    """Weighted sums of a row's matrices, shape (nodes, n²), at four points into out (4, n²)."""
+@compiled(nogil=True, contract=True)
+def _four_matrices(row: Array, weights: Array, start: int, out: Array) -> None:
+    """Write weighted sums of a row's matrices, shape (nodes, n²), at four points to out (4, n²)."""
     last = weights.shape[0] - 1
     a, b, c, d = start, min(start + 1, last), min(start + 2, last), min(start + 3, last)
     out[:] = 0.0
@@ -31,9 +28,9 @@ def _four_matrices(row, weights, start, out):
             out[3, q] += wd * value
 
 
-@njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
-def weighted_sum(nodes, weights, out):
-    """Weighted sum of rows of nodes, shape (rows, n), into out (n,)."""
+@compiled(nogil=True, contract=True)
+def weighted_sum(nodes: Array, weights: Array, out: Array) -> None:
+    """Write the weighted sum of rows of nodes, shape (rows, n), to out (n,)."""
     out[:] = 0.0
     for j in range(nodes.shape[0]):
         weight = weights[j]
@@ -41,27 +38,23 @@ def weighted_sum(nodes, weights, out):
             out[q] += weight * nodes[j, q]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled(nogil=True)
 def multipliers_of_rows(
-    nodes: NDArray[np.floating],
-    weights_v: NDArray[np.floating],
-    weights_u: NDArray[np.floating],
-    error: float,
-    found: NDArray[np.floating],
-    errors: NDArray[np.floating],
+    nodes: Array, weights_v: Array, weights_u: Array, error: float, found: Array, errors: Array
 ) -> None:
-    """Largest multipliers over a revolution along rows.
+    """Compute the largest multipliers over a revolution along rows.
 
     Args:
         nodes: matrices of the nodes, shape (n_v, n_u, n²).
-        weights_v: of the rows of nodes in each row of points, shape (rows, n_v).
-        weights_u: of the columns of nodes at each column of points, shape (columns, n_u).
+        weights_v: weights of the rows of nodes in each row of points, shape (rows, n_v).
+        weights_u: weights of the columns of nodes at each column of points, shape (columns, n_u).
         error: bound on the Frobenius norm of an interpolated matrix's error.
-        found, errors: shape (rows, columns), filled; NaN where the eigenvalues did not come out.
+        found, errors: shape (rows, columns), filled; NaN where the eigenvalues did not converge.
     """
     n_v, n_u, entries = nodes.shape
+    side: float = np.sqrt(entries)
     flat, row = nodes.reshape(n_v, n_u * entries), np.empty(n_u * entries)
-    columns, n = weights_u.shape[0], int(np.round(np.sqrt(entries)))
+    columns, n = weights_u.shape[0], int(np.round(side))
     matrices, a, values = np.empty((_SIDE, entries)), np.empty((n, n)), np.empty(n, np.complex128)
     for line in range(weights_v.shape[0]):
         weighted_sum(flat, weights_v[line], row)
@@ -80,26 +73,21 @@ def multipliers_of_rows(
                 errors[line, i] = (2 * modulus + bound) * bound
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def eigenvalues_at(
-    nodes: NDArray[np.floating],
-    weights_v: NDArray[np.floating],
-    row_of: NDArray[np.intp],
-    weights_u: NDArray[np.floating],
-    values: NDArray[np.complexfloating],
-) -> None:
-    """Eigenvalues of interpolated matrices at scattered points, those of one row after another.
+@compiled(nogil=True)
+def eigenvalues_at(nodes: Array, weights_v: Array, row_of: Indices, weights_u: Array, values: Complex) -> None:
+    """Compute eigenvalues of interpolated matrices at scattered points, in order of their rows.
 
     Args:
         nodes: matrices of the nodes, shape (n_v, n_u, n²).
-        weights_v: of the rows of nodes in each row of points, shape (rows, n_v).
-        row_of: each point's row, rising, shape (points,).
-        weights_u: of the columns of nodes at each point, shape (points, n_u).
-        values: shape (points, n), filled; NaN where they did not come out.
+        weights_v: weights of the rows of nodes in each row of points, shape (rows, n_v).
+        row_of: row of each point, ascending, shape (points,).
+        weights_u: weights of the columns of nodes at each point, shape (points, n_u).
+        values: shape (points, n), filled; NaN where the eigenvalues did not converge.
     """
     n_v, n_u, entries = nodes.shape
+    side: float = np.sqrt(entries)
     flat, row = nodes.reshape(n_v, n_u * entries), np.empty(n_u * entries)
-    n, last = int(np.round(np.sqrt(entries))), -1
+    n, last = int(np.round(side)), -1
     flat_matrix, found = np.empty(entries), np.empty(n, np.complex128)
     for point in range(len(row_of)):
         if row_of[point] != last:
@@ -112,9 +100,9 @@ def eigenvalues_at(
             values[point] = np.nan
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _chebyshev_weights(share, weights):
-    """Values of the Lagrange polynomials of the Chebyshev points of the first kind at a place, −1 … 1 (barycentric)."""
+@compiled(nogil=True)
+def _chebyshev_weights(share: float, weights: Array) -> None:
+    """Values of the Lagrange polynomials of the Chebyshev points of the first kind at −1 … 1 (barycentric formula)."""
     n, total = len(weights), 0.0
     if n == 1:
         weights[0] = 1.0
@@ -132,22 +120,23 @@ def _chebyshev_weights(share, weights):
         weights[k] /= total
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def largest_eigenvalue_there(nodes: NDArray[np.floating], share_u: float, share_v: float) -> complex:
-    """Eigenvalue of largest modulus of the interpolated matrix at one point; NaN where none came out.
+@compiled(nogil=True)
+def largest_eigenvalue_there(nodes: Array, share_u: float, share_v: float) -> complex:
+    """Eigenvalue of largest modulus of the interpolated matrix at one point; NaN if the iteration did not converge.
 
     Args:
         nodes: matrices of the nodes, shape (n_v, n_u, n²).
-        share_u, share_v: where the point lies in the rectangle, −1 … 1 along each side.
+        share_u, share_v: position of the point in the rectangle, −1 … 1 along each side.
     """
     n_v, n_u, entries = nodes.shape
+    side: float = np.sqrt(entries)
     weights_v, weights_u = np.empty(n_v), np.empty(n_u)
     _chebyshev_weights(share_u, weights_u)
     _chebyshev_weights(share_v, weights_v)
     row, matrix = np.empty(n_u * entries), np.empty(entries)
     weighted_sum(nodes.reshape(n_v, n_u * entries), weights_v, row)
     weighted_sum(row.reshape(n_u, entries), weights_u, matrix)
-    n = int(np.round(np.sqrt(entries)))
+    n = int(np.round(side))
     values = np.empty(n, np.complex128)
     if not eigenvalues(matrix.reshape(n, n), values):
         return complex(np.nan, np.nan)

@@ -1,29 +1,26 @@
-"""The eigenvalue of largest modulus of interpolated matrices, and how it changes with both coordinates.
+"""The eigenvalue of largest modulus of interpolated matrices, and its derivatives by both coordinates.
 
-With M v = λ v and wᵀ M = λ wᵀ a simple eigenvalue moves by dλ = wᵀ dM v / wᵀ v. The vectors come by inverse iteration:
-the inverse of a matrix shifted by λ but for rounding multiplies v by some 10¹³ and everything else by less.
+With M v = λ v and wᵀ M = λ wᵀ a simple eigenvalue changes by dλ = wᵀ dM v / wᵀ v. The vectors are computed by inverse
+iteration: the inverse of a matrix shifted by λ, up to rounding, multiplies v by about 10¹³ and all else by less.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.stability.floquet.lanes import EPS, largest
 from dynamics.stability.floquet.matrix_rows import weighted_sum
 from dynamics.stability.floquet.quick_eigenvalues import eigenvalues
 
-_SHIFT = 64 * EPS  # of the matrix's norm
+_SHIFT = 64 * EPS  # relative to the matrix's norm
 _ITERATIONS = 2
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _vector(shifted):
-    """What inverse iteration makes of a vector that no symmetry singles out, shape (n,)."""
+@compiled(nogil=True)
+def _vector(shifted: Complex) -> Complex:
+    """Inverse iteration from a vector without any symmetry, shape (n,)."""
     n = shifted.shape[0]
     vector = np.empty(n, np.complex128)
     for i in range(n):
@@ -35,26 +32,22 @@ def _vector(shifted):
     return vector
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled(nogil=True)
 def largest_with_slopes(
-    nodes: NDArray[np.floating],
-    weights_v: NDArray[np.floating],
-    slopes_v: NDArray[np.floating],
-    weights_u: NDArray[np.floating],
-    slopes_u: NDArray[np.floating],
-    found: NDArray[np.complexfloating],
+    nodes: Array, weights_v: Array, slopes_v: Array, weights_u: Array, slopes_u: Array, found: Complex
 ) -> None:
-    """Eigenvalues of largest modulus at scattered points, with their derivatives.
+    """Compute eigenvalues of largest modulus at scattered points, with their derivatives.
 
     Args:
         nodes: matrices of the nodes, shape (n_v, n_u, n²).
-        weights_v, slopes_v: of the rows of nodes at each point, and their derivatives, shape (points, n_v).
-        weights_u, slopes_u: of the columns of nodes, shape (points, n_u).
-        found: λ, ∂λ/∂u and ∂λ/∂v, shape (points, 3), filled; NaN where they did not come out. Of a pair the one with
-            Im λ ≥ 0.
+        weights_v, slopes_v: weights of the rows of nodes at each point, and their derivatives, shape (points, n_v).
+        weights_u, slopes_u: weights of the columns of nodes, and their derivatives, shape (points, n_u).
+        found: λ, ∂λ/∂u and ∂λ/∂v, shape (points, 3), filled; NaN where the eigenvalues did not converge. Of a pair
+            the one with Im λ ≥ 0.
     """
     n_v, n_u, entries = nodes.shape
-    n = int(np.round(np.sqrt(entries)))
+    side: float = np.sqrt(entries)
+    n = int(np.round(side))
     flat = nodes.reshape(n_v, n_u * entries)
     row, row_slope = np.empty(n_u * entries), np.empty(n_u * entries)
     matrix, along_u, along_v = np.empty(entries), np.empty(entries), np.empty(entries)

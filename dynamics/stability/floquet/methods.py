@@ -1,50 +1,50 @@
-"""What a monodromy method is: the interface that every one of them meets, and the span it works over."""
+"""Interface of the monodromy methods, and the phase span of the monodromy matrix."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.periodic_matrix import PeriodicMatrix
 
 
 class MonodromyMethod(Protocol):
-    """One way from A(ψ) to the monodromy matrix; a module with these names is one."""
+    """Computation of the monodromy matrix from A(ψ). A module with these names implements it."""
 
     @property
     def NAME(self) -> str:
-        """What a user calls it."""
+        """Name of the method for users."""
         ...
 
     @property
     def ORDER(self) -> int:
-        """The error falls as steps^−ORDER."""
+        """Order: the error decreases as steps^−ORDER."""
         ...
 
-    def monodromy(self, matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
+    def monodromy(self, matrix: PeriodicMatrix, steps: int) -> Array:
         """Fundamental matrix over half a revolution with the turn applied, D Φ(π), or over a whole one, Φ(2π).
 
         Args:
             matrix: A(ψ).
-            steps: number of equal steps the span is cut into, at least 1.
+            steps: number of equal steps of the span, at least 1.
         Returns:
-            shape (n, n); may hold inf or NaN where the motion outgrows floating point or the steps are far too long.
+            shape (n, n). It may contain inf or NaN if the motion overflows or the steps are far too long.
         """
         ...
 
 
 def span_rad(matrix: PeriodicMatrix) -> float:
-    """Phase over which the monodromy matrix is taken: π with half-turn symmetry, else 2π."""
+    """Phase span of the monodromy matrix: π with half-turn symmetry, otherwise 2π, rad."""
     return 2 * np.pi if matrix.turn is None else np.pi
 
 
-def per_radian(matrix: PeriodicMatrix) -> NDArray[np.complexfloating]:
-    """Fourier coefficients of A(ψ)/ω: the phase is the methods' independent variable. Contiguous, complex."""
+def per_radian(matrix: PeriodicMatrix) -> Complex:
+    """Fourier coefficients of A(ψ)/ω, with the phase as the independent variable. Contiguous, complex."""
     return np.ascontiguousarray(matrix.harmonics / matrix.speed_rad_s, np.complex128)
 
 
-def turned(matrix: PeriodicMatrix, fundamental: NDArray[np.floating]) -> NDArray[np.floating]:
-    """D Φ where half a revolution was covered, else Φ."""
+def turned(matrix: PeriodicMatrix, fundamental: Array) -> Array:
+    """D Φ if the span is half a revolution, otherwise Φ."""
     return fundamental if matrix.turn is None else matrix.turn[:, None] * fundamental

@@ -1,4 +1,4 @@
-"""Multipliers over one revolution with a bound on their error: one verb over all methods."""
+"""Multipliers over one revolution with a bound on their error, by any of the methods."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.equations.periodic_matrix import PeriodicMatrix
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.stability.floquet.bounds import balancing_units, eigenvalues_with_bounds
@@ -17,7 +17,7 @@ from dynamics.stability.floquet.neutral import without_neutral
 
 FINEST, COARSEST = 1e-13, 0.1
 _ROUNDING = np.finfo(float).eps
-_SHARED = 32 * _ROUNDING  # rounding of the matrix itself, which no comparison of two runs shows
+_SHARED = 32 * _ROUNDING  # rounding of the matrix itself, which is common to both compared runs
 
 
 @dataclass(frozen=True)
@@ -27,13 +27,13 @@ class Multipliers:
     Attributes:
         values: complex, shape (n,), over one revolution, largest modulus first.
         errors: bounds on |error| of each value, shape (n,).
-        method: which method computed them.
-        why: one line: which method and why.
-        steps: steps of the finer of the two runs that were compared; 0 for the autonomous closed form.
+        method: method of the result.
+        why: method and reason for it, one line.
+        steps: number of steps of the finer of the two compared runs; 0 for the autonomous closed form.
     """
 
-    values: NDArray[np.complexfloating]
-    errors: NDArray[np.floating]
+    values: Complex
+    errors: Array
     method: str
     why: str
     steps: int
@@ -49,25 +49,25 @@ class Multipliers:
         moduli = np.abs(self.values)
         highest = float((moduli + self.errors).max())
         lowest = float((moduli - self.errors).max())
-        rounding = 4 * _ROUNDING * max(1.0, self.largest)  # of powers and moduli
+        rounding = 4 * _ROUNDING * max(1.0, self.largest)  # rounding of powers and moduli
         return max(highest - self.largest, self.largest - lowest) + rounding
 
 
 def balanced(matrix: PeriodicMatrix) -> PeriodicMatrix:
-    """The same motion in scaled coordinates (powers of two: no rounding): rows and columns of like size."""
+    """The matrix in scaled coordinates with rows and columns of similar size (powers of two: no rounding)."""
     unit = balancing_units(np.abs(matrix.harmonics).sum(axis=0))
     return PeriodicMatrix(matrix.harmonics * (unit / unit[:, None]), matrix.speed_rad_s, matrix.turn)
 
 
 def floquet_multipliers(matrix: PeriodicMatrix, accuracy: float = 1e-8, method: str | None = None) -> Multipliers:
-    """The multipliers of δẏ = A(ψ) δy over one revolution.
+    """Multipliers of δẏ = A(ψ) δy over one revolution.
 
     Args:
         matrix: A(ψ) along the motion.
         accuracy: bound on the error of the largest modulus, relative to max(1, largest modulus); 1e-13 … 0.1.
-        method: one of METHODS, or "autonomous"; None: the cheapest that serves.
+        method: one of METHODS, or "autonomous". None: the cheapest suitable method.
     Raises:
-        OutsideDomain: accuracy or method outside what is offered.
+        OutsideDomain: accuracy or method outside the permitted values.
         NotConverged: the bound cannot be met.
     """
     if not FINEST <= accuracy <= COARSEST:
@@ -77,7 +77,7 @@ def floquet_multipliers(matrix: PeriodicMatrix, accuracy: float = 1e-8, method: 
     scaled = balanced(matrix)
     still = scaled if scaled.constant else scaled.seen_from_rotor
     if method == "autonomous" and still is None:
-        raise OutsideDomain("method 'autonomous' needs a constant matrix; this one changes with the phase")
+        raise OutsideDomain("method 'autonomous' needs a constant matrix; this one depends on the phase")
     use_still = still is not None and method in (None, "autonomous")
     rest, ones = without_neutral(still if use_still and still is not None else scaled)
     if use_still:
@@ -86,11 +86,11 @@ def floquet_multipliers(matrix: PeriodicMatrix, accuracy: float = 1e-8, method: 
             raise _overflow("autonomous")
         if _met(found, accuracy) or method == "autonomous":
             return _with_ones(_checked(found, accuracy), ones)
-    return _with_ones(_first_that_serves(rest, accuracy, plans(rest, accuracy, method)), ones)
+    return _with_ones(_first_successful(rest, accuracy, plans(rest, accuracy, method)), ones)
 
 
 def _with_ones(found: Multipliers, ones: int) -> Multipliers:
-    """Put the multipliers of exactly 1 back."""
+    """The multipliers with those of exactly 1 added again."""
     if ones == 0:
         return found
     values = np.append(found.values, np.ones(ones))
@@ -99,8 +99,8 @@ def _with_ones(found: Multipliers, ones: int) -> Multipliers:
     return dataclasses.replace(found, values=values[order], errors=errors[order])
 
 
-def _first_that_serves(matrix: PeriodicMatrix, accuracy: float, candidates: list[Plan]) -> Multipliers:
-    """The first plan that meets the target within the budget; the last failure when none does."""
+def _first_successful(matrix: PeriodicMatrix, accuracy: float, candidates: list[Plan]) -> Multipliers:
+    """Result of the first plan that meets the accuracy within the budget. Otherwise the last failure is raised."""
     failure: NotConverged | None = None
     left = BUDGET_US
     for chosen in candidates:
@@ -142,23 +142,23 @@ def _checked(found: Multipliers, accuracy: float) -> Multipliers:
 
 def _overflow(how: str) -> NotConverged:
     return NotConverged(
-        f"the motion outgrows floating point within one revolution ({how}), wanted finite multipliers; where the "
-        "equations really grow so fast the state is unstable"
+        f"the motion overflows within one revolution ({how}), expected finite multipliers; if the equations really "
+        "grow so fast, the state is unstable"
     )
 
 
 def _missed(found: Multipliers, accuracy: float) -> NotConverged:
     return NotConverged(
         f"multipliers by the {found.method} method: error bound {found.error_estimate:.2g} of the largest modulus "
-        f"{found.largest:.6g}, wanted {accuracy:.2g} of max(1, largest); ask for less accuracy or another method"
+        f"{found.largest:.6g}, expected {accuracy:.2g} of max(1, largest); reduce the accuracy or use another method"
     )
 
 
 def _converged(matrix: PeriodicMatrix, accuracy: float, chosen: Plan, budget_us: float) -> tuple[Multipliers, float]:
-    """Double the steps until the bound meets the target, stops falling, or the budget is spent.
+    """Double the steps until the bound meets the accuracy, stops decreasing, or the budget is used up.
 
     Returns:
-        The last result, good enough or not, and the time it took by the cost model, µs.
+        The last result, whether or not it meets the accuracy, and its time by the cost model, µs.
     """
     steps, method = chosen.steps, chosen.method
     found: Multipliers | None = None
@@ -171,7 +171,7 @@ def _converged(matrix: PeriodicMatrix, accuracy: float, chosen: Plan, budget_us:
             spent += steps * chosen.step_us
             fine = method.monodromy(matrix, steps)
             if np.isfinite(fine).all() and np.isfinite(coarse).all():
-                change = _no_better_than_its_order(fine - coarse, earlier, method.ORDER)
+                change = _limited_by_order(fine - coarse, earlier, method.ORDER)
                 before, found = found, _bounded(matrix, fine, change, steps, chosen)
                 if _met(found, accuracy):
                     return found, spent
@@ -182,20 +182,16 @@ def _converged(matrix: PeriodicMatrix, accuracy: float, chosen: Plan, budget_us:
     return found, spent
 
 
-def _no_better_than_its_order(
-    change: NDArray[np.floating], earlier: NDArray[np.floating], order: int
-) -> NDArray[np.floating]:
-    """A change between two resolutions, no smaller than the method's order makes it of the change before.
+def _limited_by_order(change: Array, earlier: Array, order: int) -> Array:
+    """Change between two resolutions, at least the expected change from the previous one by the method's order.
 
-    A change that fell by more is one that passes through zero: the two agree by chance.
+    A change that decreased by more passes through zero: the two resolutions agree by chance.
     """
     expected = earlier / 2**order
     return np.where(np.abs(change) >= np.abs(expected), change, expected)
 
 
-def _bounded(
-    matrix: PeriodicMatrix, fine: NDArray[np.floating], change: NDArray[np.floating], steps: int, chosen: Plan
-) -> Multipliers:
+def _bounded(matrix: PeriodicMatrix, fine: Array, change: Array, steps: int, chosen: Plan) -> Multipliers:
     """Multipliers over a revolution from the monodromy matrix of two resolutions."""
     roundings = 4 + chosen.step_roundings * steps + chosen.rate_roundings * chosen.fastest
     values, errors = eigenvalues_with_bounds(fine, change, roundings)

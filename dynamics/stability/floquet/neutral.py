@@ -1,20 +1,17 @@
-"""Directions that nothing holds: constant v with A(ψ) v = 0, a multiplier of exactly 1.
+"""Neutral directions: constant v with A(ψ) v = 0, a multiplier of exactly 1.
 
-On the borders of balance (S_A + S_B = S_P, |S_A − S_B| = S_P) and without imbalance the pendulums can turn against
-or with each other and the balance stays, to first order. Without pendulum damping the drift along v is neutral too,
-A(ψ) w = v: a multiplier 1 with a Jordan block, of which rounding would leave half the digits. Both are read off the
-matrix and taken out exactly; what remains is well conditioned.
+On the borders of the balancing region (S_A + S_B = S_P, |S_A − S_B| = S_P) and without imbalance, the pendulums can
+turn against or with each other without a change of the balance, to first order. Without pendulum damping the drift
+along v is neutral too, A(ψ) w = v: a multiplier 1 with a Jordan block, which loses half the digits to rounding. Both
+are determined from the matrix and removed exactly. The remaining matrix is well conditioned.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.periodic_matrix import PeriodicMatrix
 
 _ROUNDING = float(np.finfo(float).eps)
@@ -22,10 +19,10 @@ _SLACK = 16.0  # roundings within which two columns count as parallel
 
 
 def without_neutral(matrix: PeriodicMatrix) -> tuple[PeriodicMatrix, int]:
-    """The matrix on what is left when neutral directions of the pendulum angles are divided out.
+    """The matrix with neutral directions of the pendulum angles divided out.
 
     Returns:
-        The smaller matrix, and how many multipliers of exactly 1 were taken out (0, 1 or 2).
+        The smaller matrix, and the number of removed multipliers of exactly 1 (0, 1 or 2).
     """
     n = matrix.dimension
     half = n // 2
@@ -39,30 +36,30 @@ def without_neutral(matrix: PeriodicMatrix) -> tuple[PeriodicMatrix, int]:
     w[half:] = direction
     pivot = int(np.argmax(np.abs(v)))
     rows = _real_rows(matrix)
-    lower = rows[np.arange(len(rows)) % n >= half]  # the upper rows of A w are v itself
+    lower = rows[np.arange(len(rows)) % n >= half]  # the upper rows of A w are v
     if np.max(np.abs(lower @ w)) <= _SLACK * _ROUNDING * np.max(np.abs(lower)):
         return _quotient(_quotient(matrix, w, pivot + half), v[: n - 1], pivot), 2
     return _quotient(matrix, v, pivot), 1
 
 
-def _real_rows(matrix: PeriodicMatrix) -> NDArray[np.floating]:
+def _real_rows(matrix: PeriodicMatrix) -> Array:
     """All Fourier coefficients as real rows, those of order 0 first; shape ((2m + 1) n, n)."""
     h = matrix.harmonics
     return np.concatenate([h[0].real, *[part for k in h[1:] for part in (k.real, k.imag)]])
 
 
-@njit(cache=True, error_model="numpy")
-def _neutral_direction(series, direction):
-    """The combination of the columns of the one or two angles that vanishes to rounding, into direction (n/2,).
+@compiled
+def _neutral_direction(series: Complex, direction: Array) -> bool:
+    """Write the combination of the columns of the one or two angles that vanishes to rounding to direction (n/2,).
 
     Args:
         series: complex, shape (m + 1, n, n); the angles are the states from 2 to n/2.
-        direction: comes as zeros.
+        direction: must contain zeros.
     Returns:
-        Whether there is one.
+        Whether such a combination exists.
     """
     orders, half = series.shape[0], series.shape[1] // 2
-    last = half - 1  # 2 where there is a single angle
+    last = half - 1  # 2 if there is a single angle
     product, own, largest = 0.0, 0.0, 0.0
     for k in range(orders):
         for row in range(2 * half):
@@ -94,8 +91,8 @@ def _neutral_direction(series, direction):
     return True
 
 
-def _quotient(matrix: PeriodicMatrix, v: NDArray[np.floating], pivot: int) -> PeriodicMatrix:
-    """The matrix modulo v: rows lose v's share of the pivot's row, then pivot row and column go."""
+def _quotient(matrix: PeriodicMatrix, v: Array, pivot: int) -> PeriodicMatrix:
+    """The matrix modulo v: v's share of the pivot's row is subtracted from the rows, then pivot row and column go."""
     kept = np.flatnonzero(np.arange(matrix.dimension) != pivot)
     share = v / v[pivot]
     rows = matrix.harmonics - share[None, :, None] * matrix.harmonics[:, pivot : pivot + 1, :]

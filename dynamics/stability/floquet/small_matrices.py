@@ -1,23 +1,22 @@
 """Compiled arithmetic of small matrices: products and the exponential."""
 
-# pyright: reportMissingParameterType=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
-
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numba import njit
 
-_DEGREE = 16  # of the Taylor polynomial: at norm 0.8 what is left out is 0.8^17/17! = 6e-17
+from dynamics.arrays import Array
+from dynamics.compiled_code import compiled
+
+_DEGREE = 16  # of the Taylor polynomial: at norm 0.8 the remainder is 0.8^17/17! = 6e-17
 _NORM = 0.8
 _WEIGHTS = np.array([1.0 / math.factorial(k) for k in range(_DEGREE + 1)])
 
 
-@njit(cache=True, error_model="numpy")
-def multiply(a, b, out):
-    """out = a b for square matrices; out must be neither of them."""
+@compiled
+def multiply(a: Array, b: Array, out: Array) -> None:
+    """out = a b for square matrices; out must be a different array."""
     n = a.shape[0]
     for i in range(n):
         for j in range(n):
@@ -28,8 +27,8 @@ def multiply(a, b, out):
                 out[i, j] += f * b[k, j]
 
 
-@njit(cache=True, error_model="numpy")
-def add(out, factor, a):
+@compiled
+def add(out: Array, factor: float, a: Array) -> None:
     """out += factor a, in place."""
     n = a.shape[0]
     for i in range(n):
@@ -37,17 +36,17 @@ def add(out, factor, a):
             out[i, j] += factor * a[i, j]
 
 
-@njit(cache=True, error_model="numpy")
-def _copy(factor, a, out):
+@compiled
+def _copy(factor: float, a: Array, out: Array) -> None:
     n = a.shape[0]
     for i in range(n):
         for j in range(n):
             out[i, j] = factor * a[i, j]
 
 
-@njit(cache=True, error_model="numpy")
-def _squarings(a):
-    """How often a must be halved for its row-sum norm to come under the Taylor polynomial's limit."""
+@compiled
+def _squarings(a: Array) -> int:
+    """Number of halvings of a that brings its row-sum norm below the limit of the Taylor polynomial."""
     norm = 0.0
     for i in range(a.shape[0]):
         row = 0.0
@@ -61,9 +60,9 @@ def _squarings(a):
     return count
 
 
-@njit(cache=True, error_model="numpy")
-def exponential(a, work, out):
-    """exp(a) by scaling and squaring of the Taylor polynomial of degree 16 (Paterson and Stockmeyer: six products).
+@compiled
+def exponential(a: Array, work: Array, out: Array) -> None:
+    """Write exp(a) to out: scaling and squaring of the degree-16 Taylor polynomial (Paterson–Stockmeyer, six products).
 
     Args:
         a: shape (n, n), left unchanged.

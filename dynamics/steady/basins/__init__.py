@@ -1,1 +1,1 @@
-"""What releases end in: all stable states and slipping motions, which releases each one draws, how probable it is."""
+"""End states of releases: all stable states and slipping motions, and their basins of attraction."""

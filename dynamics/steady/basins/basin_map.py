@@ -1,5 +1,5 @@
 # pyright: strict
-"""Basins: to which stable motion each release of a grid goes."""
+"""Basins: the stable motion reached by each release of a grid."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Flags, Indices
 from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import OutsideDomain
 from dynamics.motions.locked_motion import locked_state
@@ -17,38 +17,37 @@ from dynamics.steady.basins.following import STATED_ERROR_RAD, Followed, follow
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit, slipping_orbit
 from dynamics.steady.basins.turning import Turning
 
-Array = NDArray[np.float64]
-
-_FIRST = 12  # releases followed before all others, to find slipping orbits
-_SCOUTS = 6  # releases that are followed on, to see what they slip on
-_SCOUTED = 3000  # revolutions
-_LOOKED_AT = 1500  # of them, the last
-_FIRST_PASS = 0.8  # of the work; the rest where releases have led to further slipping orbits
-_SAME_RATE = 1e-5  # turns per revolution
+_FIRST = 12  # number of releases simulated before all others, to find slipping orbits
+_SCOUTS = 6  # number of releases simulated longer, to find their slipping orbits
+_SCOUTED = 3000  # revolutions of these
+_EVALUATED = 1500  # last revolutions of these that are evaluated
+_FIRST_PASS = 0.8  # progress after the first pass; the rest is for further slipping orbits
+_SAME_RATE = 1e-5  # turns per revolution: difference of rates below which two orbits are the same
 
 
 @dataclass(frozen=True)
 class BasinMap:
-    """Where the releases of a grid end.
+    """End states of the releases of a grid.
 
     Attributes:
-        theta3_rad, theta4_rad: angles at which the locks hold A and B, shapes (n3,) and (n4,).
-        ends: the stable motions there are.
-        end: index into them, −1 for not settled within the time, shape (n4, n3).
-        sure: False at a boundary: a neighbour at the stated error, followed less accurately, went another way.
-        caught_s, settled_s: time until the motion was certain to end there, and until it stayed near; nan where not.
+        theta3_rad, theta4_rad: angles of A and B at the release, shapes (n3,) and (n4,).
+        ends: the stable motions.
+        end: index into `ends`, −1 for a release that did not settle in time, shape (n4, n3).
+        sure: False at a boundary: a neighbour at the stated error, simulated less accurately, has another end.
+        caught_s, settled_s: time until the motion entered the region of its end, and until it stayed near it; NaN if it
+            did not.
         amplitude_m: rms distance of the disk centre from its mean at the end of the time.
         apart_rad: largest distance from the neighbour, inf beyond 0.02.
-        turns: of A and B against the rotor until it was caught, shape (n4, n3, 2).
-        seconds, stated_error_rad: as asked.
-        speed_rad_s: the rotor's.
+        turns: turns of A and B relative to the rotor until the region was entered, shape (n4, n3, 2).
+        seconds, stated_error_rad: arguments of `basins`.
+        speed_rad_s: speed of the rotor.
     """
 
     theta3_rad: Array
     theta4_rad: Array
     ends: tuple[End, ...]
-    end: NDArray[np.int64]
-    sure: NDArray[np.bool_]
+    end: Indices
+    sure: Flags
     caught_s: Array
     settled_s: Array
     amplitude_m: Array
@@ -60,7 +59,7 @@ class BasinMap:
 
     @property
     def shares(self) -> Array:
-        """Share of the grid that goes to each end, and behind them that which settles on none, shape (ends + 1,)."""
+        """Fraction of the grid for each end, and last the fraction without an end, shape (ends + 1,)."""
         wanted = [*range(len(self.ends)), -1]
         return np.array([np.count_nonzero(self.end == i) / self.end.size for i in wanted])
 
@@ -76,18 +75,18 @@ def basins(
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> BasinMap:
-    """Where releases from a grid of locked angles end.
+    """Compute the end states of releases from a grid of locked angles.
 
     Args:
-        rig: RotorParameters, or anything whose `.physics` is.
-        theta3_rad, theta4_rad: angles at which the locks hold A and B.
-        seconds: how long each release is followed.
-        stated_error_rad: by how much the angles may be wrong where an end is called sure.
-        workers: threads; None: one a core.
-        progress: called with the share done, 0 … 1.
+        rig: RotorParameters, or an object whose `.physics` is one.
+        theta3_rad, theta4_rad: angles of A and B at the release.
+        seconds: simulated time of each release, s.
+        stated_error_rad: error of the angles within which an end counts as sure.
+        workers: number of threads. None: one per core.
+        progress: called with the completed share, 0 … 1.
     Raises:
-        OutsideDomain: dry friction, no pendulum, no imbalance, or numbers that mean nothing.
-        NotConverged: the steady states can't be had.
+        OutsideDomain: dry friction, no pendulum, no imbalance, or invalid numbers.
+        NotConverged: the steady states cannot be computed.
     Source: docs/theory/basins.md.
     """
     turning = Turning.of(rig, speed_rad_s)
@@ -130,14 +129,14 @@ def follow_to_all(
     workers: int | None,
     progress: Callable[[float], None] | None,
 ) -> tuple[list[End], Followed]:
-    """Releases followed to steady states and to the slipping orbits that they themselves lead to."""
+    """Simulate releases to steady states and to the slipping orbits that they lead to."""
     steady = steady_ends(turning)
     few = np.unique(np.linspace(0, len(starts) - 1, _FIRST).astype(int))
     first = follow(turning, starts[few], steady, seconds, stated_error_rad=stated_error_rad, workers=workers)
     orbits = _scouted(turning, first.last[first.end < 0], [])
     ends = with_slipping(steady, orbits)
-    told = _part(progress, 0.0, _FIRST_PASS)
-    found = follow(turning, starts, ends, seconds, stated_error_rad=stated_error_rad, workers=workers, progress=told)
+    notify = _part(progress, 0.0, _FIRST_PASS)
+    found = follow(turning, starts, ends, seconds, stated_error_rad=stated_error_rad, workers=workers, progress=notify)
     left = np.flatnonzero(found.end < 0)
     while len(left):
         added = _scouted(turning, found.last[left], orbits)
@@ -145,9 +144,9 @@ def follow_to_all(
             break
         orbits += added
         ends = with_slipping(steady, orbits)
-        told = _part(progress, _FIRST_PASS, 1.0)
+        notify = _part(progress, _FIRST_PASS, 1.0)
         again = follow(
-            turning, starts[left], ends, seconds, stated_error_rad=stated_error_rad, workers=workers, progress=told
+            turning, starts[left], ends, seconds, stated_error_rad=stated_error_rad, workers=workers, progress=notify
         )
         found.put(left, again)
         left = np.flatnonzero(found.end < 0)
@@ -155,18 +154,18 @@ def follow_to_all(
 
 
 def _part(progress: Callable[[float], None] | None, begin: float, end: float) -> Callable[[float], None] | None:
-    """Progress of a part of the work, told as a share of the whole."""
+    """Progress of a part of the work, as a share of the whole."""
     return None if progress is None else lambda share: progress(begin + share * (end - begin))
 
 
 def _scouted(turning: Turning, last: Array, known: Sequence[SlippingOrbit]) -> list[SlippingOrbit]:
-    """Slipping orbits, not known yet, that some of the releases reach when they are followed on."""
+    """New slipping orbits that some of the releases reach when they are simulated longer."""
     found = list[SlippingOrbit]()
     if not len(last):
         return found
     chosen = last[np.unique(np.linspace(0, len(last) - 1, _SCOUTS).astype(int))]
     for state in chosen:
-        strobe = turning.strobed(state, _SCOUTED)[-_LOOKED_AT:]
+        strobe = turning.strobed(state, _SCOUTED)[-_EVALUATED:]
         orbit = slipping_orbit(turning, strobe, NEAR_RAD)
         if orbit is not None and not any(same_orbit(orbit, other) for other in [*known, *found]):
             found.append(orbit)
@@ -174,6 +173,6 @@ def _scouted(turning: Turning, last: Array, known: Sequence[SlippingOrbit]) -> l
 
 
 def same_orbit(one: SlippingOrbit, other: SlippingOrbit) -> bool:
-    """Whether two slipping orbits are one, by their rates."""
+    """Whether the rates of two slipping orbits are equal."""
     apart = np.array(one.turns_per_revolution) - np.array(other.turns_per_revolution)
     return bool(np.all(np.abs(apart) < _SAME_RATE))

@@ -1,5 +1,5 @@
 # pyright: strict
-"""All stable motions over a plane: steady states of every type, and slipping orbits carried to every neighbour."""
+"""All stable motions over a plane: steady states of every type, and slipping orbits continued to every neighbour."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dynamics.arrays import Array
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.locked_motion import locked_state
@@ -19,21 +20,21 @@ from dynamics.steady.basins.turning import Turning
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
 
-_SCOUTS_RAD = ((0.0035, 3.1398), (1.5, 3.6), (3.0, 3.3))  # releases that are followed to see whether they slip
-_FOLLOWED, _LOOKED_AT = 1500, 700  # revolutions
-_FURTHER = 2500  # revolutions more that are looked at where a motion slips and its orbit is not found from fewer
-_SAME_RATE = 1e-5  # turns per revolution
-_KIN = 0.2  # of an orbit's rates: so near them an orbit here is taken for its continuation
+_SCOUTS_RAD = ((0.0035, 3.1398), (1.5, 3.6), (3.0, 3.3))  # θ3, θ4 of releases that are simulated to find slipping
+_FOLLOWED, _EVALUATED = 1500, 700  # revolutions simulated, and evaluated at the end
+_FURTHER = 2500  # additional revolutions if a motion slips and its orbit is not found
+_SAME_RATE = 1e-5  # turns per revolution: difference of rates below which two orbits are the same
+_NEIGHBOUR_RATE = 0.2  # relative difference of rates below which an orbit counts as the continuation of a neighbour's
 
 
 @dataclass(frozen=True)
 class StableMotions:
-    """What is stable at one point.
+    """Stable motions at one point.
 
     Attributes:
         steady: stable steady states.
-        slipping: stable slipping orbits that were found: from a neighbour by Newton's method, or by releases.
-        refused: why there is no answer; "" where there is one.
+        slipping: stable slipping orbits found by continuation of a neighbour's orbit or by releases.
+        refused: error message, or "".
     """
 
     steady: tuple[SteadyState, ...] = ()
@@ -55,19 +56,19 @@ def stable_motions(
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> list[StableMotions]:
-    """All stable motions of each rig at its speed.
+    """Compute all stable motions of each rig at its speed.
 
-    Releases are followed at every point. Each slipping orbit that a point has is then sought at its four neighbours
-    by Newton's method, at theirs again, and so on, until no neighbour has one more: an orbit that a few releases miss
-    is found wherever the plane leads to it. The answer depends on neither workers nor their order.
+    Releases are simulated at every point. Each slipping orbit of a point is then continued to its four neighbours by
+    Newton's method, from them to their neighbours, and so on, until no neighbour has a new orbit. An orbit that the few
+    releases miss is therefore found if the plane leads to it. The result does not depend on the workers or their order.
 
     Args:
-        rigs, speeds_rad_s: points of a grid, row by row, neighbours so close that an orbit is found from the next.
-        columns: points in a row of the grid; None: all are one row.
-        workers: threads; None: one a core.
-        progress: called with the share of the points at which releases have been followed.
+        rigs, speeds_rad_s: points of a grid, row by row, so close that an orbit can be continued to the next point.
+        columns: number of points in a row of the grid. None: all points form one row.
+        workers: number of threads. None: one per core.
+        progress: called with the share of points at which releases have been simulated.
     Raises:
-        OutsideDomain: counts that do not match. What is wrong with one rig is in `refused`.
+        OutsideDomain: the counts do not match. Errors of single rigs are stored in `refused`.
     """
     count = len(rigs)
     if len(speeds_rad_s) != count:
@@ -113,7 +114,7 @@ def stable_motions(
 def _to_try(
     found: list[StableMotions], tried: list[list[SlippingOrbit]], wide: int
 ) -> list[tuple[int, list[SlippingOrbit]]]:
-    """Points with orbits of their neighbours that they have not, and that were not sought there; these are noted."""
+    """Points with orbits of their neighbours that are new and not yet tried there. The orbits are added to `tried`."""
     pairs = list[tuple[int, list[SlippingOrbit]]]()
     for place, here in enumerate(found):
         if here.refused:
@@ -129,7 +130,7 @@ def _to_try(
                 continue
             for orbit in found[other].slipping:
                 rates = np.array(orbit.turns_per_revolution)
-                near = _KIN * float(np.max(np.abs(rates)))
+                near = _NEIGHBOUR_RATE * float(np.max(np.abs(rates)))
                 if all(known is not orbit for known in tried[place]) and all(
                     _rate_apart(known, rates) >= near for known in here.slipping
                 ):
@@ -143,14 +144,14 @@ def _to_try(
 def _with(
     rig: RotorParameters | object, speed: float, here: StableMotions, orbits: list[SlippingOrbit]
 ) -> StableMotions:
-    """What is stable at a point, with the orbits of its neighbours where it has them too."""
+    """Stable motions at a point, with those orbits of its neighbours that can be continued to it."""
     slipping = list(here.slipping)
     try:
         turning = Turning.of(rig, float(speed))
         for known in orbits:
             _add(slipping, continued(turning, known))
     except (DynamicsError, np.linalg.LinAlgError):
-        pass  # the neighbour's orbit leads nowhere here; what was found by releases stands
+        pass  # the neighbour's orbit cannot be continued to this point
     return replace(here, slipping=tuple(slipping))
 
 
@@ -162,7 +163,7 @@ def _at(rig: RotorParameters | object, speed: float, carried: Sequence[SlippingO
         for known in carried:
             _add(orbits, continued(turning, known))
         for a, b in _SCOUTS_RAD:
-            strobe = turning.strobed(locked_state(turning.parameters, speed, 0.0, a, b), _FOLLOWED)[-_LOOKED_AT:]
+            strobe = turning.strobed(locked_state(turning.parameters, speed, 0.0, a, b), _FOLLOWED)[-_EVALUATED:]
             turned = np.abs(strobe[-1, 2:4] - strobe[0, 2:4]) / (2 * math.pi)
             rates = (strobe[-1, 2:4] - strobe[0, 2:4]) / (2 * math.pi * (len(strobe) - 1))
             if np.max(turned) < 2.0 or any(_rate_apart(o, rates) < 2.0 / len(strobe) for o in orbits):
@@ -176,12 +177,12 @@ def _at(rig: RotorParameters | object, speed: float, carried: Sequence[SlippingO
         return StableMotions(refused=str(error))
 
 
-def _rate_apart(orbit: SlippingOrbit, rates: np.ndarray) -> float:
+def _rate_apart(orbit: SlippingOrbit, rates: Array) -> float:
     return float(np.max(np.abs(np.array(orbit.turns_per_revolution) - rates)))
 
 
 def _add(orbits: list[SlippingOrbit], found: SlippingOrbit | None) -> None:
-    """Keep an orbit that is none of those known."""
+    """Add an orbit if it is new."""
     if found is not None and all(
         _rate_apart(known, np.array(found.turns_per_revolution)) >= _SAME_RATE for known in orbits
     ):

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The stable motions at one speed, resting and slipping, each with a region from which nothing returns."""
+"""The stable motions at one speed, resting and slipping, each with its attracting region."""
 
 from __future__ import annotations
 
@@ -9,33 +9,31 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.regions import Region, attracting_region, mirrored
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit
 from dynamics.steady.basins.turning import Turning
 from dynamics.steady.steady_motions import steady_states
 
-Array = NDArray[np.float64]
-
-_MIRRORED = 1e-8  # in the units of the state
+_MIRRORED = 1e-8  # in the units of the state: distance below which two states are mirror images
 NEAR_RAD = 5e-3
-"""Deviation in every component, in its unit, below which a release has arrived."""
+"""Deviation in every component, in its unit, below which a release has settled."""
 
 
 @dataclass(frozen=True)
 class End:
-    """A stable motion that releases end in.
+    """A stable motion at which releases end.
 
     Attributes:
         name: "I", "II", "III", "one" or "slipping".
-        mirror: 0, or 1 for the second of two mirror images; numbers those of one type that are none.
+        mirror: 0, or 1 for the second of two mirror images. States of one type that are not mirror images are numbered.
         theta_rad: mean angles of A and B; None for slipping.
-        amplitude_m: root mean square distance of the disk centre from the middle of its orbit.
-        multiplier: largest modulus over one revolution; of a slipping orbit, across it.
-        start: of a steady state, the state at ψ = 0, shape (8,).
-        region: about a steady state.
+        amplitude_m: root mean square distance of the disk centre from the centre of its orbit.
+        multiplier: largest modulus over one revolution; of a slipping orbit, transverse to it.
+        start: state at ψ = 0, shape (8,).
+        region: attracting region of a steady state; None for slipping.
         slipping: the slipping orbit; None for a steady state.
     """
 
@@ -50,7 +48,7 @@ class End:
 
     @property
     def words(self) -> str:
-        """The end with its angles, or with its rates of slip."""
+        """Name of the end with its angles or its rates of slip."""
         if self.theta_rad is not None:
             a, b = (math.degrees(angle) for angle in self.theta_rad)
             return f"{self.name}: A at {a:.1f}°, B at {b:.1f}°"
@@ -60,16 +58,16 @@ class End:
 
 
 def steady_ends(turning: Turning) -> list[End]:
-    """All stable steady states at the rig's speed.
+    """Compute all stable steady states at the rig's speed.
 
     Raises:
-        OutsideDomain: a rig without a direction, whose balanced pendulums may stand at any angle.
-        NotConverged: as dynamics.steady.steady_motions.steady_states.
+        OutsideDomain: the rig has no imbalance, so that its balanced pendulums may be at any angle.
+        NotConverged: as for dynamics.steady.steady_motions.steady_states.
     """
     ends = list[End]()
     for state in steady_states(turning.parameters, turning.speed_rad_s, 1e-6):
         if state.any_angle:
-            raise OutsideDomain("without an imbalance the pendulums stand at any angle: expected S_P above 0")
+            raise OutsideDomain("without an imbalance the pendulums rest at any angle: expected S_P above 0")
         if not state.stable:
             continue
         start = state.start.astype(np.float64)
@@ -83,7 +81,7 @@ def steady_ends(turning: Turning) -> list[End]:
 
 
 def _numbered(kind: str, theta_rad: tuple[float, float], ends: Sequence[End]) -> int:
-    """0 or 1 for two mirror images, by the side on which A is; the next number where that one is taken."""
+    """0 or 1 for two mirror images, by the side of A; the next number if that one is used."""
     wanted, taken = mirror_image(kind, theta_rad), {end.mirror for end in ends if end.name == kind}
     while wanted in taken:
         wanted += 1
@@ -91,12 +89,12 @@ def _numbered(kind: str, theta_rad: tuple[float, float], ends: Sequence[End]) ->
 
 
 def mirror_image(kind: str, theta_rad: tuple[float, float]) -> int:
-    """Of a balanced state 0 with A at less than half a turn from the imbalance, else 1; of the others 0."""
+    """0 for a balanced state with A less than half a turn from the imbalance, otherwise 1; 0 for other types."""
     return int(kind == "I" and theta_rad[0] % (2 * math.pi) > math.pi)
 
 
 def with_slipping(steady: Sequence[End], slipping: Sequence[SlippingOrbit]) -> list[End]:
-    """Steady ends, and behind them those in which the pendulums slip."""
+    """Steady ends, followed by slipping ends."""
     return [
         *steady,
         *(
@@ -107,7 +105,7 @@ def with_slipping(steady: Sequence[End], slipping: Sequence[SlippingOrbit]) -> l
 
 
 def _as_mirror_image(turning: Turning, kind: str, start: Array, ends: Sequence[End]) -> Region | None:
-    """The region of a state that is another's with A and B changed over, where they are alike."""
+    """Region of a state that is the mirror image of another one with A and B exchanged, if these are equal."""
     if turning.parameters.a != turning.parameters.b:
         return None
     for end in ends:
@@ -120,7 +118,7 @@ def _as_mirror_image(turning: Turning, kind: str, start: Array, ends: Sequence[E
 
 
 def packed(ends: Sequence[End], turning: Turning) -> tuple[Any, ...]:
-    """What dynamics.steady.basins.pursuit takes."""
+    """Argument `ends` of dynamics.steady.basins.pursuit."""
     points, forms, first, lead, sheets = list[Array](), list[Array](), [0], list[int](), list[int]()
     maps, straight, near, radius = list[Array](), list[float](), list[float](), list[float]()
     for end in ends:

@@ -1,44 +1,42 @@
-# pyright: strict, reportUnknownVariableType=false
-"""A closed curve of the once-a-revolution map by the angle of a pendulum that turns, and what shrinks across it.
+# pyright: strict
+"""Closed curve of the once-a-revolution map, parametrised by a pendulum's angle, and its transverse contraction.
 
-A state beside the curve is compared with the curve's state at which the lead pendulum stands at the same angle: the
-deviation then has no part along the curve. A revolution takes it from one such fibre to another by
+A state near the curve is compared with the state of the curve at which the lead pendulum has the same angle. The
+deviation then has no component along the curve. A revolution maps it from one such fibre to another by
     A = (1 − t eᵀ) DP,   t = du/dα where it arrives, e the lead's direction,
-and Q(χ) = 1 + γ⁻² Aᵀ Q(χ + ρ) A is the quadratic form that shrinks by γ² on every fibre. Source: docs/theory/basins.md.
+and Q(χ) = 1 + γ⁻² Aᵀ Q(χ + ρ) A is the quadratic form that decreases by γ² on every fibre. Source:
+docs/theory/basins.md.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Indices
+from dynamics.compiled_code import compiled
 from dynamics.steady.basins.pursuit import deviation
 from dynamics.steady.basins.turning import Turning
 
-Array = NDArray[np.float64]
-
-_FOLLOWED, _DROPPED = 1600, 150  # revolutions over which deviations are followed, and those before they are sorted
+_FOLLOWED, _DROPPED = 1600, 150  # revolutions of the deviations, and initial ones that are discarded
 _THOROUGH, _QUICK = (1.3, 50, 400), (1.8, 22, 100)  # ratio of neighbouring shells' radii, shells, samples on each
-_FIRST_RAD, _LARGEST_RAD, _SHRINK = 2e-3, 2.0, 0.999
+_FIRST_RAD, _MAX_RAD, _SHRINK = 2e-3, 2.0, 0.999
 _SEED = 21
-_MOST_TERMS, _LARGEST_FORM = 5000, 1e12
+_MAX_TERMS, _MAX_FORM = 5000, 1e12
 
 
 @dataclass(frozen=True)
 class Fibres:
-    """A curve u(χ) and the maps across it.
+    """A curve u(χ) and its transverse maps.
 
     Attributes:
         turning: the rig.
-        values: u at equal steps of χ without winding, shape (m, 8).
-        turns: what the angles gain while the curve is passed, shape (8,).
-        rate: ρ, turns of the curve a revolution.
-        lead: pendulum by whose angle the curve is cut, 0 or 1.
+        values: u without winding at equal steps of χ, shape (m, 8).
+        turns: increase of the angles along the whole curve, shape (8,).
+        rate: ρ, turns of the curve per revolution.
+        lead: pendulum whose angle parametrises the curve, 0 or 1.
         across: components of a deviation.
         maps: A at the steps of χ, in the units of the state, shape (m, a, a).
     """
@@ -53,7 +51,7 @@ class Fibres:
 
     @classmethod
     def of(cls, turning: Turning, values: Array, rate: float, winding: tuple[int, int]) -> Fibres | None:
-        """None where the lead pendulum's angle does not grow along the whole curve."""
+        """None if the lead pendulum's angle does not increase along the whole curve."""
         turns = np.zeros(8)
         turns[2:4] = 2 * math.pi * np.array(winding)
         lead = 0 if abs(winding[0]) >= abs(winding[1]) else 1
@@ -70,25 +68,25 @@ class Fibres:
 
     @property
     def sheets(self) -> int:
-        """Turns of the lead pendulum while the curve is passed once."""
+        """Turns of the lead pendulum along the whole curve."""
         return round(abs(self.turns[2 + self.lead]) / (2 * math.pi))
 
     def forms(self, gamma: float) -> Array | None:
-        """Q at the steps of χ, shape (m, a, a), in the units of the state; None where the sum does not converge.
+        """Q at the steps of χ, shape (m, a, a), in the units of the state; None if the sum does not converge.
 
-        It does not where the steps are too few for A, which varies faster along the curve than u does.
+        The sum diverges if there are too few steps for A, which varies faster along the curve than u.
 
         Args:
-            gamma: what deviations shrink by in a revolution, above the largest modulus.
+            gamma: contraction of deviations per revolution, above the largest modulus.
         """
         number = len(self.across)
         one = np.eye(number)
         maps, found = self.maps / gamma, np.tile(one, (len(self.maps), 1, 1))
-        for _ in range(_MOST_TERMS):
+        for _ in range(_MAX_TERMS):
             then = one + np.swapaxes(maps, 1, 2) @ turned(found, self.rate) @ maps
             then = 0.5 * (then + np.swapaxes(then, 1, 2))
             size = float(np.max(np.abs(then)))
-            if not size < _LARGEST_FORM:
+            if not size < _MAX_FORM:
                 return None
             if float(np.max(np.abs(then - found))) <= 1e-7 * size:
                 return then
@@ -113,9 +111,9 @@ class Fibres:
 
 
 def moduli_across(turning: Turning, values: Array, rate: float, winding: tuple[int, int]) -> Array:
-    """What deviations across a curve are multiplied with in a revolution, largest first, shape (free − 1,).
+    """Factors of deviations transverse to a curve per revolution, largest first, shape (free − 1,).
 
-    They are followed along the curve in the planes normal to it, so that it may turn back in any of its angles.
+    The deviations are followed along the curve in its normal planes, so its angles need not increase monotonically.
 
     Args:
         values, rate, winding: u at equal steps of χ without winding, ρ, and turns of A and B along the whole curve.
@@ -142,7 +140,7 @@ def moduli_across(turning: Turning, values: Array, rate: float, winding: tuple[i
 
 
 def positive(forms: Array, across: list[int]) -> bool:
-    """Whether every form is finite and positive on the components of a deviation."""
+    """Whether every form is finite and positive definite on the components of a deviation."""
     own = forms[:, across][:, :, across]
     scale = np.sqrt(np.abs(np.einsum("nii->ni", own)))
     if not (np.all(np.isfinite(own)) and np.all(scale > 0)):
@@ -154,10 +152,10 @@ def positive(forms: Array, across: list[int]) -> bool:
 def caught_scale(
     turning: Turning, points: Array, forms: Array, lead: int, sheets: int, *, quick: bool = False
 ) -> float:
-    """V on the largest shell about a curve up to which every sample came nearer in a revolution; 0: on none.
+    """V on the largest shell about a curve up to which every sample approached in a revolution; 0 if none did.
 
     Args:
-        points, forms, lead, sheets: as of dynamics.steady.basins.pursuit.deviation.
+        points, forms, lead, sheets: as for dynamics.steady.basins.pursuit.deviation.
         quick: fewer shells and samples.
     """
     units = turning.units
@@ -168,7 +166,7 @@ def caught_scale(
     rng, radius, passed = np.random.default_rng(_SEED), _FIRST_RAD / largest, 0.0
     ratio, shells, samples = _QUICK if quick else _THOROUGH
     for _ in range(shells):
-        if radius * largest > _LARGEST_RAD:
+        if radius * largest > _MAX_RAD:
             break
         rows = rng.integers(0, len(points), samples)
         ways = rng.standard_normal((samples, len(across)))
@@ -183,7 +181,7 @@ def caught_scale(
 
 
 def series(values: Array, places: Array) -> Array:
-    """Trigonometric interpolation of values at equal steps (first axis, an odd number) at any places χ."""
+    """Trigonometric interpolation of values at equal steps (first axis, an odd number) at places χ."""
     count = len(values)
     away = places[:, None] - np.arange(count)[None, :] / count
     away -= np.round(away)
@@ -203,14 +201,14 @@ def turned(values: Array, shift: float) -> Array:
 
 
 def derivative(values: Array) -> Array:
-    """d/dχ at the same steps."""
+    """Derivative d/dχ at the same steps."""
     count = len(values)
     orders = np.fft.fftfreq(count, 1 / count)
     return np.real(np.fft.ifft(2j * math.pi * orders[:, None] * np.fft.fft(values, axis=0), axis=0))
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _values(states: Any, ends: Any) -> Any:
+@compiled(nogil=True)
+def _values(states: Array, ends: tuple[Array, Array, Indices, Indices, Indices]) -> Array:
     found, away = np.empty(len(states)), np.empty(8)
     for i in range(len(states)):
         found[i] = deviation(states[i], 0, ends, away)

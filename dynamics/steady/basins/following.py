@@ -1,5 +1,5 @@
-# pyright: strict, reportUnknownVariableType=false
-"""Many releases followed at once, each until a stable motion has caught it."""
+# pyright: strict
+"""Many releases simulated at once, each until it enters the region of a stable motion."""
 
 from __future__ import annotations
 
@@ -13,38 +13,37 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.arguments import need_number
+from dynamics.arguments import check_number
+from dynamics.arrays import Array, Flags, Indices
 from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.ends import End, packed
 from dynamics.steady.basins.pursuit import APART, CAUGHT, END, FACTS, RADIUS, SETTLED, TURNS_A, TURNS_B, pursue
 from dynamics.steady.basins.turning import COARSE_RAD, STEP_RAD, Turning
 
-Array = NDArray[np.float64]
-
 STATED_ERROR_RAD = 1e-6
-"""How far beside the release its neighbour starts."""
-_SHARE = 0.25  # of a region's rim, as V, that catches
-_APART_RAD = 0.02  # distance of release and neighbour from which on they have come apart
-_FURTHER = 4  # horizons for which a release that is caught is followed until it settles
-_BESIDE = (1.0, -0.6)  # direction in which the neighbour starts, A and B
-_GROUP = 16  # releases that a thread takes at a time
+"""Default distance of a release and its neighbour."""
+_SHARE = 0.25  # V, relative to the region's rim, within which a motion counts as caught
+_APART_RAD = 0.02  # distance above which release and neighbour count as separated
+_FURTHER = 4  # additional time for a caught release to settle, in units of the simulated time
+_NEIGHBOUR_DIRECTION = (1.0, -0.6)  # start of the neighbour relative to the release, A and B
+_GROUP = 16  # number of releases per task
 
 
 @dataclass(frozen=True)
 class Followed:
-    """What became of many releases; arrays of shape (n,).
+    """Results of many releases; arrays of shape (n,).
 
     Attributes:
-        end: index into the ends, −1 for not settled.
-        caught_s: time after which the motion was within the end's region; nan where it never was.
-        settled_s: time from which on it stayed near, maybe beyond the time followed; nan where that is not known.
+        end: index into the ends, −1 for a release that did not settle.
+        caught_s: time after which the motion was in the region of its end, s; NaN if it never was.
+        settled_s: time after which it stayed near its end, possibly beyond the simulated time, s; NaN if unknown.
         apart_rad: largest distance from the neighbour before it was caught, inf beyond 0.02.
-        amplitude_m: root mean square distance of the disk centre from its mean in the last revolution followed.
-        turns: of A and B against the rotor, shape (n, 2).
-        last: states at the end, shape (n, 8).
+        amplitude_m: rms distance of the disk centre from its mean in the last simulated revolution.
+        turns: turns of A and B relative to the rotor, shape (n, 2).
+        last: final states, shape (n, 8).
     """
 
-    end: NDArray[np.int64]
+    end: Indices
     caught_s: Array
     settled_s: Array
     apart_rad: Array
@@ -53,16 +52,16 @@ class Followed:
     last: Array
 
     @property
-    def sure(self) -> NDArray[np.bool_]:
-        """Whether a neighbour at the stated error, followed less accurately, went the same way."""
+    def sure(self) -> Flags:
+        """Whether a neighbour at the stated error, simulated less accurately, has the same end."""
         return self.apart_rad <= _APART_RAD
 
     def at(self, chosen: NDArray[Any]) -> Followed:
-        """Some of the releases."""
+        """Selection of the releases."""
         return Followed(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
 
     def put(self, chosen: NDArray[Any], other: Followed) -> None:
-        """Replace some of the releases."""
+        """Replace the results of some releases."""
         for f in fields(self):
             getattr(self, f.name)[chosen] = getattr(other, f.name)
 
@@ -77,34 +76,34 @@ def follow(
     progress: Callable[[float], None] | None = None,
     workers: int | None = None,
 ) -> Followed:
-    """Follow releases until an end catches them, at most so long.
+    """Simulate releases until they enter the region of an end, at most for a given time.
 
     Args:
         starts: states at ψ = 0, shape (n, 8).
-        ends: that may catch them.
-        seconds: how long, at least one revolution.
-        stated_error_rad: by how much the start angles may be wrong.
-        progress: called with the share done.
-        workers: threads; None: one a core; 1: none beside this one.
+        ends: possible ends.
+        seconds: longest simulated time, at least one revolution, s.
+        stated_error_rad: distance of the neighbour from the release, rad.
+        progress: called with the completed share, 0 … 1.
+        workers: number of threads. None: one per core. 1: the calling thread only.
     Raises:
-        OutsideDomain: numbers that mean nothing.
+        OutsideDomain: invalid numbers.
     """
-    need_number(seconds=seconds, stated_error_rad=stated_error_rad)
+    check_number(seconds=seconds, stated_error_rad=stated_error_rad)
     if not 0 < seconds < math.inf:
         raise OutsideDomain(f"seconds must be finite and above 0, got {seconds!r}")
     if not 0 < stated_error_rad <= 0.1 * _APART_RAD:
         raise OutsideDomain(f"stated_error_rad must be above 0, at most {0.1 * _APART_RAD:g}, got {stated_error_rad!r}")
     turns = max(1, math.ceil(seconds / turning.period_s))
     last, facts = np.array(starts, np.float64), np.empty((len(starts), FACTS))
-    beside = last.copy()
-    beside[:, 2:4] += stated_error_rad * np.array(_BESIDE)
+    neighbours = last.copy()
+    neighbours[:, 2:4] += stated_error_rad * np.array(_NEIGHBOUR_DIRECTION)
     table = packed(ends, turning)
     motion = (turning.speed_rad_s, turning.pace, (STEP_RAD, COARSE_RAD), turning.system)
     limits = (_SHARE, _APART_RAD, _FURTHER * turns)
 
     def group(begin: int) -> None:
         for i in range(begin, min(begin + _GROUP, len(last))):
-            pursue(last[i], beside[i], turns, motion, table, turning.units, limits, facts[i])
+            pursue(last[i], neighbours[i], turns, motion, table, turning.units, limits, facts[i])
 
     begins = range(0, len(last), _GROUP)
     if workers == 1:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""States that repeat after some revolutions, but for whole turns of the pendulums, by Newton's method."""
+"""States that repeat after some revolutions, up to whole turns of the pendulums, by Newton's method."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.steady.basins.turning import Turning
 
-Array = NDArray[np.float64]
-
 _NEWTON = 12
-_CLOSED = 1e-10  # residual, in the units of the state
-_STEP = 0.5  # the largest step that is taken, in units
-_ASTRAY = 1.0  # how far from the guess a solution may lie, in units
+_CLOSED = 1e-10  # largest residual, in the units of the state
+_STEP = 0.5  # largest Newton step, in units
+_MAX_DISTANCE = 1.0  # largest distance of a solution from the guess, in units
 
 
 @dataclass(frozen=True)
@@ -24,11 +22,11 @@ class PeriodicMotion:
     """A motion that is periodic in the rotor's frame.
 
     Attributes:
-        states: at the start of each of its revolutions, angles counted on, shape (q, 8).
-        turns: of A and B against the rotor in the whole period.
+        states: states at the start of each revolution, angles not reduced, shape (q, 8).
+        turns: turns of A and B relative to the rotor in the whole period.
         maps: derivatives of the once-a-revolution map at the states, SI, shape (q, 8, 8).
-        moduli: of the multipliers over one revolution, largest first: |eigenvalues of the product|^(1/q).
-        residual: of the equation, in the units of the state.
+        moduli: moduli of the multipliers over one revolution, largest first: |eigenvalues of the product|^(1/q).
+        residual: residual of the equation, in the units of the state.
     """
 
     states: Array
@@ -46,12 +44,12 @@ class PeriodicMotion:
 def periodic_motion(
     turning: Turning, guess: Array, period: int = 1, turns: tuple[int, int] = (0, 0)
 ) -> PeriodicMotion | None:
-    """The periodic motion near a state; None where Newton's method leaves the neighbourhood.
+    """The periodic motion near a state, or None if Newton's method leaves the neighbourhood.
 
     Args:
-        guess: a state at ψ = 0, shape (8,).
-        period: in revolutions.
-        turns: whole turns of A and B against the rotor in a period.
+        guess: state at ψ = 0, shape (8,).
+        period: period in revolutions.
+        turns: whole turns of A and B relative to the rotor in a period.
     """
     free, units = turning.free, turning.units
     y, whole = guess.copy(), np.zeros(8)
@@ -60,7 +58,7 @@ def periodic_motion(
         states = turning.strobed(y, period)
         residual = ((states[-1] - y - whole) / units)[free]
         size = float(np.max(np.abs(residual)))
-        if not math.isfinite(size) or np.max(np.abs((y - guess) / units)) > _ASTRAY:
+        if not math.isfinite(size) or np.max(np.abs((y - guess) / units)) > _MAX_DISTANCE:
             return None
         maps = turning.derivatives(states[:-1])
         own = (maps * units[None, :] / units[:, None])[:, free][:, :, free]
@@ -68,7 +66,7 @@ def periodic_motion(
         for each in own:
             product = each @ product
         if size < _CLOSED * period:
-            values: NDArray[np.complex128] = np.linalg.eigvals(product).astype(np.complex128)
+            values: Complex = np.linalg.eigvals(product).astype(np.complex128)
             moduli = np.sort(np.abs(values) ** (1.0 / period))[::-1]
             return PeriodicMotion(states[:-1], turns, maps, moduli, size)
         try:
@@ -85,12 +83,12 @@ def _solved(matrix: Array, right: Array) -> Array:
 
 
 def repeats(turning: Turning, strobe: Array, most: int, within: float) -> tuple[int, tuple[int, int]] | None:
-    """After how many revolutions a strobed motion repeats, and with how many turns; None where it does not.
+    """Period of a strobed motion in revolutions, and its turns; None if it is not periodic.
 
     Args:
         strobe: shape (n, 8).
-        most: revolutions.
-        within: how well, in the units of the state.
+        most: longest period, revolutions.
+        within: permitted difference, in the units of the state.
     """
     for period in range(1, min(most, len(strobe) - 1) + 1):
         gap: Array = strobe[-1] - strobe[-1 - period]

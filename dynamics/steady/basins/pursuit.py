@@ -1,11 +1,8 @@
-# pyright: strict, reportMissingParameterType=false, reportUnknownParameterType=false, reportUnknownVariableType=false
-# pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false, reportMissingTypeArgument=false
-# pyright: reportUntypedFunctionDecorator=false
-# Compiled functions: numba takes their types from the arguments, and their docstrings tell them.
-"""A release followed revolution by revolution until a stable motion has caught it: the compiled part.
+# pyright: strict
+"""Simulation of a release, revolution by revolution, until it enters the region of a stable motion: compiled part.
 
-Two runs go side by side: the release itself, and one that starts a stated error beside it and takes coarser steps. As
-long as they stay close, the release's own error is far smaller still; once they have come apart, the end is chance.
+Two runs are computed: the release, and a neighbour at the stated error with coarser steps. While they stay close, the
+release's own error is much smaller than their distance. Once they separate, the end is not determined.
 """
 
 from __future__ import annotations
@@ -13,8 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from dynamics.arrays import Array, Indices, RealSystem
+from dynamics.compiled_code import compiled
 from dynamics.equations.quick_rates import quick_rates
 from dynamics.motions.explicit_steps import explicit_step
 
@@ -23,23 +21,25 @@ FACTS = 7
 _TAU = 2 * math.pi
 
 
-@njit(cache=True, error_model="numpy")
-def steps_needed(y, omega, pace, step_rad):
-    """Steps of the next revolution: step_rad of the fastest oscillation each.
+@compiled
+def steps_needed(y: Array, omega: float, pace: float, step_rad: float) -> int:
+    """Number of steps of the next revolution, step_rad of the fastest oscillation each.
 
     Args:
-        pace: the fastest rate of suspension and damping, rad/s.
+        pace: fastest rate of suspension and damping, rad/s.
     """
     fastest = max(pace, omega + max(abs(y[6]), abs(y[7])))
     return max(4, math.ceil(_TAU * fastest / (omega * step_rad)))
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
-def advance(y, omega, steps, system, k, end, phase, orbit):
-    """One revolution of the rotor from ψ = 0, in place.
+@compiled(contract=True)
+def advance(
+    y: Array, omega: float, steps: int, system: RealSystem, k: Array, end: Array, phase: Array, orbit: Array
+) -> None:
+    """Advance the state by one revolution of the rotor from ψ = 0, in place.
 
     Args:
-        y: shape (8,), angles counted on.
+        y: shape (8,), angles not reduced.
         orbit: mean x, y, x² + y² and angles of A and B at the ends of the steps, shape (5,).
     """
     p, free_a, free_b = system[0], system[1], system[2]
@@ -58,14 +58,14 @@ def advance(y, omega, steps, system, k, end, phase, orbit):
     orbit /= steps
 
 
-@njit(cache=True, error_model="numpy")
-def within(angle):
-    """The same angle in −π … π."""
+@compiled
+def within(angle: float) -> float:
+    """The angle reduced to −π … π."""
     return angle - _TAU * math.floor(angle / _TAU + 0.5)
 
 
-@njit(cache=True, error_model="numpy")
-def _form(away, form):
+@compiled
+def _form(away: Array, form: Array) -> float:
     found = 0.0
     for i in range(8):
         row = 0.0
@@ -75,14 +75,20 @@ def _form(away, form):
     return found
 
 
-@njit(cache=True, error_model="numpy")
-def deviation(y, number, ends, away):
-    """Deviation of a state from an end's nearest point into away; its quadratic form, 1 on the region's rim.
+@compiled
+def deviation(
+    y: Array,
+    number: int,
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array]
+    | tuple[Array, Array, Indices, Indices, Indices],
+    away: Array,
+) -> float:
+    """Write the deviation of a state from an end's nearest point to away; returns its form, 1 on the region's rim.
 
     Args:
-        ends: (points (r, 8), forms (r, 8, 8), first row of each end (n + 1,), lead (n,), sheets (n,), …). Of an end
-            with lead −1 the rows are its points; of another they lie along a closed curve, evenly over the angle of
-            the lead pendulum, which turns `sheets` times.
+        ends: (points (r, 8), forms (r, 8, 8), first row of each end (n + 1,), lead (n,), sheets (n,), …). The rows of
+            an end with lead −1 are its points. Otherwise they lie along a closed curve, evenly spaced over the angle of
+            the lead pendulum, which makes `sheets` turns.
     """
     points, forms, first, lead, sheets = ends[0], ends[1], ends[2], ends[3], ends[4]
     best, trial = np.inf, np.empty(8)
@@ -117,42 +123,56 @@ def deviation(y, number, ends, away):
     return best
 
 
-@njit(cache=True, error_model="numpy")
-def _distance(away, scale):
+@compiled
+def _distance(away: Array, scale: Array) -> float:
     largest = 0.0
     for i in range(8):
         largest = max(largest, abs(away[i]) / scale[i])
     return largest
 
 
-@njit(cache=True, error_model="numpy")
-def _caught_by(y, ends, share, away):
-    """The end whose region's inner part holds the state, −1 for none."""
+@compiled
+def _caught_by(
+    y: Array,
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
+    share: float,
+    away: Array,
+) -> int:
+    """Number of the end whose inner region contains the state, or −1."""
     for number in range(len(ends[3])):
         if deviation(y, number, ends, away) <= share:
             return number
     return -1
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def pursue(y, beside, turns, motion, ends, units, limits, facts):
-    """Follow one release; its end state is left in y.
+@compiled(nogil=True)
+def pursue(
+    y: Array,
+    neighbour: Array,
+    turns: int,
+    motion: tuple[float, float, tuple[float, float], RealSystem],
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
+    units: Array,
+    limits: tuple[float, float, int],
+    facts: Array,
+) -> None:
+    """Simulate one release. Its final state is written to y.
 
     Args:
-        y, beside: states at ψ = 0 of the release and of its neighbour, shape (8,).
-        turns: revolutions to follow it, at least 1.
-        motion: (ω, the fastest rate, lengths of the steps of both, system), as for steps_needed and advance.
+        y, neighbour: states at ψ = 0 of the release and of its neighbour, shape (8,).
+        turns: number of revolutions, at least 1.
+        motion: (ω, fastest rate, step lengths of both, system), as for steps_needed and advance.
         ends: as for deviation, and (turn maps (n, 8, 8), values below which these hold (n,), values at which an end
-            is near (n,), its own mean radius (n,)).
-        units: of the distance between both, shape (8,).
-        limits: (share of a region that catches, distance at which the two are apart, revolutions to go on for).
-        facts: what was found, shape (FACTS,): number of the end or −1, revolutions until caught and until settled
-            (nan: never), largest distance of both before that, rms radius in the last revolution, turns of A and B.
+            counts as near (n,), its own mean radius (n,)).
+        units: units of the distance of the two states, shape (8,).
+        limits: (fraction of a region that catches, distance at which the two are separated, additional revolutions).
+        facts: results, shape (FACTS,): number of the end or −1, revolutions until caught and until settled (NaN:
+            never), largest distance of the two before that, rms radius in the last revolution, turns of A and B.
     """
     work = (np.zeros((16, 8)), np.empty(8), np.empty(3))
     orbit, begin_a, begin_b = np.zeros(5), y[2], y[3]
     facts[CAUGHT], facts[SETTLED], facts[APART] = np.nan, np.nan, 0.0
-    number, done = _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit)
+    number, done = _chase(y, neighbour, turns, motion, ends, units, limits, facts, work, orbit)
     facts[END], facts[RADIUS] = number, _radius_of(orbit)
     if number >= 0:
         facts[CAUGHT] = done
@@ -160,39 +180,61 @@ def pursue(y, beside, turns, motion, ends, units, limits, facts):
     facts[TURNS_A], facts[TURNS_B] = (y[2] - begin_a) / _TAU, (y[3] - begin_b) / _TAU
 
 
-@njit(cache=True, error_model="numpy")
-def _radius_of(orbit):
+@compiled
+def _radius_of(orbit: Array) -> float:
     return math.sqrt(max(0.0, orbit[2] - orbit[0] * orbit[0] - orbit[1] * orbit[1]))
 
 
-@njit(cache=True, error_model="numpy")
-def _chase(y, beside, turns, motion, ends, units, limits, facts, work, orbit):
-    """Revolutions of release and neighbour until an end has caught both: (its number or −1, revolutions)."""
+@compiled
+def _chase(
+    y: Array,
+    neighbour: Array,
+    turns: int,
+    motion: tuple[float, float, tuple[float, float], RealSystem],
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
+    units: Array,
+    limits: tuple[float, float, int],
+    facts: Array,
+    work: tuple[Array, Array, Array],
+    orbit: Array,
+) -> tuple[int, int]:
+    """Simulate release and neighbour until both are in the region of an end: (its number or −1, revolutions)."""
     omega, pace, steps_rad, system = motion
     share, apart = limits[0], limits[1]
     gap, other = np.empty(8), np.zeros(5)
     done = 0
     while True:
         number = _caught_by(y, ends, share, gap)
-        if number >= 0 and (facts[APART] > apart or deviation(beside, number, ends, gap) <= 1.0):
+        if number >= 0 and (facts[APART] > apart or deviation(neighbour, number, ends, gap) <= 1.0):
             return number, done
         if done >= turns:
             return -1, done
         advance(y, omega, steps_needed(y, omega, pace, steps_rad[0]), system, work[0], work[1], work[2], orbit)
         if facts[APART] <= apart:
-            steps = steps_needed(beside, omega, pace, steps_rad[1])
-            advance(beside, omega, steps, system, work[0], work[1], work[2], other)
+            steps = steps_needed(neighbour, omega, pace, steps_rad[1])
+            advance(neighbour, omega, steps, system, work[0], work[1], work[2], other)
             for i in range(8):
-                gap[i] = y[i] - beside[i]
+                gap[i] = y[i] - neighbour[i]
             facts[APART] = max(facts[APART], _distance(gap, units))
             if not facts[APART] <= apart:
                 facts[APART] = np.inf
         done += 1
 
 
-@njit(cache=True, error_model="numpy")
-def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
-    """On from where an end has caught a release, in coarse steps, until it is near and the time is over."""
+@compiled
+def _settle(
+    y: Array,
+    number: int,
+    done: int,
+    turns: int,
+    motion: tuple[float, float, tuple[float, float], RealSystem],
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
+    limits: tuple[float, float, int],
+    facts: Array,
+    work: tuple[Array, Array, Array],
+    orbit: Array,
+) -> None:
+    """Continue a caught release in coarse steps until it is near its end and the simulated time is over."""
     omega, pace, steps_rad, system = motion
     straight, near, last = ends[6][number], ends[7][number], turns + limits[2]
     away = np.empty(8)
@@ -205,7 +247,7 @@ def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
         value = deviation(y, number, ends, away)
     if value <= near:
         facts[SETTLED] = done
-    if ends[3][number] >= 0 or straight < 0.0:  # slipping: its own mean, for that of one revolution beats
+    if ends[3][number] >= 0 or straight < 0.0:  # slipping: its own mean; that of one revolution fluctuates
         if done < turns:
             facts[RADIUS] = ends[8][number]
         return
@@ -213,14 +255,24 @@ def _settle(y, number, done, turns, motion, ends, limits, facts, work, orbit):
         return
     early = done < turns
     _glide(y, away, value, number, done, turns, last, ends, facts)
-    if early:  # the last revolution, from where the turn map has come to
+    if early:  # the last revolution, from the state reached by the turn map
         advance(y, omega, steps_needed(y, omega, pace, steps_rad[1]), system, work[0], work[1], work[2], orbit)
         facts[RADIUS] = _radius_of(orbit)
 
 
-@njit(cache=True, error_model="numpy")
-def _glide(y, away, value, number, done, turns, last, ends, facts):
-    """The rest of the way by the turn map: the state a revolution before the time is over into y, and when near."""
+@compiled
+def _glide(
+    y: Array,
+    away: Array,
+    value: float,
+    number: int,
+    done: int,
+    turns: int,
+    last: int,
+    ends: tuple[Array, Array, Indices, Indices, Indices, Array, Array, Array, Array],
+    facts: Array,
+) -> None:
+    """Continue by the turn map. The state a revolution before the end of the time is written to y."""
     turn_map, near, form = ends[5][number], ends[7][number], ends[1][ends[2][number]]
     base, then, shown = y - away, np.empty(8), max(done, turns - 1)
     while done < shown or (near < value and done < last):

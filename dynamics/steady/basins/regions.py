@@ -1,11 +1,11 @@
 # pyright: strict
-"""Regions about a stable motion from which nothing returns: quadratic forms that every revolution makes smaller.
+"""Attracting regions about a stable motion: quadratic forms that decrease with every revolution.
 
-For a fixed point x of the once-a-revolution map P with the derivative M, Q = Σ (M/γ)ⁿᵀ (M/γ)ⁿ with a γ between M's
-spectral radius and 1 gives V(δ) = δᵀ Q δ with V(M δ) ≤ γ² V(δ). On the nonlinear map V is asked at many states on
-shells that grow until one of them does not come nearer: this is the core. Beyond it shells are taken in from which
-every sample, followed on, ends in the core. What the samples leave open is given away by the share of the region that
-is used. Source: docs/theory/basins.md.
+For a fixed point x of the once-a-revolution map P with the derivative M, Q = Σ (M/γ)ⁿᵀ (M/γ)ⁿ with γ between the
+spectral radius of M and 1 gives V(δ) = δᵀ Q δ with V(M δ) ≤ γ² V(δ). For the nonlinear map, V is evaluated at many
+states on growing shells, up to the shell on which a state does not approach: this is the core. Beyond it, shells are
+added on which every sample, simulated further, ends in the core. Only a fraction of the region is used, as a margin for
+states between the samples. Source: docs/theory/basins.md.
 """
 
 from __future__ import annotations
@@ -15,32 +15,30 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Complex
 from dynamics.steady.basins.turning import COARSE_RAD, Turning
-
-Array = NDArray[np.float64]
 
 _THOROUGH, _QUICK = (1.25, 60, 192), (1.6, 26, 40)  # ratio of neighbouring shells' radii, shells, samples on each
 _FIRST_RAD = 1e-3  # largest deviation on the first shell, in the units of the state
-_LARGEST_RAD = 2.0  # no region reaches farther: angles wrap
-_SHRINK = 0.999  # what each sample's V must have shrunk by, at the most
-_STRAIGHT = 0.02  # of V's root: how well the linear map must hold where it is used
-_OUTER_SHELL, _OUTER_SHELLS, _OUTER_SAMPLES = 1.3, 24, 160  # beyond the core
-_AT_A_TIME = 8  # revolutions
-_E_FOLDS, _MOST_REVOLUTIONS = 8.0, 1200  # of the slowest multiplier, that a sample may take into the core
+_MAX_RAD = 2.0  # largest deviation of a region: angles are periodic
+_SHRINK = 0.999  # largest ratio of V after and before a revolution for each sample
+_STRAIGHT = 0.02  # relative error, in the root of V, up to which the linear map is used
+_OUTER_SHELL, _OUTER_SHELLS, _OUTER_SAMPLES = 1.3, 24, 160  # ratio of radii, shells, samples beyond the core
+_AT_A_TIME = 8  # revolutions between checks
+_E_FOLDS, _MAX_REVOLUTIONS = 8.0, 1200  # time limit for a sample to reach the core: e-folds of the slowest multiplier
 _SEED = 20
 
 
 @dataclass(frozen=True)
 class Region:
-    """A region about a stable motion.
+    """An attracting region about a stable motion.
 
     Attributes:
         form: Q with V = δᵀ Q δ = 1 on the rim, SI, shape (8, 8).
         turn_map: M, SI, shape (8, 8).
-        straight: V below which δ goes on as M δ to two hundredths.
-        samples: states at which V was seen to shrink.
+        straight: V below which M δ describes the motion within two per cent.
+        samples: number of states at which V decreased.
     """
 
     form: Array
@@ -49,12 +47,12 @@ class Region:
     samples: int
 
     def near(self, units: Array, near_rad: float) -> float:
-        """V below which no component differs by more than near_rad of its unit."""
+        """V below which no component deviates by more than near_rad of its unit."""
         return near_value(self.form, units, near_rad)
 
 
 def near_value(form: Array, units: Array, near_rad: float) -> float:
-    """V below which no component differs by more than near_rad of its unit: max |δ_i|² = V (Q⁻¹)_ii."""
+    """V below which no component deviates by more than near_rad of its unit: max |δ_i|² = V (Q⁻¹)_ii."""
     moving = np.flatnonzero(np.diag(form) > 0)
     inverse = np.linalg.inv(form[np.ix_(moving, moving)] * np.outer(units[moving], units[moving]))
     return near_rad**2 / float(np.max(np.diag(inverse)))
@@ -62,12 +60,12 @@ def near_value(form: Array, units: Array, near_rad: float) -> float:
 
 def spectral_radius(matrix: Array) -> float:
     """Largest modulus of the eigenvalues."""
-    values: NDArray[np.complex128] = np.linalg.eigvals(matrix).astype(np.complex128)
+    values: Complex = np.linalg.eigvals(matrix).astype(np.complex128)
     return float(np.max(np.abs(values)))
 
 
 def quadratic_form(turn_map: Array) -> Array:
-    """Q = Σ (M/γ)ⁿᵀ (M/γ)ⁿ, γ² the spectral radius of M, by doubling, shape of M.
+    """Q = Σ (M/γ)ⁿᵀ (M/γ)ⁿ, γ² the spectral radius of M, by doubling; shape of M.
 
     Args:
         turn_map: M with a spectral radius below 1.
@@ -84,11 +82,11 @@ def quadratic_form(turn_map: Array) -> Array:
 
 
 def attracting_region(turning: Turning, start: Array, *, quick: bool = False) -> Region | None:
-    """The largest sampled region about a stable fixed point of the map; None where not even the smallest shrinks.
+    """The largest sampled region about a stable fixed point of the map; None if the smallest shell is not attracted.
 
     Args:
         start: the fixed point, shape (8,).
-        quick: fewer samples, and the core alone.
+        quick: fewer samples, and the core only.
     """
     free, units = turning.free, turning.units
     whole = turning.derivatives(start[None, :])[0]
@@ -118,13 +116,13 @@ def attracting_region(turning: Turning, start: Array, *, quick: bool = False) ->
 
 
 def _patience(own: Array) -> int:
-    """Revolutions in which a sample must have come into the core."""
+    """Number of revolutions within which a sample must reach the core."""
     slowest = min(max(spectral_radius(own), 1e-3), 1.0 - 1e-9)
-    return max(_AT_A_TIME, min(_MOST_REVOLUTIONS, math.ceil(-_E_FOLDS / math.log(slowest))))
+    return max(_AT_A_TIME, min(_MAX_REVOLUTIONS, math.ceil(-_E_FOLDS / math.log(slowest))))
 
 
 def mirrored(region: Region) -> Region:
-    """The region about the state in which A and B, two alike, have changed places."""
+    """Region about the state in which A and B, two equal pendulums, are exchanged."""
     over = [0, 1, 3, 2, 4, 5, 7, 6]
     form, turn_map = (each[np.ix_(over, over)] for each in (region.form, region.turn_map))
     return Region(form, turn_map, region.straight, region.samples)
@@ -140,19 +138,20 @@ def _core(
     most: int,
     number: int,
 ) -> tuple[float, float, int]:
-    """Radius up to which every sample came nearer, radius up to which the linear map held, number of samples.
+    """Radius up to which every sample approached, radius up to which the linear map holds, number of samples.
 
     Args:
-        form: of deviations in units.
-        placed: states (n, 8) at deviations (n, m); deviation: the way back.
-        own: the linear map of deviations.
-        ratio, most, number: of neighbouring radii, of shells, of samples on each at random.
+        form: quadratic form of deviations in units.
+        placed: states (n, 8) from deviations (n, m).
+        deviation: deviations from states.
+        own: linear map of deviations.
+        ratio, most, number: ratio of neighbouring radii, number of shells, number of random samples on each.
     """
     shells, radius, straight, samples, holds = _Shells(form), 0.0, 0.0, 0, True
     for wanted in shells.radii(_FIRST_RAD / shells.reach, ratio, most):
         away = shells.on(wanted, number)
         moved = deviation(turning.after(placed(away), 1, COARSE_RAD))
-        if not np.all(shells.values(moved) < _SHRINK * wanted**2):  # nan counts as not nearer
+        if not np.all(shells.values(moved) < _SHRINK * wanted**2):  # NaN counts as not approaching
             break
         radius, samples = wanted, samples + len(away)
         holds = holds and bool(np.all(shells.values(moved - away @ own.T) < (_STRAIGHT * wanted) ** 2))
@@ -168,7 +167,7 @@ def _outer(
     core: float,
     patience: int,
 ) -> tuple[float, int]:
-    """Radius up to which every sample, followed for so many revolutions, came into the core; number of samples."""
+    """Radius up to which every sample reached the core within `patience` revolutions, and number of samples."""
     shells, radius, samples = _Shells(form), core, 0
     for wanted in shells.radii(core * _OUTER_SHELL, _OUTER_SHELL, _OUTER_SHELLS):
         states = placed(shells.on(wanted, _OUTER_SAMPLES))
@@ -184,7 +183,7 @@ def _outer(
 
 
 class _Shells:
-    """Deviations on the shells δᵀ Q δ = r²: along the main axes' directions and at random."""
+    """Deviations on the shells δᵀ Q δ = r²: along the principal axes and at random."""
 
     def __init__(self, form: Array) -> None:
         self._lower = np.linalg.cholesky(form)
@@ -194,8 +193,8 @@ class _Shells:
         self._axes = np.linalg.svd(self._outward)[2]
 
     def radii(self, first: float, ratio: float, most: int) -> list[float]:
-        """Of shells, none of which reaches too far."""
-        return [r for r in (first * ratio**i for i in range(most)) if r * self.reach <= _LARGEST_RAD]
+        """Radii of the shells that do not exceed the largest deviation."""
+        return [r for r in (first * ratio**i for i in range(most)) if r * self.reach <= _MAX_RAD]
 
     def on(self, radius: float, samples: int) -> Array:
         """Deviations on a shell."""
@@ -204,5 +203,6 @@ class _Shells:
         return radius * ways @ self._outward.T
 
     def values(self, deviations: Array) -> Array:
-        """δᵀ Q δ of each."""
+        """δᵀ Q δ of each deviation."""
+
         return np.sum((deviations @ self._lower) ** 2, axis=1)

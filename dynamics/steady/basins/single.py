@@ -1,5 +1,5 @@
 # pyright: strict
-"""One release per rig and speed: which stable motion each reaches, for maps over any two numbers and for draws."""
+"""One release per rig and speed, and the stable motion that it reaches: for maps over two parameters and for draws."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Array, Flags, Indices
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import DynamicsError, OutsideDomain
@@ -23,40 +24,39 @@ from dynamics.steady.basins.regions import attracting_region
 from dynamics.steady.basins.slipping_orbits import slipping_orbit
 from dynamics.steady.basins.turning import Turning
 
-Array = NDArray[np.float64]
 Pair = tuple[float, float]
 
 NOT_SETTLED = "not settled"
-_FURTHER = 4  # horizons after which the motion that a release leads to must show itself
-_LEAST, _MOST = 400, 4000  # revolutions, of that
-_RESTING = 0.1  # units of the state: what moves less in a revolution may be close to a steady state
-_TAKEN_ON = 40  # revolutions, where Newton's method did not find it
+_FURTHER = 4  # additional time within which the end of a release must become evident, in units of its own time
+_MIN_REVOLUTIONS, _MAX_REVOLUTIONS = 400, 4000  # bounds of that time
+_RESTING = 0.1  # units of the state: change per revolution below which a motion may be close to a steady state
+_RETRY_REVOLUTIONS = 40  # additional revolutions if Newton's method does not converge
 
 
 @dataclass(frozen=True)
 class ReleaseEnds:
-    """What one release of each rig comes to; arrays of shape (n,).
+    """End of one release of each rig; arrays of shape (n,).
 
     Attributes:
         name: "I", "II", "III", "one", "slipping", "not settled", or "refused".
         mirror: 0, or 1 for the second of two mirror images.
-        theta_rad: mean angles of the state reached, shape (n, 2); nan for the others.
-        turns_per_revolution: of a slipping orbit, shape (n, 2); 0 at rest, nan where not settled.
-        multiplier: largest modulus over one revolution of what was reached; nan where not settled.
-        caught_s, settled_s, amplitude_m: as of dynamics.steady.basins.following.Followed.
+        theta_rad: mean angles of the state reached, shape (n, 2); NaN for the others.
+        turns_per_revolution: rates of a slipping orbit, shape (n, 2); 0 at rest, NaN if not settled.
+        multiplier: largest modulus over one revolution of the motion reached; NaN if not settled.
+        caught_s, settled_s, amplitude_m: as in dynamics.steady.basins.following.Followed.
         sure: False at a boundary.
-        refused: why a rig could not be followed, by its index.
+        refused: error messages by index of the rig.
     """
 
     name: NDArray[np.str_]
-    mirror: NDArray[np.int64]
+    mirror: Indices
     theta_rad: Array
     turns_per_revolution: Array
     multiplier: Array
     caught_s: Array
     settled_s: Array
     amplitude_m: Array
-    sure: NDArray[np.bool_]
+    sure: Flags
     refused: dict[int, str]
 
 
@@ -70,15 +70,15 @@ def release_ends(
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ReleaseEnds:
-    """The motion that a release of each rig reaches.
+    """Compute the motion that a release of each rig reaches.
 
     Args:
         rigs, speeds_rad_s: one speed for each rig.
-        from_rad: angles at which the locks hold A and B, one pair for all or one for each.
-        workers: threads; None: one a core.
+        from_rad: angles of A and B at the release, one pair for all or one for each.
+        workers: number of threads. None: one per core.
         seconds, stated_error_rad, progress: as for dynamics.steady.basins.basin_map.basins.
     Raises:
-        OutsideDomain: counts that do not match. What is wrong with one rig is in `refused`.
+        OutsideDomain: the counts do not match. Errors of single rigs are stored in `refused`.
     """
     count = len(rigs)
     starts = np.array(from_rad, np.float64)
@@ -135,15 +135,15 @@ def _one(p: RotorParameters, speed: float, from_rad: Array, seconds: float, stat
 
 
 def end_ahead(turning: Turning, state: Array, seconds: float) -> End | None:
-    """The stable motion that a motion goes to, found by following it on; None where it shows none."""
-    horizon = min(_MOST, max(_LEAST, math.ceil(_FURTHER * seconds / turning.period_s)))
-    strobe, done = turning.strobed(state, _TAKEN_ON), 0
+    """The stable motion that a motion approaches, found by further simulation, or None."""
+    horizon = min(_MAX_REVOLUTIONS, max(_MIN_REVOLUTIONS, math.ceil(_FURTHER * seconds / turning.period_s)))
+    strobe, done = turning.strobed(state, _RETRY_REVOLUTIONS), 0
     while done < horizon:
         if repeats(turning, strobe, 1, _RESTING) is not None:
             end = _state_near(turning, strobe[-1])
             if end is not None:
                 return end
-        more = max(_TAKEN_ON, len(strobe) // 2)
+        more = max(_RETRY_REVOLUTIONS, len(strobe) // 2)
         strobe = np.concatenate([strobe, turning.strobed(strobe[-1], more)[1:]])
         done += more
     orbit = slipping_orbit(turning, strobe[len(strobe) // 3 :], NEAR_RAD, quick=True)
@@ -151,7 +151,7 @@ def end_ahead(turning: Turning, state: Array, seconds: float) -> End | None:
 
 
 def _state_near(turning: Turning, state: Array) -> End | None:
-    """The stable steady state that Newton's method finds near a state."""
+    """The stable steady state found by Newton's method near a state."""
     motion = periodic_motion(turning, state)
     if motion is None or not motion.stable:
         return None
@@ -166,7 +166,7 @@ def _state_near(turning: Turning, state: Array) -> End | None:
 
 
 def kind_of(p: RotorParameters, theta_rad: Pair) -> str:
-    """Type of a steady state by its angles: I nearest to balance, else II opposed or III together."""
+    """Type of a steady state from its angles: I if nearest to balance, otherwise II (opposed) or III (together)."""
     if not (p.a.present and p.b.present):
         return "one"
     gap = abs((theta_rad[0] - theta_rad[1] + math.pi) % (2 * math.pi) - math.pi)

@@ -1,11 +1,11 @@
 # pyright: strict
-"""Stable motions whose pendulums turn against the rotor for ever, as solutions of Newton's method.
+"""Stable motions with permanently slipping pendulums, as solutions of Newton's method.
 
-Seen once a revolution such a motion lies on a closed curve u(χ) that the once-a-revolution map P turns along itself,
+Strobed once a revolution, such a motion lies on a closed curve u(χ). The once-a-revolution map P turns it along itself,
     P(u(χ)) = u(χ + ρ) + 2π (turns of the pendulums),
-ρ turns of the curve a revolution. Its Fourier coefficients and ρ together are found by Newton's method. Where ρ is
-rational and the motion locked, q points remain that P^q leaves alone but for whole turns: an orbit that is periodic
-with q revolutions. Source: docs/theory/basins.md.
+with ρ turns of the curve per revolution. Newton's method solves for its Fourier coefficients and ρ together. If ρ is
+rational and the motion is locked, q points remain that P^q maps to themselves up to whole turns: an orbit with a period
+of q revolutions. Source: docs/theory/basins.md.
 """
 
 from __future__ import annotations
@@ -14,41 +14,37 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Array
 from dynamics.steady.basins.fibres import Fibres, caught_scale, derivative, moduli_across, positive, series, turned
 from dynamics.steady.basins.periodic import PeriodicMotion, periodic_motion, repeats
 from dynamics.steady.basins.regions import near_value
 from dynamics.steady.basins.turning import Turning
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
-_LEAST_TURNS = 4.0  # within a stretch, to call it slipping
-_ODD = (33, 65, 129)  # values along the curve
+_MIN_TURNS = 4.0  # turns within the strobed interval of a slipping motion
+_ODD = (33, 65, 129)  # numbers of values along the curve
 _NEWTON = 12
 _CLOSED = 1e-9  # residual of the equation, in the units of the state
-_BETWEEN = 1e-5  # … between the values it was solved at
+_BETWEEN = 1e-5  # residual between the values at which the equation is solved
 _ROWS = 720  # along a turn of the lead pendulum, for compiled code
-_MOST_WINDING = 3
-_MOST_PERIOD, _REPEATS = 24, 1e-4  # revolutions of a locked slipping orbit, and how well it has to repeat
+_MAX_WINDING = 3
+_MAX_PERIOD, _REPEATS = 24, 1e-4  # revolutions of a locked slipping orbit, and permitted difference after a period
 
 
 @dataclass(frozen=True)
 class SlippingOrbit:
     """A stable slipping motion.
 
-    Attributes:
-        turns_per_revolution: slip of A and B, turns against the rotor for each of its revolutions.
-        winding: turns of A and B while the curve is passed once; of a periodic orbit, in its whole period.
-        period_revolutions: of a periodic orbit; 0 where the rate is irrational and the orbit a closed curve.
-        rotation: the curve's rate ρ, or turns of the faster pendulum per revolution of a periodic orbit.
-        residual: largest residual of the invariance equation, in the units of the state.
-        multipliers: moduli over one revolution, largest first, shape (8,); of a curve one is 1, that along it.
-        multiplier_across: the largest of the others; of a periodic orbit the largest of all.
-        amplitude_m: root mean square distance of the disk centre from its mean.
-        points, forms, lead, sheets, near: for dynamics.steady.basins.pursuit; empty where no region is known.
-        values: the curve at equal steps of χ without winding, shape (m, 8), or the q states.
+    turns_per_revolution: slip of A and B, turns relative to the rotor per revolution.
+    winding: turns of A and B along the whole curve, or in the whole period of a periodic orbit.
+    period_revolutions: period of a periodic orbit; 0 if the rate is irrational and the orbit a closed curve.
+    rotation: the curve's rate ρ, or turns of the faster pendulum per revolution of a periodic orbit.
+    residual: largest residual of the invariance equation, in the units of the state.
+    multipliers: moduli over one revolution, largest first, shape (8,). For a curve one of them is 1, along it.
+    multiplier_across: the largest of the others; for a periodic orbit the largest of all.
+    amplitude_m: root mean square distance of the disk centre from its mean.
+    points, forms, lead, sheets, near: for dynamics.steady.basins.pursuit; empty if no region is known.
+    values: the curve at equal steps of χ without winding, shape (m, 8), or the q states.
     """
 
     turns_per_revolution: tuple[float, float]
@@ -68,12 +64,12 @@ class SlippingOrbit:
 
     @property
     def stable(self) -> bool:
-        """Whether every deviation across the orbit shrinks."""
+        """Whether every deviation transverse to the orbit decreases."""
         return self.multiplier_across < 1.0
 
     @property
     def catches(self) -> bool:
-        """Whether a region is known out of which no motion leaves it."""
+        """Whether an attracting region is known."""
         return len(self.forms) > 0
 
 
@@ -83,11 +79,11 @@ def slipping_orbit(
     """The stable slipping orbit near a strobed motion, or None.
 
     Args:
-        strobe: states once a revolution at ψ = 0, angles counted on, shape (n, 8), past the transient.
-        near_rad: deviation at which a motion is on the orbit, in units of the state; None: no region is sought.
-        quick: a region from fewer samples.
+        strobe: states once a revolution at ψ = 0, angles not reduced, shape (n, 8), after the transient.
+        near_rad: deviation at which a motion counts as on the orbit, in units of the state. None: without a region.
+        quick: compute the region from fewer samples.
     """
-    locked = repeats(turning, strobe, _MOST_PERIOD, _REPEATS)
+    locked = repeats(turning, strobe, _MAX_PERIOD, _REPEATS)
     if locked is not None:
         if locked[1] == (0, 0):
             return None
@@ -95,7 +91,7 @@ def slipping_orbit(
         return _of_periodic(turning, motion, near_rad, quick) if motion is not None and motion.stable else None
     rates = mean_rates(strobe[:, 2:4])
     there = list(turning.there)
-    if not np.all(np.isfinite(strobe)) or np.max(np.abs(rates[there])) * len(strobe) < _LEAST_TURNS:
+    if not np.all(np.isfinite(strobe)) or np.max(np.abs(rates[there])) * len(strobe) < _MIN_TURNS:
         return None
     for rate, winding in _windings(rates, there):
         curve: tuple[Array, float, float] | None = None
@@ -113,9 +109,9 @@ def slipping_orbit(
 
 
 def continued(turning: Turning, known: SlippingOrbit) -> SlippingOrbit | None:
-    """The slipping orbit of a rig and speed close to those of a known one; None where Newton's method finds none.
+    """Continue a slipping orbit to a rig and speed close to its own; None if Newton's method does not converge.
 
-    It catches nothing: no region is sought.
+    The result has no region.
     """
     if known.period_revolutions:
         motion = periodic_motion(turning, known.values[0], known.period_revolutions, known.winding)
@@ -126,7 +122,7 @@ def continued(turning: Turning, known: SlippingOrbit) -> SlippingOrbit | None:
 
 
 def mean_rates(angles: Array) -> Array:
-    """Turns per revolution, shape (2,), by a smooth window: the error falls faster than any power of the length."""
+    """Mean rates in turns per revolution, shape (2,), with a smooth window, whose error decreases fast with length."""
     window = _window(len(angles) - 1)
     return window @ np.diff(angles, axis=0) / (2 * math.pi)
 
@@ -140,7 +136,7 @@ def _window(count: int) -> Array:
 def _windings(rates: Array, there: list[int]) -> list[tuple[float, tuple[int, int]]]:
     """Rates ρ of a curve with the whole numbers of turns (m, n) = rates/ρ, the simplest first."""
     lead, found = max(there, key=lambda i: abs(rates[i])), list[tuple[float, tuple[int, int]]]()
-    for turns in range(1, _MOST_WINDING + 1):
+    for turns in range(1, _MAX_WINDING + 1):
         rate = float(rates[lead]) / turns
         other = round(float(rates[1 - lead]) / rate) if len(there) == 2 else 0
         if len(there) == 1 or abs(rates[1 - lead] - other * rate) < 1e-4:
@@ -164,7 +160,7 @@ def _guess(strobe: Array, rate: float, winding: tuple[int, int], count: int) -> 
 def curve_by_newton(
     turning: Turning, values: Array, rate: float, winding: tuple[int, int]
 ) -> tuple[Array, float, float] | None:
-    """The invariant curve near a guess: (values without winding, ρ, largest residual); None where it does not converge.
+    """The invariant curve near a guess: (values without winding, ρ, largest residual); None if it does not converge.
 
     Args:
         values: at an odd number of equal steps of χ, without winding, shape (m, 8).
@@ -207,14 +203,14 @@ def curve_by_newton(
 
 
 def _residual(turning: Turning, u: Array, steps: Array, rate: float, turns: Array, knots: Array | None = None) -> Array:
-    """P(u(χ)) − u(χ + ρ), whole turns taken away, at χ = steps; u there is given, or by interpolation of knots."""
+    """P(u(χ)) − u(χ + ρ) without whole turns, at χ = steps; u is given there, or interpolated from knots."""
     after = turning.after(u + np.outer(steps, turns)) - np.outer(steps + rate, turns)
     curve = u if knots is None else knots
     return after - turned(curve, rate + (0.0 if knots is None else float(steps[0])))
 
 
 def _shift(count: int, rate: float) -> tuple[Array, Array]:
-    """The matrix that turns values by ρ, and its derivative by ρ; shapes (count, count)."""
+    """Matrix that shifts values by ρ, and its derivative by ρ; shapes (count, count)."""
     orders = np.fft.fftfreq(count, 1 / count)
     waves = np.exp(2j * math.pi * np.outer(np.arange(count) / count, orders))
     turn = np.exp(2j * math.pi * orders * rate)
@@ -223,7 +219,7 @@ def _shift(count: int, rate: float) -> tuple[Array, Array]:
 
 
 def _finer(values: Array, count: int) -> Array:
-    """A curve's values at more equal steps."""
+    """Values of a curve at more equal steps."""
     return series(values, np.arange(count) / count)
 
 
@@ -234,12 +230,12 @@ def described(
     near_rad: float | None,
     quick: bool = False,
 ) -> SlippingOrbit | None:
-    """A curve with its multipliers, and with its region where there is one; None where the multipliers are no numbers.
+    """A curve with its multipliers, and its region if it has one; None if the multipliers are not finite.
 
     Args:
-        curve: as curve_by_newton has it.
-        near_rad: deviation at which a motion is on it; None: no region is sought, and it catches nothing.
-        quick: a region from fewer samples.
+        curve: result of curve_by_newton.
+        near_rad: deviation at which a motion counts as on the curve. None: no region is computed.
+        quick: compute the region from fewer samples.
     """
     u, rate, residual = curve
     moduli = moduli_across(turning, u, rate, winding)
@@ -269,7 +265,7 @@ def described(
 
 
 def _with_region(turning: Turning, orbit: SlippingOrbit, near_rad: float, quick: bool) -> SlippingOrbit:
-    """A stable curve with the region it catches; without where its lead pendulum turns back, or none is proven."""
+    """A stable curve with its region; without one if its lead pendulum reverses or the contraction is not verified."""
     fibres = Fibres.of(turning, orbit.values, orbit.rotation, orbit.winding)
     if fibres is None:
         return orbit
@@ -290,7 +286,7 @@ def _with_region(turning: Turning, orbit: SlippingOrbit, near_rad: float, quick:
 def _of_periodic(
     turning: Turning, motion: PeriodicMotion, near_rad: float | None, quick: bool = False
 ) -> SlippingOrbit | None:
-    """A slipping orbit of q states, each with a form that one revolution makes smaller; None without a region."""
+    """A slipping orbit of q states, each with a form that decreases with a revolution; None without a region."""
     free, units, count = turning.free, turning.units, len(motion.states)
     gamma = math.sqrt(max(float(motion.moduli[0]), 0.25))
     own = (motion.maps * units[None, :] / units[:, None])[:, free][:, :, free] / gamma

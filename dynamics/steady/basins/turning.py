@@ -1,5 +1,5 @@
-# pyright: strict, reportUnknownVariableType=false
-"""A rig at a constant speed as a map of its states from one revolution of the rotor to the next."""
+# pyright: strict
+"""A rig at a constant speed as a map of its states over one revolution of the rotor."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-from dynamics.arguments import need_number
+from dynamics.arguments import check_number
+from dynamics.arrays import Array, RealSystem
+from dynamics.compiled_code import compiled
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.equations.phase_segments import PhaseSegments
 from dynamics.equations.speed_history import SpeedHistory
@@ -23,15 +23,13 @@ from dynamics.motions.locked_motion import damping_rates
 from dynamics.stability.turn_map import turn_derivatives
 from dynamics.steady.basins.pursuit import advance, steps_needed
 
-Array = NDArray[np.float64]
-
 STEP_RAD = 0.4
-"""Radians of the fastest oscillation that a step takes: an error of some 1e-9 a revolution."""
+"""Step in radians of the fastest oscillation: an error of about 1e-9 per revolution."""
 COARSE_RAD = 0.6
-"""The same where an error of some 1e-8 a revolution is small."""
-_REACH = 10.0  # a step times the fastest decay stays below STEP_RAD times this
-_MOST_STEPS = 20_000.0  # a revolution
-_MANY = 128  # states from which on threads pay
+"""Coarse step in radians of the fastest oscillation: an error of about 1e-8 per revolution."""
+_REACH = 10.0  # largest product of fastest decay and step, in units of STEP_RAD
+_MAX_STEPS = 20_000.0  # per revolution
+_MANY = 128  # number of states above which threads are used
 
 
 @dataclass(frozen=True)
@@ -39,8 +37,8 @@ class Turning:
     """The once-a-revolution map of a rig.
 
     Attributes:
-        parameters: of the rotor, without dry friction.
-        speed_rad_s: the rotor's.
+        parameters: parameters of the rotor, without dry friction.
+        speed_rad_s: speed of the rotor.
     """
 
     parameters: RotorParameters
@@ -51,40 +49,40 @@ class Turning:
         """The map of a rig.
 
         Raises:
-            OutsideDomain: a speed that is none, no pendulum, dry friction, or motions too stiff for explicit steps.
+            OutsideDomain: an invalid speed, no pendulum, dry friction, or motions too stiff for explicit steps.
         """
         p = physics_of(rig)
-        need_number(speed_rad_s=speed_rad_s)
+        check_number(speed_rad_s=speed_rad_s)
         if not 0 < speed_rad_s < math.inf:
             raise OutsideDomain(f"speed: expected a finite value above 0 rad/s, got {speed_rad_s!r}")
         if not (p.a.present or p.b.present):
             raise OutsideDomain("a release needs a pendulum: both masses are 0")
         if p.has_friction:
             raise OutsideDomain(
-                "basins are those of motion without dry friction, got friction_arm_m "
-                f"{max(p.a.friction_arm_m, p.b.friction_arm_m):g}: set it to 0, or follow single releases"
+                "basins are defined for motion without dry friction, got friction_arm_m "
+                f"{max(p.a.friction_arm_m, p.b.friction_arm_m):g}: set it to 0, or simulate single releases"
             )
         found = cls(p, float(speed_rad_s))
-        if not found.pace / speed_rad_s * 2 * math.pi / STEP_RAD < _MOST_STEPS:
+        if not found.pace / speed_rad_s * 2 * math.pi / STEP_RAD < _MAX_STEPS:
             raise OutsideDomain(
-                f"at {speed_rad_s:.4g} rad/s the fastest rate, {found.pace:.3g} /s, takes more than {_MOST_STEPS:g} "
+                f"at {speed_rad_s:.4g} rad/s the fastest rate, {found.pace:.3g} /s, takes more than {_MAX_STEPS:g} "
                 "explicit steps a revolution; expected a faster rotor or weaker damping"
             )
         return found
 
     @property
     def period_s(self) -> float:
-        """Of a revolution."""
+        """Time of a revolution, s."""
         return 2 * math.pi / self.speed_rad_s
 
     @cached_property
     def pace(self) -> float:
-        """The fastest rate of suspension and damping, 1/s, as steps feel it."""
+        """The fastest rate of suspension and damping that limits the step, 1/s."""
         return max(*self.parameters.natural_frequencies_rad_s, max(damping_rates(self.parameters)) / _REACH)
 
     @cached_property
     def system(self) -> tuple[Any, ...]:
-        """What compiled code takes: packed parameters, which pendulums are there, one endless stretch of phase."""
+        """Argument of compiled code: packed parameters, existing pendulums, one infinite segment of phase."""
         p, segments = self.parameters, PhaseSegments.of(SpeedHistory.constant(self.speed_rad_s))
         return (
             p.packed(),
@@ -97,7 +95,7 @@ class Turning:
 
     @property
     def there(self) -> tuple[int, ...]:
-        """Which pendulums are there: 0 for A, 1 for B."""
+        """Existing pendulums: 0 for A, 1 for B."""
         return tuple(i for i, q in enumerate((self.parameters.a, self.parameters.b)) if q.present)
 
     @property
@@ -107,13 +105,13 @@ class Turning:
 
     @cached_property
     def units(self) -> Array:
-        """Units of the state in which its parts are comparable, shape (8,): displacements by sqrt(J/M_S)."""
+        """Units in which the components of the state are comparable, shape (8,): displacements by sqrt(J/M_S)."""
         inertia = float(np.mean([(self.parameters.a, self.parameters.b)[i].inertia_kg_m2 for i in self.there]))
         length, w = math.sqrt(inertia / self.parameters.total_mass_kg), self.speed_rad_s
         return np.array([length, length, 1.0, 1.0, length * w, length * w, w, w])
 
     def after(self, states: Array, revolutions: int = 1, step_rad: float = STEP_RAD) -> Array:
-        """States as many revolutions later, shape (n, 8)."""
+        """States after a number of revolutions, shape (n, 8)."""
         out = np.array(states, np.float64)
         none = np.zeros((1, 0, 8))
 
@@ -129,16 +127,16 @@ class Turning:
         return out
 
     def strobed(self, start: Array, revolutions: int) -> Array:
-        """One state once a revolution, the start included, shape (revolutions + 1, 8)."""
+        """One state per revolution, the start included, shape (revolutions + 1, 8)."""
         track = np.empty((1, revolutions, 8))
         _many(np.array(start[None, :]), self.speed_rad_s, revolutions, self.pace, STEP_RAD, self.system, track)
         return np.concatenate([start[None, :], track[0]])
 
     def derivatives(self, states: Array) -> Array:
-        """Of the map at each state, shape (n, 8, 8), SI.
+        """Derivatives of the map at each state, shape (n, 8, 8), SI.
 
         Raises:
-            OutsideDomain: too stiff for explicit steps.
+            OutsideDomain: the motion is too stiff for explicit steps.
         """
         found = turn_derivatives(self.parameters, self.speed_rad_s, np.ascontiguousarray(states))
         if found is None:
@@ -157,8 +155,10 @@ class Turning:
         return self.means(start, revolutions)[0]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _many(states: Any, omega: Any, revolutions: Any, pace: Any, step_rad: Any, system: Any, track: Any) -> None:
+@compiled(nogil=True)
+def _many(
+    states: Array, omega: float, revolutions: int, pace: float, step_rad: float, system: RealSystem, track: Array
+) -> None:
     k, work, phase, orbit = np.zeros((16, 8)), np.empty(8), np.empty(3), np.zeros(5)
     for i in range(len(states)):
         for n in range(revolutions):
@@ -168,9 +168,10 @@ def _many(states: Any, omega: Any, revolutions: Any, pace: Any, step_rad: Any, s
                 track[i, n] = states[i]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _means(state: Any, revolutions: Any, motion: Any, means: Any) -> None:
-    """Radius and mean angles into means (3,)."""
+@compiled(nogil=True)
+def _means(state: Array, revolutions: int, motion: tuple[float, float, float, RealSystem], means: Array) -> None:
+    """Write rms radius and mean angles to means (3,)."""
+
     omega, pace, step_rad, system = motion
     k, work, phase, orbit, mean = np.zeros((16, 8)), np.empty(8), np.empty(3), np.zeros(5), np.zeros(3)
     for _ in range(revolutions):
