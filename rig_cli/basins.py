@@ -1,4 +1,4 @@
-"""Where releases end, over the angles at which the locks hold the pendulums."""
+"""Ends of releases over the angles at which the locks hold the pendulums."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from rig_cli.console import print_json, say, wait_for_compilation
+from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.model import Plot
 from rig_cli.numbers import Positive, PositiveRpm, PositiveSeconds
-from rig_cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
 from rig_cli.scheduler import Scheduler, worked_out
 from rig_cli.share_progress import share_progress
-from rig_cli.speed import asked_speed
+from rig_cli.speed import chosen_speed
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
@@ -53,10 +53,10 @@ def basins(
     """Where releases end, over the angles at which the locks hold the pendulums.
 
     An end is balance, another steady state, or slipping. Each release starts on the orbit of the locked rotor and is
-    followed until a stable motion has caught it. Cells whose end hangs on less than the stated error are marked as
-    boundaries.
+    followed until it is within the domain of attraction of a stable motion. Cells whose end changes within the stated
+    error are marked as boundaries.
     """
-    need_place("rig basins:", output, plot)
+    check_outputs("rig basins:", output, plot)
     if output is not None and output.suffix != ".npz":
         raise RigFileError(f"rig basins: -o expected a name ending in .npz, got {output}")
     if probabilities is not None and not 1 <= probabilities <= _MOST:
@@ -64,11 +64,11 @@ def basins(
     numbers = _grid(grid)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
     loaded = load_rig(rig, known, settings or [])
-    speed = asked_speed("rig basins", loaded, point, speed_rpm, speed_ratio)
+    speed = chosen_speed("rig basins", loaded, point, speed_rpm, speed_ratio)
     with wait_for_compilation("basins"):
-        from analysis.maps.question import parameters_source, rig_source  # noqa: PLC0415
-        from studies.basins import KIND, BasinQuestion, basin_study  # noqa: PLC0415
-        from studies.tile_files import TileFolder  # noqa: PLC0415
+        from analysis.maps.question import parameters_source, rig_source
+        from studies.basins import KIND, BasinQuestion, basin_study
+        from studies.tile_files import TileFolder
 
         what = BasinQuestion(
             rig_source(rig), parameters_source(parameters), tuple(settings or ()), speed, numbers, seconds
@@ -106,9 +106,9 @@ def basins(
 
 
 def _found(what: BasinQuestion, study: Study, place: Path, scheduler: str | None) -> BasinMap:
-    """The basin map: at once where it is one tile of this process, else by tiles."""
-    from dynamics.steady.basins.basin_map import basins as basin_map  # noqa: PLC0415
-    from studies.basins import assembled  # noqa: PLC0415
+    """Return the basin map: in one call if it is one tile of this process, else by tiles."""
+    from dynamics.steady.basins.basin_map import basins as basin_map
+    from studies.basins import assembled
 
     if study.tiles > 1 or scheduler is not None:
         return assembled(worked_out(study, place, scheduler, "tiles"))
@@ -117,18 +117,18 @@ def _found(what: BasinQuestion, study: Study, place: Path, scheduler: str | None
         with share_progress(f"{total} releases of {what.seconds:g} s", total, "releases") as progress:
             return basin_map(what.physics, what.speed_rad_s, *what.angles_rad, what.seconds, progress=progress)
     except KeyboardInterrupt:
-        say("rig basins: interrupted, no release is kept: the file and the figure are written at the end")
+        notify("rig basins: interrupted, no release is kept: the file and the figure are written at the end")
         raise
 
 
 def _chances(
     physics: RotorParameters, speed: float, known: IdentifiedParameters, draws: int, seconds: float, play_deg: float
 ) -> dict[str, Any]:
-    """Probabilities of the ends of the real locks' release."""
-    from analysis.release_probabilities import end_probabilities  # noqa: PLC0415
+    """Return the probabilities of the ends of a release from the real locks."""
+    from analysis.release_probabilities import end_probabilities
 
     if not known.values:
-        say("rig basins: no --parameters FILE: only the locks' play is drawn")
+        notify("rig basins: no --parameters FILE: only the locks' play is drawn")
     with share_progress(f"{draws} rigs drawn", draws, "rigs") as progress:
         found = end_probabilities(
             physics, speed, known, draws, seconds=seconds, play_rad=math.radians(play_deg), progress=progress
@@ -167,7 +167,7 @@ def _grid(text: str) -> tuple[int, int]:
 
 
 def _arrays(found: BasinMap) -> dict[str, Any]:
-    """What is kept: the grid, each release's answer, and the ends by number."""
+    """Return the arrays of the file: the grid, the result of each release, and the ends by number."""
     return {
         "theta3_deg": np.degrees(found.theta3_rad),
         "theta4_deg": np.degrees(found.theta4_rad),
@@ -187,8 +187,8 @@ def _arrays(found: BasinMap) -> dict[str, Any]:
 
 
 def _draw(path: Path, rig: Rig, speed: float, found: BasinMap, settings: list[str] | None) -> None:
-    from analysis.figures.basins import draw_basins  # noqa: PLC0415
-    from analysis.figures.style import save  # noqa: PLC0415
+    from analysis.figures.basins import draw_basins
+    from analysis.figures.style import save
 
     ratio = speed / rig.physics.natural_frequencies_rad_s[0]
     title = f"{rig.name}, Ω = {ratio:.4g} ({speed * 30 / math.pi:.1f} rpm){what_if_words(settings, '; ')}"
@@ -264,7 +264,7 @@ def _print_chances(chances: dict[str, Any]) -> None:
     if chances["at_a_boundary"]:
         print(f"  {chances['at_a_boundary']} of the draws at a boundary")
     for why in chances["refused"]:
-        say(f"not followed: {why}")
+        notify(f"not followed: {why}")
 
 
 def _end_words(end: dict[str, Any]) -> str:

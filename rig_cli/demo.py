@@ -12,15 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from rig_cli.console import StepProgress, print_json, say
-from rig_cli.foxglove import Foxglove, follow_session, foxglove_beside
-from rig_cli.guided_test import ending_words, run_test
-from rig_cli.live import Live, LiveHost, LivePort, follow, page_beside
-from rig_cli.numbers import TimeScale
-from rig_cli.options import Json, Settings
-from rig_cli.simulated import VirtualRigProcess
-from rig_cli.validation_page import whole_lines
-from rig_cli.workbench import Workbench
 from daq.acquisition.session import Session
 from daq.errors import OperatorStop
 from daq.guided_tests.controls import Controls
@@ -29,6 +20,15 @@ from daq.guided_tests.test_inputs import possible_tests
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.virtual_rig.simulated_operator import SimulatedOperator
+from rig_cli.console import StepProgress, notify, print_json
+from rig_cli.foxglove import Foxglove, follow_session, foxglove_of_session
+from rig_cli.guided_test import ending_words, run_test
+from rig_cli.live import Live, LiveHost, LivePort, follow, page_of_session
+from rig_cli.numbers import TimeScale
+from rig_cli.options import Json, Settings
+from rig_cli.simulated import VirtualRigProcess
+from rig_cli.validation_page import whole_lines
+from rig_cli.workbench import Workbench
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting, with_parameters
 from rig_configs.load import with_truth
 from rig_configs.schema import Rig
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from live.foxglove.beside import FoxgloveBeside
 
 _BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
-_USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # seconds, for the bar; others 2 or 7
+_USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # s, weights of the bar; others 2 or 7
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,8 @@ def demo(
         rate = 1.0 if lockstep else time_scale
         with (
             progress,
-            page_beside(live, loaded, None, changes, rate, live_host, live_port, json, progress.say) as page,
-            foxglove_beside(foxglove, loaded, rate, json, progress.say) as given,
+            page_of_session(live, loaded, None, changes, rate, live_host, live_port, json, progress.notify) as page,
+            foxglove_of_session(foxglove, loaded, rate, json, progress.notify) as given,
         ):
             far = (
                 LockstepRig(loaded)
@@ -112,14 +112,14 @@ def _parse_fault(text: str, rig: Rig) -> Fault:
         raise RigFileError(f"--fault {text!r}: expected KEY=VALUE@STEP with a step of {', '.join(known)}")
     key, value = parse_setting(setting)
     try:
-        with_truth(rig, key, value)  # as the simulated rig will, four tests from now
+        with_truth(rig, key, value)  # the simulated rig does the same later, after several tests
     except RigFileError as fault:
         raise RigFileError(f"--fault {text}: {fault}") from fault
     return Fault(key.removeprefix("virtual.truth."), value, names[step])
 
 
 def _fresh(out: Path) -> Path:
-    """The folder for this campaign; an earlier one's logs are never written over."""
+    """Return the folder for this campaign. Logs of an earlier one are never overwritten."""
     folder, number = out, 1
     while folder.exists() and any(folder.iterdir()):
         number += 1
@@ -143,7 +143,7 @@ def _campaign(
     progress.step("start")
     steps = _steps(rig)
     if left_out := [test for test in (*_BEFORE_POINTS, *(f"point-{name}" for name in rig.points)) if test not in steps]:
-        progress.say(f"no device for: {', '.join(left_out)}")
+        progress.notify(f"no device for: {', '.join(left_out)}")
     tests_done: list[TestDone] = []
     refinements: list[Future[None]] = []
     with far as simulated:
@@ -154,11 +154,11 @@ def _campaign(
             progress.step(step)
             for fault in [f for f in faults if f.step == step]:
                 simulated.ask("set", key=fault.key, value=fault.value)
-                progress.say(f"fault: {fault.key} = {fault.value} before {step}")
+                progress.notify(f"fault: {fault.key} = {fault.value} before {step}")
 
         with Session(plugged, simulated.clock, edge=simulated.edge) as session:
             controls = Controls()
-            tests = Procedures(session, SimulatedOperator(simulated), folder / "logs", progress.tell, "", controls)
+            tests = Procedures(session, SimulatedOperator(simulated), folder / "logs", progress.update, "", controls)
             follow(page, session, _stop_of(session, far), {"log": str(folder)}, controls)
             follow_session(given, session)
 
@@ -166,7 +166,7 @@ def _campaign(
                 done = run_test(tests, rig, test)
                 tests_done.append(done)
                 if done.missed:
-                    progress.say(ending_words(done))
+                    progress.notify(ending_words(done))
                 return done.log
 
             logs: list[Path] = []
@@ -175,7 +175,7 @@ def _campaign(
                 logs.append(record(plugged, test))
             begin("identify")
             parameters = folder / "parameters-before-points.toml"
-            workbench.wait(workbench.identify(plugged, logs, parameters), progress.tell)
+            workbench.wait(workbench.identify(plugged, logs, parameters), progress.update)
             known = IdentifiedParameters.load(parameters)
             tests.parameters = IdentifiedParameters.label(parameters)
             identified = with_parameters(plugged, known)
@@ -194,9 +194,9 @@ def _campaign(
     }
     report = folder / "report.html"
     for refinement in refinements:
-        workbench.wait(refinement, progress.tell)
-    progress.tell("writing the report")
-    result = workbench.wait(workbench.conclude(plugged, folder / "parameters.toml", report, facts), progress.tell)
+        workbench.wait(refinement, progress.update)
+    progress.update("writing the report")
+    result = workbench.wait(workbench.conclude(plugged, folder / "parameters.toml", report, facts), progress.update)
     result["truth"] = truth
     result["radio"] = _radio_checks(logs, radio)
     result["logs"] = [str(path) for path in logs]
@@ -208,7 +208,7 @@ def _campaign(
 
 
 def _stop_of(session: Session, far: VirtualRigProcess | LockstepRig) -> Callable[[str], None]:
-    """What the page's stop does: on simulated time nothing may be sent but by the thread that lets it pass."""
+    """Return the function of the page's stop. On simulated time only the thread that advances it may send."""
     if not isinstance(far, LockstepRig):
         return session.stop
 
@@ -219,7 +219,7 @@ def _stop_of(session: Session, far: VirtualRigProcess | LockstepRig) -> Callable
 
 
 def _radio_checks(logs: list[Path], radio: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """See `_radio_check`, log by log as they were recorded: a log tells its frames' numbers modulo 65536 only."""
+    """See `_radio_check`, log by log in the order of recording: a log has its frame numbers modulo 65536 only."""
     checks: list[dict[str, Any]] = []
     last = 0
     for path in logs:
@@ -229,16 +229,16 @@ def _radio_checks(logs: list[Path], radio: Mapping[str, Any]) -> list[dict[str, 
 
 
 def _radio_check(path: Path, radio: Mapping[str, Any], since: int = 0) -> tuple[dict[str, Any], int]:
-    """Frames this log counted as lost against those the simulated radio dropped in the same stretch.
+    """Compare the frames that this log counted as lost with those that the simulated radio dropped meanwhile.
 
     Args:
-        since: number of a frame before the log's first, fewer than 65536 of them earlier.
+        since: number of a frame before the log's first, fewer than 65536 frames earlier.
 
     Returns:
         The comparison, and the number of the log's last frame.
     """
-    from daq.drivers.contract import CountsFrames  # noqa: PLC0415
-    from daq.replay.stream import decoded, pipelines_of  # noqa: PLC0415
+    from daq.drivers.contract import CountsFrames
+    from daq.replay.stream import decoded, pipelines_of
 
     with open_log(path) as log:
         pipelines = pipelines_of(log)
@@ -271,7 +271,7 @@ def _show(result: Mapping[str, Any], as_json: bool) -> None:
     for test, missed in result["not_reached"].items():
         print(f"  {test} did not reach its end: {missed}")
     for warning in result["warnings"]:
-        say(f"warning: {warning}")
+        notify(f"warning: {warning}")
     lost = sum(row["counted"] for row in result["radio"])
     dropped = sum(row["dropped"] for row in result["radio"])
     print(f"Radio frames lost: {lost} counted, {dropped} dropped by the simulated radio")

@@ -1,4 +1,4 @@
-"""Commands that bring data out to other programs and in from them: export, import."""
+"""Commands that exchange data with other programs: export, import."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from rig_cli.console import print_json, say, show
+from rig_cli.console import notify, print_json, show
 from rig_cli.options import Json, Settings
 from rig_cli.share_progress import share_progress
 
@@ -26,8 +26,8 @@ def export(
 ) -> int:
     """Write a log's channels for other programs: parquet, csv, MATLAB/Octave, hdf5.
 
-    The format is what OUTPUT's name ends in. Parquet and csv hold one table per file: several channels become
-    OUTPUT-laser_x.csv …; units, provenance, events and losses are in OUTPUT.csv.json beside them. Mat and hdf5 hold
+    The format is the ending of OUTPUT's name. Parquet and csv contain one table per file: several channels become
+    OUTPUT-laser_x.csv …; units, provenance, events and losses are in OUTPUT.csv.json next to them. Mat and hdf5 contain
     everything in one file.
 
     Parameters
@@ -37,7 +37,7 @@ def export(
     output
         file name ending in .parquet, .csv, .mat, .h5 or .hdf5
     format
-        where the name's ending does not say it
+        the format, if the ending of the name does not state it
     channels
         topics such as laser/x laser/y; with --signals x y angles marks; all that hold samples when not given
     from_s
@@ -49,9 +49,9 @@ def export(
     force
         replace files of that name
     """
-    from daq.exchange import export_log  # noqa: PLC0415 (pyarrow takes a while to import)
+    from daq.exchange import export_log  # pyarrow takes a while to import
 
-    with share_progress(f"exporting {log.name}") as tell:
+    with share_progress(f"exporting {log.name}") as progress:
         done = export_log(
             log,
             output,
@@ -61,10 +61,10 @@ def export(
             to_s=to_s,
             signals=signals,
             force=force,
-            progress=tell,
+            progress=progress,
         )
     for missing in done.missing:
-        say(f"warning: missing from the log: {missing}")
+        notify(f"warning: missing from the log: {missing}")
     if json:
         print_json(
             {
@@ -80,7 +80,7 @@ def export(
     for name, count in done.rows.items():
         show(f"{name:10} {count:9d} samples")
     for file in done.files:
-        say(f"written to {file}")
+        notify(f"written to {file}")
     return 0
 
 
@@ -115,13 +115,13 @@ def import_(
     Columns are named NAME:UNIT, for example --time t:ms --x disp1:mm --y disp2:-um --theta3 ch4:deg. NAME is the
     column's name or its number from 1, in mat and hdf5 a path (data.x, data.2). UNIT is s ms us ns min, m mm um nm in,
     rad deg rev, rad/s rpm Hz deg/s, with a minus sign for an axis that points the other way, or a number that turns
-    the value into m, rad, s or rad/s; it may be left out where the name ends in it (displacement_m). A column with
-    times of its own is NAME:UNIT@TIME:UNIT. Empty cells are no samples; gaps are counted and never filled.
+    the value into m, rad, s or rad/s; it may be left out if the name ends in it (displacement_m). A column with
+    times of its own is NAME:UNIT@TIME:UNIT. Empty cells are not samples; gaps are counted and never filled.
 
     Parameters
     ----------
     file
-        the recording; delimiter, decimal comma, comments and header of a csv are found out
+        the recording; delimiter, decimal comma, comments and header of a csv are detected
     output
         the log, ending in .mcap
     rig
@@ -129,13 +129,13 @@ def import_(
     test
         ring-down-x, ring-down-y, spin-down, run-up, point-NAME
     point
-        a validation point; stands for --test point-NAME
+        a validation point; the same as --test point-NAME
     note
-        the operator's words
+        the operator's note
     time
         column of sample times, from the recording's start or since 1970
     rate_Hz
-        rows per second where there is no column of times
+        rows per second if there is no column of times
     x
         displacement of the disk's centre along x
     y
@@ -151,22 +151,22 @@ def import_(
     speed
         rotor speed; integrated to a phase without an absolute reference
     start
-        when the recording's time was 0, such as 2026-03-01T10:00:00; UTC where it names no zone
+        when the recording's time was 0, such as 2026-03-01T10:00:00; UTC without a zone
     release
-        when the pendulums were let go, s; A,B where they differ
+        when the pendulums were released, s; A,B if they differ
     counts_per_revolution
-        of the encoders, where it is not the rig file's
+        of the encoders, if it differs from the rig file's
     invalid
         values that mean "no reading", as they are in the file, separated by commas
     clock_tolerance_ppm
-        standard uncertainty of the rate of the recording's clock, such as 0.1 for one disciplined by GPS; without it
-        the rig file's clock_tolerance_ppm, or 50 where it has none
+        standard uncertainty of the rate of the recording's clock, such as 0.1 for one disciplined by GPS; default: the
+        rig file's clock_tolerance_ppm, or 50
     recorder
-        name of what recorded it; files of one recorder share its clock's error, and so do files without a name
+        name of the recorder; files of one recorder share its clock's error, and so do files without a name
     """
-    from daq.exchange import import_recording, make_recipe  # noqa: PLC0415
-    from daq.exchange.recipe import parse_numbers  # noqa: PLC0415
-    from rig_configs import load_rig  # noqa: PLC0415
+    from daq.exchange import import_recording, make_recipe
+    from daq.exchange.recipe import parse_numbers
+    from rig_configs import load_rig
 
     recipe = make_recipe(
         test=test,
@@ -188,10 +188,10 @@ def import_(
         clock_tolerance_ppm=clock_tolerance_ppm,
         recorder=recorder,
     )
-    with share_progress(f"importing {file.name}") as tell:
-        done = import_recording(file, output, load_rig(rig, settings=settings or []), recipe, tell)
+    with share_progress(f"importing {file.name}") as progress:
+        done = import_recording(file, output, load_rig(rig, settings=settings or []), recipe, progress)
     for warning in done.warnings:
-        say(f"warning: {warning}")
+        notify(f"warning: {warning}")
     if json:
         print_json(
             {
@@ -209,5 +209,5 @@ def import_(
         show(f"{topic:10} {count:9d} samples")
     for device, count in done.invalid.items():
         show(f"{device:10} {count:9d} invalid readings, {done.gaps.get(device, 0)} samples in gaps")
-    say(f"written to {done.path}")
+    notify(f"written to {done.path}")
     return 0

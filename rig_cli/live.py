@@ -1,5 +1,5 @@
 # pyright: strict
-"""`rig live`: a rig or a log in the browser; and the same page beside other commands, by their `--live`."""
+"""`rig live`: a rig or a log in the browser; and the same page for other commands, by their `--live`."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from rig_cli import answer
-from rig_cli.console import say
-from rig_cli.foxglove import Foxglove, follow_session, foxglove_beside, foxglove_of_log
-from rig_cli.numbers import TimeScale
-from rig_cli.options import Json, ParametersPath, Settings, warn_of_slips
 from daq.errors import LogError
+from rig_cli import answer
+from rig_cli.console import notify
+from rig_cli.foxglove import Foxglove, follow_session, foxglove_of_log, foxglove_of_session
+from rig_cli.numbers import TimeScale
+from rig_cli.options import Json, ParametersPath, Settings, warn_of_unusual_settings
 from rig_configs import IdentifiedParameters, load_rig, overridden, with_parameters
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from live.beside import LivePage
     from rig_configs.schema import Rig
 
-Host = Annotated[str, Parameter(help="let others in: the name or address by which they reach this machine")]
+Host = Annotated[str, Parameter(help="admit other machines: the name or address by which they reach this one")]
 Port = Annotated[int, Parameter(help="of the page; 0 for any free one")]
 Live = Annotated[
     bool, Parameter(name="--live", negative="", help="show it in the browser too, with a stop button; see rig live")
@@ -34,7 +34,7 @@ Live = Annotated[
 LiveHost = Annotated[str, Parameter(name="--live-host", help="of that page, as rig live's --host")]
 LivePort = Annotated[int, Parameter(name="--live-port", help="of that page, as rig live's --port")]
 
-_LOOK_S = 0.1
+_CHECK_EVERY_S = 0.1
 
 
 def live(
@@ -49,7 +49,7 @@ def live(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Show a rig or a log in the browser, with a stop button; only who has its token gets in.
+    """Show a rig or a log in the browser, with a stop button; access needs its token.
 
     Ctrl-C ends it. A log is played: play, pause, seek, speed. A rig is opened and watched, and nothing is recorded; its
     page has a stop button. With --json the first line is {"url", "token"}.
@@ -69,11 +69,11 @@ def _log(
     settings: list[str],
     as_json: bool,
 ) -> int:
-    from daq.log import open_log  # noqa: PLC0415 (numba takes a third of a second to import)
-    from daq.log.snapshot import rig_of  # noqa: PLC0415
-    from live.model import Model  # noqa: PLC0415
-    from live.replayed import Replayed  # noqa: PLC0415
-    from live.serving import Serving  # noqa: PLC0415
+    from daq.log import open_log  # numba takes a third of a second to import
+    from daq.log.snapshot import rig_of
+    from live.model import Model
+    from live.replayed import Replayed
+    from live.serving import Serving
 
     with ExitStack() as stack:
         with open_log(path) as log:
@@ -89,7 +89,7 @@ def _log(
         try:
             threading.Event().wait()
         except KeyboardInterrupt:
-            say("the page is closed")
+            notify("the page is closed")
     return 0
 
 
@@ -103,29 +103,29 @@ def _rig(
     settings: list[str],
     as_json: bool,
 ) -> int:
-    from daq.acquisition.session import Session  # noqa: PLC0415
-    from daq.transports import HostClock  # noqa: PLC0415
+    from daq.acquisition.session import Session
+    from daq.transports import HostClock
 
     rig = load_rig(name, settings=settings)
-    warn_of_slips(rig)
+    warn_of_unusual_settings(rig)
     clock = HostClock(time_scale)
     with (
-        page_beside(True, rig, parameters, settings, clock.rate, host, port, as_json) as page,
-        foxglove_beside(foxglove, rig, clock.rate, as_json) as given,
-        Session(rig, clock, say=say) as session,
+        page_of_session(True, rig, parameters, settings, clock.rate, host, port, as_json) as page,
+        foxglove_of_session(foxglove, rig, clock.rate, as_json) as given,
+        Session(rig, clock, say=notify) as session,
     ):
         follow(page, session, session.stop, {"words": "watched, not recorded"})
         follow_session(given, session)
         try:
             while True:
                 session.check()
-                time.sleep(_LOOK_S)
+                time.sleep(_CHECK_EVERY_S)
         except KeyboardInterrupt:
-            say("the page is closed")
+            notify("the page is closed")
     return 3 if session.notices else 0
 
 
-def page_beside(
+def page_of_session(
     wanted: bool,
     rig: Rig,
     parameters: Path | None,
@@ -134,24 +134,24 @@ def page_beside(
     host: str,
     port: int,
     as_json: bool,
-    told: Callable[[str], None] = say,
+    notify: Callable[[str], None] = notify,
 ) -> AbstractContextManager[LivePage | None]:
-    """The page of a session that is opened inside this context; nothing where it is not wanted.
+    """Return a context with the page of a session opened inside it; None without `--live`.
 
     Args:
         rig: the session's.
-        parameters, settings: what the model's curves follow.
-        rate: seconds of the rig per second of the wall.
+        parameters, settings: of the model's curves.
+        rate: seconds of rig time per wall second.
     """
     if not wanted:
         return nullcontext()
     laid, known, source = _laid_over(rig, parameters, settings)
-    from live.beside import LivePage  # noqa: PLC0415 (numba takes a third of a second to import)
+    from live.beside import LivePage  # numba takes a third of a second to import
 
     class Announced(LivePage):
         def __enter__(self) -> LivePage:
             page = super().__enter__()
-            _announce(page.url, page.token, host, as_json, told)
+            _announce(page.url, page.token, host, as_json, notify)
             return page
 
     return Announced(laid, known, source, rate, rig.name, host, port)
@@ -165,14 +165,14 @@ def follow(
     controls: Controls | None = None,
     confirmed: Callable[[], None] | None = None,
 ) -> Callable[[str], None]:
-    """Have the page, where there is one, show an open session; see live.beside.
+    """Show an open session on the page, if there is one; see live.beside.
 
     Returns:
-        What is to be told of all that the operator is asked for.
+        Function to be called with every prompt to the operator.
     """
     if page is None:
         return lambda text: None
-    from live.beside import Asking  # noqa: PLC0415 (only where there is a page)
+    from live.beside import Asking  # only with a page
 
     asking = Asking(controls, confirmed)
     page.follow(session, asking, stop, facts)
@@ -180,21 +180,21 @@ def follow(
 
 
 def _laid_over(rig: Rig, parameters: Path | None, settings: list[str]) -> tuple[Rig, IdentifiedParameters | None, str]:
-    """A rig with identified parameters laid over it, these, and where the model's numbers are from."""
+    """Return the rig with identified parameters applied, these parameters, and the source of the model's numbers."""
     if parameters is None:
         return rig, None, "rig file"
     known = IdentifiedParameters.load(parameters)
     return with_parameters(rig, known.without(overridden(known, settings))), known, parameters.name
 
 
-def _announce(url: str, token: str, host: str, as_json: bool, told: Callable[[str], None] = say) -> None:
-    """The page's address: as the first line of the output where that is JSON."""
+def _announce(url: str, token: str, host: str, as_json: bool, notify: Callable[[str], None] = notify) -> None:
+    """Report the page's address, with JSON output as its first line."""
     address: Mapping[str, Any] = {"url": url, "token": token}
     if as_json:
         answer.announce(address)
-    told(f"the live page: {url}")
+    notify(f"the live page: {url}")
     if host:
-        told(
-            f"warning: --host {host}: everybody who reaches this machine and has that address sees the page and may "
-            "press its stop; it is not encrypted, so the network sees the token too"
+        notify(
+            f"warning: --host {host}: all who reach this machine and have that address see the page and may press its "
+            "stop; it is not encrypted, so the token can be read on the network"
         )

@@ -1,4 +1,4 @@
-"""The stability of the balanced state over two numbers of a rig, and its borders."""
+"""`rig map`: stability of the balanced state over two numbers of a rig, and its borders."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from analysis.errors import BadFigureName
-from rig_cli.console import plain, print_json, say, wait_for_compilation
+from rig_cli.console import notify, plain, print_json, wait_for_compilation
 from rig_cli.map_tiles import in_tiles
 from rig_cli.model import Accuracy
 from rig_cli.numbers import Positive, PositiveRpm, PositiveSeconds
-from rig_cli.options import Json, ParametersPath, Settings, need_place
+from rig_cli.options import Json, ParametersPath, Settings, check_outputs
 from rig_cli.scheduler import Scheduler
 from rig_cli.share_progress import share_progress
 
@@ -43,7 +43,7 @@ def map(
         ),
     ] = "multiplier",
     borders: Annotated[
-        bool, Parameter(negative="", help="follow the borders of stability, every branch to 1e-10, beside the map")
+        bool, Parameter(negative="", help="follow the borders of stability, every branch to 1e-10, with the map")
     ] = False,
     family: Annotated[
         str | None, Parameter(help="KEY=V,V,V or KEY=A:B:N[:log]: follow the borders for each value of another number")
@@ -74,16 +74,16 @@ def map(
     suspension.zeta1+suspension.zeta2.
     """
     with wait_for_compilation("stability map"):
-        from analysis.maps.answers import compile_maps  # noqa: PLC0415 (numba takes a while to load)
-        from analysis.maps.question import (  # noqa: PLC0415
+        from analysis.maps.answers import compile_maps  # numba takes a while to load
+        from analysis.maps.question import (
             NONLINEAR,
             MapQuestion,
             parameters_source,
             rig_source,
             speed_of,
         )
-        from rig_cli.map_axes import read_axis, read_family, read_range  # noqa: PLC0415
-        from rig_cli.map_page import say_what_is_left_out  # noqa: PLC0415
+        from rig_cli.map_axes import read_axis, read_family, read_range
+        from rig_cli.map_page import report_omissions
 
         _need_places(output, plot)
         usual = (_X_OF_MOTIONS, _Y_OF_MOTIONS) if quantity in NONLINEAR else (_X, _Y)
@@ -104,26 +104,26 @@ def map(
         )
         question = replace(question, speed_rad_s=speed_of(question.loaded(), point, speed_ratio, speed_rpm))
         if not question.is_nonlinear:
-            say_what_is_left_out(question)
+            report_omissions(question)
             compile_maps(question)
     if question.is_nonlinear:
-        from rig_cli.map_motions import map_motions  # noqa: PLC0415
+        from rig_cli.map_motions import map_motions
 
         return map_motions(question, output, plot, scheduler, json)
     return _answered(question, output, plot, scheduler, json)
 
 
 def _need_places(output: Path | None, plot: Path | None) -> None:
-    """Whether the files can be written, asked before the work is done.
+    """Check that the files can be written, before the work is done.
 
     Raises:
-        RigFileError, AnalysisError: says why not.
+        RigFileError, AnalysisError: they cannot; the message contains the reason.
     """
-    from analysis.figures.page import SUFFIXES  # noqa: PLC0415 (matplotlib)
-    from analysis.maps.files import need_map_suffix  # noqa: PLC0415
+    from analysis.figures.page import SUFFIXES  # matplotlib
+    from analysis.maps.files import need_map_suffix
 
     replaces_store = output is not None and output.suffix == ".zarr" and output.is_dir()
-    need_place("rig map:", plot, output / "zarr.json" if output and replaces_store else output)
+    check_outputs("rig map:", plot, output / "zarr.json" if output and replaces_store else output)
     if output is not None:
         need_map_suffix(output)
     if plot is not None and plot.suffix.lower() not in SUFFIXES:
@@ -131,18 +131,18 @@ def _need_places(output: Path | None, plot: Path | None) -> None:
 
 
 def _answered(question: MapQuestion, output: Path | None, plot: Path | None, scheduler: str | None, json: bool) -> int:
-    """Compute, write, draw and say it."""
-    from analysis.maps.answers import answer  # noqa: PLC0415
-    from analysis.maps.files import write_map  # noqa: PLC0415
-    from analysis.maps.records import record  # noqa: PLC0415
-    from rig_cli.map_page import draw, map_json, print_map  # noqa: PLC0415
+    """Compute, write, draw and print the map."""
+    from analysis.maps.answers import answer
+    from analysis.maps.files import write_map
+    from analysis.maps.records import record
+    from rig_cli.map_page import draw, map_json, print_map
 
     with in_tiles(question, output, scheduler) as grid_of:
         try:
             found = answer(question, share_progress, grid_of)
         except KeyboardInterrupt:
             if grid_of is None:
-                say("rig map: nothing is written before all of it is computed; what was computed is lost")
+                notify("rig map: nothing is written before the whole map is computed; the computed part is lost")
             raise
         result = map_json(found)
         written = [] if output is None else write_map(output, record(found, plain(result)))
@@ -162,5 +162,5 @@ def _answered(question: MapQuestion, output: Path | None, plot: Path | None, sch
     for path in written:
         print(f"written to {path}")
     if not written:
-        say("nothing kept: give -o FILE.npz for the arrays, --plot FILE for the figure")
+        notify("no file written: give -o FILE.npz for the arrays, --plot FILE for the figure")
     return 0

@@ -1,4 +1,4 @@
-"""Commands from logs to numbers: identify, validate."""
+"""Commands from logs to parameters and verdicts: identify, validate."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from rig_cli.console import STDERR, print_json, say, show
-from rig_cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from rig_cli.console import STDERR, notify, print_json, show
+from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
 from rig_cli.setting_costs import SETTING_HELP, WITHOUT_HELP
 from rig_cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
@@ -17,7 +17,7 @@ from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 if TYPE_CHECKING:
     from identification.rungs import Rung
 
-_NOTHING_KNOWN_DEG = 90.0  # of an axis
+_MAX_AXIS_STD_DEG = 90.0  # the direction of an axis is unknown
 
 
 def identify(
@@ -33,14 +33,14 @@ def identify(
     json: Json = False,
 ) -> int:
     """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml."""
-    from rig_cli import results  # noqa: PLC0415 (scipy and numba take seconds to import)
-    from rig_cli.parameters import limit_json  # noqa: PLC0415
-    from identification import identify as find  # noqa: PLC0415
-    from identification.joint.limits import limits  # noqa: PLC0415
-    from studies.runs import load_runs  # noqa: PLC0415
+    from identification import identify as find
+    from identification.joint.limits import limits
+    from rig_cli import results  # scipy and numba take seconds to import
+    from rig_cli.parameters import limit_json
+    from studies.runs import load_runs
 
     _need(logs, "rig identify LOG…")
-    need_place("rig identify: -o", output)
+    check_outputs("rig identify: -o", output)
     held = _held_back(without or [])
     loaded = load_rig(rig, settings=settings or [])
     runs = load_runs(logs)
@@ -52,23 +52,23 @@ def identify(
         limited_by = {limit.name: limit_json(limit) for limit in limited}
         print_json({**results.identification_json(found), "limited_by": limited_by, "file": str(output)})
         return 0
-    from rig_cli.parameters_page import limit_lines  # noqa: PLC0415
+    from rig_cli.parameters_page import limit_lines
 
     for line in [*results.parameter_lines(parameters), *limit_lines(limited)]:
         print(line)
     for warning in found.warnings:
-        say(f"warning: {warning}")
-    say(f"written to {output}")
+        notify(f"warning: {warning}")
+    notify(f"written to {output}")
     return 0
 
 
 def _held_back(names: list[str]) -> frozenset[Rung]:
-    """The rungs that --without names.
+    """Return the rungs that --without names.
 
     Raises:
-        RigFileError: there is no such rung.
+        RigFileError: a rung of that name does not exist.
     """
-    from identification.rungs import held_back  # noqa: PLC0415 (scipy and numba take seconds to import)
+    from identification.rungs import held_back  # scipy and numba take seconds to import
 
     try:
         return held_back(names)
@@ -88,17 +88,17 @@ def validate(
 ) -> int:
     """Compare steady states and releases at points with the model; exit 1 when a point does not pass.
 
-    With --set it answers a what-if: the settings lie over rig file and parameters, and no verdict is kept.
+    With --set it answers a what-if: the settings override rig file and parameters, and no verdict is kept.
     """
-    from analysis.prediction import known_axis_angle  # noqa: PLC0415
-    from daq.signals.completeness import missing_warnings  # noqa: PLC0415
-    from daq.signals.run import disagreements  # noqa: PLC0415
-    from studies.runs import keep_verdicts, load_runs, validated  # noqa: PLC0415
+    from analysis.prediction import known_axis_angle
+    from daq.signals.completeness import missing_warnings
+    from daq.signals.run import disagreements
+    from studies.runs import keep_verdicts, load_runs, validated
 
     _need(logs, "rig validate RIG LOG…")
-    need_place("rig validate: --report", report)
+    check_outputs("rig validate: --report", report)
     if report is not None:
-        from analysis.report.twin import need_free_twin  # noqa: PLC0415 (matplotlib)
+        from analysis.report.twin import need_free_twin  # matplotlib
 
         need_free_twin(report)
     if parameters is None:
@@ -117,17 +117,17 @@ def validate(
     if given is None and known.axis_angle_deg is None:
         value, std = known_axis_angle(known, loaded)
         warnings.append(
-            f"{parameters} has no angle between sensor and stiffness axes: {value:g} ± {std:g}° is taken; identify "
+            f"{parameters} has no angle between sensor and stiffness axes: {value:g} ± {std:g}° is assumed; identify "
             "again, or give --axis-angle-deg and --axis-angle-std-deg"
         )
     if not what_if:
         warnings += keep_verdicts(found, runs, IdentifiedParameters.label(parameters))
     for warning in warnings:
-        say(f"warning: {warning}")
+        notify(f"warning: {warning}")
     if report is not None:
-        from analysis.report.campaign import Campaign, IdentificationResult  # noqa: PLC0415 (matplotlib)
-        from analysis.report.write import write_report  # noqa: PLC0415
-        from rig_cli.parameters_budget import all_budgets  # noqa: PLC0415
+        from analysis.report.campaign import Campaign, IdentificationResult  # matplotlib
+        from analysis.report.write import write_report
+        from rig_cli.parameters_budget import all_budgets
 
         identified = IdentificationResult(known, warnings=warnings)
         title = f"{'What if: validation' if what_if else 'Validation'} of {loaded.name}"
@@ -154,7 +154,7 @@ def validate(
         )
     else:
         if what_if:
-            print(f"{what_if_words(what_if)}: not the rig's verdict, none is kept")
+            print(f"{what_if_words(what_if)}: not the rig's verdict, and not kept")
         result = found.to_json()
         for line in whole_lines(result):
             show(line)
@@ -163,19 +163,19 @@ def validate(
 
 
 def _given_angle(value_deg: float | None, std_deg: float | None) -> tuple[float, float] | None:
-    """The axis angle of the command line; None where there is none."""
+    """Return the axis angle of the command line; None if it was not given."""
     if value_deg is None and std_deg is None:
         return None
-    if value_deg is None or std_deg is None or not math.isfinite(value_deg) or not 0 <= std_deg <= _NOTHING_KNOWN_DEG:
+    if value_deg is None or std_deg is None or not math.isfinite(value_deg) or not 0 <= std_deg <= _MAX_AXIS_STD_DEG:
         raise RigFileError(
             "rig validate: expected --axis-angle-deg and --axis-angle-std-deg together, finite, the latter 0 to "
-            f"{_NOTHING_KNOWN_DEG:g}, got {value_deg} and {std_deg}"
+            f"{_MAX_AXIS_STD_DEG:g}, got {value_deg} and {std_deg}"
         )
     return value_deg, std_deg
 
 
 def print_points(points: dict[str, Any]) -> None:
-    """A line per point with its verdict and reason."""
+    """Print a line per point with its verdict and reason."""
     for name, point in points.items():
         show(f"{name}: {point['verdict']:14} {point['state']:10} {point['why']}")
 

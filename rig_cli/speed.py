@@ -1,5 +1,5 @@
 # pyright: strict
-"""The speed at which a command works: a point's, or a number."""
+"""The speed of a command: a point's, or a number."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import math
 from rig_configs import Rig, RigFileError
 
 
-def asked_speed(command: str, rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: float | None) -> float:
-    """The speed asked for, rad/s.
+def chosen_speed(
+    command: str, rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: float | None
+) -> float:
+    """Return the requested speed, rad/s.
 
     Args:
         command: "rig predict", for messages.
@@ -17,7 +19,7 @@ def asked_speed(command: str, rig: Rig, point: str | None, speed_rpm: float | No
         speed_rpm: in rpm; or
         speed_ratio: over the first natural frequency.
     Raises:
-        RigFileError: none or several were given, no such point, or a speed that is not above 0.
+        RigFileError: none or several were given, the point does not exist, or the speed is not above 0.
     """
     if sum(x is not None for x in (point, speed_rpm, speed_ratio)) != 1:
         raise RigFileError(f"{command}: give one of --point, --speed-rpm, --speed-ratio")

@@ -342,7 +342,7 @@ def test_every_test_of_the_kit_has_been_seen_red() -> None:
     assert {name for name, _, _ in BROKEN.values()} == set(CHECKS)
 
 
-def test_what_does_not_apply_is_skipped_and_a_report_says_why() -> None:
+def test_what_does_not_apply_is_skipped_and_a_report_states_why() -> None:
     report = rig_testing.examine(StopRaises())
     assert [outcome.name for outcome in report.failed] == ["stop", "link lost"]
     assert not report.passed
