@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Chapter 5: what the source leaves for future work, computed."""
+"""Chapter 5: computations on the source's questions for future work."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _with_c34(p: RotorParameters, c34: float) -> RotorParameters:
 
 
 def _stable(p: RotorParameters, speed_ratio: float) -> list[SteadyState]:
-    """Stable states; none where none can be found."""
+    """Return the stable states; an empty list if none can be found."""
     try:
         return [state for state in steady_states(p, p.speed_rad_s(speed_ratio), 1e-6) if state.stable]
     except DynamicsError:
@@ -53,7 +53,7 @@ _GRAVITY_RATIOS = np.round(np.linspace(1.2, 8.0, 69), 3)
 
 
 def gravity(work: Workspace) -> Reproduced:
-    """A horizontal shaft: which states are stable, what vibration and what swing of the pendulums are left."""
+    """A horizontal shaft: stable states, remaining vibration and swing of the pendulums."""
     p = work.physics()
     heavy = replace(p, gravity_m_per_s2=_G)
     rows = list[tuple[float, str, float, float]]()
@@ -64,7 +64,7 @@ def gravity(work: Workspace) -> Reproduced:
             rows.append((ratio, states[0].type, 1e6 * states[0].amplitude_m, swing))
         else:
             rows.append((ratio, "none", math.nan, math.nan))
-        work.tell((i + 1) / len(_GRAVITY_RATIOS))
+        work.progress((i + 1) / len(_GRAVITY_RATIOS))
     kinds = np.array([kind for _, kind, _, _ in rows])
     left, swing = np.array([row[2] for row in rows]), np.array([row[3] for row in rows])
     first = [p.speed_rad_s(ratio) for ratio in _GRAVITY_RATIOS.tolist()]
@@ -112,7 +112,7 @@ def gravity(work: Workspace) -> Reproduced:
             ),
         ),
         numbers_of(p) | {"gravity_m_per_s2": _G},
-        ("The nominal rig laid on its side, gravity along −y; its sag M_S g/k2 is no vibration.",),
+        ("The nominal rig laid on its side, gravity along −y; its sag M_S g/k2 is not a vibration.",),
         (
             Claim(
                 _CHAPTER,
@@ -135,7 +135,7 @@ def gravity(work: Workspace) -> Reproduced:
 
 
 def _gravity_limit(p: RotorParameters, speed_ratio: float) -> tuple[float, bool, float]:
-    """Gravity up to which Type I is a stable state, m/s²; whether a release at 9.81 m/s² slips; g/(R ω²) there, °."""
+    """Return the gravity up to which Type I is stable, m/s²; whether a release at 9.81 m/s² slips; g/(R ω²), °."""
     low, high = 0.0, _G
     while high - low > 0.01:
         middle = 0.5 * (low + high)
@@ -150,7 +150,7 @@ _C34 = np.geomspace(1e-4, 0.1, 25)
 
 
 def pendulum_damping(work: Workspace) -> Reproduced:
-    """The best damping of the pendulums: how fast deviations die out, and how large the stable area is."""
+    """The best damping of the pendulums: decay rate of deviations, and size of the stable area."""
     p = work.physics()
     constants = {name: np.empty(len(_C34)) for name in _BALANCED}
     for i, value in enumerate(_C34.tolist()):
@@ -166,7 +166,7 @@ def pendulum_damping(work: Workspace) -> Reproduced:
         q = _with_c34(p, value)
         plane = SpeedStiffnessPlane(q, balanced_angles(q)[0])
         shares[i] = stability_borders(plane, (0.3, 7.0), (1.0, 16.0), first=(64, 48), spacing=0.01).stable_share
-        work.tell((i + 1) / len(wide))
+        work.progress((i + 1) / len(wide))
     with sheet(WIDTH_IN, 4.6, "Damping of the pendulums: time constant against stable area") as figure:
         axes: list[Axes] = figure.subplots(2, 1, sharex=True).tolist()
         for name, (colour, dashes) in _LOOKS.items():
@@ -176,7 +176,7 @@ def pendulum_damping(work: Workspace) -> Reproduced:
         label(axes[1], "c34, N m s/rad", "stable share of the plane, %")
     best = {name: int(np.nanargmin(values)) for name, values in constants.items()}
     inner = [name for name, i in best.items() if 0 < i < len(_C34) - 1]
-    told = "; ".join(
+    shown = "; ".join(
         f"{name}: {constants[name][i]:.2f} s at c34 = {_C34[i]:.2g} ({constants[name][-1]:.0f} s at 0.1)"
         for name, i in best.items()
     )
@@ -202,7 +202,7 @@ def pendulum_damping(work: Workspace) -> Reproduced:
         ("Best is what dies out fastest: the slowest time constant, by the largest multiplier.",),
         (
             Claim.judged(
-                _CHAPTER, "(Question) There is a best damping of the pendulums.", len(inner) == len(best), told
+                _CHAPTER, "(Question) There is a best damping of the pendulums.", len(inner) == len(best), shown
             ),
             Claim.judged(
                 _CHAPTER,
@@ -221,7 +221,7 @@ _CLASS_COLOURS = ("#f2f2f2", "#9ecae1", "#fdbf6f", "#b2df8a")
 
 
 def type_three(work: Workspace) -> Reproduced:
-    """Type III on anisotropic suspensions: where it is stable, against Type I."""
+    """Type III on anisotropic suspensions: where it is stable, compared with Type I."""
     p = work.physics()
     x, y = np.linspace(0.4, 7.0, _GRID[0]), np.linspace(1.5, 16.0, _GRID[1])
     found = {zeta: _classes(work, zeta, x, y) for zeta in (0.02, 0.05)}
@@ -282,7 +282,7 @@ def type_three(work: Workspace) -> Reproduced:
 
 
 def _classes(work: Workspace, zeta: float, x: Array, y: Array) -> NDArray[np.intp]:
-    """Indices into _CLASSES, shape (m, n)."""
+    """Return indices into _CLASSES, shape (m, n)."""
     p = work.physics(VIRTUAL, [f"suspension.zeta1={zeta}", f"suspension.zeta2={zeta}"])
     found = np.zeros((len(y), len(x)), np.intp)
     for row, ratio in enumerate(y.tolist()):
@@ -290,7 +290,7 @@ def _classes(work: Workspace, zeta: float, x: Array, y: Array) -> NDArray[np.int
         for column, speed_ratio in enumerate(x.tolist()):
             types = {state.type for state in _stable(q, speed_ratio)}
             found[row, column] = ("I" in types) + 2 * ("III" in types)
-        work.tell((row + 1) / len(y) * (0.5 if zeta < 0.03 else 1.0))
+        work.progress((row + 1) / len(y) * (0.5 if zeta < 0.03 else 1.0))
     return found
 
 
@@ -302,7 +302,7 @@ def imbalance_step(work: Workspace) -> Reproduced:
     """A sudden change of the imbalance: reaction time over the pendulums' damping."""
     p = work.physics()
     found = {name: [_stepped(p, name, value) for value in _STEP_C34.tolist()] for name in _BALANCED}
-    work.tell(0.7)
+    work.progress(0.7)
     nominal = {name: _stepped(p, name, 1e-3) for name in _BALANCED}
     with sheet(WIDTH_IN, 4.8, f"Sudden change of the imbalance by {100 * (_STEP - 1):.0f} %") as figure:
         axes: list[Axes] = figure.subplots(2, 1).tolist()
@@ -316,7 +316,7 @@ def imbalance_step(work: Workspace) -> Reproduced:
     times = {name: np.array([each.reaction_s for each in rows]) for name, rows in found.items()}
     back = all(each.after is not None and each.after.type == "I" for rows in found.values() for each in rows)
     best = {name: int(np.nanargmin(values)) for name, values in times.items()}
-    told = "; ".join(
+    shown = "; ".join(
         f"{name}: {times[name][i]:.1f} s at c34 = {_STEP_C34[i]:.2g}, {times[name][-1]:.1f} s at "
         f"{_STEP_C34[-1]:.2g}, peak at 0.001 {1e3 * nominal[name].peak_m:.3f} mm"
         for name, i in best.items()
@@ -338,7 +338,7 @@ def imbalance_step(work: Workspace) -> Reproduced:
             "The reaction is over when the vibration stays within 5 % of its largest deviation from its end.",
         ),
         (
-            Claim.judged(_CHAPTER, "(Question) The pendulums balance the changed rotor again.", back, told),
+            Claim.judged(_CHAPTER, "(Question) The pendulums balance the changed rotor again.", back, shown),
             Claim(
                 "chapter 5",
                 "(Question) One damping of the pendulums gives the fastest reaction.",
