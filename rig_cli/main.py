@@ -61,7 +61,7 @@ _VERBS = {  # modules are imported when their verb is called: `rig --help` and `
         "logs": "List the logs of a folder and of the folders below it, newest first.",
     },
     "rig_cli.replay": {"replay": "Decode a log's raw bytes again through the same pipelines."},
-    "rig_cli.live": {"live": "Show a rig or a log in the browser, with a stop button; only who has its token gets in."},
+    "rig_cli.live": {"live": "Show a rig or a log in the browser, with a stop button; access needs its token."},
     "rig_cli.recover": {
         "recover": "Make a cut or damaged log whole: a new file of its intact part; lists what is missing.",
     },

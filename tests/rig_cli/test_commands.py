@@ -171,7 +171,7 @@ def test_a_map_of_one_row_is_a_curve_and_bad_places_are_refused_first(
     assert "largest |multiplier| at K = 2" in figure.read_text(encoding="utf-8")
     for option, word in (
         (["-o", str(tmp_path / "a.csv")], ".npz"),
-        (["--plot", str(tmp_path / "no" / "a.svg")], "no folder"),
+        (["--plot", str(tmp_path / "no" / "a.svg")], "does not exist"),
     ):
         code, _, err = run_rig(capsys, "map", "virtual", *axes, "stiffness_ratio=2:3:2", *option)
         assert code == 2

@@ -143,7 +143,7 @@ def test_a_thread_that_dies_leaves_one_json_object(
 def test_the_command_itself_exits_70(tmp_path: Path) -> None:
     broken = tmp_path / "cli_broken.py"
     broken.write_text(
-        "import sys\nimport rig_cli.model\ncli.model.check_outputs = 1\nfrom rig_cli.entry import main\nmain()\n"
+        "import sys\nimport rig_cli.model\nrig_cli.model.check_outputs = 1\nfrom rig_cli.entry import main\nmain()\n"
     )
     done = subprocess.run(
         [sys.executable, str(broken), "predict", "virtual", "--json"],

@@ -214,5 +214,5 @@ def test_stopped_it_states_what_is_lost(capsys: pytest.CaptureFixture[str], monk
     monkeypatch.setattr("analysis.maps.answers._full", stopped)
     code, out, err = run_rig(capsys, *compile_first, "--json")
     assert code == 130
-    assert "what was computed is lost" in err
+    assert "the computed part is lost" in err
     assert json.loads(out)["error"]

@@ -80,7 +80,7 @@ def test_show_with_masses_and_without_kept_tests(capsys: pytest.CaptureFixture[s
     IdentifiedParameters(VALUES, np.diag([s**2 for s in STD.values()])).save(bare)
     code, out, _ = run_rig(capsys, "parameters", "show", str(bare), str(path))
     assert code == 0
-    assert "keeps too little" in out
+    assert "has too little" in out
 
 
 def test_diff_states_what_changed_in_words(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -187,7 +187,7 @@ def test_budget_with_a_rig_shows_masses_points_and_what_is_exact(
     assert sampled["trials"] == 200
     assert set(sampled["checks"]["shortest"]) >= {"d_low", "d_high", "tolerance", "verdict"}
     code, out, _ = run_rig(capsys, *arguments)
-    assert "taken as exact: what 0.1 % of each number would change" in out
+    assert "taken as exact: effect of 0.1 % of each number" in out
     assert "rotor.mass_kg" in out
 
 

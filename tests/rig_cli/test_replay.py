@@ -323,7 +323,7 @@ def _same_stretch(one: Samples, two: Samples, key: str) -> None:
     assert np.array_equal(one.sequence[stretch], two.sequence)
     for name in one.columns:
         known = slice(None)
-        if name == "target_rpm":  # what the host of the log run_rig before is not on the bus any more
+        if name == "target_rpm":  # what the host of the log sent before is not on the bus any more
             known = slice(int(np.argmax(two[name] != 0)), None)
             assert known.start <= 8
         assert one[name][stretch][known].tobytes() == two[name][known].tobytes()

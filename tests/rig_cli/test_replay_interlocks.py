@@ -45,7 +45,7 @@ def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
         bench.turn(600)
         bench.fails("laser_x", "code", 262076)
         bench.pass_time(0.5)
-        bench.note(Event("stop", "host", f"{bench.why()}; the rotor was answer to stop"))
+        bench.note(Event("stop", "host", f"{bench.why()}; the rotor was commanded to stop"))
         return bench.finish(bench.why())
 
 
@@ -69,7 +69,7 @@ def test_a_trip_is_shown_with_its_reason_and_values_and_ends_with_1(
     assert code == 1
     assert "would have tripped at 3.1" in err
     assert "blind sensor: laser/x: no valid sample" in out
-    assert "answer 600 rpm; newest: " in out
+    assert "commanded 600 rpm; newest: " in out
     assert "the session itself stopped at 3.5" in out
     assert [line for line in out.splitlines() if line.startswith("blind sensor") and "trips at 3.1" in line]
 
@@ -86,7 +86,7 @@ def test_json_has_it_all(capsys: pytest.CaptureFixture[str], blind: Path) -> Non
     assert len(states) == len(INTERLOCKS)
     assert states["amplitude"] == "quiet"
     assert states["blind sensor"].startswith("trips at")
-    assert found["session_stops"][0]["text"].endswith("the rotor was answer to stop")
+    assert found["session_stops"][0]["text"].endswith("the rotor was commanded to stop")
     assert found["limits"]["amplitude_m"] == 0.011
 
 

@@ -132,7 +132,7 @@ def test_pendulums_that_stand_show_no_damping(capsys: pytest.CaptureFixture[str]
     found = tracked(capsys, made(tmp_path, "still", *ANGLES, flick_rad_s=0.0))["logs"][0]
     assert not found["trusted"]
     assert [found["parameters"][n]["learned"] for n in found["parameters"]] == [False, False]
-    assert "next to nothing of c3" in found["warnings"][0]
+    assert "almost no information on c3" in found["warnings"][0]
 
 
 def test_logs_that_cannot_be_tracked_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

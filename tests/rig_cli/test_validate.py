@@ -115,7 +115,7 @@ def test_the_axis_angle_is_the_identified_one_and_otherwise_reported(
     assert not [w for w in with_angle["warnings"] if "sensor and stiffness axes" in w]
     older = known(tmp_path / "older.toml", axis_angle_deg=None)
     _, without = validated(capsys, log, older)
-    assert [w for w in without["warnings"] if "0 ± 1° is taken" in w]
+    assert [w for w in without["warnings"] if "0 ± 1° is assumed" in w]
     _, given = validated(capsys, log, older, "--axis-angle-deg", 1.0, "--axis-angle-std-deg", 0.01)
     assert not [w for w in given["warnings"] if "axes" in w]
     assert given["what_if"] == []
