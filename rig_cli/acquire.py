@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -17,8 +18,8 @@ from daq.log.losses import Losses
 from daq.transports import HostClock
 from rig_cli.check_page import look_at, plain_rates, print_checks
 from rig_cli.console import notify, print_json
-from rig_cli.foxglove import Foxglove, follow_session, foxglove_of_session
-from rig_cli.live import Live, LiveHost, LivePort, follow, page_of_session
+from rig_cli.foxglove import follow_session, foxglove_of_session
+from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import LookSeconds, PositiveSeconds, TimeScale
 from rig_cli.options import Json, Settings, load_rig_or_log, warn_of_unusual_settings
 from rig_cli.recording import RecordingStatus
@@ -83,35 +84,49 @@ def check(
     return 3 if session.left else 0 if good else 1
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Recording:
+    """What is recorded, and for how long.
+
+    Attributes:
+        output: the log.
+        duration: rig time; None: until Ctrl-C.
+        listen: whether the session only receives.
+        until_silent: wall time without data after which the recording ends; None: never.
+        note: the operator's note.
+    """
+
+    output: Annotated[Path, Parameter(name=["--output", "-o"])]
+    duration: Annotated[PositiveSeconds | None, Parameter(help="seconds of rig time; without it until Ctrl-C")] = None
+    listen: Annotated[
+        bool, Parameter(negative="", help="receive only: configure nothing, turn nothing, record from the first byte")
+    ] = False
+    until_silent: Annotated[
+        PositiveSeconds | None, Parameter(help="end when no device has sent data for so many wall seconds")
+    ] = None
+    note: str = ""
+
+
 def record(
     rig: Annotated[str, Parameter(help="a rig file, a shipped rig, or a log whose rig and devices are used")],
     *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
-    duration: Annotated[PositiveSeconds | None, Parameter(help="seconds of rig time; without it until Ctrl-C")] = None,
-    listen: Annotated[
-        bool, Parameter(negative="", help="receive only: configure nothing, turn nothing, record from the first byte")
-    ] = False,
-    until_silent: Annotated[
-        PositiveSeconds | None, Parameter(help="end when no device has sent data for so many wall seconds")
-    ] = None,
-    note: str = "",
-    live: Live = False,
-    live_host: LiveHost = "",
-    live_port: LivePort = 0,
-    foxglove: Foxglove | None = None,
+    recording: Recording,
+    displays: Displays = TERMINAL_ONLY,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
     """Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and the disk."""
+    output, listen, note = recording.output, recording.listen, recording.note
     loaded, identities = load_rig_or_log(rig, settings or [])
     warn_of_unusual_settings(loaded)
     clock = HostClock(time_scale)
     facts = {"test": "record", "note": note}
     with (
         ReservedName(output) as name,  # before any device is disturbed: another recording may use them
-        page_of_session(live, loaded, None, settings or [], clock.rate, live_host, live_port, json) as page,
-        foxglove_of_session(foxglove, loaded, clock.rate, json) as given,
+        page_of_session(displays.page, loaded, None, settings or [], clock.rate, json) as page,
+        foxglove_of_session(displays.foxglove, loaded, clock.rate, json) as connection,
     ):
         session = Session(loaded, clock, identities, notify)
         with session.listen(name, facts) if listen else session.open():
@@ -119,9 +134,9 @@ def record(
                 session.start_recording(name, facts)
             shown = {"words": "recording", "note": note, "log": str(output)}
             follow(page, session, None if listen else session.stop, shown)
-            follow_session(given, session)
+            follow_session(connection, session)
             with RecordingStatus(session) as status:
-                ended = _record_until(session, status, duration, until_silent)
+                ended = _record_until(session, status, recording.duration, recording.until_silent)
             losses, disk, rates = session.losses(), session.disk(), session.rates.summary()
             path = session.stop_recording({"ended": ended})
     slow_s = disk.slow_s if disk else 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,15 +14,14 @@ from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.model import Plot
-from rig_cli.numbers import Positive, PositiveRpm, PositiveSeconds
+from rig_cli.numbers import Positive, PositiveSeconds
 from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
 from rig_cli.scheduler import Scheduler, worked_out
 from rig_cli.share_progress import share_progress
-from rig_cli.speed import chosen_speed
+from rig_cli.speed import NO_SPEED, SpeedChoice
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
-    from dynamics.equations.parameters import RotorParameters
     from dynamics.steady.basins.basin_map import BasinMap
     from dynamics.steady.basins.ends import End
     from studies.basins import BasinQuestion
@@ -30,21 +30,50 @@ if TYPE_CHECKING:
 _MOST = 1_000_000
 
 
-def basins(
-    rig: str,
-    *,
-    point: Annotated[str | None, Parameter(help="the speed of a point of the rig file")] = None,
-    speed_ratio: Annotated[Positive | None, Parameter(help="the speed as a ratio to the first resonance")] = None,
-    speed_rpm: Annotated[PositiveRpm | None, Parameter(help="the same in rpm")] = None,
-    grid: Annotated[str, Parameter(help="releases along θ3 and θ4, N3xN4, over the whole circle")] = "60x40",
-    seconds: Annotated[PositiveSeconds, Parameter(help="how long each release is followed")] = 20.0,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None,
-    plot: Plot = None,
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Releases:
+    """Releases of a basin map, and of rigs drawn from the parameters.
+
+    Attributes:
+        grid: "N3xN4" releases along θ3 and θ4.
+        seconds: how long each is followed.
+        probabilities: number of drawn rigs; None: none are drawn.
+        play_deg: play of the locks for these, °.
+    """
+
+    grid: Annotated[str, Parameter(help="releases along θ3 and θ4, N3xN4, over the whole circle")] = "60x40"
+    seconds: Annotated[PositiveSeconds, Parameter(help="how long each release is followed")] = 20.0
     probabilities: Annotated[
         int | None,
         Parameter(help="also draw so many rigs from the parameters' covariance, released within the locks' play"),
-    ] = None,
-    play_deg: Annotated[Positive, Parameter(help="the locks' play to either side, for --probabilities")] = 0.2,
+    ] = None
+    play_deg: Annotated[Positive, Parameter(help="the locks' play to either side, for --probabilities")] = 0.2
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class BasinFiles:
+    """Files of a basin map; None: not written.
+
+    Attributes:
+        output: the arrays, .npz.
+        plot: the figure.
+    """
+
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None
+    plot: Plot = None
+
+
+_DEFAULT_RELEASES, _NO_FILES = Releases(), BasinFiles()
+
+
+def basins(
+    rig: str,
+    *,
+    speed: SpeedChoice = NO_SPEED,
+    releases: Releases = _DEFAULT_RELEASES,
+    files: BasinFiles = _NO_FILES,
     scheduler: Scheduler = None,
     parameters: ParametersPath = None,
     settings: Settings = None,
@@ -56,53 +85,79 @@ def basins(
     followed until it is within the domain of attraction of a stable motion. Cells whose end changes within the stated
     error are marked as boundaries.
     """
-    check_outputs("rig basins:", output, plot)
-    if output is not None and output.suffix != ".npz":
-        raise RigFileError(f"rig basins: -o expected a name ending in .npz, got {output}")
-    if probabilities is not None and not 1 <= probabilities <= _MOST:
-        raise RigFileError(f"rig basins: --probabilities expected 1 to {_MOST} draws, got {probabilities}")
-    numbers = _grid(grid)
+    _check(releases, files)
+    numbers = _grid(releases.grid)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
     loaded = load_rig(rig, known, settings or [])
-    speed = chosen_speed("rig basins", loaded, point, speed_rpm, speed_ratio)
+    speed_rad_s = speed.rad_s("rig basins", loaded)
     with wait_for_compilation("basins"):
         from analysis.maps.question import parameters_source, rig_source
         from studies.basins import KIND, BasinQuestion, basin_study
-        from studies.tile_files import TileFolder
 
         what = BasinQuestion(
-            rig_source(rig), parameters_source(parameters), tuple(settings or ()), speed, numbers, seconds
+            rig_source(rig),
+            parameters_source(parameters),
+            tuple(settings or ()),
+            speed_rad_s,
+            numbers,
+            releases.seconds,
         )
         study = basin_study(what)
         KIND.warm_up(study.text)
-    started = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="rig-basins-") as passing:
-        place = Path(passing) if output is None else Path(f"{output}.tiles")
-        found = _found(what, study, place, scheduler)
-        took = time.perf_counter() - started
-        chances = None
-        if probabilities is not None:
-            chances = _chances(what.physics, speed, known, probabilities, seconds, play_deg)
-        if output is not None:
-            np.savez_compressed(output, **_arrays(found))
-        if place.is_dir():
-            TileFolder(place, study).forget()
-    if plot is not None:
-        _draw(plot, loaded, speed, found, settings)
-    result = _result(loaded, found, took) | {
-        "probabilities": chances,
+    result = _computed(what, study, loaded, known, releases, files, scheduler) | {
         "what_if": list(settings or []),
-        "file": None if output is None else str(output),
-        "plot": None if plot is None else str(plot),
+        "file": None if files.output is None else str(files.output),
+        "plot": None if files.plot is None else str(files.plot),
     }
     if json:
         print_json(result)
         return 0
     _print(result, settings)
-    for path in (output, plot):
+    for path in (files.output, files.plot):
         if path is not None:
             print(f"written to {path}")
     return 0
+
+
+def _check(releases: Releases, files: BasinFiles) -> None:
+    """Check files and number of draws before the work.
+
+    Raises:
+        RigFileError: a file cannot be written, or the number is out of range.
+    """
+    check_outputs("rig basins:", files.output, files.plot)
+    if files.output is not None and files.output.suffix != ".npz":
+        raise RigFileError(f"rig basins: -o expected a name ending in .npz, got {files.output}")
+    draws = releases.probabilities
+    if draws is not None and not 1 <= draws <= _MOST:
+        raise RigFileError(f"rig basins: --probabilities expected 1 to {_MOST} draws, got {draws}")
+
+
+def _computed(
+    what: BasinQuestion,
+    study: Study,
+    rig: Rig,
+    known: IdentifiedParameters,
+    releases: Releases,
+    files: BasinFiles,
+    scheduler: str | None,
+) -> dict[str, Any]:
+    """Compute the map and the probabilities, write the files, and return the JSON of both."""
+    from studies.tile_files import TileFolder
+
+    started = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="rig-basins-") as passing:
+        place = Path(passing) if files.output is None else Path(f"{files.output}.tiles")
+        found = _found(what, study, place, scheduler)
+        took = time.perf_counter() - started
+        chances = None if releases.probabilities is None else _chances(what, known, releases, releases.probabilities)
+        if files.output is not None:
+            np.savez_compressed(files.output, **_arrays(found))
+        if place.is_dir():
+            TileFolder(place, study).forget()
+    if files.plot is not None:
+        _draw(files.plot, rig, what.speed_rad_s, found, list(what.settings))
+    return _result(rig, found, took) | {"probabilities": chances}
 
 
 def _found(what: BasinQuestion, study: Study, place: Path, scheduler: str | None) -> BasinMap:
@@ -121,9 +176,7 @@ def _found(what: BasinQuestion, study: Study, place: Path, scheduler: str | None
         raise
 
 
-def _chances(
-    physics: RotorParameters, speed: float, known: IdentifiedParameters, draws: int, seconds: float, play_deg: float
-) -> dict[str, Any]:
+def _chances(what: BasinQuestion, known: IdentifiedParameters, releases: Releases, draws: int) -> dict[str, Any]:
     """Return the probabilities of the ends of a release from the real locks."""
     from analysis.release_probabilities import end_probabilities
 
@@ -131,12 +184,18 @@ def _chances(
         notify("rig basins: no --parameters FILE: only the locks' play is drawn")
     with share_progress(f"{draws} rigs drawn", draws, "rigs") as progress:
         found = end_probabilities(
-            physics, speed, known, draws, seconds=seconds, play_rad=math.radians(play_deg), progress=progress
+            what.physics,
+            what.speed_rad_s,
+            known,
+            draws,
+            seconds=releases.seconds,
+            play_rad=math.radians(releases.play_deg),
+            progress=progress,
         )
     return {
         "draws": found.draws,
         "level": found.level,
-        "play_deg": play_deg,
+        "play_deg": releases.play_deg,
         "at_a_boundary": found.unsure,
         "refused": sorted(set(found.releases.refused.values())),
         "ends": [

@@ -1,3 +1,4 @@
+# pyright: strict
 """Output of commands: progress and messages on standard error, results or one JSON object on standard output."""
 
 from __future__ import annotations

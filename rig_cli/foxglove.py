@@ -56,8 +56,11 @@ class Foxglove:
     ] = field(default_factory=list[str])
 
 
+NOT_OFFERED = Foxglove()
+
+
 def foxglove_of_session(
-    options: Foxglove | None, rig: Rig, rate: float, as_json: bool, notify: Callable[[str], None] = notify
+    options: Foxglove, rig: Rig, rate: float, as_json: bool, notify: Callable[[str], None] = notify
 ) -> AbstractContextManager[FoxgloveBeside | None]:
     """Return a context that offers a session opened inside it to Foxglove; None without the option.
 
@@ -65,7 +68,7 @@ def foxglove_of_session(
         rig: the session's.
         rate: seconds of rig time per wall second.
     """
-    if options is None or not options.wanted:
+    if not options.wanted:
         return nullcontext()
     return _open_connection(options, rig, rate, as_json, notify)
 
@@ -93,7 +96,7 @@ def follow_session(connection: FoxgloveBeside | None, session: Session) -> None:
 
 @contextmanager
 def foxglove_of_log(
-    options: Foxglove | None, log: Log, rig: Rig, transport: Transport, origin_ns: int, as_json: bool
+    options: Foxglove, log: Log, rig: Rig, transport: Transport, origin_ns: int, as_json: bool
 ) -> Generator[None]:
     """Offer a log that is played; does nothing without the option.
 
@@ -103,7 +106,7 @@ def foxglove_of_log(
         transport: playing position, s since origin_ns.
         origin_ns: ns since 1970.
     """
-    if options is None or not options.wanted:
+    if not options.wanted:
         yield
         return
     from live.foxglove.played import Giving, Played  # only if requested

@@ -19,11 +19,11 @@ from daq.guided_tests.runner import NotReached
 from daq.guided_tests.test_inputs import asked
 from daq.transports import HostClock
 from rig_cli.console import notify, print_json, wait_for_compilation
-from rig_cli.foxglove import Foxglove, follow_session, foxglove_of_session
+from rig_cli.foxglove import follow_session, foxglove_of_session
 from rig_cli.guided_plan_page import campaign, print_campaign, print_plan
 from rig_cli.guided_test_page import TestPage
 from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
-from rig_cli.live import Live, LiveHost, LivePort, follow, page_of_session
+from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone, TimeScale
 from rig_cli.options import Json, ParametersPath, Settings, warn_of_unusual_settings, what_if_words
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
@@ -35,31 +35,83 @@ if TYPE_CHECKING:
     from rig_cli.tracking import LiveTracking
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class TestNumbers:
+    """Numbers of a test. None: the test's own default.
+
+    Attributes:
+        top_rpm: top speed of a run-up or run-down.
+        duration: its duration, s.
+        speed_rpm: speed of a point or of start-ups.
+        count: number of start-ups.
+        pre_trigger: duration of the log before the motion, s.
+        number: "NAME=VALUE" texts.
+    """
+
+    __test__ = False  # not a pytest class
+
+    top_rpm: Annotated[PositiveRpm | None, Parameter(help="of a run-up or run-down")] = None
+    duration: Annotated[PositiveSeconds | None, Parameter(help="of a run-up or run-down, s")] = None
+    speed_rpm: Annotated[PositiveRpm | None, Parameter(help="of a point or start-ups, instead of the point's own")] = (
+        None
+    )
+    count: Annotated[int | None, Parameter(help="how many start-ups")] = None
+    pre_trigger: Annotated[
+        SecondsOrNone | None, Parameter(help="s of a ring-down's or spin-down's log before the motion")
+    ] = None
+    number: Annotated[list[str] | None, Parameter(help="NAME=VALUE: any number of a test; its plan lists them")] = None
+
+    def by_name(self) -> dict[str, float]:
+        """Return the given numbers by their names in a test.
+
+        Raises:
+            RigFileError: a text is not NAME=VALUE.
+        """
+        named = {
+            "top_rpm": self.top_rpm,
+            "duration_s": self.duration,
+            "speed_rpm": self.speed_rpm,
+            "count": self.count,
+            "pre_trigger_s": self.pre_trigger,
+        }
+        return {name: float(value) for name, value in named.items() if value is not None} | _numbers(self.number or [])
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class TestRun:
+    """How a test is run.
+
+    Attributes:
+        plan: whether only its plan is shown.
+        out: folder of the logs.
+        note: the operator's note.
+        track: whether c3 and c4 are tracked.
+        time_scale: seconds of rig time per wall second.
+    """
+
+    __test__ = False  # not a pytest class
+
+    plan: Annotated[bool, Parameter(negative="", help="show the states, open no device")] = False
+    out: Path = Path("out")
+    note: str = ""
+    track: Annotated[bool, Parameter(negative="", help="show c3 and c4 while the pendulums swing")] = False
+    time_scale: TimeScale = 1.0
+
+
+_DEFAULT_NUMBERS, _DEFAULT_RUN = TestNumbers(), TestRun()
+
+
 def test(
     rig: str,
     name: Annotated[str | None, Parameter(help="a test; without one: tests of the rig, and which are missing")] = None,
     point: str | None = None,
     *,
-    plan: Annotated[bool, Parameter(negative="", help="show the states, open no device")] = False,
-    out: Path = Path("out"),
+    options: TestRun = _DEFAULT_RUN,
+    numbers: TestNumbers = _DEFAULT_NUMBERS,
     parameters: ParametersPath = None,
-    note: str = "",
-    top_rpm: Annotated[PositiveRpm | None, Parameter(help="of a run-up or run-down")] = None,
-    duration: Annotated[PositiveSeconds | None, Parameter(help="of a run-up or run-down, s")] = None,
-    speed_rpm: Annotated[
-        PositiveRpm | None, Parameter(help="of a point or start-ups, instead of the point's own")
-    ] = None,
-    count: Annotated[int | None, Parameter(help="how many start-ups")] = None,
-    pre_trigger: Annotated[
-        SecondsOrNone | None, Parameter(help="s of a ring-down's or spin-down's log before the motion")
-    ] = None,
-    number: Annotated[list[str] | None, Parameter(help="NAME=VALUE: any number of a test; its plan lists them")] = None,
-    track: Annotated[bool, Parameter(negative="", help="show c3 and c4 while the pendulums swing")] = False,
-    live: Live = False,
-    live_host: LiveHost = "",
-    live_port: LivePort = 0,
-    foxglove: Foxglove | None = None,
-    time_scale: TimeScale = 1.0,
+    displays: Displays = TERMINAL_ONLY,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
@@ -71,23 +123,23 @@ def test(
     """
     loaded = load_rig(rig, parameters, settings or [])
     if name is None:
-        found = campaign(loaded, out)
+        found = campaign(loaded, options.out)
         print_json(found) if json else print_campaign(found)
         return 0
     warn_of_unusual_settings(loaded)
-    named = {"top_rpm": top_rpm, "duration_s": duration, "speed_rpm": speed_rpm, "count": count}
-    given = {key: float(value) for key, value in (named | {"pre_trigger_s": pre_trigger}).items() if value is not None}
-    wanted = _asked(loaded, name, given | _numbers(number or []), point or "")
-    if plan:
+    wanted = _asked(loaded, name, numbers.by_name(), point or "")
+    if options.plan:
         planned = plan_of(wanted)
         print_json(planned.facts()) if json else print_plan(planned)
         return 0
     label = IdentifiedParameters.label(parameters) if parameters is not None else ""
     label = label + what_if_words(settings, "; ") if label else ""
-    following = _tracking(wanted, parameters, settings) if track else None
-    page = page_of_session(live, loaded, parameters, settings or [], time_scale, live_host, live_port, json)
-    displays = _Displays(following, page, foxglove_of_session(foxglove, loaded, time_scale, json))
-    return _run(wanted, out, note, label, time_scale, displays, json)
+    contexts = _Displays(
+        _tracking(wanted, parameters, settings) if options.track else None,
+        page_of_session(displays.page, loaded, parameters, settings or [], options.time_scale, json),
+        foxglove_of_session(displays.foxglove, loaded, options.time_scale, json),
+    )
+    return _run(wanted, options, label, contexts, json)
 
 
 def _numbers(texts: list[str]) -> dict[str, float]:
@@ -140,22 +192,22 @@ def _tracking(wanted: Asked, parameters: Path | None, settings: list[str] | None
     return lambda session: tracking.LiveTracking(session, std, parameters)
 
 
-def _run(wanted: Asked, out: Path, note: str, label: str, time_scale: float, displays: _Displays, as_json: bool) -> int:
+def _run(wanted: Asked, options: TestRun, label: str, displays: _Displays, as_json: bool) -> int:
     controls = Controls()
     keys = Keys(controls)
     early: NotReached | None = None
     done: TestDone | None = None
     with ExitStack() as stack:
         live_page, connection = stack.enter_context(displays.page), stack.enter_context(displays.foxglove)
-        session = stack.enter_context(Session(wanted.rig, HostClock(time_scale), say=notify))
+        session = stack.enter_context(Session(wanted.rig, HostClock(options.time_scale), say=notify))
         following = stack.enter_context(displays.tracking(session)) if displays.tracking is not None else None
         keyboard = stack.enter_context(Keyboard(keys))
         words = following.words if following is not None else str
         page = stack.enter_context(TestPage(session, controls, keys if keyboard.there else None, words))
-        prompted = follow(live_page, session, session.stop, {"note": note}, controls, keys.confirmed.set)
+        prompted = follow(live_page, session, session.stop, {"note": options.note}, controls, keys.confirmed.set)
         follow_session(connection, session)
         operator = TerminalOperator(keyboard, prompted, live_page is not None)
-        tests = Procedures(session, operator, out, page.update, note, controls)
+        tests = Procedures(session, operator, options.out, page.update, options.note, controls)
         tests.parameters = label
         try:
             done = tests.carry_out(wanted)

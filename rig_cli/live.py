@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +16,7 @@ from cyclopts import Parameter
 from daq.errors import LogError
 from rig_cli import answer
 from rig_cli.console import notify
-from rig_cli.foxglove import Foxglove, follow_session, foxglove_of_log, foxglove_of_session
+from rig_cli.foxglove import NOT_OFFERED, Foxglove, follow_session, foxglove_of_log, foxglove_of_session
 from rig_cli.numbers import TimeScale
 from rig_cli.options import Json, ParametersPath, Settings, warn_of_unusual_settings
 from rig_configs import IdentifiedParameters, load_rig, overridden, with_parameters
@@ -28,11 +29,51 @@ if TYPE_CHECKING:
 
 Host = Annotated[str, Parameter(help="admit other machines: the name or address by which they reach this one")]
 Port = Annotated[int, Parameter(help="of the page; 0 for any free one")]
-Live = Annotated[
-    bool, Parameter(name="--live", negative="", help="show it in the browser too, with a stop button; see rig live")
-]
-LiveHost = Annotated[str, Parameter(name="--live-host", help="of that page, as rig live's --host")]
-LivePort = Annotated[int, Parameter(name="--live-port", help="of that page, as rig live's --port")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PagePlace:
+    """Address of the page of `rig live`.
+
+    Attributes:
+        host: name or address of this machine for other machines; "" for this machine only.
+        port: 0 for any free one.
+    """
+
+    host: Host = ""
+    port: Port = 0
+
+
+_LOCAL = PagePlace()
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Displays:
+    """Displays of a running session besides the terminal.
+
+    Attributes:
+        live: whether a live page is shown.
+        live_host, live_port: address of that page.
+        foxglove: options of the connection for Foxglove.
+    """
+
+    live: Annotated[
+        bool, Parameter(negative="", help="show it in the browser too, with a stop button; see rig live")
+    ] = False
+    live_host: Annotated[str, Parameter(help="of that page, as rig live's --host")] = ""
+    live_port: Annotated[int, Parameter(help="of that page, as rig live's --port")] = 0
+    foxglove: Foxglove = field(default_factory=Foxglove)
+
+    @property
+    def page(self) -> PagePlace | None:
+        """Address of the live page; None without one."""
+        return PagePlace(self.live_host, self.live_port) if self.live else None
+
+
+TERMINAL_ONLY = Displays()
+
 
 _CHECK_EVERY_S = 0.1
 
@@ -40,11 +81,10 @@ _CHECK_EVERY_S = 0.1
 def live(
     source: Annotated[str, Parameter(help="a log, a rig file or a shipped rig's name")],
     *,
-    host: Host = "",
-    port: Port = 0,
+    place: PagePlace = _LOCAL,
     speed: Annotated[float, Parameter(help="of a log: seconds of it per second")] = 1.0,
     parameters: ParametersPath = None,
-    foxglove: Foxglove | None = None,
+    foxglove: Foxglove = NOT_OFFERED,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
@@ -55,17 +95,16 @@ def live(
     page has a stop button. With --json the first line is {"url", "token"}.
     """
     if source.endswith((".mcap", ".mcap.part")):
-        return _log(Path(source), host, port, speed, parameters, foxglove, settings or [], json)
-    return _rig(source, host, port, parameters, foxglove, time_scale, settings or [], json)
+        return _log(Path(source), place, speed, parameters, foxglove, settings or [], json)
+    return _rig(source, place, parameters, foxglove, time_scale, settings or [], json)
 
 
 def _log(
     path: Path,
-    host: str,
-    port: int,
+    place: PagePlace,
     speed: float,
     parameters: Path | None,
-    foxglove: Foxglove | None,
+    foxglove: Foxglove,
     settings: list[str],
     as_json: bool,
 ) -> int:
@@ -82,8 +121,8 @@ def _log(
                 replayed = Replayed(log, rig, speed)
             except ValueError as fault:
                 raise LogError(f"--speed: {fault}") from fault
-            serving = stack.enter_context(Serving(replayed, Model(rig, known, source), host, port))
-            _announce(serving.url, serving.token, host, as_json)
+            serving = stack.enter_context(Serving(replayed, Model(rig, known, source), place.host, place.port))
+            _announce(serving.url, serving.token, place.host, as_json)
             origin_ns = replayed.signals.origin_ns
             stack.enter_context(foxglove_of_log(foxglove, log, rig, replayed.transport, origin_ns, as_json))
         try:
@@ -95,10 +134,9 @@ def _log(
 
 def _rig(
     name: str,
-    host: str,
-    port: int,
+    place: PagePlace,
     parameters: Path | None,
-    foxglove: Foxglove | None,
+    foxglove: Foxglove,
     time_scale: float,
     settings: list[str],
     as_json: bool,
@@ -110,7 +148,7 @@ def _rig(
     warn_of_unusual_settings(rig)
     clock = HostClock(time_scale)
     with (
-        page_of_session(True, rig, parameters, settings, clock.rate, host, port, as_json) as page,
+        page_of_session(place, rig, parameters, settings, clock.rate, as_json) as page,
         foxglove_of_session(foxglove, rig, clock.rate, as_json) as given,
         Session(rig, clock, say=notify) as session,
     ):
@@ -126,24 +164,23 @@ def _rig(
 
 
 def page_of_session(
-    wanted: bool,
+    place: PagePlace | None,
     rig: Rig,
     parameters: Path | None,
     settings: list[str],
     rate: float,
-    host: str,
-    port: int,
     as_json: bool,
     notify: Callable[[str], None] = notify,
 ) -> AbstractContextManager[LivePage | None]:
     """Return a context with the page of a session opened inside it; None without `--live`.
 
     Args:
+        place: address of the page; None for no page.
         rig: the session's.
         parameters, settings: of the model's curves.
         rate: seconds of rig time per wall second.
     """
-    if not wanted:
+    if place is None:
         return nullcontext()
     laid, known, source = _laid_over(rig, parameters, settings)
     from live.beside import LivePage  # numba takes a third of a second to import
@@ -151,10 +188,10 @@ def page_of_session(
     class Announced(LivePage):
         def __enter__(self) -> LivePage:
             page = super().__enter__()
-            _announce(page.url, page.token, host, as_json, notify)
+            _announce(page.url, page.token, place.host, as_json, notify)
             return page
 
-    return Announced(laid, known, source, rate, rig.name, host, port)
+    return Announced(laid, known, source, rate, rig.name, place.host, place.port)
 
 
 def follow(

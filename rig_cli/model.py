@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,12 +11,12 @@ import numpy as np
 from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, wait_for_compilation
-from rig_cli.numbers import Positive, PositiveRpm
+from rig_cli.numbers import Positive
 from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
 from rig_cli.rest_points import report_balancing, report_lost
 from rig_cli.share_progress import share_progress
 from rig_cli.slow_roll_page import forced_region, shown_json, shown_line
-from rig_cli.speed import chosen_speed
+from rig_cli.speed import NO_SPEED, SpeedChoice
 from rig_cli.start_ups_page import start_ups_json, start_ups_lines
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
@@ -45,28 +46,58 @@ AccuracyOrNone = Annotated[
 ]
 
 
-def predict(
-    rig: str,
-    *,
-    point: str | None = None,
-    speed_rpm: PositiveRpm | None = None,
-    speed_ratio: Positive | None = None,
-    accuracy: AccuracyOrNone = None,
-    at_least: Annotated[str | None, Parameter(name="--model", help="take a bigger model than needed")] = None,
-    release: Annotated[bool, Parameter(help="follow a release from 0° and 180° to where it ends")] = True,
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PredictModel:
+    """Accuracy and model of a prediction.
+
+    Attributes:
+        accuracy: see `AccuracyOrNone`.
+        at_least: name of the smallest model to be used; None: the smallest that is exact.
+    """
+
+    accuracy: AccuracyOrNone = None
+    at_least: Annotated[str | None, Parameter(name="--model", help="take a bigger model than needed")] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PredictQuestions:
+    """Results besides the steady states, or instead of them.
+
+    Attributes:
+        release: whether a release is followed.
+        balancing: whether the balancing region is shown instead.
+        lost: whether the speeds without singular points are shown instead.
+        start_ups: number of start-ups to be followed; None: none.
+        sweep: axis along which the states are followed instead; None: one speed.
+    """
+
+    release: Annotated[bool, Parameter(help="follow a release from 0° and 180° to where it ends")] = True
     balancing: Annotated[
         bool, Parameter(negative="", help="what the pendulums can balance: region, margins of S_P, centre of gravity")
-    ] = False,
-    lost: Annotated[
-        bool, Parameter(negative="", help="speeds at which singular points of Types II, III are lost")
-    ] = False,
+    ] = False
+    lost: Annotated[bool, Parameter(negative="", help="speeds at which singular points of Types II, III are lost")] = (
+        False
+    )
     start_ups: Annotated[
         int | None,
         Parameter(help="follow so many start-ups from rest, pendulums or balls free; --plot then draws them"),
-    ] = None,
+    ] = None
+    sweep: Sweep = None
+
+
+_DEFAULT_MODEL, _STEADY_STATES = PredictModel(), PredictQuestions()
+
+
+def predict(
+    rig: str,
+    *,
+    speed: SpeedChoice = NO_SPEED,
+    model: PredictModel = _DEFAULT_MODEL,
+    questions: PredictQuestions = _STEADY_STATES,
     parameters: ParametersPath = None,
     settings: Settings = None,
-    sweep: Sweep = None,
     plot: Plot = None,
     json: Json = False,
 ) -> int:
@@ -77,63 +108,103 @@ def predict(
     """
     check_outputs("rig predict: --plot", plot)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
-    if sweep is not None:
+    changes = settings or []
+    if questions.sweep is not None:
         from rig_cli.predict_sweep import predict_sweep
 
-        if at_least is not None:
+        if model.at_least is not None:
             raise RigFileError("rig predict: --model goes with one point or speed, not with --sweep")
-        places = (point, speed_rpm, speed_ratio)
-        return predict_sweep(rig, sweep, known, settings or [], places, accuracy or 1e-8, plot, json=json)
-    loaded = load_rig(rig, known, settings or [])
-    if balancing or lost:
-        if (balancing and lost) or (point, speed_rpm, speed_ratio) != (None, None, None):
+        return predict_sweep(rig, questions.sweep, known, changes, speed, model.accuracy or 1e-8, plot, json=json)
+    loaded = load_rig(rig, known, changes)
+    if questions.balancing or questions.lost:
+        if (questions.balancing and questions.lost) or speed.count:
             raise RigFileError("rig predict: give --balancing or --lost alone, without a point or a speed")
-        return (report_balancing if balancing else report_lost)(loaded, known, settings or [], plot, json)
-    speed = chosen_speed("rig predict", loaded, point, speed_rpm, speed_ratio)
-    with wait_for_compilation("dynamics"):
-        from dynamics import choose_model, steady_states
-
-        physics = known.with_effects(loaded.physics)
-        found = steady_states(physics, speed, accuracy or _accuracy_of(physics), at_least=at_least)
-        outcomes = _released(physics, speed, found) if release else []
-    outcome = outcomes[0] if outcomes else None
-    model = found[0].model if found else choose_model(physics, at_least=at_least)
-    started = None if start_ups is None else start_ups_json(loaded, physics, speed, start_ups, plot)
-    if plot is not None and started is None:
-        from analysis.figures.steady_states import draw_steady_states
-        from analysis.figures.style import save
-
-        title = (
-            f"{loaded.name}, Ω = {speed / physics.natural_frequencies_rad_s[0]:.4g} ({speed * 30 / math.pi:.1f} rpm)"
-            f"{what_if_words(settings, '; ')}"
-        )
-        save(plot, draw_steady_states(physics, found, title, outcome))
-    result = {
-        "model": model.name,
-        "why": model.why,
-        "speed_ratio": speed / physics.natural_frequencies_rad_s[0],
-        "speed_rpm": speed * 30 / math.pi,
-        "balancing_region": forced_region(physics, speed),
-        "slow_roll": known.slow_roll.table() if known.slow_roll else None,
-        "steady_states": [_state_json(s, physics) | _shown(s, known, loaded) for s in found],
-        "unresolved": list(found.unresolved),
-        "release": None if outcome is None else _outcome_json(outcome, physics),
-        "releases_within_play": [_outcome_json(o, physics) for o in outcomes],
-        "start_ups": started,
-        "what_if": list(settings or []),
-        "plot": None if plot is None else str(plot),
-    }
+        return (report_balancing if questions.balancing else report_lost)(loaded, known, changes, plot, json)
+    found = _predicted(loaded, known, speed.rad_s("rig predict", loaded), model, questions.release)
+    result = _result(found, known, questions.start_ups, changes, plot)
     if json:
         print_json(result)
         return 0
-    _print(result, found)
-    for line in start_ups_lines(started) if started else []:
+    _print(result, found.states)
+    for line in start_ups_lines(result["start_ups"]) if result["start_ups"] else []:
         print(line)
     for line in known.slow_roll.sentences if known.slow_roll else []:
         print(line)
     if settings:
         print(what_if_words(settings))
     return 0
+
+
+@dataclass(frozen=True)
+class _Prediction:
+    """Steady states at one speed, and ends of releases.
+
+    Attributes:
+        rig: the rig file.
+        physics: its parameters with all effects.
+        speed_rad_s: the rotor's.
+        states: the steady states.
+        outcomes: ends of releases within the play; empty if none was followed.
+        model, why: the model, and the reason for it.
+    """
+
+    rig: Rig
+    physics: RotorParameters
+    speed_rad_s: float
+    states: SteadyStates
+    outcomes: list[ReleaseOutcome]
+    model: str
+    why: str
+
+
+def _predicted(
+    rig: Rig, known: IdentifiedParameters, speed_rad_s: float, model: PredictModel, release: bool
+) -> _Prediction:
+    with wait_for_compilation("dynamics"):
+        from dynamics import choose_model, steady_states
+
+        physics = known.with_effects(rig.physics)
+        accuracy, at_least = model.accuracy or _accuracy_of(physics), model.at_least
+        states = steady_states(physics, speed_rad_s, accuracy, at_least=at_least)
+        outcomes = _released(physics, speed_rad_s, states) if release else []
+    chosen = states[0].model if states else choose_model(physics, at_least=at_least)
+    return _Prediction(rig, physics, speed_rad_s, states, outcomes, chosen.name, chosen.why)
+
+
+def _result(
+    found: _Prediction, known: IdentifiedParameters, start_ups: int | None, settings: list[str], plot: Path | None
+) -> dict[str, Any]:
+    """Write the figure, if requested, and return the JSON."""
+    physics, speed = found.physics, found.speed_rad_s
+    outcome = found.outcomes[0] if found.outcomes else None
+    started = None if start_ups is None else start_ups_json(found.rig, physics, speed, start_ups, plot)
+    if plot is not None and started is None:
+        _draw(plot, found, outcome, settings)
+    return {
+        "model": found.model,
+        "why": found.why,
+        "speed_ratio": speed / physics.natural_frequencies_rad_s[0],
+        "speed_rpm": speed * 30 / math.pi,
+        "balancing_region": forced_region(physics, speed),
+        "slow_roll": known.slow_roll.table() if known.slow_roll else None,
+        "steady_states": [_state_json(s, physics) | _shown(s, known, found.rig) for s in found.states],
+        "unresolved": list(found.states.unresolved),
+        "release": None if outcome is None else _outcome_json(outcome, physics),
+        "releases_within_play": [_outcome_json(o, physics) for o in found.outcomes],
+        "start_ups": started,
+        "what_if": settings,
+        "plot": None if plot is None else str(plot),
+    }
+
+
+def _draw(plot: Path, found: _Prediction, outcome: ReleaseOutcome | None, settings: list[str]) -> None:
+    from analysis.figures.steady_states import draw_steady_states
+    from analysis.figures.style import save
+
+    ratio = found.speed_rad_s / found.physics.natural_frequencies_rad_s[0]
+    rpm = found.speed_rad_s * 30 / math.pi
+    title = f"{found.rig.name}, Ω = {ratio:.4g} ({rpm:.1f} rpm){what_if_words(settings, '; ')}"
+    save(plot, draw_steady_states(found.physics, found.states, title, outcome))
 
 
 def _shown(state: SteadyState, known: IdentifiedParameters, rig: Rig) -> dict[str, Any]:

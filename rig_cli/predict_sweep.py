@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.options import what_if_words
 from rig_cli.share_progress import share_progress
+from rig_cli.speed import SpeedChoice
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def predict_sweep(
     text: str,
     known: IdentifiedParameters,
     settings: Sequence[str],
-    speeds: tuple[str | None, float | None, float | None],
+    speed: SpeedChoice,
     accuracy: float,
     plot: Path | None,
     *,
@@ -32,7 +33,7 @@ def predict_sweep(
 
     Args:
         text: KEY=A:B:N[:log].
-        speeds: --point, --speed-rpm, --speed-ratio.
+        speed: constant speed, unless the number is the speed.
     """
     with wait_for_compilation("dynamics"):
         from analysis.maps.lines import line_over
@@ -43,7 +44,7 @@ def predict_sweep(
         return load_rig(rig, known, [*settings, *more])
 
     loaded = rig_with([])
-    line = line_over(rig_with, axis, *_speed(loaded, *speeds), effects=known.with_effects)
+    line = line_over(rig_with, axis, *_speed(loaded, speed), effects=known.with_effects)
     with share_progress(f"{axis.count} values of {axis.key}") as progress:
         found = line.branches(accuracy, progress)
     if plot is not None:
@@ -63,11 +64,10 @@ def predict_sweep(
     return 0
 
 
-def _speed(
-    rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: float | None
-) -> tuple[float | None, float | None]:
+def _speed(rig: Rig, speed: SpeedChoice) -> tuple[float | None, float | None]:
     """Return the speed in rad/s or as a ratio, whichever was given."""
-    if sum(x is not None for x in (point, speed_rpm, speed_ratio)) > 1:
+    point, speed_rpm, speed_ratio = speed.point, speed.speed_rpm, speed.speed_ratio
+    if speed.count > 1:
         raise RigFileError("rig predict: give one of --point, --speed-rpm, --speed-ratio")
     if point is not None:
         if point not in rig.points:

@@ -293,11 +293,7 @@ def _carry_out(playback: Playback, log: Log, speed: float, linger: float | None)
         notify("playing")
         state = playback.play(log.raw_in_order(), _PlayedLines(log).report)
         if state.cut_short:
-            return (
-                "the host, which stopped its devices and left"
-                if state.stopped
-                else "the readers, who left"
-            )
+            return "the host, which stopped its devices and left" if state.stopped else "the readers, who left"
         notify("all bytes are delivered; the ports stay open until their readers close them")
         playback.hold(linger)
     except KeyboardInterrupt:
