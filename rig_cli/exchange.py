@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,14 +13,30 @@ from rig_cli.options import Json, Settings
 from rig_cli.share_progress import share_progress
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ExportSpan:
+    """Part of a log that is exported.
+
+    Attributes:
+        from_s: first instant, seconds since the log's start
+        to_s: end, seconds since the log's start
+    """
+
+    from_s: Annotated[float | None, Parameter(name="--from")] = None
+    to_s: Annotated[float | None, Parameter(name="--to")] = None
+
+
+_WHOLE_LOG = ExportSpan()
+
+
 def export(
     log: Path,
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     format: Literal["parquet", "csv", "mat", "hdf5"] | None = None,
     channels: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None,
-    from_s: Annotated[float | None, Parameter(name="--from")] = None,
-    to_s: Annotated[float | None, Parameter(name="--to")] = None,
+    span: ExportSpan = _WHOLE_LOG,
     signals: Annotated[bool, Parameter(negative="")] = False,
     force: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
@@ -40,10 +57,6 @@ def export(
         the format, if the ending of the name does not state it
     channels
         topics such as laser/x laser/y; with --signals x y angles marks; all that hold samples when not given
-    from_s
-        first instant, seconds since the log's start
-    to_s
-        end, seconds since the log's start
     signals
         displacements, angles and index marks on one clock, as identification takes them, instead of the channels
     force
@@ -57,8 +70,8 @@ def export(
             output,
             format=format,
             channels=channels or (),
-            from_s=from_s,
-            to_s=to_s,
+            from_s=span.from_s,
+            to_s=span.to_s,
             signals=signals,
             force=force,
             progress=progress,
@@ -84,29 +97,73 @@ def export(
     return 0
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ImportColumns:
+    """Columns of the recording, as NAME:UNIT.
+
+    Attributes:
+        time: column of sample times, from the recording's start or since 1970
+        rate_Hz: rows per second if there is no column of times
+        x: displacement of the disk's centre along x
+        y: displacement of the disk's centre along y
+        theta3: angle of pendulum A relative to the rotor
+        theta4: angle of pendulum B relative to the rotor
+        phase: rotor angle in every row, unwrapped or not; 0: the imbalance points along +x
+        marks: times at which the index mark passed: a column, or a file of its own, MARKS.csv:s
+        speed: rotor speed; integrated to a phase without an absolute reference
+    """
+
+    time: str | None = None
+    rate_Hz: Annotated[float | None, Parameter(name="--rate")] = None
+    x: str | None = None
+    y: str | None = None
+    theta3: str | None = None
+    theta4: str | None = None
+    phase: str | None = None
+    marks: str | None = None
+    speed: str | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ImportFacts:
+    """What the file does not contain about its recording.
+
+    Attributes:
+        test: ring-down-x, ring-down-y, spin-down, run-up, point-NAME
+        point: a validation point; the same as --test point-NAME
+        note: the operator's note
+        start: when the recording's time was 0, such as 2026-03-01T10:00:00; UTC without a zone
+        release: when the pendulums were released, s; A,B if they differ
+        counts_per_revolution: of the encoders, if it differs from the rig file's
+        invalid: values that mean "no reading", as they are in the file, separated by commas
+        clock_tolerance_ppm: standard uncertainty of the rate of the recording's clock, such as 0.1 for one disciplined
+            by GPS; default: the rig file's clock_tolerance_ppm, or 50
+        recorder: name of the recorder; files of one recorder share its clock's error, and so do files without a name
+    """
+
+    test: str = ""
+    point: str = ""
+    note: str = ""
+    start: str | None = None
+    release: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    counts_per_revolution: int | None = None
+    invalid: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    clock_tolerance_ppm: float | None = None
+    recorder: str = ""
+
+
+_NO_COLUMNS, _NO_FACTS = ImportColumns(), ImportFacts()
+
+
 def import_(
     file: Path,
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     rig: str,
-    test: str = "",
-    point: str = "",
-    note: str = "",
-    time: str | None = None,
-    rate_Hz: Annotated[float | None, Parameter(name="--rate")] = None,
-    x: str | None = None,
-    y: str | None = None,
-    theta3: str | None = None,
-    theta4: str | None = None,
-    phase: str | None = None,
-    marks: str | None = None,
-    speed: str | None = None,
-    start: str | None = None,
-    release: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    counts_per_revolution: int | None = None,
-    invalid: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    clock_tolerance_ppm: float | None = None,
-    recorder: str = "",
+    columns: ImportColumns = _NO_COLUMNS,
+    facts: ImportFacts = _NO_FACTS,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
@@ -126,67 +183,17 @@ def import_(
         the log, ending in .mcap
     rig
         rig file or its name; its snapshot goes into the log
-    test
-        ring-down-x, ring-down-y, spin-down, run-up, point-NAME
-    point
-        a validation point; the same as --test point-NAME
-    note
-        the operator's note
-    time
-        column of sample times, from the recording's start or since 1970
-    rate_Hz
-        rows per second if there is no column of times
-    x
-        displacement of the disk's centre along x
-    y
-        displacement of the disk's centre along y
-    theta3
-        angle of pendulum A relative to the rotor
-    theta4
-        angle of pendulum B relative to the rotor
-    phase
-        rotor angle in every row, unwrapped or not; 0: the imbalance points along +x
-    marks
-        times at which the index mark passed: a column, or a file of its own, MARKS.csv:s
-    speed
-        rotor speed; integrated to a phase without an absolute reference
-    start
-        when the recording's time was 0, such as 2026-03-01T10:00:00; UTC without a zone
-    release
-        when the pendulums were released, s; A,B if they differ
-    counts_per_revolution
-        of the encoders, if it differs from the rig file's
-    invalid
-        values that mean "no reading", as they are in the file, separated by commas
-    clock_tolerance_ppm
-        standard uncertainty of the rate of the recording's clock, such as 0.1 for one disciplined by GPS; default: the
-        rig file's clock_tolerance_ppm, or 50
-    recorder
-        name of the recorder; files of one recorder share its clock's error, and so do files without a name
     """
     from daq.exchange import import_recording, make_recipe
     from daq.exchange.recipe import parse_numbers
     from rig_configs import load_rig
 
+    known = {name: value for name, value in asdict(facts).items() if name not in ("release", "invalid")}
     recipe = make_recipe(
-        test=test,
-        point=point,
-        note=note,
-        time=time,
-        rate_Hz=rate_Hz,
-        x=x,
-        y=y,
-        theta3=theta3,
-        theta4=theta4,
-        phase=phase,
-        marks=marks,
-        speed=speed,
-        start=start,
-        counts_per_revolution=counts_per_revolution,
-        release_s=parse_numbers(release, "--release") if release else (),
-        invalid=parse_numbers(invalid, "--invalid") if invalid else (),
-        clock_tolerance_ppm=clock_tolerance_ppm,
-        recorder=recorder,
+        **asdict(columns),
+        **known,
+        release_s=parse_numbers(facts.release, "--release") if facts.release else (),
+        invalid=parse_numbers(facts.invalid, "--invalid") if facts.invalid else (),
     )
     with share_progress(f"importing {file.name}") as progress:
         done = import_recording(file, output, load_rig(rig, settings=settings or []), recipe, progress)

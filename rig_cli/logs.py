@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
@@ -23,29 +24,12 @@ if TYPE_CHECKING:
 Flag = Annotated[bool, Parameter(negative="")]
 
 
-def logs(
-    folder: Path,
-    *words: str,
-    rig: str = "",
-    test: str = "",
-    point: str = "",
-    note: str = "",
-    parameters: str = "",
-    verdict: str = "",
-    since: str | None = None,
-    until: str | None = None,
-    lost: Flag = False,
-    complete: Flag = False,
-    incomplete: Flag = False,
-    sort: Sort = "started",
-    reverse: Flag = False,
-    json: Json = False,
-) -> int:
-    """List the logs of a folder and of the folders below it, newest first.
+@Parameter(name="*")
+@dataclass(frozen=True)
+class LogFilter:
+    """Conditions on the listed logs. Empty ones admit every log.
 
-    Args:
-        folder: where the logs are.
-        words: each must be in the rig's name, test, point, note or file name.
+    Attributes:
         rig: must be in the rig's name.
         test: must be in the test's name.
         point: the point's name.
@@ -57,36 +41,78 @@ def logs(
         lost: only logs in which samples or frames were lost.
         complete: only whole files.
         incomplete: only cut, damaged and unreadable files.
+    """
+
+    rig: str = ""
+    test: str = ""
+    point: str = ""
+    note: str = ""
+    parameters: str = ""
+    verdict: str = ""
+    since: str | None = None
+    until: str | None = None
+    lost: Flag = False
+    complete: Flag = False
+    incomplete: Flag = False
+
+    def query(self, words: tuple[str, ...], sort: Sort, reverse: bool) -> Query:
+        """Return the catalogue's query.
+
+        Raises:
+            ValueError: the text has what was expected.
+        """
+        if self.complete and self.incomplete:
+            raise ValueError("expected one of --complete and --incomplete, got both")
+        try:
+            since, until = (
+                None if text is None else parse_instant(text, datetime.now(), end)
+                for text, end in ((self.since, False), (self.until, True))
+            )
+        except ValueError as fault:
+            raise ValueError(f"--since, --until: {fault}") from fault
+        return Query(
+            words,
+            self.rig,
+            self.test,
+            self.point,
+            self.note,
+            self.parameters,
+            self.verdict,
+            since,
+            until,
+            lost=True if self.lost else None,
+            complete=self.complete if self.complete or self.incomplete else None,
+            sort=sort,
+            reverse=reverse,
+        )
+
+
+_EVERY_LOG = LogFilter()
+
+
+def logs(
+    folder: Path,
+    *words: str,
+    only: LogFilter = _EVERY_LOG,
+    sort: Sort = "started",
+    reverse: Flag = False,
+    json: Json = False,
+) -> int:
+    """List the logs of a folder and of the folders below it, newest first.
+
+    Args:
+        folder: where the logs are.
+        words: each must be in the rig's name, test, point, note or file name.
         sort: by what; times, sizes and counts largest first.
         reverse: the other way round.
     """
     from daq.catalogue import Catalogue  # the log's reader takes half a second to import
 
-    if complete and incomplete:
-        notify("rig logs: expected one of --complete and --incomplete, got both")
-        return 2
     try:
-        span = [
-            None if text is None else parse_instant(text, datetime.now(), end)
-            for text, end in ((since, False), (until, True))
-        ]
+        query = only.query(words, sort, reverse)
     except ValueError as fault:
-        notify(f"rig logs: --since, --until: {fault}")
+        notify(f"rig logs: {fault}")
         return 2
-    query = Query(
-        words,
-        rig,
-        test,
-        point,
-        note,
-        parameters,
-        verdict,
-        *span,
-        lost=True if lost else None,
-        complete=complete if complete or incomplete else None,
-        sort=sort,
-        reverse=reverse,
-    )
     catalogue = Catalogue(folder)
     with ExitStack() as stack:
         entries = catalogue.entries(_progress_when_called(stack, "reading new logs"))

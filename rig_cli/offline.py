@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,7 +16,10 @@ from rig_cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 
 if TYPE_CHECKING:
+    from analysis.validation import Validation
+    from daq.signals.run import Run
     from identification.rungs import Rung
+    from rig_configs.schema import Rig
 
 _MAX_AXIS_STD_DEG = 90.0  # the direction of an axis is unknown
 
@@ -76,12 +80,48 @@ def _held_back(names: list[str]) -> frozenset[Rung]:
         raise RigFileError(f"rig identify: --without: {error}") from error
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class AxisAngle:
+    """Angle between sensor and stiffness axes, instead of the identified one.
+
+    Attributes:
+        axis_angle_deg, axis_angle_std_deg: value and standard uncertainty, °; both or none are given.
+    """
+
+    axis_angle_deg: Annotated[float | None, Parameter(help="instead of the identified one, with its std")] = None
+    axis_angle_std_deg: Annotated[float | None, Parameter(help="standard uncertainty of --axis-angle-deg")] = None
+
+    def checked(self) -> tuple[float, float] | None:
+        """Return value and standard uncertainty, °; None if they were not given.
+
+        Raises:
+            RigFileError: only one was given, or one is out of range.
+        """
+        value_deg, std_deg = self.axis_angle_deg, self.axis_angle_std_deg
+        if value_deg is None and std_deg is None:
+            return None
+        if (
+            value_deg is None
+            or std_deg is None
+            or not math.isfinite(value_deg)
+            or not 0 <= std_deg <= _MAX_AXIS_STD_DEG
+        ):
+            raise RigFileError(
+                "rig validate: expected --axis-angle-deg and --axis-angle-std-deg together, finite, the latter 0 to "
+                f"{_MAX_AXIS_STD_DEG:g}, got {value_deg} and {std_deg}"
+            )
+        return value_deg, std_deg
+
+
+_IDENTIFIED_ANGLE = AxisAngle()
+
+
 def validate(
     rig: str,
     *logs: Path,
     parameters: ParametersPath = None,
-    axis_angle_deg: Annotated[float | None, Parameter(help="instead of the identified one, with its std")] = None,
-    axis_angle_std_deg: Annotated[float | None, Parameter(help="standard uncertainty of --axis-angle-deg")] = None,
+    axis: AxisAngle = _IDENTIFIED_ANGLE,
     report: Path | None = None,
     settings: Settings = None,
     json: Json = False,
@@ -90,88 +130,110 @@ def validate(
 
     With --set it answers a what-if: the settings override rig file and parameters, and no verdict is kept.
     """
-    from analysis.prediction import known_axis_angle
-    from daq.signals.completeness import missing_warnings
-    from daq.signals.run import disagreements
     from studies.runs import keep_verdicts, load_runs, validated
 
+    _check_validation(logs, report)
+    if parameters is None:
+        raise RigFileError("rig validate: give --parameters parameters.toml, as `rig identify` wrote it")
+    identified = IdentifiedParameters.load(parameters)
+    changed = overridden(identified, settings or [])
+    known = identified.without(changed)
+    loaded = load_rig(rig, identified, settings or [])
+    angle = axis.checked()
+    what_if = list(settings or [])
+    if angle is not None and known.axis_angle_deg is not None:
+        what_if.append(f"axis angle {angle[0]:g} ± {angle[1]:g}°")
+    runs = load_runs(logs)
+    found = validated(runs, loaded, known, STDERR.print, angle, changed)
+    warnings = _validation_warnings(runs, found)
+    if angle is None and known.axis_angle_deg is None:
+        warnings.append(_assumed_angle(parameters, known, loaded))
+    if not what_if:
+        warnings += keep_verdicts(found, runs, IdentifiedParameters.label(parameters))
+    for warning in warnings:
+        notify(f"warning: {warning}")
+    if report is not None:
+        _write_report(report, _Validated(loaded, runs, known, found, angle, what_if, warnings))
+    if json:
+        more = {"passed": found.passed, "what_if": what_if, "warnings": warnings}
+        print_json({**found.to_json(), **more, "report": str(report) if report else None})
+    else:
+        _print_validation(found, what_if)
+    return 0 if found.passed else 1
+
+
+@dataclass(frozen=True)
+class _Validated:
+    """A validation with its inputs, for the report."""
+
+    rig: Rig
+    runs: list[Run]
+    known: IdentifiedParameters
+    found: Validation
+    angle_deg: tuple[float, float] | None
+    what_if: list[str]
+    warnings: list[str]
+
+
+def _check_validation(logs: tuple[Path, ...], report: Path | None) -> None:
+    """Check logs and report before the work.
+
+    Raises:
+        RigFileError, AnalysisError: there is no log, or the report cannot be written.
+    """
     _need(logs, "rig validate RIG LOG…")
     check_outputs("rig validate: --report", report)
     if report is not None:
         from analysis.report.twin import need_free_twin  # matplotlib
 
         need_free_twin(report)
-    if parameters is None:
-        raise RigFileError("rig validate: give --parameters parameters.toml, as `rig identify` wrote it")
-    found_before = IdentifiedParameters.load(parameters)
-    known = found_before.without(overridden(found_before, settings or []))
-    loaded = load_rig(rig, found_before, settings or [])
-    given = _given_angle(axis_angle_deg, axis_angle_std_deg)
-    what_if = list(settings or [])
-    if given is not None and known.axis_angle_deg is not None:
-        what_if.append(f"axis angle {given[0]:g} ± {given[1]:g}°")
-    runs = load_runs(logs)
-    found = validated(runs, loaded, known, STDERR.print, given, overridden(found_before, settings or []))
-    warnings = missing_warnings(runs) + [f"{run.source}: {text}" for run in runs for text in disagreements(run)]
-    warnings += found.warnings
-    if given is None and known.axis_angle_deg is None:
-        value, std = known_axis_angle(known, loaded)
-        warnings.append(
-            f"{parameters} has no angle between sensor and stiffness axes: {value:g} ± {std:g}° is assumed; identify "
-            "again, or give --axis-angle-deg and --axis-angle-std-deg"
-        )
-    if not what_if:
-        warnings += keep_verdicts(found, runs, IdentifiedParameters.label(parameters))
-    for warning in warnings:
-        notify(f"warning: {warning}")
-    if report is not None:
-        from analysis.report.campaign import Campaign, IdentificationResult  # matplotlib
-        from analysis.report.write import write_report
-        from rig_cli.parameters_budget import all_budgets
-
-        identified = IdentificationResult(known, warnings=warnings)
-        title = f"{'What if: validation' if what_if else 'Validation'} of {loaded.name}"
-        campaign = Campaign(
-            title,
-            loaded,
-            runs,
-            identified,
-            found,
-            axis_angle_deg=given,
-            what_if=what_if,
-            budgets=all_budgets(loaded, known),
-        )
-        write_report(report, campaign)
-    if json:
-        print_json(
-            {
-                **found.to_json(),
-                "passed": found.passed,
-                "what_if": what_if,
-                "warnings": warnings,
-                "report": str(report) if report else None,
-            }
-        )
-    else:
-        if what_if:
-            print(f"{what_if_words(what_if)}: not the rig's verdict, and not kept")
-        result = found.to_json()
-        for line in whole_lines(result):
-            show(line)
-        print_points(result["points"])
-    return 0 if found.passed else 1
 
 
-def _given_angle(value_deg: float | None, std_deg: float | None) -> tuple[float, float] | None:
-    """Return the axis angle of the command line; None if it was not given."""
-    if value_deg is None and std_deg is None:
-        return None
-    if value_deg is None or std_deg is None or not math.isfinite(value_deg) or not 0 <= std_deg <= _MAX_AXIS_STD_DEG:
-        raise RigFileError(
-            "rig validate: expected --axis-angle-deg and --axis-angle-std-deg together, finite, the latter 0 to "
-            f"{_MAX_AXIS_STD_DEG:g}, got {value_deg} and {std_deg}"
-        )
-    return value_deg, std_deg
+def _validation_warnings(runs: list[Run], found: Validation) -> list[str]:
+    from daq.signals.completeness import missing_warnings
+    from daq.signals.run import disagreements
+
+    own = [f"{run.source}: {text}" for run in runs for text in disagreements(run)]
+    return [*missing_warnings(runs), *own, *found.warnings]
+
+
+def _assumed_angle(parameters: Path, known: IdentifiedParameters, rig: Rig) -> str:
+    """Return the warning about an assumed angle between sensor and stiffness axes."""
+    from analysis.prediction import known_axis_angle
+
+    value, std = known_axis_angle(known, rig)
+    return (
+        f"{parameters} has no angle between sensor and stiffness axes: {value:g} ± {std:g}° is assumed; identify "
+        "again, or give --axis-angle-deg and --axis-angle-std-deg"
+    )
+
+
+def _write_report(path: Path, done: _Validated) -> None:
+    from analysis.report.campaign import Campaign, IdentificationResult  # matplotlib
+    from analysis.report.write import write_report
+    from rig_cli.parameters_budget import all_budgets
+
+    title = f"{'What if: validation' if done.what_if else 'Validation'} of {done.rig.name}"
+    campaign = Campaign(
+        title,
+        done.rig,
+        done.runs,
+        IdentificationResult(done.known, warnings=done.warnings),
+        done.found,
+        axis_angle_deg=done.angle_deg,
+        what_if=done.what_if,
+        budgets=all_budgets(done.rig, done.known),
+    )
+    write_report(path, campaign)
+
+
+def _print_validation(found: Validation, what_if: list[str]) -> None:
+    if what_if:
+        print(f"{what_if_words(what_if)}: not the rig's verdict, and not kept")
+    result = found.to_json()
+    for line in whole_lines(result):
+        show(line)
+    print_points(result["points"])
 
 
 def print_points(points: dict[str, Any]) -> None:

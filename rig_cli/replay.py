@@ -6,6 +6,7 @@ import json as json_text
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,19 +30,41 @@ from rig_cli.share_progress import share_progress
 _PLAIN_S = 5.0  # between two lines of output that is not a terminal
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ReplayJob:
+    """What is done with a log. Without any option it is compared.
+
+    Attributes:
+        check: whether a difference is exit code 1.
+        calibration: numbers for a new log.
+        output: the new log.
+        speed: pace.
+        to: where the bytes are played.
+        linger: how long the ports stay open at the end, s.
+        interlocks: whether the interlocks are applied.
+        all_trips: whether they are applied after the first trip.
+    """
+
+    check: bool = False
+    calibration: Annotated[Path | None, Parameter(help="TOML with [devices.…] calibration; needs -o")] = None
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="new log, decoded again")] = None
+    speed: Annotated[str | None, Parameter(help="watch it at this pace: 1, a number, or max")] = None
+    to: Annotated[str | None, Parameter(help="play the bytes to pty, tcp, or device=port,device=port")] = None
+    linger: Annotated[SecondsOrNone | None, Parameter(help="with --to: keep ports open at the end, s at most")] = None
+    interlocks: Annotated[bool, Parameter(negative="", help="when interlocks would have tripped")] = False
+    all_trips: Annotated[
+        bool, Parameter(name="--all", negative="", help="with --interlocks: go on after the first trip")
+    ] = False
+
+
+_COMPARE = ReplayJob()
+
+
 def replay(
     log: Path,
     *,
-    check: bool = False,
-    calibration: Annotated[Path | None, Parameter(help="TOML with [devices.…] calibration; needs -o")] = None,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="new log, decoded again")] = None,
-    speed: Annotated[str | None, Parameter(help="watch it at this pace: 1, a number, or max")] = None,
-    to: Annotated[str | None, Parameter(help="play the bytes to pty, tcp, or device=port,device=port")] = None,
-    linger: Annotated[SecondsOrNone | None, Parameter(help="with --to: keep ports open at the end, s at most")] = None,
-    interlocks: Annotated[bool, Parameter(negative="", help="when interlocks would have tripped")] = False,
-    all_trips: Annotated[
-        bool, Parameter(name="--all", negative="", help="with --interlocks: go on after the first trip")
-    ] = False,
+    job: ReplayJob = _COMPARE,
     settings: Annotated[
         Settings, Parameter(help="with --interlocks: other limits, e.g. limits.amplitude_m=0.004")
     ] = None,
@@ -55,39 +78,36 @@ def replay(
     devices first gets the devices' replies. With --interlocks it shows when they would have tripped, exit code 1 when
     one would.
     """
-    _refuse_contradictions(check, calibration, output, speed, to, linger, interlocks)
-    if interlocks:
-        return show_interlocks(log, settings or [], all_trips=all_trips, json=json)
-    if settings or all_trips:
+    _refuse_contradictions(job)
+    if job.interlocks:
+        return show_interlocks(log, settings or [], all_trips=job.all_trips, json=json)
+    if settings or job.all_trips:
         raise LogError(
             f"{'--set' if settings else '--all'}: expected --interlocks with it; no other job takes this option"
         )
-    if output is not None:
-        return _write_new(log, output, calibration, json)
-    if to is not None:
-        return _play(log, to, _factor(speed or "1"), linger, json)
-    if speed is not None:
-        return _watch(log, _factor(speed), json)
-    return _check(log, check, json)
+    if job.output is not None:
+        return _write_new(log, job.output, job.calibration, json)
+    if job.to is not None:
+        return _play(log, job.to, _factor(job.speed or "1"), job.linger, json)
+    if job.speed is not None:
+        return _watch(log, _factor(job.speed), json)
+    return _check(log, job.check, json)
 
 
-def _refuse_contradictions(
-    check: bool,
-    calibration: Path | None,
-    output: Path | None,
-    speed: str | None,
-    to: str | None,
-    linger: float | None,
-    interlocks: bool,
-) -> None:
-    if calibration is not None and output is None:
+def _refuse_contradictions(job: ReplayJob) -> None:
+    if job.calibration is not None and job.output is None:
         raise LogError("--calibration: expected -o NEW.mcap with it; a log is never changed, a new one is written")
-    if linger is not None and to is None:
+    if job.linger is not None and job.to is None:
         raise LogError("--linger: expected --to with it; there are no ports to keep open")
-    jobs = {"--interlocks": interlocks, "--check": check, "-o": output is not None, "--to": to is not None}
-    given = [name for name, there in jobs.items() if there]
-    if len(given) > 1 or (speed is not None and given and given != ["--to"]):
-        named = [*given, *(["--speed"] if speed is not None else [])]
+    flags = {
+        "--interlocks": job.interlocks,
+        "--check": job.check,
+        "-o": job.output is not None,
+        "--to": job.to is not None,
+    }
+    given = [name for name, there in flags.items() if there]
+    if len(given) > 1 or (job.speed is not None and given and given != ["--to"]):
+        named = [*given, *(["--speed"] if job.speed is not None else [])]
         raise LogError(f"{' and '.join(named)}: expected one job at a time; give the commands one after the other")
 
 

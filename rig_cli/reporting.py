@@ -30,7 +30,6 @@ def reported(
     joint: Identification | None,
     validation: Validation | None,
     *,
-    title: str = "",
     since: tuple[str, IdentifiedParameters] | None = None,
     facts: Mapping[str, Any] | None = None,
 ) -> Path:
@@ -40,7 +39,6 @@ def reported(
         path: the HTML file; its numbers are written next to it.
         before: parameters with which the points were validated.
         joint: joint identification of all logs; None shows only `before`.
-        title: default "Campaign on" with the rig's name.
         since: name and parameters of an earlier identification.
         facts: "truth" and "seed" of a simulated rig, "notes".
     """
@@ -54,7 +52,7 @@ def reported(
     if since is not None:
         changes = report_changes(since[0], since[1], shown.parameters)
     campaign = Campaign(
-        title=title or f"Campaign on {rig.name}",
+        title=f"Campaign on {rig.name}",
         rig=rig,
         runs=runs,
         identification=shown,

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -21,6 +22,23 @@ Control = Annotated[Path | None, Parameter(help="the file with the rig's control
 _SLOWLY_RPM_S = 20.0
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ParentProcess:
+    """Options of a program that starts the rig as its child process.
+
+    Attributes:
+        while_stdin_open: whether the rig ends when standard input is closed.
+        pace: file of a paced clock; None: the host's clock.
+    """
+
+    while_stdin_open: Annotated[bool, Parameter(negative="", show=False)] = False
+    pace: Annotated[Path | None, Parameter(show=False)] = None
+
+
+_NO_PARENT = ParentProcess()
+
+
 @app.default
 def start(
     rig: str = "virtual",
@@ -33,8 +51,7 @@ def start(
     link: Literal["auto", "pty", "tcp"] = "auto",
     control: Control = None,
     settings: Settings = None,
-    while_stdin_open: Annotated[bool, Parameter(negative="", show=False)] = False,
-    pace: Annotated[Path | None, Parameter(show=False)] = None,
+    parent: ParentProcess = _NO_PARENT,
     json: Json = False,
 ) -> None:
     """Start a virtual rig and print its ports as one JSON line; Ctrl-C or `rig virtual stop` ends it."""
@@ -44,7 +61,9 @@ def start(
     loaded = load_rig(rig, settings=settings or [])
     if output is not None:
         need_free(output)
-    virtual = VirtualRig(loaded, time_scale, link, pace)
+    virtual = VirtualRig(loaded, time_scale, link, parent.pace)
+
+    until_eof = parent.while_stdin_open
 
     def ready(note: Path | None) -> None:
         if output is not None:
@@ -59,10 +78,10 @@ def start(
                 "rig_file": str(output) if output else None,
             }
         )
-        if not while_stdin_open and not json:
+        if not until_eof and not json:
             _report_usage(loaded.name, virtual.ports(), output, time_scale, note if control else None)
 
-    serve(virtual, ready, control, leaves_note=control is not None or not while_stdin_open, until_eof=while_stdin_open)
+    serve(virtual, ready, control, leaves_note=control is not None or not until_eof, until_eof=until_eof)
 
 
 def _report_usage(
