@@ -42,20 +42,8 @@ def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_e
     health = readable(lambda: last_health(log), None)
     snapshot: dict[str, Any] = readable(lambda: snapshot_of(log), {}) if "rig.json" in log.attachments else {}
     channels = {topic: readable(lambda t=topic: asdict(channel_content(log, t)), None) for topic in log}
-    facts = {
-        "log": str(path),
-        "state": state_of(log, has_end(path)),
-        "complete": log.complete,
-        "verified": verified is not None,
-        "missing": [str(missing) for missing in log.missing],
-        "lost_before": [str(missing) for missing in log.lost_before],
-        "unchecked": [str(place) for place in verified or () if place not in log.missing],
-        "size_bytes": log.size_bytes,
-        "chunks": log.chunk_count,
-        "library": log.library,
-        "start_ns": log.start_ns,
-        "end_ns": log.end_ns,
-        "duration_s": (log.end_ns - log.start_ns) * 1e-9,
+    facts: dict[str, Any] = {
+        **_file_facts(log, path, verified),
         "run": run,
         "summary": summary,
         "outcome": outcome_of(summary),
@@ -79,6 +67,25 @@ def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_e
     if all_events:
         facts["all_events"] = readable(lambda: list(events_of(log)), [])
     return {**facts, "unreadable": unreadable}
+
+
+def _file_facts(log: Log, path: Path, verified: Sequence[Missing] | None) -> dict[str, Any]:
+    """Return state, completeness, size and time span of a log's file."""
+    return {
+        "log": str(path),
+        "state": state_of(log, has_end(path)),
+        "complete": log.complete,
+        "verified": verified is not None,
+        "missing": [str(missing) for missing in log.missing],
+        "lost_before": [str(missing) for missing in log.lost_before],
+        "unchecked": [str(place) for place in verified or () if place not in log.missing],
+        "size_bytes": log.size_bytes,
+        "chunks": log.chunk_count,
+        "library": log.library,
+        "start_ns": log.start_ns,
+        "end_ns": log.end_ns,
+        "duration_s": (log.end_ns - log.start_ns) * 1e-9,
+    }
 
 
 def _sensors(log: Log) -> dict[str, str]:
