@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from rig_cli.console import notify, print_json, show
 from rig_cli.options import Json, Settings
 from rig_cli.share_progress import share_progress
+
+if TYPE_CHECKING:
+    from daq.exchange.export import Exported
+    from daq.exchange.import_recording import Imported
 
 
 @Parameter(name="*")
@@ -79,22 +83,19 @@ def export(
     for missing in done.missing:
         notify(f"warning: missing from the log: {missing}")
     if json:
-        print_json(
-            {
-                "log": str(log),
-                "format": done.format,
-                "files": [str(file) for file in done.files],
-                "rows": done.rows,
-                "missing": done.missing,
-                "losses": done.losses,
-            }
-        )
+        files = [str(file) for file in done.files]
+        lost = {"missing": done.missing, "losses": done.losses}
+        print_json({"log": str(log), "format": done.format, "files": files, "rows": done.rows, **lost})
         return 0
+    _print_export(done)
+    return 0
+
+
+def _print_export(done: Exported) -> None:
     for name, count in done.rows.items():
         show(f"{name:10} {count:9d} samples")
     for file in done.files:
         notify(f"written to {file}")
-    return 0
 
 
 @Parameter(name="*")
@@ -212,9 +213,13 @@ def import_(
             }
         )
         return 0
+    _print_import(done)
+    return 0
+
+
+def _print_import(done: Imported) -> None:
     for topic, count in done.samples.items():
         show(f"{topic:10} {count:9d} samples")
     for device, count in done.invalid.items():
         show(f"{device:10} {count:9d} invalid readings, {done.gaps.get(device, 0)} samples in gaps")
     notify(f"written to {done.path}")
-    return 0

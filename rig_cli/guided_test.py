@@ -87,6 +87,7 @@ class TestRun:
         plan: whether only its plan is shown.
         out: folder of the logs.
         note: the operator's note.
+        parameters: parameters.toml over the rig file
         track: whether c3 and c4 are tracked.
         time_scale: seconds of rig time per wall second.
     """
@@ -95,6 +96,7 @@ class TestRun:
 
     plan: Annotated[bool, Parameter(negative="", help="show the states, open no device")] = False
     out: Path = Path("out")
+    parameters: ParametersPath = None
     note: str = ""
     track: Annotated[bool, Parameter(negative="", help="show c3 and c4 while the pendulums swing")] = False
     time_scale: TimeScale = 1.0
@@ -110,7 +112,6 @@ def test(
     *,
     options: TestRun = _DEFAULT_RUN,
     numbers: TestNumbers = _DEFAULT_NUMBERS,
-    parameters: ParametersPath = None,
     displays: Displays = TERMINAL_ONLY,
     settings: Settings = None,
     json: Json = False,
@@ -121,6 +122,7 @@ def test(
     installed packages. While one runs in a terminal, p pauses it where the rig may wait, r resumes, a aborts it (the
     log is kept, the rotor comes to rest, exit code 1), n begins a note that Enter writes to the log.
     """
+    parameters = options.parameters
     loaded = load_rig(rig, parameters, settings or [])
     if name is None:
         found = campaign(loaded, options.out)

@@ -28,11 +28,14 @@ _X_OF_MOTIONS, _Y_OF_MOTIONS = "speed_ratio=0.3:7:80", "stiffness_ratio=1:16:40"
 @Parameter(name="*")
 @dataclass(frozen=True)
 class MapPlane:
-    """Axes and quantity of a map.
+    """Axes, quantity and borders of a map.
 
     Attributes:
         x, y: axes, see rig_cli.map_axes; None: the usual ones.
         quantity: what is computed at every point.
+        borders: whether the borders of stability are followed.
+        family: further number and its values for which the borders are followed.
+        best: number and range in which the largest stable area is searched.
     """
 
     x: Annotated[
@@ -50,19 +53,6 @@ class MapPlane:
             "point the state reached, the amplitude left, the time it took; or which stable motions coexist"
         ),
     ] = "multiplier"
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class MapLines:
-    """Borders of stability.
-
-    Attributes:
-        borders: whether they are followed.
-        family: further number and its values for which they are followed.
-        best: number and range in which the largest stable area is searched.
-    """
-
     borders: Annotated[
         bool, Parameter(negative="", help="follow the borders of stability, every branch to 1e-10, with the map")
     ] = False
@@ -105,14 +95,13 @@ class MapFiles:
     plot: Annotated[Path | None, Parameter(help="write a figure: .svg, .png, .pdf, or .html, which zooms")] = None
 
 
-_PLANE, _NO_LINES, _WORK, _NO_FILES = MapPlane(), MapLines(), MapWork(), MapFiles()
+_PLANE, _WORK, _NO_FILES = MapPlane(), MapWork(), MapFiles()
 
 
 def map(
     rig: str,
     *,
     plane: MapPlane = _PLANE,
-    lines: MapLines = _NO_LINES,
     work: MapWork = _WORK,
     speed: SpeedChoice = NO_SPEED,
     files: MapFiles = _NO_FILES,
@@ -132,7 +121,7 @@ def map(
 
         _check_files(files)
         sources = rig_source(rig), parameters_source(parameters)
-        question = _question(*sources, tuple(settings or ()), plane, lines, work, speed)
+        question = _question(*sources, tuple(settings or ()), plane, work, speed)
         if not question.is_nonlinear:
             report_omissions(question)
             compile_maps(question)
@@ -148,7 +137,6 @@ def _question(
     parameters: SourceText | None,
     settings: tuple[str, ...],
     plane: MapPlane,
-    lines: MapLines,
     work: MapWork,
     speed: SpeedChoice,
 ) -> MapQuestion:
@@ -170,10 +158,10 @@ def _question(
         None,
         plane.quantity,
         work.accuracy,
-        lines.borders,
+        plane.borders,
         work.refine,
-        None if lines.family is None else read_family("--family", lines.family),
-        None if lines.best is None else read_range("--best", lines.best),
+        None if plane.family is None else read_family("--family", plane.family),
+        None if plane.best is None else read_range("--best", plane.best),
         work.seconds,
     )
     chosen = speed_of(question.loaded(), speed.point, speed.speed_ratio, speed.speed_rpm)

@@ -245,8 +245,8 @@ def _switching(rows: Sequence[Compared], p: RotorParameters) -> Claim:
         "The pendulums change places from start-up to start-up by their initial conditions.",
         0 < high < len(own) and right >= 0.9 * len(own),
         f"{len(own) - high} of {len(own)} recorded start-ups below the border end with A below 180°, {high} above; "
-        f"the model, released from the measured angles, has the side of {right}. The unstable equilibrium is {lag:.2f}° "
-        "off 0° and 180°: only a play larger than that lets both sides occur",
+        f"the model, released from the measured angles, has the side of {right}. The unstable equilibrium is "
+        f"{lag:.2f}° off 0° and 180°: only a play larger than that lets both sides occur",
     )
 
 

@@ -220,6 +220,6 @@ def _mean_torque_claim(p: RotorParameters, three: NDArray[np.bool_]) -> Claim:
         "The closed condition of loss, with the mean of 1/D over both directions, predicts where "
         "orbits of Type III exist.",
         agree > 0.98,
-        f"the search finds them, and finds none, as the condition predicts at {100 * agree:.1f} % of {three.size} points; "
-        f"of the others {int(np.sum(three & ~expected))} have one that it denies",
+        f"the search finds them, and finds none, as the condition predicts at {100 * agree:.1f} % of {three.size} "
+        f"points; of the others {int(np.sum(three & ~expected))} have one that it denies",
     )

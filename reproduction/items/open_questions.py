@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from analysis.figures.sheet import WIDTH_IN, sheet
@@ -52,23 +54,15 @@ def _stable(p: RotorParameters, speed_ratio: float) -> list[SteadyState]:
 _GRAVITY_RATIOS = np.round(np.linspace(1.2, 8.0, 69), 3)
 
 
-def gravity(work: Workspace) -> Reproduced:
-    """A horizontal shaft: stable states, remaining vibration and swing of the pendulums."""
-    p = work.physics()
-    heavy = replace(p, gravity_m_per_s2=_G)
-    rows = list[tuple[float, str, float, float]]()
-    for i, ratio in enumerate(_GRAVITY_RATIOS.tolist()):
-        states = _stable(heavy, ratio)
-        if states:
-            swing = float(np.degrees(np.ptp(states[0].states[:, 2])) / 2)
-            rows.append((ratio, states[0].type, 1e6 * states[0].amplitude_m, swing))
-        else:
-            rows.append((ratio, "none", math.nan, math.nan))
-        work.progress((i + 1) / len(_GRAVITY_RATIOS))
-    kinds = np.array([kind for _, kind, _, _ in rows])
-    left, swing = np.array([row[2] for row in rows]), np.array([row[3] for row in rows])
-    first = [p.speed_rad_s(ratio) for ratio in _GRAVITY_RATIOS.tolist()]
-    weak = np.degrees(_G / (p.a.length_m * np.array(first) ** 2))
+def _state_at(p: RotorParameters, name: str, states: Sequence[SteadyState]) -> str:
+    """Return speed, type and amplitude of a point's stable state."""
+    rpm = p.speed_rad_s(_ratio(name)) * 30 / math.pi
+    state = f"{states[0].type}, {1e6 * states[0].amplitude_m:.1f} µm" if states else "no stable state"
+    return f"{name} ({rpm:.0f} rpm) {state}"
+
+
+def _draw_gravity(kinds: NDArray[np.str_], left: Array, swing: Array, weak: Array) -> Figure:
+    """Draw vibration and swing over speed ratio, by the kind of the stable state."""
     with sheet(WIDTH_IN, 4.6, "Gravity: a horizontal shaft, vibration and swing that are left") as figure:
         axes: list[Axes] = figure.subplots(2, 1, sharex=True).tolist()
         for kind, colour in (("I", MEASURED), ("III", MODEL)):
@@ -86,13 +80,30 @@ def gravity(work: Workspace) -> Reproduced:
                 one.axvspan(here - 0.05, here + 0.05, color="#e8e8e8", lw=0)
         label(axes[0], None, "rms vibration, µm")
         label(axes[1], "speed ratio Ω", "swing of θ3, ± °")
+    return figure
+
+
+def gravity(work: Workspace) -> Reproduced:
+    """A horizontal shaft: stable states, remaining vibration and swing of the pendulums."""
+    p = work.physics()
+    heavy = replace(p, gravity_m_per_s2=_G)
+    rows = list[tuple[float, str, float, float]]()
+    for i, ratio in enumerate(_GRAVITY_RATIOS.tolist()):
+        states = _stable(heavy, ratio)
+        if states:
+            swing = float(np.degrees(np.ptp(states[0].states[:, 2])) / 2)
+            rows.append((ratio, states[0].type, 1e6 * states[0].amplitude_m, swing))
+        else:
+            rows.append((ratio, "none", math.nan, math.nan))
+        work.progress((i + 1) / len(_GRAVITY_RATIOS))
+    kinds = np.array([kind for _, kind, _, _ in rows])
+    left, swing = np.array([row[2] for row in rows]), np.array([row[3] for row in rows])
+    first = [p.speed_rad_s(ratio) for ratio in _GRAVITY_RATIOS.tolist()]
+    weak = np.degrees(_G / (p.a.length_m * np.array(first) ** 2))
+    figure = _draw_gravity(kinds, left, swing, weak)
     flat = {name: _stable(p, _ratio(name)) for name in _BALANCED}
     weighed = {name: _stable(heavy, _ratio(name)) for name in _BALANCED}
-    words = ", ".join(
-        f"{name} ({p.speed_rad_s(_ratio(name)) * 30 / math.pi:.0f} rpm) "
-        + (f"{states[0].type}, {1e6 * states[0].amplitude_m:.1f} µm" if states else "no stable state")
-        for name, states in weighed.items()
-    )
+    words = ", ".join(_state_at(p, name, states) for name, states in weighed.items())
     lost = {name: _gravity_limit(p, _ratio(name)) for name in ("B", "C")}
     works = [name for name, states in weighed.items() if states and states[0].type == flat[name][0].type]
     least = [row[0] for row in rows if row[1] == "I"]
@@ -149,6 +160,18 @@ def _gravity_limit(p: RotorParameters, speed_ratio: float) -> tuple[float, bool,
 _C34 = np.geomspace(1e-4, 0.1, 25)
 
 
+def _draw_damping(constants: dict[str, Array], wide: Array, shares: Array) -> Figure:
+    """Draw time constants and stable share over the pendulums' damping."""
+    with sheet(WIDTH_IN, 4.6, "Damping of the pendulums: time constant against stable area") as figure:
+        axes: list[Axes] = figure.subplots(2, 1, sharex=True).tolist()
+        for name, (colour, dashes) in _LOOKS.items():
+            axes[0].loglog(_C34, constants[name], color=colour, ls=dashes, label=f"point {name}")
+        axes[1].semilogx(wide, 100 * shares, "o-", color="black", ms=3)
+        label(axes[0], None, "slowest time constant, s")
+        label(axes[1], "c34, N m s/rad", "stable share of the plane, %")
+    return figure
+
+
 def pendulum_damping(work: Workspace) -> Reproduced:
     """The best damping of the pendulums: decay rate of deviations, and size of the stable area."""
     p = work.physics()
@@ -167,13 +190,7 @@ def pendulum_damping(work: Workspace) -> Reproduced:
         plane = SpeedStiffnessPlane(q, balanced_angles(q)[0])
         shares[i] = stability_borders(plane, (0.3, 7.0), (1.0, 16.0), first=(64, 48), spacing=0.01).stable_share
         work.progress((i + 1) / len(wide))
-    with sheet(WIDTH_IN, 4.6, "Damping of the pendulums: time constant against stable area") as figure:
-        axes: list[Axes] = figure.subplots(2, 1, sharex=True).tolist()
-        for name, (colour, dashes) in _LOOKS.items():
-            axes[0].loglog(_C34, constants[name], color=colour, ls=dashes, label=f"point {name}")
-        axes[1].semilogx(wide, 100 * shares, "o-", color="black", ms=3)
-        label(axes[0], None, "slowest time constant, s")
-        label(axes[1], "c34, N m s/rad", "stable share of the plane, %")
+    figure = _draw_damping(constants, wide, shares)
     best = {name: int(np.nanargmin(values)) for name, values in constants.items()}
     inner = [name for name, i in best.items() if 0 < i < len(_C34) - 1]
     shown = "; ".join(

@@ -127,8 +127,8 @@ def _made(work: Workspace, kind: str, number: str, cells: Cells) -> Reproduced:
             f"Curves at Ω = {SHOWN_SPEED[SUB]:g} and {SHOWN_SPEED[SUPER]:g}, ζ = {SHOWN_ZETA:g}; verdicts from "
             f"Ω = {', '.join(f'{r:g}' for r in SPEEDS[SUB] + SPEEDS[SUPER])}, "
             f"ζ = {', '.join(f'{z:g}' for z in ZETAS)} and {len(C34)} values of c34 from 1e-5 to 1 N m s/rad.",
-            "The source does not state which of a type's two solutions its sets are: set II is the one whose whirl lies "
-            "further along the pendulums' moment.",
+            "The source does not state which of a type's two solutions its sets are: set II is the one whose whirl "
+            "lies further along the pendulums' moment.",
             "A cell holds where every point of the sweep agrees, in part where Ω = 0.8 or 2.5, ζ = 0.05 and c34 = "
             "0.001 N m s/rad agree.",
         ),

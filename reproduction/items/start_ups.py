@@ -142,7 +142,6 @@ def balls_3_27(work: Workspace) -> Reproduced:
         ("Amplitudes are drawn peak to peak: only so do the source's levels fit its masses.",),
         series.std,
     )
-    left = series.scatter.amplitude_m
     return Reproduced(
         (
             Panel(
@@ -171,31 +170,41 @@ def balls_3_27(work: Workspace) -> Reproduced:
             "Balls are pushed by hand before each start, so that they begin elsewhere; angles are measured by the "
             "virtual rig's encoders, where the source read a dial.",
         ),
-        (
-            _mass_of_the_level(p),
-            Claim.judged(
-                "section 3.3.2",
-                "Vibration is largest without balls: every start-up with balls has less.",
-                bool(np.all(left < bare)),
-                f"without {2e3 * bare:.3f} mm peak to peak (balls locked apart, measured "
-                f"{2e3 * series.locked_m:.3f} mm); with balls {2e3 * left.min():.3f} to {2e3 * left.max():.3f} mm, "
-                f"in the mean {2e3 * left.mean():.3f} mm",
-            ),
-            Claim.judged(
-                "section 3.3.2",
-                "It is smallest with the balls locked at ±30°.",
-                bool(np.all(left > best)),
-                f"locked there {2e6 * best:.2g} µm by the model, least of the start-ups {2e6 * left.min():.0f} µm",
-            ),
-            Claim.judged(
-                "Figure 3.27",
-                "The balls settle at other places each time, widely scattered.",
-                series.scatter.scatter_rad > 10 * series.own_rad and series.scatter.scatter_rad > math.radians(5),
-                f"standard deviation of a place {_degrees(series.scatter.scatter_rad)} ± "
-                f"{_degrees(series.scatter.scatter_std_rad)}, of the amplitude "
-                f"{2e3 * series.scatter.amplitude_scatter_m:.3f} mm peak to peak; the measurements alone "
-                f"{_degrees(series.own_rad)}",
-            ),
+        _ball_claims(p, series, bare, best),
+    )
+
+
+def _ball_claims(p: RotorParameters, series: _Series, bare: float, best: float) -> tuple[Claim, ...]:
+    """Return the claims of Figure 3.27.
+
+    Args:
+        bare, best: amplitude of x without balls and with balls locked in balance, m.
+    """
+    left = series.scatter.amplitude_m
+    return (
+        _mass_of_the_level(p),
+        Claim.judged(
+            "section 3.3.2",
+            "Vibration is largest without balls: every start-up with balls has less.",
+            bool(np.all(left < bare)),
+            f"without {2e3 * bare:.3f} mm peak to peak (balls locked apart, measured "
+            f"{2e3 * series.locked_m:.3f} mm); with balls {2e3 * left.min():.3f} to {2e3 * left.max():.3f} mm, "
+            f"in the mean {2e3 * left.mean():.3f} mm",
+        ),
+        Claim.judged(
+            "section 3.3.2",
+            "It is smallest with the balls locked at ±30°.",
+            bool(np.all(left > best)),
+            f"locked there {2e6 * best:.2g} µm by the model, least of the start-ups {2e6 * left.min():.0f} µm",
+        ),
+        Claim.judged(
+            "Figure 3.27",
+            "The balls settle at other places each time, widely scattered.",
+            series.scatter.scatter_rad > 10 * series.own_rad and series.scatter.scatter_rad > math.radians(5),
+            f"standard deviation of a place {_degrees(series.scatter.scatter_rad)} ± "
+            f"{_degrees(series.scatter.scatter_std_rad)}, of the amplitude "
+            f"{2e3 * series.scatter.amplitude_scatter_m:.3f} mm peak to peak; the measurements alone "
+            f"{_degrees(series.own_rad)}",
         ),
     )
 
