@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa  # pyright: ignore[reportMissingTypeStubs]
-import pyarrow.parquet as pq  # pyright: ignore[reportMissingTypeStubs]
+import pyarrow as pa  # pyright: ignore[reportMissingTypeStubs]  # no stubs
+import pyarrow.parquet as pq  # pyright: ignore[reportMissingTypeStubs]  # no stubs
 
 from analysis.figures.style import save, to_svg
 from reproduction.catalogue import Item

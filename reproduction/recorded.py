@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from analysis import SteadyMeasurement, measure
 from daq.lockstep.rehearsal import Rehearsal
@@ -53,7 +53,10 @@ def _leaves(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> list[tuple
     """Return the paths of a table's numbers."""
     found = list[tuple[str, ...]]()
     for key, value in table.items():
-        found += _leaves(value, (*above, key)) if isinstance(value, dict) else [(*above, key)]  # pyright: ignore
+        if isinstance(value, dict):
+            found += _leaves(cast("dict[str, Any]", value), (*above, key))
+        else:
+            found.append((*above, key))
     return found
 
 

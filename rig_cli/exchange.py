@@ -105,7 +105,7 @@ class ImportColumns:
 
     Attributes:
         time: column of sample times, from the recording's start or since 1970
-        rate_Hz: rows per second if there is no column of times
+        rate_Hz: rows per second without a column of times
         x: displacement of the disk's centre along x
         y: displacement of the disk's centre along y
         theta3: angle of pendulum A relative to the rotor

@@ -99,7 +99,7 @@ class Keyboard:
         Args:
             elsewhere: whether a prompt can also be confirmed elsewhere, on the live page.
         Raises:
-            ProcedureError: standard input is not a terminal, and there is no other place to confirm.
+            ProcedureError: standard input is not a terminal, and prompts cannot be confirmed elsewhere.
         """
         notify(f">>> {text}")
         if not self.there and not elsewhere:

@@ -7,8 +7,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Annotated, Any
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, cast
 
 from cyclopts import Parameter
 
@@ -19,7 +19,8 @@ _LARGEST = 1e15
 
 
 def _finite(_: Any, value: Any) -> None:
-    for number in value if isinstance(value, list | tuple) else [value]:  # pyright: ignore[reportUnknownVariableType]
+    numbers = cast("Sequence[Any]", value) if isinstance(value, list | tuple) else [value]
+    for number in numbers:
         if isinstance(number, int | float) and not abs(number) <= _LARGEST:  # also true for NaN
             raise ValueError(f"expected a finite number, at most {_LARGEST:g}, got {number:.6g}")
 

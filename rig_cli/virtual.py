@@ -212,9 +212,9 @@ def fault(
             print_json({"devices": kinds}) if json else show_faults(kinds)
             return
         what, chosen = _chosen(kind, device, kinds)
-        asked: dict[str, Any] = {"device": chosen, "what": what, "end": end}
-        asked |= {name: given for name, given in (("value", value), ("seconds", seconds)) if given is not None}
-        line.ask("fail", **asked)
+        request: dict[str, Any] = {"device": chosen, "what": what, "end": end}
+        request |= {name: given for name, given in (("value", value), ("seconds", seconds)) if given is not None}
+        line.ask("fail", **request)
     words = "ended" if end else f"placed: {kinds[chosen].get(what, {}).get('words', what)}"
     _done(json, f"{chosen}: {what} {words}{f', for {seconds:g} s' if seconds else ''}", device=chosen, fault=what)
 

@@ -26,7 +26,7 @@ _WALL_S = 2.0  # longest wall time to the next wait of a thread
 
 _real_start, _real_join = threading.Thread.start, threading.Thread.join
 _real_wait = threading.Event.wait
-_real_get = cast("Callable[..., Any]", queue.Queue.get)  # pyright: ignore[reportUnknownMemberType]
+_real_get = cast("Callable[..., Any]", queue.Queue.get)  # pyright: ignore[reportUnknownMemberType]  # generic
 _real_sleep, _real_monotonic, _real_monotonic_ns = time.sleep, time.monotonic, time.monotonic_ns
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
+from scipy.integrate import solve_ivp  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]  # no stubs
 
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.stability_map import draw_borders, set_plane
@@ -21,7 +21,7 @@ from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.periodic_matrix import (
     PeriodicMatrix,
-    evaluate,  # pyright: ignore[reportUnknownVariableType]
+    evaluate,  # pyright: ignore[reportUnknownVariableType]  # a numba kernel
 )
 from dynamics.stability.floquet import piecewise, single_pass
 from dynamics.stability.floquet.methods import per_radian

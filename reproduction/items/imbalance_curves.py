@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]  # no stubs
 
 from analysis.figures.branches import A_COLOUR, B_COLOUR, draw_amplitudes, draw_angles, mark_borders
 from analysis.figures.sheet import WIDTH_IN, sheet

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]  # no stubs
 
 from analysis.figures.branches import A_COLOUR, B_COLOUR
 from analysis.figures.style import GREY, MEASURED

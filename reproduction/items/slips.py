@@ -39,7 +39,7 @@ class Ends:
 
     Attributes:
         name: type reached, SLIPPING (a stable slipping motion), TURNING (continues to turn without a regular slip),
-            SWINGING (if there is no stable state) or "not settled"; shape (n,).
+            SWINGING (if no state is stable) or "not settled"; shape (n,).
         turns: of A and B against the rotor, per revolution, shape (n, 2).
     """
 
