@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, cast
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any, cast, get_type_hints
 
 from cyclopts import Parameter
 
@@ -19,10 +20,25 @@ _LARGEST = 1e15
 
 
 def _finite(_: Any, value: Any) -> None:
+    if is_dataclass(value):  # a group of options
+        for field in fields(value):
+            try:
+                _finite(None, getattr(value, field.name))
+            except ValueError as fault:
+                raise ValueError(f"{_option(type(value), field.name)}: {fault}") from fault
+        return
     numbers = cast("Sequence[Any]", value) if isinstance(value, list | tuple) else [value]
     for number in numbers:
         if isinstance(number, int | float) and not abs(number) <= _LARGEST:  # also true for NaN
             raise ValueError(f"expected a finite number, at most {_LARGEST:g}, got {number:.6g}")
+
+
+def _option(group: type, name: str) -> str:
+    """Return the option of a field in a group."""
+    for mark in getattr(get_type_hints(group, include_extras=True)[name], "__metadata__", ()):
+        if isinstance(mark, Parameter) and mark.name:
+            return str(mark.name[0])
+    return f"--{name.replace('_', '-')}"
 
 
 def between(low: float, high: float, *, low_too: bool = False) -> Callable[[Any, Any], None]:

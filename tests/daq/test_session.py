@@ -301,17 +301,7 @@ def test_ctrl_c_a_polite_kill_and_a_hang_up_end_a_recording_with_a_whole_log(
     virtual_rig: VirtualRigProcess, tmp_path: Path, name: str
 ) -> None:
     log = tmp_path / "run.mcap"
-    command = [
-        sys.executable,
-        "-m",
-        "rig_cli.main",
-        "record",
-        "virtual",
-        "-o",
-        str(log),
-        "--time-scale",
-        str(TIME_SCALE),
-    ]
+    command = [sys.executable, "-m", "rig_cli.main", "record", "virtual", "-o", str(log), "--time-scale", str(TIME_SCALE)]
     for setting in virtual_rig.port_settings():
         command += ["--set", setting]
     told = signal.Signals[name]
