@@ -37,7 +37,7 @@ def _option(group: type, name: str) -> str:
     """Return the option of a field in a group."""
     for mark in getattr(get_type_hints(group, include_extras=True)[name], "__metadata__", ()):
         if isinstance(mark, Parameter) and mark.name:
-            return str(mark.name[0])
+            return cast("tuple[str, ...]", mark.name)[0]
     return f"--{name.replace('_', '-')}"
 
 
