@@ -33,17 +33,7 @@ CHANGED = {
 def campaign(seed: int, settings: list[str]) -> dict[str, Any]:
     """One demo; its JSON with the exit code added."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [
-            sys.executable,
-            "-m",
-            "rig_cli.main",
-            "demo",
-            "--json",
-            "--seed",
-            str(seed),
-            "--out",
-            f"{folder}/demo",
-        ]
+        command = [sys.executable, "-m", "rig_cli.main", "demo", "--json", "--seed", str(seed), "--out", f"{folder}/demo"]
         for setting in settings:
             command += ["--set", setting]
         done = subprocess.run(command, capture_output=True, text=True, check=False)

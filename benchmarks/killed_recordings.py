@@ -78,10 +78,7 @@ def _judge(part: Path, begun_ns: int, killed_ns: int) -> tuple[float, list[str]]
         faults.append(f"{missing_ms:.0f} ms missing")
     whole = part.with_name(part.name.removesuffix(".part"))
     done = subprocess.run(
-        [sys.executable, "-m", "rig_cli.main", "recover", str(part), "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-m", "rig_cli.main", "recover", str(part), "--json"], capture_output=True, text=True, check=False
     )
     if done.returncode != 0 or json.loads(done.stdout)["log"] != str(whole):
         return missing_ms, [*faults, f"rig recover: exit {done.returncode}: {done.stderr.strip()[-200:]}"]

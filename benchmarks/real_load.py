@@ -46,17 +46,7 @@ def measure(seconds: float, folder: Path) -> dict[str, object]:
     """One recording."""
     path = folder / "load.mcap"
     with VirtualRigProcess("virtual", _LOAD, 1.0) as rig:
-        command = [
-            sys.executable,
-            "-m",
-            "rig_cli.main",
-            "record",
-            "virtual",
-            "-o",
-            str(path),
-            "--duration",
-            str(seconds),
-        ]
+        command = [sys.executable, "-m", "rig_cli.main", "record", "virtual", "-o", str(path), "--duration", str(seconds)]
         for setting in [*_LOAD, *rig.port_settings()]:
             command += ["--set", setting]
         host = subprocess.Popen(command, stdout=subprocess.DEVNULL)
