@@ -1,5 +1,5 @@
 # pyright: strict
-"""The source's figures, tables and claims, made anew and judged: `rig reproduce`.
+"""The source's figures, tables and claims, reproduced and judged: `rig reproduce`.
 
 The source is R. Horváth, *Passive Pendulum Balancer for Rotor Systems*, dissertation, Auburn University, 2006.
 """

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownVariableType=false, reportUnknownMemberType=false, reportUnknownArgumentType=false
-"""All items in one HTML file that needs nothing beside it, and the same verdicts as a page of the docs."""
+"""All items in one self-contained HTML file, and the same verdicts as a page of the docs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from daq.version import software_version
 from reproduction.files import Written
 
 _TEMPLATE = "book.html.j2"
-_TONES = 15  # of each colour, in the small copies of the figures for the docs
+_TONES = 15  # levels of each colour in the small copies of the figures for the docs
 _CLASSES = {"holds": "good", "holds in part": "open", "does not hold": "bad"}
 
 
@@ -26,7 +26,7 @@ def write_book(path: Path, made: Sequence[Written]) -> Path:
     """Write the book.
 
     Args:
-        path: the HTML file, in the folder that the items' folders are in.
+        path: the HTML file, in the folder of the items' folders.
         made: items in their order.
     Returns:
         The path.
@@ -45,7 +45,7 @@ def write_book(path: Path, made: Sequence[Written]) -> Path:
 
 
 def counts_of(made: Sequence[Written]) -> dict[str, int]:
-    """Verdict to the number of claims that have it."""
+    """Return the number of claims of each verdict."""
     found = Counter(claim["verdict"] for one in made for claim in one.claims)
     return {verdict: found[verdict] for verdict in _CLASSES if found[verdict]}
 
@@ -77,7 +77,7 @@ def _cell(value: Any) -> str:
 
 
 def write_docs(page: Path, made: Sequence[Written]) -> None:
-    """The verdicts as Markdown, and small copies of the figures in a folder of the page's name beside it."""
+    """Write the verdicts as Markdown, and small copies of the figures into a folder of the page's name next to it."""
     figures = page.with_suffix("")
     figures.mkdir(parents=True, exist_ok=True)
     for one in made:
@@ -87,7 +87,7 @@ def write_docs(page: Path, made: Sequence[Written]) -> None:
 
 
 def _small_copy(figure: Path, copy: Path) -> None:
-    """Half as wide and high, in fewer tones: a tenth of the bytes."""
+    """Write a copy of half the width and height with fewer colours: a tenth of the bytes."""
     pixels = np.asarray(imread(figure), np.float64)[..., :3]
     rows, columns = (size // 2 for size in pixels.shape[:2])
     halved = pixels[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2, 3).mean(axis=(1, 3))
@@ -99,10 +99,10 @@ def _figure_name(one: Written, panel: Mapping[str, str]) -> str:
 
 
 def docs_page(made: Sequence[Written], figures: str) -> str:
-    """Markdown: every figure, every claim with its verdict and the numbers that decide.
+    """Return the page in Markdown: every figure, and every claim with its verdict and the numbers that decide it.
 
     Args:
-        figures: folder of the figures, seen from the page.
+        figures: folder of the figures, relative to the page.
     """
     counts = counts_of(made)
     lines = [
@@ -111,8 +111,8 @@ def docs_page(made: Sequence[Written], figures: str) -> str:
         "<!-- Written by `rig reproduce --all --docs docs/reproduction.md`; run that, do not edit this page. -->",
         "",
         "The source is R. Horváth, *Passive Pendulum Balancer for Rotor Systems*, dissertation, Auburn University,",
-        "2006. `rig reproduce` makes its figures and tables anew, with their data, and judges its claims. Statements",
-        "are worded by us.",
+        "2006. `rig reproduce` computes its figures and tables again, with their data, and judges its claims. The",
+        "statements are in our words.",
         "Wrong equations are in [misprints.md](theory/misprints.md).",
         "",
         f"{sum(counts.values())} claims: {', '.join(f'{verdict} {count}' for verdict, count in counts.items())}.",
@@ -127,7 +127,7 @@ def docs_page(made: Sequence[Written], figures: str) -> str:
     for one in made:
         lines += ["", f"## {one.item.id}: {one.item.title}", ""]
         if one.failed:
-            lines += [f"Not made: {one.failed}"]
+            lines += [f"Not reproduced: {one.failed}"]
             continue
         for panel in one.record["panels"]:
             lines += [f"![{panel['description']}]({figures}/{_figure_name(one, panel)})", "", panel["description"], ""]

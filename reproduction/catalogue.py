@@ -1,5 +1,5 @@
 # pyright: strict
-"""Which items of the source there are, and which function makes each."""
+"""The items of the source, and the function that reproduces each."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Make = Callable[[Workspace], Reproduced]
 
 @dataclass(frozen=True)
 class Item:
-    """A figure or table of the source, or a question it leaves open.
+    """A figure or table of the source, or a question that it leaves open.
 
     Attributes:
         id: the source's number; "open-…" for its open questions, "script" for its program.
         title: what it shows.
-        place: "module:function" that makes it.
-        seconds: of work on one core, about; long ones are begun first.
-        group: items with the same one are made one after the other in one process, and share what they keep in memory.
+        place: "module:function" that reproduces it.
+        seconds: approximate work on one core; long items are started first.
+        group: items of one group are reproduced in sequence in one process, and share intermediate results in memory.
     """
 
     id: str
@@ -33,7 +33,7 @@ class Item:
     group: str = ""
 
     def make(self) -> Make:
-        """The function."""
+        """Import and return the function."""
         module, name = self.place.split(":")
         return getattr(importlib.import_module(f"reproduction.items.{module}"), name)
 
@@ -102,12 +102,12 @@ ITEMS: tuple[Item, ...] = (
 
 
 def chosen(ids: Sequence[str]) -> list[Item]:
-    """Items by their numbers, in the source's order; all without.
+    """Return items by their numbers, in the source's order; all items for no numbers.
 
     Args:
-        ids: "2.2", or "2" and "3.1" for all whose numbers begin so, part by part.
+        ids: "2.2", or "2" and "3.1" for all items whose numbers begin with these parts.
     Raises:
-        UnknownItem: a number that no item has.
+        UnknownItem: no item has the number.
     """
     if not ids:
         return list(ITEMS)

@@ -13,4 +13,4 @@ class UnknownItem(ReproductionError):
 
 
 class NoDataOfSeries(ReproductionError):
-    """A recording of an item's series did not come to its end."""
+    """A recording of an item's series did not reach its end."""

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""An item's files: figures as SVG and PNG, tables as parquet, all else as JSON."""
+"""An item's files: figures as SVG and PNG, tables as parquet, the rest as JSON."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa  # pyright: ignore[reportMissingTypeStubs]
-import pyarrow.parquet as pq  # pyright: ignore[reportMissingTypeStubs]
+import pyarrow as pa  # pyright: ignore[reportMissingTypeStubs]  # no stubs
+import pyarrow.parquet as pq  # pyright: ignore[reportMissingTypeStubs]  # no stubs
 
 from analysis.figures.style import save, to_svg
 from reproduction.catalogue import Item
 from reproduction.results import Reproduced, Table
 
 _RECORD = "item.json"
-_MOST_SHOWN = 200  # rows of a table that the book prints
+_MAX_ROWS = 200  # printed rows of a table in the book
 
 
 @dataclass(frozen=True)
 class Written:
-    """An item as its folder has it.
+    """An item as stored in its folder.
 
     Attributes:
-        item: which.
-        folder: where.
+        item: the item.
+        folder: its folder.
         record: item.json: seconds, parameters, assumed, claims, panels, tables.
     """
 
@@ -37,16 +37,16 @@ class Written:
 
     @property
     def failed(self) -> str:
-        """Why it could not be made; "" where it was."""
+        """Why it could not be reproduced; "" if it was."""
         return str(self.record.get("failed", ""))
 
     @property
     def claims(self) -> list[dict[str, str]]:
-        """As Claim.to_json has them."""
+        """Claims as dictionaries, see Claim.to_json."""
         return list(self.record["claims"])
 
     def svg(self, name: str) -> str:
-        """A figure's one element, ids made different from those of other items."""
+        """Return a figure as one SVG element whose ids differ from those of other items."""
         return (self.folder / f"{name}.inline.svg").read_text(encoding="utf-8")
 
 
@@ -77,7 +77,7 @@ def write_item(item: Item, found: Reproduced, folder: Path, seconds: float) -> W
 
 
 def write_failure(item: Item, folder: Path, fault: Exception) -> None:
-    """Leave a record of an item that could not be made."""
+    """Write a record of an item that could not be reproduced."""
     folder.mkdir(parents=True, exist_ok=True)
     record: dict[str, Any] = {
         "id": item.id,
@@ -94,14 +94,14 @@ def write_failure(item: Item, folder: Path, fault: Exception) -> None:
 
 
 def read_item(item: Item, folder: Path) -> Written:
-    """An item's record from its folder."""
+    """Read an item's record from its folder."""
     return Written(item, folder, json.loads((folder / _RECORD).read_text(encoding="utf-8")))
 
 
 def _write_table(path: Path, item: Item, table: Table, parameters: Mapping[str, float | str]) -> None:
     lengths = {name: len(values) for name, values in table.columns.items()}
     if len(set(lengths.values())) != 1:
-        raise ValueError(f"{item.id} {table.name}: columns of one length were expected, got {lengths}")
+        raise ValueError(f"{item.id} {table.name}: expected columns of one length, got {lengths}")
     about = {"item": item.id, "title": table.title, "parameters": json.dumps(dict(parameters), allow_nan=False)}
     arrow: Any = pa
     columns = arrow.table({name: np.asarray(values) for name, values in table.columns.items()})
@@ -110,7 +110,7 @@ def _write_table(path: Path, item: Item, table: Table, parameters: Mapping[str, 
 
 def _table_json(table: Table) -> dict[str, Any]:
     columns = {name: [_plain(value) for value in np.asarray(values).tolist()] for name, values in table.columns.items()}
-    rows = [list(row) for row in zip(*columns.values(), strict=True)][:_MOST_SHOWN] if table.shown else []
+    rows = [list(row) for row in zip(*columns.values(), strict=True)][:_MAX_ROWS] if table.shown else []
     return {"name": table.name, "title": table.title, "columns": list(columns), "rows": rows}
 
 

@@ -1,12 +1,12 @@
 # pyright: strict
-"""Points recorded on the virtual rig, through its drivers and logs, and what was measured of them."""
+"""Points recorded on the virtual rig through its drivers and logs, with their measured values."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from analysis import SteadyMeasurement, measure
 from daq.lockstep.rehearsal import Rehearsal
@@ -22,8 +22,8 @@ class Recorded:
     Attributes:
         rig: the rig file with its settings.
         run: signals on one clock.
-        measured: with uncertainties.
-        missed: what the guided test did not reach; "" where all.
+        measured: measured values with uncertainties.
+        missed: what the guided test did not reach; "" for nothing.
     """
 
     rig: Rig
@@ -33,10 +33,10 @@ class Recorded:
 
 
 def as_stated(rig: str, settings: Sequence[str]) -> tuple[str, ...]:
-    """Settings by which a shipped rig's truth is what its file says, with further ones laid over both.
+    """Return settings that make a shipped rig's truth equal to its file, in addition to the given ones.
 
-    The source identified its parameters before it compared. Here they are known instead: what differs from the model
-    are sensors, clocks, locks, drive and noise.
+    The source identified its parameters before its comparison. Here they are given: the recording differs from the
+    model only by sensors, clocks, locks, drive and noise.
 
     Args:
         rig: name of a shipped rig file.
@@ -50,10 +50,13 @@ def as_stated(rig: str, settings: Sequence[str]) -> tuple[str, ...]:
 
 
 def _leaves(table: Mapping[str, Any], above: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    """Paths of a table's numbers."""
+    """Return the paths of a table's numbers."""
     found = list[tuple[str, ...]]()
     for key, value in table.items():
-        found += _leaves(value, (*above, key)) if isinstance(value, dict) else [(*above, key)]  # pyright: ignore
+        if isinstance(value, dict):
+            found += _leaves(cast("dict[str, Any]", value), (*above, key))
+        else:
+            found.append((*above, key))
     return found
 
 
@@ -70,16 +73,16 @@ _KEPT: dict[tuple[str, tuple[str, ...], int, str], tuple[Recorded, ...]] = {}
 def recorded_points(
     folder: Path, rig: str, settings: tuple[str, ...], count: int = 1, point: str = "above"
 ) -> tuple[Recorded, ...]:
-    """Start-ups to a point's speed, each released, recorded until all is steady, and measured.
+    """Record and measure start-ups to a point's speed, each with a release, until the motion is steady.
 
-    Items of one group share them: the same ones are recorded once in a process.
+    Items of one group share the recordings: equal ones are recorded once in a process.
 
     Args:
-        folder: for the logs, where they are not recorded yet.
+        folder: of the logs, if they are not recorded yet.
         rig: name of a shipped rig file.
         settings: "key=value".
-        count: how many; the locks' play is drawn anew for each.
-        point: whose speed it is.
+        count: number of start-ups; the locks' play is drawn again for each.
+        point: the point with the speed.
     """
     key = (rig, settings, count, point)
     if key not in _KEPT:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Recordings on the virtual rig, through its drivers, wire bytes and logs, and what is measured from them."""
+"""Recordings on the virtual rig through its drivers, wire bytes and logs, and their measured values."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from rig_configs import IdentifiedParameters, Rig
 from studies.runs import load_runs, validated
 
 BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
-"""Tests from which a rig is identified before its points are run."""
+"""Tests that identify a rig before its points are run."""
 
 
 @dataclass(frozen=True)
 class KnownRig:
-    """A virtual rig and what was identified of it.
+    """A virtual rig and its identified parameters.
 
     Attributes:
-        name, settings: of the rig file, and laid over it.
-        rig: the rig file, ports included.
+        name, settings: name of the rig file, and settings over it.
+        rig: the rig file with its ports.
         parameters: identified from its logs.
     """
 
@@ -39,9 +39,9 @@ def known_rig(name: str, settings: Sequence[str], folder: Path) -> KnownRig:
     """Record the tests that identify a rig, and identify it.
 
     Args:
-        name: of a shipped rig file with a [virtual] table.
-        settings: "key=value" laid over it; `virtual.seed` draws its noise and calibration errors.
-        folder: for the logs.
+        name: name of a shipped rig file with a [virtual] table.
+        settings: "key=value" over it; `virtual.seed` draws its noise and calibration errors.
+        folder: of the logs.
     """
     with Rehearsal(name, folder, list(settings)) as rehearsal:
         logs = [rehearsal.record(test).log for test in BEFORE_POINTS]
@@ -50,19 +50,19 @@ def known_rig(name: str, settings: Sequence[str], folder: Path) -> KnownRig:
 
 
 def recorded_point(known: KnownRig, point: str, folder: Path) -> tuple[Run, PointResult]:
-    """Run a point on a known rig and hold it against the model.
+    """Run a point on an identified rig and compare it with the model.
 
     Raises:
-        NoDataOfSeries: its log holds no such point.
+        NoDataOfSeries: the log does not contain the point.
     """
     with Rehearsal(known.name, folder, list(known.settings)) as rehearsal:
         log = rehearsal.record(f"point-{point}", known.parameters).log
         runs = load_runs([log])
-        judged = validated(runs, rehearsal.rig, known.parameters, _tell_nobody)
+        judged = validated(runs, rehearsal.rig, known.parameters, _ignore)
     if point not in judged.points:
         raise NoDataOfSeries(f"{log}: expected the point {point}, found {', '.join(judged.points) or 'none'}")
     return runs[0], judged.points[point]
 
 
-def _tell_nobody(text: str) -> None:
+def _ignore(text: str) -> None:
     del text

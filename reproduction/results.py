@@ -1,5 +1,5 @@
 # pyright: strict
-"""What an item of the source comes to: figures, tables of their data, and a verdict on each claim."""
+"""Result of an item of the source: figures, tables of their data, and a verdict on each claim."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 Verdict = Literal["holds", "holds in part", "does not hold"]
-"""Of a claim. "in part": as far as `computed` says."""
+"""Verdict on a claim. For "holds in part", `computed` states how far."""
 Column = NDArray[Any] | Sequence[float] | Sequence[str]
 
 
@@ -21,9 +21,9 @@ class Claim:
     """A statement of the source that a computation can refute.
 
     Attributes:
-        place: section, figure or table where it stands.
+        place: section, figure or table of the statement.
         statement: what is claimed, in our words.
-        verdict: what the computation makes of it.
+        verdict: result of the computation.
         computed: the numbers that decide, with units.
     """
 
@@ -34,23 +34,23 @@ class Claim:
 
     @classmethod
     def judged(cls, place: str, statement: str, holds: bool | np.bool_, computed: str) -> Claim:
-        """A claim that holds or does not."""
+        """Return a claim that holds or does not."""
         return cls(place, statement, "holds" if holds else "does not hold", computed)
 
     def to_json(self) -> dict[str, str]:
-        """Fields by name."""
+        """Return the fields by name."""
         return {"place": self.place, "statement": self.statement, "verdict": self.verdict, "computed": self.computed}
 
 
 @dataclass(frozen=True)
 class Table:
-    """The numbers behind a figure, or a table of the source.
+    """The data of a figure, or a table of the source.
 
     Attributes:
-        name: letters, digits and "-", different within an item; the file's name.
-        title: what it holds.
+        name: letters, digits and "-", unique within an item; the file's name.
+        title: what it contains.
         columns: name with unit to values, all of one length.
-        shown: whether the book prints it; the file is written either way.
+        shown: whether the book prints it; the file is written in both cases.
     """
 
     name: str
@@ -64,9 +64,9 @@ class Panel:
     """A figure.
 
     Attributes:
-        name: letters, digits and "-", different within an item; the file's name.
-        description: what is to be seen, in a sentence; read out by screen readers and printed below.
-        figure: drawn.
+        name: letters, digits and "-", unique within an item; the file's name.
+        description: what it shows, in a sentence; read by screen readers and printed below.
+        figure: the drawn figure.
     """
 
     name: str
@@ -76,13 +76,13 @@ class Panel:
 
 @dataclass(frozen=True)
 class Reproduced:
-    """An item made anew.
+    """A reproduced item.
 
     Attributes:
         panels: figures.
         tables: their data, and tables of the source.
-        parameters: what was computed with: name with unit to value.
-        assumed: what the source leaves open and was chosen here, a sentence each.
+        parameters: parameters of the computation: name with unit to value.
+        assumed: choices that the source leaves open, one sentence each.
         claims: at least one.
     """
 

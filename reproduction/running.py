@@ -1,5 +1,5 @@
 # pyright: strict
-"""Make items, each in a process of its own, the long ones first."""
+"""Reproduction of items in parallel processes, the long ones first."""
 
 from __future__ import annotations
 
@@ -15,36 +15,38 @@ from reproduction.catalogue import ITEMS, Item
 from reproduction.files import Written, read_item, write_failure, write_item
 from reproduction.workspace import Workspace
 
-_LOOK_S = 0.5  # how often what has ended is looked for
+_POLL_S = 0.5  # interval at which ended items are collected
 Progress = Callable[[float, str], None]
-"""Called with the share of the work done, 0 … 1, and what was done last."""
+"""Called with the completed share, 0 … 1, and the item completed last."""
 
 
 def reproduce(items: Sequence[Item], folder: Path, jobs: int = 1, progress: Progress | None = None) -> list[Written]:
-    """Make items and write their files.
+    """Reproduce items and write their files.
 
     Args:
         items: of ITEMS.
-        folder: each gets a folder of its own in it, by its number.
+        folder: each item gets a folder in it, named by its number.
         jobs: processes; 1: this one.
         progress: see Progress.
     Returns:
-        What was written, in the order of `items`; an item that could not be made has `failed` set.
+        The written items in the order of `items`; one that could not be reproduced has `failed` set.
     """
-    tell = progress or _tell_nobody
+    notify = progress or _ignore
     total = sum(item.seconds for item in items)
     if jobs == 1:
         done = 0.0
         for item in items:
-            _made(item, folder, lambda share, at=done, own=item: tell((at + share * own.seconds) / total, own.id))
+            _reproduce_one(
+                item, folder, lambda share, at=done, own=item: notify((at + share * own.seconds) / total, own.id)
+            )
             done += item.seconds
-            tell(done / total, item.id)
+            notify(done / total, item.id)
     else:
-        _beside(items, folder, jobs, tell)
+        _in_parallel(items, folder, jobs, notify)
     return [read_item(item, folder / item.id) for item in items]
 
 
-def _beside(items: Sequence[Item], folder: Path, jobs: int, tell: Progress) -> None:
+def _in_parallel(items: Sequence[Item], folder: Path, jobs: int, notify: Progress) -> None:
     total, done = sum(item.seconds for item in items), 0.0
     context = multiprocessing.get_context("spawn")
     with (
@@ -53,15 +55,15 @@ def _beside(items: Sequence[Item], folder: Path, jobs: int, tell: Progress) -> N
     ):
         ended = manager.Queue()
         parts = _groups(items)
-        running: set[Future[None]] = {pool.submit(_one_by_one, part, folder, ended) for part in parts}
+        running: set[Future[None]] = {pool.submit(_in_sequence, part, folder, ended) for part in parts}
         try:
             while running:
-                over = wait(running, timeout=_LOOK_S, return_when=FIRST_COMPLETED).done
+                over = wait(running, timeout=_POLL_S, return_when=FIRST_COMPLETED).done
                 running -= over
                 while not ended.empty():
                     seconds, number = ended.get()
                     done += seconds
-                    tell(done / total, number)
+                    notify(done / total, number)
                 for future in over:
                     future.result()
         except BaseException:
@@ -70,7 +72,7 @@ def _beside(items: Sequence[Item], folder: Path, jobs: int, tell: Progress) -> N
 
 
 def _groups(items: Sequence[Item]) -> list[list[str]]:
-    """Numbers of the items that go together, the longest work first."""
+    """Return the numbers of the items of each group, the longest work first."""
     groups: dict[str, list[Item]] = {}
     for item in items:
         groups.setdefault(item.group or item.id, []).append(item)
@@ -78,27 +80,27 @@ def _groups(items: Sequence[Item]) -> list[list[str]]:
     return [[item.id for item in group] for group in ordered]
 
 
-def _one_by_one(numbers: list[str], folder: Path, ended: Any) -> None:
+def _in_sequence(numbers: list[str], folder: Path, ended: Any) -> None:
     for number in numbers:
         item = next(each for each in ITEMS if each.id == number)
-        _made(item, folder, _tell_no_share)
+        _reproduce_one(item, folder, _ignore_share)
         ended.put((item.seconds, number))
 
 
-def _tell_no_share(share: float) -> None:
+def _ignore_share(share: float) -> None:
     del share
 
 
-def _made(item: Item, folder: Path, tell: Callable[[float], None]) -> None:
+def _reproduce_one(item: Item, folder: Path, progress: Callable[[float], None]) -> None:
     started = time.perf_counter()
     own = folder / item.id
     own.mkdir(parents=True, exist_ok=True)
     try:
-        found = item.make()(Workspace(own, tell))
+        found = item.make()(Workspace(own, progress))
         write_item(item, found, own, time.perf_counter() - started)
-    except Exception as fault:  # the others are made all the same; the record and the command say what failed
+    except Exception as fault:  # the other items are still reproduced; the record and the command report the failure
         write_failure(item, own, fault)
 
 
-def _tell_nobody(share: float, what: str) -> None:
+def _ignore(share: float, what: str) -> None:
     del share, what

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Where an item is made: its folder, rigs by settings, and who hears how far it is."""
+"""Environment in which an item is reproduced: its folder, rigs by settings, its progress."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ VIRTUAL, ISOTROPIC = "virtual", "isotropic"
 
 @dataclass(frozen=True)
 class Workspace:
-    """An item's own place.
+    """An item's environment.
 
     Attributes:
-        folder: for recordings and files.
-        tell: called with the share done, 0 … 1.
+        folder: of its recordings and files.
+        progress: called with the completed share, 0 … 1.
     """
 
     folder: Path
-    tell: Callable[[float], None] = field(default=lambda share: None)
+    progress: Callable[[float], None] = field(default=lambda share: None)
 
     def physics(self, rig: str = VIRTUAL, settings: Sequence[str] = ()) -> RotorParameters:
-        """A shipped rig's physical parameters with settings laid over them.
+        """Return a shipped rig's physical parameters with settings applied.
 
         Args:
             rig: name of a shipped rig file.
-            settings: "key=value" as `--set` takes them.
+            settings: "key=value" as for `--set`.
         """
         return load_rig(rig, settings=list(settings)).physics
 
     def recordings(self, name: str) -> Path:
-        """A new folder for logs."""
+        """Create and return a new folder for logs."""
         found = self.folder / "recordings" / name
         found.mkdir(parents=True, exist_ok=True)
         return found
 
 
 def numbers_of(p: RotorParameters) -> dict[str, float | str]:
-    """A rig's parameters for an item's list, by the names of the rig file and with derived ones."""
+    """Return a rig's parameters for an item's list, by the names of the rig file and with derived ones."""
     return {
         "rotor.mass_kg": p.rotor_mass_kg,
         "pendulums.a.mass_kg": p.a.mass_kg,

@@ -1,27 +1,28 @@
-"""Commands that talk to devices: check, record."""
+"""Commands that use devices: check, record."""
 
 from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from rig_cli.check_page import look_at, plain_rates, print_checks
-from rig_cli.console import print_json, say
-from rig_cli.foxglove import Foxglove, follow_session, foxglove_beside
-from rig_cli.live import Live, LiveHost, LivePort, follow, page_beside
-from rig_cli.numbers import LookSeconds, PositiveSeconds, TimeScale
-from rig_cli.options import Json, Settings, rig_or_log, warn_of_slips
-from rig_cli.recording import RecordingStatus
 from daq.acquisition.device_check import common_factor, device_checks, passed
 from daq.acquisition.session import Session
 from daq.guided_tests.procedure import zero_counters
 from daq.log.file import ReservedName
 from daq.log.losses import Losses
 from daq.transports import HostClock
+from rig_cli.check_page import look_at, plain_rates, print_checks
+from rig_cli.console import notify, print_json
+from rig_cli.foxglove import follow_session, foxglove_of_session
+from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
+from rig_cli.numbers import LookSeconds, PositiveSeconds, TimeScale
+from rig_cli.options import Json, Settings, load_rig_or_log, warn_of_unusual_settings
+from rig_cli.recording import RecordingStatus
 from rig_configs import load_rig
 
 
@@ -30,17 +31,17 @@ def check(
     *,
     seconds: LookSeconds = 2.0,
     zero: Annotated[
-        bool, Parameter(negative="", help="close both locks and zero the node's counters there before looking")
+        bool, Parameter(negative="", help="first close both locks and zero the node's counters there")
     ] = False,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Validate a rig file, open its devices, hold what they do against it; exit 1 when a device fails a check."""
+    """Validate a rig file, open its devices, compare them with the file; exit 1 when a device fails a check."""
     loaded = load_rig(rig, settings=settings or [])
-    warnings = warn_of_slips(loaded)
+    warnings = warn_of_unusual_settings(loaded)
     session = Session(loaded, HostClock(time_scale))
-    session.lenient = True  # a device that is not what the rig file says is a verdict here
+    session.lenient = True  # a device that differs from the rig file is a failed check here, not an error
     with session:
         if zero:
             zero_counters(session)
@@ -50,11 +51,13 @@ def check(
         rates = plain_rates(session, started)
     if session.left:
         warnings.append(session.left)
-        say(f"warning: {session.left}")
+        notify(f"warning: {session.left}")
     factor = common_factor(look)
     if factor is not None:
-        warnings.append(f"all clocks run {factor:.3g} times as fast as ours: is --time-scale {time_scale:g} right?")
-        say(f"warning: {warnings[-1]}")
+        warnings.append(
+            f"all clocks run {factor:.3g} times as fast as the host's: is --time-scale {time_scale:g} right?"
+        )
+        notify(f"warning: {warnings[-1]}")
     good = all(map(passed, devices.values()))
     if json:
         verdicts = {
@@ -81,45 +84,59 @@ def check(
     return 3 if session.left else 0 if good else 1
 
 
-def record(
-    rig: Annotated[str, Parameter(help="a rig file, a shipped rig, or a log whose rig and devices are meant")],
-    *,
-    output: Annotated[Path, Parameter(name=["--output", "-o"])],
-    duration: Annotated[PositiveSeconds | None, Parameter(help="seconds of rig time; without it until Ctrl-C")] = None,
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Recording:
+    """What is recorded, and for how long.
+
+    Attributes:
+        output: the log.
+        duration: rig time; None: until Ctrl-C.
+        listen: whether the session only receives.
+        until_silent: wall time without data after which the recording ends; None: never.
+        note: the operator's note.
+    """
+
+    output: Annotated[Path, Parameter(name=["--output", "-o"])]
+    duration: Annotated[PositiveSeconds | None, Parameter(help="seconds of rig time; without it until Ctrl-C")] = None
     listen: Annotated[
-        bool, Parameter(negative="", help="only listen: configure nothing, turn nothing, record from the first byte")
-    ] = False,
+        bool, Parameter(negative="", help="receive only: configure nothing, turn nothing, record from the first byte")
+    ] = False
     until_silent: Annotated[
-        PositiveSeconds | None, Parameter(help="end when no device has sent anything for so many wall seconds")
-    ] = None,
-    note: str = "",
-    live: Live = False,
-    live_host: LiveHost = "",
-    live_port: LivePort = 0,
-    foxglove: Foxglove | None = None,
+        PositiveSeconds | None, Parameter(help="end when no device has sent data for so many wall seconds")
+    ] = None
+    note: str = ""
+
+
+def record(
+    rig: Annotated[str, Parameter(help="a rig file, a shipped rig, or a log whose rig and devices are used")],
+    *,
+    recording: Recording,
+    displays: Displays = TERMINAL_ONLY,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
     """Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and the disk."""
-    loaded, identities = rig_or_log(rig, settings or [])
-    warn_of_slips(loaded)
+    output, listen, note = recording.output, recording.listen, recording.note
+    loaded, identities = load_rig_or_log(rig, settings or [])
+    warn_of_unusual_settings(loaded)
     clock = HostClock(time_scale)
     facts = {"test": "record", "note": note}
     with (
-        ReservedName(output) as name,  # before any device is disturbed: another recording may be using them
-        page_beside(live, loaded, None, settings or [], clock.rate, live_host, live_port, json) as page,
-        foxglove_beside(foxglove, loaded, clock.rate, json) as given,
+        ReservedName(output) as name,  # before any device is disturbed: another recording may use them
+        page_of_session(displays.page, loaded, None, settings or [], clock.rate, json) as page,
+        foxglove_of_session(displays.foxglove, loaded, clock.rate, json) as connection,
     ):
-        session = Session(loaded, clock, identities, say)
+        session = Session(loaded, clock, identities, notify)
         with session.listen(name, facts) if listen else session.open():
             if not listen:
                 session.start_recording(name, facts)
             shown = {"words": "recording", "note": note, "log": str(output)}
             follow(page, session, None if listen else session.stop, shown)
-            follow_session(given, session)
+            follow_session(connection, session)
             with RecordingStatus(session) as status:
-                ended = _record_until(session, status, duration, until_silent)
+                ended = _record_until(session, status, recording.duration, recording.until_silent)
             losses, disk, rates = session.losses(), session.disk(), session.rates.summary()
             path = session.stop_recording({"ended": ended})
     slow_s = disk.slow_s if disk else 0.0
@@ -127,18 +144,18 @@ def record(
         warnings = [*session.notices, *([f"wrong rates: {rates}"] if rates else [])]
         print_json({"log": str(path), "ended": ended, "losses": losses, "disk_slow_s": slow_s, "warnings": warnings})
     else:
-        say(f"{path}: recorded, ended by {ended}; {Losses(losses, 'summary').words()}")
+        notify(f"{path}: recorded, ended by {ended}; {Losses(losses, 'summary').words()}")
         if rates:
-            say(f"warning: {rates}. Is the rig file's rate_Hz right, and --time-scale?")
+            notify(f"warning: {rates}. Is the rig file's rate_Hz right, and --time-scale?")
         if slow_s:
-            say(f"warning: the disk was behind for {slow_s:.1f} s in all; nothing was lost by that")
-    return 3 if session.notices and not listen else 0  # a rig that someone else runs is theirs to judge
+            notify(f"warning: the disk was behind for {slow_s:.1f} s in all; no data were lost")
+    return 3 if session.notices and not listen else 0  # without control of the rig its notices are no error here
 
 
 def _record_until(
     session: Session, status: RecordingStatus, duration_s: float | None, until_silent_s: float | None
 ) -> str:
-    """Wait for the end of a recording; says what ended it."""
+    """Wait for the end of a recording and return its cause."""
     end = math.inf if duration_s is None else session.clock.now_ns() + int(duration_s * 1e9)
     heard = False
     try:

@@ -1,7 +1,7 @@
 # pyright: strict
-"""The one JSON object that a command with `--json` puts on standard output, whatever becomes of the command.
+"""The one JSON object that a command with `--json` prints on standard output, for results and for errors.
 
-It needs nothing that may fail to load, so that what fails to load can be answered too.
+This module imports only the standard library: it can report that any other module fails to load.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from typing import Any
 
 @dataclass
 class _Answer:
-    """How the running command stands.
+    """State of the running command's answer.
 
     Attributes:
-        wanted: whether its arguments ask for JSON.
-        given: whether the object has gone out.
-        fault: why the program itself is at fault, in words, with the exit code; None as long as it is not.
-        names_fault: whether the object that has gone out says so.
+        wanted: whether the arguments request JSON.
+        given: whether the object has been printed.
+        fault: text and exit code of an error of the program itself; None without one.
+        names_fault: whether the printed object contains the fault.
     """
 
     wanted: bool = False
@@ -33,13 +33,13 @@ _answer = _Answer()
 
 
 def begin(arguments: Sequence[str]) -> None:
-    """A command begins."""
+    """Start the answer of a new command."""
     global _answer  # noqa: PLW0603 (one command runs at a time, and it has one standard output)
     _answer = _Answer(wanted=any(a in ("--json", "--json=true", "--json=True") for a in arguments))
 
 
 def give(result: Mapping[str, Any]) -> None:
-    """Print the result; where a thread died before, with what happened: the command ends with that."""
+    """Print the result. After a fault in a thread the object also contains the fault and its exit code."""
     if _answer.fault is not None:
         text, code = _answer.fault
         result, _answer.names_fault = {"error": text, "exit_code": code, **result}, True
@@ -47,15 +47,15 @@ def give(result: Mapping[str, Any]) -> None:
 
 
 def announce(result: Mapping[str, Any]) -> None:
-    """Print what goes before the answer, as a line of its own: where to look while the command runs."""
+    """Print a line before the answer, for example the address of a page while the command runs."""
     print(json.dumps(result), flush=True)
 
 
 def give_error(text: str, code: int) -> None:
-    """Print why there is no result, where JSON is wanted and no object has gone out.
+    """Print an error object if JSON is requested and no object has been printed.
 
     Args:
-        text: what was expected, what came, what to do.
+        text: what was expected, what was found, what to do.
         code: the command's exit code.
     """
     if _answer.wanted and not _answer.given:
@@ -63,17 +63,20 @@ def give_error(text: str, code: int) -> None:
 
 
 def note_fault(text: str, code: int) -> None:
-    """The program is at fault; the first fault counts.
+    """Record a fault of the program. Only the first one is kept.
 
     Args:
-        text: what happened, and what to send.
-        code: the exit code of such a fault.
+        text: what happened, and what to send to the developers.
+        code: exit code of such a fault.
     """
     _answer.fault = _answer.fault or (text, code)
 
 
 def ended(code: int) -> int:
-    """The exit code of a command that would end with this one: a fault's in place of 0, and where the result has it."""
+    """Return the exit code of a command that ends with `code`.
+
+    After a fault it is the fault's code if `code` is 0 or if the printed result contains the fault.
+    """
     if _answer.fault is None or (code != 0 and not _answer.names_fault):
         return code
     give_error(*_answer.fault)

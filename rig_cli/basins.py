@@ -1,27 +1,27 @@
-"""Where releases end, over the angles at which the locks hold the pendulums."""
+"""Ends of releases over the angles at which the locks hold the pendulums."""
 
 from __future__ import annotations
 
 import math
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
-from rig_cli.console import print_json, say, wait_for_compilation
+from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.model import Plot
-from rig_cli.numbers import Positive, PositiveRpm, PositiveSeconds
-from rig_cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from rig_cli.numbers import Positive, PositiveSeconds
+from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
 from rig_cli.scheduler import Scheduler, worked_out
 from rig_cli.share_progress import share_progress
-from rig_cli.speed import asked_speed
+from rig_cli.speed import NO_SPEED, SpeedChoice
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
-    from dynamics.equations.parameters import RotorParameters
     from dynamics.steady.basins.basin_map import BasinMap
     from dynamics.steady.basins.ends import End
     from studies.basins import BasinQuestion
@@ -30,21 +30,50 @@ if TYPE_CHECKING:
 _MOST = 1_000_000
 
 
-def basins(
-    rig: str,
-    *,
-    point: Annotated[str | None, Parameter(help="the speed of a point of the rig file")] = None,
-    speed_ratio: Annotated[Positive | None, Parameter(help="the speed as a ratio to the first resonance")] = None,
-    speed_rpm: Annotated[PositiveRpm | None, Parameter(help="the same in rpm")] = None,
-    grid: Annotated[str, Parameter(help="releases along θ3 and θ4, N3xN4, over the whole circle")] = "60x40",
-    seconds: Annotated[PositiveSeconds, Parameter(help="how long each release is followed")] = 20.0,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None,
-    plot: Plot = None,
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Releases:
+    """Releases of a basin map, and of rigs drawn from the parameters.
+
+    Attributes:
+        grid: "N3xN4" releases along θ3 and θ4.
+        seconds: how long each is followed.
+        probabilities: number of drawn rigs; None: none are drawn.
+        play_deg: play of the locks for these, °.
+    """
+
+    grid: Annotated[str, Parameter(help="releases along θ3 and θ4, N3xN4, over the whole circle")] = "60x40"
+    seconds: Annotated[PositiveSeconds, Parameter(help="how long each release is followed")] = 20.0
     probabilities: Annotated[
         int | None,
         Parameter(help="also draw so many rigs from the parameters' covariance, released within the locks' play"),
-    ] = None,
-    play_deg: Annotated[Positive, Parameter(help="the locks' play to either side, for --probabilities")] = 0.2,
+    ] = None
+    play_deg: Annotated[Positive, Parameter(help="the locks' play to either side, for --probabilities")] = 0.2
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class BasinFiles:
+    """Files of a basin map; None: not written.
+
+    Attributes:
+        output: the arrays, .npz.
+        plot: the figure.
+    """
+
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="write the arrays as .npz")] = None
+    plot: Plot = None
+
+
+_DEFAULT_RELEASES, _NO_FILES = Releases(), BasinFiles()
+
+
+def basins(
+    rig: str,
+    *,
+    speed: SpeedChoice = NO_SPEED,
+    releases: Releases = _DEFAULT_RELEASES,
+    files: BasinFiles = _NO_FILES,
     scheduler: Scheduler = None,
     parameters: ParametersPath = None,
     settings: Settings = None,
@@ -53,62 +82,88 @@ def basins(
     """Where releases end, over the angles at which the locks hold the pendulums.
 
     An end is balance, another steady state, or slipping. Each release starts on the orbit of the locked rotor and is
-    followed until a stable motion has caught it. Cells whose end hangs on less than the stated error are marked as
-    boundaries.
+    followed until it is within the domain of attraction of a stable motion. Cells whose end changes within the stated
+    error are marked as boundaries.
     """
-    need_place("rig basins:", output, plot)
-    if output is not None and output.suffix != ".npz":
-        raise RigFileError(f"rig basins: -o expected a name ending in .npz, got {output}")
-    if probabilities is not None and not 1 <= probabilities <= _MOST:
-        raise RigFileError(f"rig basins: --probabilities expected 1 to {_MOST} draws, got {probabilities}")
-    numbers = _grid(grid)
+    _check(releases, files)
+    numbers = _grid(releases.grid)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
     loaded = load_rig(rig, known, settings or [])
-    speed = asked_speed("rig basins", loaded, point, speed_rpm, speed_ratio)
+    speed_rad_s = speed.rad_s("rig basins", loaded)
     with wait_for_compilation("basins"):
-        from analysis.maps.question import parameters_source, rig_source  # noqa: PLC0415
-        from studies.basins import KIND, BasinQuestion, basin_study  # noqa: PLC0415
-        from studies.tile_files import TileFolder  # noqa: PLC0415
+        from analysis.maps.question import parameters_source, rig_source
+        from studies.basins import KIND, BasinQuestion, basin_study
 
         what = BasinQuestion(
-            rig_source(rig), parameters_source(parameters), tuple(settings or ()), speed, numbers, seconds
+            rig_source(rig),
+            parameters_source(parameters),
+            tuple(settings or ()),
+            speed_rad_s,
+            numbers,
+            releases.seconds,
         )
         study = basin_study(what)
         KIND.warm_up(study.text)
-    started = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="rig-basins-") as passing:
-        place = Path(passing) if output is None else Path(f"{output}.tiles")
-        found = _found(what, study, place, scheduler)
-        took = time.perf_counter() - started
-        chances = None
-        if probabilities is not None:
-            chances = _chances(what.physics, speed, known, probabilities, seconds, play_deg)
-        if output is not None:
-            np.savez_compressed(output, **_arrays(found))
-        if place.is_dir():
-            TileFolder(place, study).forget()
-    if plot is not None:
-        _draw(plot, loaded, speed, found, settings)
-    result = _result(loaded, found, took) | {
-        "probabilities": chances,
+    result = _computed(what, study, loaded, known, releases, files, scheduler) | {
         "what_if": list(settings or []),
-        "file": None if output is None else str(output),
-        "plot": None if plot is None else str(plot),
+        "file": None if files.output is None else str(files.output),
+        "plot": None if files.plot is None else str(files.plot),
     }
     if json:
         print_json(result)
         return 0
     _print(result, settings)
-    for path in (output, plot):
+    for path in (files.output, files.plot):
         if path is not None:
             print(f"written to {path}")
     return 0
 
 
+def _check(releases: Releases, files: BasinFiles) -> None:
+    """Check files and number of draws before the work.
+
+    Raises:
+        RigFileError: a file cannot be written, or the number is out of range.
+    """
+    check_outputs("rig basins:", files.output, files.plot)
+    if files.output is not None and files.output.suffix != ".npz":
+        raise RigFileError(f"rig basins: -o expected a name ending in .npz, got {files.output}")
+    draws = releases.probabilities
+    if draws is not None and not 1 <= draws <= _MOST:
+        raise RigFileError(f"rig basins: --probabilities expected 1 to {_MOST} draws, got {draws}")
+
+
+def _computed(
+    what: BasinQuestion,
+    study: Study,
+    rig: Rig,
+    known: IdentifiedParameters,
+    releases: Releases,
+    files: BasinFiles,
+    scheduler: str | None,
+) -> dict[str, Any]:
+    """Compute the map and the probabilities, write the files, and return the JSON of both."""
+    from studies.tile_files import TileFolder
+
+    started = time.perf_counter()
+    with tempfile.TemporaryDirectory(prefix="rig-basins-") as passing:
+        place = Path(passing) if files.output is None else Path(f"{files.output}.tiles")
+        found = _found(what, study, place, scheduler)
+        took = time.perf_counter() - started
+        chances = None if releases.probabilities is None else _chances(what, known, releases, releases.probabilities)
+        if files.output is not None:
+            np.savez_compressed(files.output, **_arrays(found))
+        if place.is_dir():
+            TileFolder(place, study).forget()
+    if files.plot is not None:
+        _draw(files.plot, rig, what.speed_rad_s, found, list(what.settings))
+    return _result(rig, found, took) | {"probabilities": chances}
+
+
 def _found(what: BasinQuestion, study: Study, place: Path, scheduler: str | None) -> BasinMap:
-    """The basin map: at once where it is one tile of this process, else by tiles."""
-    from dynamics.steady.basins.basin_map import basins as basin_map  # noqa: PLC0415
-    from studies.basins import assembled  # noqa: PLC0415
+    """Return the basin map: in one call if it is one tile of this process, else by tiles."""
+    from dynamics.steady.basins.basin_map import basins as basin_map
+    from studies.basins import assembled
 
     if study.tiles > 1 or scheduler is not None:
         return assembled(worked_out(study, place, scheduler, "tiles"))
@@ -117,26 +172,30 @@ def _found(what: BasinQuestion, study: Study, place: Path, scheduler: str | None
         with share_progress(f"{total} releases of {what.seconds:g} s", total, "releases") as progress:
             return basin_map(what.physics, what.speed_rad_s, *what.angles_rad, what.seconds, progress=progress)
     except KeyboardInterrupt:
-        say("rig basins: interrupted, no release is kept: the file and the figure are written at the end")
+        notify("rig basins: interrupted, no release is kept: the file and the figure are written at the end")
         raise
 
 
-def _chances(
-    physics: RotorParameters, speed: float, known: IdentifiedParameters, draws: int, seconds: float, play_deg: float
-) -> dict[str, Any]:
-    """Probabilities of the ends of the real locks' release."""
-    from analysis.release_probabilities import end_probabilities  # noqa: PLC0415
+def _chances(what: BasinQuestion, known: IdentifiedParameters, releases: Releases, draws: int) -> dict[str, Any]:
+    """Return the probabilities of the ends of a release from the real locks."""
+    from analysis.release_probabilities import end_probabilities
 
     if not known.values:
-        say("rig basins: no --parameters FILE: only the locks' play is drawn")
+        notify("rig basins: no --parameters FILE: only the locks' play is drawn")
     with share_progress(f"{draws} rigs drawn", draws, "rigs") as progress:
         found = end_probabilities(
-            physics, speed, known, draws, seconds=seconds, play_rad=math.radians(play_deg), progress=progress
+            what.physics,
+            what.speed_rad_s,
+            known,
+            draws,
+            seconds=releases.seconds,
+            play_rad=math.radians(releases.play_deg),
+            progress=progress,
         )
     return {
         "draws": found.draws,
         "level": found.level,
-        "play_deg": play_deg,
+        "play_deg": releases.play_deg,
         "at_a_boundary": found.unsure,
         "refused": sorted(set(found.releases.refused.values())),
         "ends": [
@@ -167,7 +226,7 @@ def _grid(text: str) -> tuple[int, int]:
 
 
 def _arrays(found: BasinMap) -> dict[str, Any]:
-    """What is kept: the grid, each release's answer, and the ends by number."""
+    """Return the arrays of the file: the grid, the result of each release, and the ends by number."""
     return {
         "theta3_deg": np.degrees(found.theta3_rad),
         "theta4_deg": np.degrees(found.theta4_rad),
@@ -187,8 +246,8 @@ def _arrays(found: BasinMap) -> dict[str, Any]:
 
 
 def _draw(path: Path, rig: Rig, speed: float, found: BasinMap, settings: list[str] | None) -> None:
-    from analysis.figures.basins import draw_basins  # noqa: PLC0415
-    from analysis.figures.style import save  # noqa: PLC0415
+    from analysis.figures.basins import draw_basins
+    from analysis.figures.style import save
 
     ratio = speed / rig.physics.natural_frequencies_rad_s[0]
     title = f"{rig.name}, Ω = {ratio:.4g} ({speed * 30 / math.pi:.1f} rpm){what_if_words(settings, '; ')}"
@@ -264,7 +323,7 @@ def _print_chances(chances: dict[str, Any]) -> None:
     if chances["at_a_boundary"]:
         print(f"  {chances['at_a_boundary']} of the draws at a boundary")
     for why in chances["refused"]:
-        say(f"not followed: {why}")
+        notify(f"not followed: {why}")
 
 
 def _end_words(end: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""The command that measures: work against precision."""
+"""`rig bench`: work against precision."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _Row = TypeVar("_Row")
 _RIG = "virtual"
-_WIDTH = 118  # of a table that goes into a file
+_WIDTH = 118  # columns of a table that is written to a file
 _DYNAMICS_S = {"multipliers": 40, "motion": 45, "map": 12, "batch": 10, "steady states": 5, "processes": 75}
 _IDENTIFICATION_S = {
     "ring-down": 120,
@@ -42,7 +42,7 @@ _IDENTIFICATION_S = {
 
 @dataclass(frozen=True)
 class _Run:
-    """What a benchmark gives: rows under their field names, the page, and the figure (drawn when it is wanted)."""
+    """Result of a benchmark: rows under their field names, the page, and the figure, drawn on request."""
 
     measurements: list[dict[str, Any]]
     page: Page
@@ -66,7 +66,8 @@ def bench(
     """Time against true error for every method on offer, with peers in the same run."""
     started = time.monotonic()
     found = _dynamics(quick) if what == "dynamics" else _identification(quick)
-    result = {
+    files: list[str] = []
+    result: dict[str, Any] = {
         "what": what,
         "machine": found.page.machine,
         "seconds": time.monotonic() - started,
@@ -74,21 +75,21 @@ def bench(
         "notes": found.page.notes,
         "targets": [t.as_json() for t in found.page.targets],
         "measurements": found.measurements,
-        "files": [],
+        "files": files,
     }
     if output is not None:
-        result["files"] = _write(output, found, result)
+        result["files"] = files = _write(output, found, result)
     if json:
         print_json(result)
     else:
-        _print(found.page, result["files"])
+        _print(found.page, files)
     return 0
 
 
 def _dynamics(quick: bool) -> _Run:
     with wait_for_compilation("dynamics"):
-        from dynamics.bench import heyoka_runs, tables, work_precision  # noqa: PLC0415
-        from dynamics.bench.records import compared, worth_showing  # noqa: PLC0415
+        from dynamics.bench import heyoka_runs, tables, work_precision
+        from dynamics.bench.records import compared, worth_showing
 
         rig = load_rig(_RIG)
         work_precision.warm_up(rig.physics)
@@ -98,7 +99,7 @@ def _dynamics(quick: bool) -> _Run:
     notes = (
         []
         if heyoka_runs.available()
-        else ["heyoka is not installed (Linux only): true errors of multipliers alone, by mpmath"]
+        else ["heyoka is not installed (Linux only): true errors of the multipliers only, by mpmath"]
     )
     if quick:
         notes += [
@@ -109,7 +110,7 @@ def _dynamics(quick: bool) -> _Run:
     page = tables.page(worth_showing(rows), work_precision.targets(rows), machine, notes)
 
     def figure() -> Figure:
-        from analysis.figures.work_precision import draw_work_precision  # noqa: PLC0415 (only where a file is written)
+        from analysis.figures.work_precision import draw_work_precision  # only if a file is written
 
         line = tables.machine_line(machine)
         return draw_work_precision(rows, work_precision.ALL_POINTS, work_precision.RELEASE, line)
@@ -119,10 +120,10 @@ def _dynamics(quick: bool) -> _Run:
 
 def _identification(quick: bool) -> _Run:
     with wait_for_compilation("identification"):
-        from dynamics.bench.records import compared  # noqa: PLC0415
-        from dynamics.bench.tables import machine_line  # noqa: PLC0415
-        from dynamics.bench.work_precision import machine  # noqa: PLC0415
-        from identification.bench import library_peers, precision, tables, trials  # noqa: PLC0415
+        from dynamics.bench.records import compared
+        from dynamics.bench.tables import machine_line
+        from dynamics.bench.work_precision import machine
+        from identification.bench import library_peers, precision, tables, trials
     size, where = precision.QUICK if quick else precision.FULL, machine()
     notes = [f"seed {precision.SEED}; every case draws its records from it and its own name"]
     notes += [f"{name} is not installed: {library_peers.INSTALL}" for name in library_peers.missing()]
@@ -133,7 +134,7 @@ def _identification(quick: bool) -> _Run:
     page = tables.page(rows, precision.targets(rows), where, notes)
 
     def figure() -> Figure:
-        from analysis.figures.identification_precision import Mark, draw_identification_precision  # noqa: PLC0415
+        from analysis.figures.identification_precision import Mark, draw_identification_precision
 
         marks = [
             Mark(
@@ -156,7 +157,7 @@ def _identification(quick: bool) -> _Run:
 
 
 def _measured(stages: dict[str, Callable[[], list[_Row]]], usual_s: dict[str, int]) -> list[_Row]:
-    """All rows, with progress."""
+    """Run all stages with progress and return their rows."""
     rows: list[_Row] = []
     with StepProgress(usual_s) as progress:
         for name, stage in stages.items():
@@ -166,9 +167,9 @@ def _measured(stages: dict[str, Callable[[], list[_Row]]], usual_s: dict[str, in
 
 
 def _write(directory: Path, found: _Run, result: dict[str, Any]) -> list[str]:
-    """Table, figure and numbers into a directory; their paths."""
-    from analysis.figures.style import save  # noqa: PLC0415
-    from dynamics.bench.tables import markdown  # noqa: PLC0415
+    """Write table, figure and numbers into a directory; return the paths."""
+    from analysis.figures.style import save
+    from dynamics.bench.tables import markdown
 
     directory.mkdir(parents=True, exist_ok=True)
     paths = [directory / f"{found.file_stem}{suffix}" for suffix in (".md", ".json", ".svg")]
@@ -180,7 +181,7 @@ def _write(directory: Path, found: _Run, result: dict[str, Any]) -> list[str]:
 
 
 def _print(page: Page, files: Sequence[str]) -> None:
-    from dynamics.bench import tables  # noqa: PLC0415
+    from dynamics.bench import tables
 
     console = Console(highlight=False, markup=False)
     if not console.is_terminal:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What `rig check` saw: collected from an open session, and shown as a table."""
+"""Measurements for `rig check` from an open session, and their table."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from rig_cli.words import printable, stdout_console
 from daq.acquisition.device_check import AnglesSeen, Checks, Look, SpeedSeen, passed
 from daq.acquisition.session import Session
 from daq.drivers.checks import Check
 from daq.drivers.items import Event
+from rig_cli.words import printable, stdout_console
 from rig_configs.roles import PendulumAngles, Roles
 
-_LOCKED_S = 0.1  # how far back the pendulums' newest angles are looked at
-_TOLD_S = 3.0  # a device that tells of itself does so each second; wait for it so long, rig time
+_LOCKED_S = 0.1  # duration of the newest pendulum angles that are checked
+_STATUS_WAIT_S = 3.0  # devices that report their status do so each second; longest wait for one report, rig time
 
 
 def look_at(session: Session, seconds: float) -> Look:
-    """Look at an open rig for so long, wall s; longer only for a device's word of itself, which comes each second."""
+    """Observe an open rig for `seconds` of wall time, longer only for the devices' status reports, one each second."""
     events: list[Event] = []
     session.observers.append(events.append)
     before, started = session.losses(), session.clock.now_ns()
     time.sleep(seconds)
-    wait = session.clock.now_ns() + int(_TOLD_S * 1e9)
+    wait = session.clock.now_ns() + int(_STATUS_WAIT_S * 1e9)
     while not session.all_told() and session.clock.now_ns() < wait:
         session.clock.sleep(0.1)
     session.observers.remove(events.append)
@@ -51,7 +51,7 @@ def look_at(session: Session, seconds: float) -> Look:
 
 
 def _with_duties(own: Mapping[str, Checks], roles: Roles) -> dict[str, Checks]:
-    """What the devices' drivers looked at, and what each displacement sensor measures for the rig."""
+    """Return the checks of the devices' drivers, with what each displacement sensor measures for the rig."""
     out = {name: dict(checks) for name, checks in own.items()}
     for device, words in roles.duties.items():
         out.setdefault(device, {})["measures"] = Check(words, None, True)
@@ -68,7 +68,7 @@ def _more(now: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:
 
 
 def plain_rates(session: Session, started_ns: int) -> dict[str, float]:
-    """Samples a second of every channel since an instant, lost ones not counted."""
+    """Return the samples per second of every channel since an instant, without lost ones."""
     rates: dict[str, float] = {}
     for topic in session.topics:
         times, _ = session.recent.last(topic, (), started_ns)
@@ -78,7 +78,7 @@ def plain_rates(session: Session, started_ns: int) -> dict[str, float]:
 
 
 def print_checks(devices: Mapping[str, Checks], identities: Mapping[str, Mapping[str, Any]], seconds: float) -> None:
-    """The table on standard output: what failed first seen, its reason beside it."""
+    """Print the table on standard output, with the reason next to a failed check."""
     console = stdout_console()
     for name, checks in devices.items():
         verdict = Text("pass", "bold green") if passed(checks) else Text("FAIL", "bold red")

@@ -19,9 +19,9 @@ def completion(shell: Literal["bash", "zsh", "fish"], *, json: Json = False) -> 
     fish: rig completion fish > ~/.config/fish/completions/rig.fish
 
     Args:
-        shell: for which.
+        shell: the shell.
     """
-    from rig_cli.main import commands  # noqa: PLC0415 (it lists this command too)
+    from rig_cli.main import commands  # it lists this command too
 
     script = commands().generate_completion(prog_name="rig", shell=shell)
     if json:

@@ -1,14 +1,15 @@
-"""What the person at the terminal sees: progress and messages on standard error, one JSON object on standard output."""
+# pyright: strict
+"""Output of commands: progress and messages on standard error, results or one JSON object on standard output."""
 
 from __future__ import annotations
 
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, cast
 from unicodedata import category
 
 from rich.console import Console, RenderableType
@@ -16,14 +17,14 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from rig_cli import answer
 from dynamics.compiled_code import load_compiler
+from rig_cli import answer
 
-_OBEYED = frozenset(("Cc", "Cf", "Cs", "Cn", "Zl", "Zp"))  # control, format, half characters, none, line ends
+_CONTROL_CATEGORIES = frozenset(("Cc", "Cf", "Cs", "Cn", "Zl", "Zp"))  # control, format, surrogate, none, line ends
 
 
 class _Stderr(Console):
-    """A console on which text is text: brackets and colons mean themselves, and nothing in it moves the cursor."""
+    """A console that prints text literally: no markup, no emoji, no control characters."""
 
     def __init__(self) -> None:
         super().__init__(stderr=True, highlight=False, markup=False, emoji=False)
@@ -33,29 +34,29 @@ class _Stderr(Console):
 
 
 def harmless(text: str) -> str:
-    """Text of any origin, in lines, without what would move the cursor, change colours or turn its direction.
+    """Return text without characters that move the cursor, change colours or the writing direction; lines are kept.
 
-    Files and devices are named and annotated by anybody; a terminal obeys whatever it is shown.
+    Names and notes in files and devices are arbitrary text, and a terminal interprets control characters in it.
     """
     if text.isascii() and text.isprintable():
         return text
-    return "".join("\ufffd" if category(each) in _OBEYED and each not in "\n\t" else each for each in text)
+    return "".join("\ufffd" if category(each) in _CONTROL_CATEGORIES and each not in "\n\t" else each for each in text)
 
 
 STDERR = _Stderr()
 
 
 def print_json(result: Mapping[str, Any]) -> None:
-    """One JSON object; numbers that are not finite become null."""
+    """Print one JSON object; numbers that are not finite become null."""
     answer.give(plain(result))
 
 
 def plain(value: Any) -> Any:
-    """The value as JSON takes it: numpy numbers as plain ones, what is not finite as null."""
+    """Return a value that JSON can represent: numpy scalars as Python numbers, numbers that are not finite as None."""
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in cast("Mapping[object, object]", value).items()}
     if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
+        return [plain(v) for v in cast("Sequence[object]", value)]
     if hasattr(value, "item"):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
@@ -64,10 +65,10 @@ def plain(value: Any) -> Any:
 
 
 class StepProgress:
-    """Progress through named steps: a live bar on a terminal, a line a step where there is none.
+    """Progress through named steps: a bar on a terminal, otherwise one line a step.
 
     Args:
-        steps: names with their usual durations, s; they weigh the bar.
+        steps: names with their usual durations, s, which are the weights of the bar.
     """
 
     def __init__(self, steps: Mapping[str, float]) -> None:
@@ -98,28 +99,28 @@ class StepProgress:
         self._bar.stop()
 
     def step(self, name: str) -> None:
-        """The next step begins."""
+        """Start the next step."""
         self._done += self._current
         self._current = self._weights.get(name, 0.0)
         self._bar.update(self._task, completed=self._done, description=harmless(name))
         if not self._live:
             STDERR.print(f"[{time.monotonic() - self._started:5.1f} s] {name}")
 
-    def tell(self, text: str, share: float | None = None) -> None:
-        """What the step is doing."""
+    def update(self, text: str, share: float | None = None) -> None:
+        """Show what the step is doing, and its completed share, 0 … 1."""
         done = self._done + self._current * (share or 0.0)
         self._bar.update(self._task, completed=done, description=harmless(text[:90]))
 
-    def say(self, text: str) -> None:
-        """A line that stays."""
+    def notify(self, text: str) -> None:
+        """Print a permanent line."""
         STDERR.print(text)
 
 
 class LiveTable:
-    """A context in which a subclass shows how work goes: on a terminal in place, elsewhere by lines.
+    """Base of contexts that show progress: updated in place on a terminal, otherwise as lines.
 
     Args:
-        page: what the terminal shows, asked four times a second; None: the subclass updates it itself.
+        page: content of the terminal, called four times a second; None if the subclass updates it itself.
     """
 
     def __init__(self, page: Callable[[], RenderableType] | None = None) -> None:
@@ -139,20 +140,20 @@ class LiveTable:
             self._live.stop()
 
 
-def say(text: str) -> None:
-    """A line on standard error."""
+def notify(text: str) -> None:
+    """Print a line on standard error."""
     print(harmless(text), file=sys.stderr, flush=True)
 
 
 def show(text: str) -> None:
-    """A line of the result, on standard output."""
+    """Print a line of the result on standard output."""
     print(harmless(text))
 
 
 @contextmanager
-def wait_for_compilation(what: str) -> Iterator[None]:
-    """Say what is being waited for when code is compiled for this machine, which happens once."""
-    from numba.core import event  # noqa: PLC0415 (numba takes a third of a second to import)
+def wait_for_compilation(what: str) -> Generator[None]:
+    """Report compilation, which happens once on each machine, while the context waits for it."""
+    from numba.core import event  # numba takes a third of a second to import
 
     load_compiler()
 
@@ -164,7 +165,7 @@ def wait_for_compilation(what: str) -> Iterator[None]:
             if self.depth == 0:
                 self.started = time.monotonic()
                 if self.seconds == 0:
-                    say(f"compiling {what} code, not yet there on this machine: ten seconds, a minute on a slow one …")
+                    notify(f"compiling {what} code, once on this machine: ten seconds, a minute on a slow one …")
             self.depth += 1
 
         def on_end(self, event: Any) -> None:
@@ -173,18 +174,22 @@ def wait_for_compilation(what: str) -> Iterator[None]:
                 self.seconds += time.monotonic() - self.started
 
     listener = FirstCompilation()
-    with event.install_listener("numba:compile", listener):
+    install = cast(
+        "Callable[[str, event.Listener], AbstractContextManager[None]]",
+        event.install_listener,  # pyright: ignore[reportUnknownMemberType]  # numba has no types
+    )
+    with install("numba:compile", listener):
         yield
     if listener.seconds > 0:
-        say(f"compiled in {listener.seconds:.0f} s; the next run finds it ready")
+        notify(f"compiled in {listener.seconds:.0f} s; the next run starts without compiling")
 
 
 @contextmanager
-def step_told(first: str) -> Iterator[Callable[[str], None]]:
-    """On a terminal one line with what is being worked on, the latest that was told; elsewhere a line each."""
+def status_line(first: str) -> Generator[Callable[[str], None]]:
+    """Yield a function that shows the current activity: one updated line on a terminal, otherwise a line each."""
     if not STDERR.is_terminal:
-        say(first)
-        yield say
+        notify(first)
+        yield notify
         return
     with STDERR.status(Text(harmless(first))) as status:
         yield lambda text: status.update(Text(harmless(text)))

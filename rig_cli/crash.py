@@ -1,5 +1,5 @@
 # pyright: strict
-"""What becomes of an error that nobody foresaw: exit code 70, one line, and a file with what to send."""
+"""Handling of unexpected errors: exit code 70, one line, and a file for the developers."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from pathlib import Path
 
 from rig_cli import answer
 
-UNFORESEEN = 70
-"""EX_SOFTWARE of sysexits.h: the program is at fault, not the input, the rig or the verdict."""
+UNEXPECTED = 70
+"""EX_SOFTWARE of sysexits.h: an error of the program, not of the input, the rig or the verdict."""
 
 _PACKAGES = ("pendulum-balancer-rig", "numpy", "scipy", "numba", "pydantic", "cyclopts", "mcap", "h5py", "pyarrow")
 _SECRET = re.compile(r"(?i)((?:token|password|passwd|secret|api[-_]?key)[=: ]+)\S+|(?<=://)[^/@\s]+@")
@@ -27,10 +27,10 @@ _LONGEST_ARGUMENT = 500
 
 
 def report(error: BaseException, arguments: Sequence[str]) -> int:
-    """Say in one line what happened, and leave all that a developer needs in a file. Never fails itself.
+    """Print one line about an unexpected error and write a file with all that a developer needs. Never raises.
 
     Args:
-        error: what nobody foresaw.
+        error: the unexpected error.
         arguments: the command line.
     Returns:
         The exit code, 70.
@@ -38,20 +38,20 @@ def report(error: BaseException, arguments: Sequence[str]) -> int:
     with contextlib.suppress(Exception):
         text = _page(error, arguments)
         path = _write(text)
-        what = f"unforeseen error: {_one_line(error)}"
-        sent = f"{what}; this is a fault of the program. Please send {path}"
+        what = f"unexpected error: {_one_line(error)}"
+        sent = f"{what}; this is an error of the program. Please send {path}"
         if path is None:
-            print(f"rig: {what}; nowhere to write a report to, please send this:\n{text}", file=sys.stderr, flush=True)
-            sent = f"{what}; this is a fault of the program. Please send what stands on standard error"
+            print(f"rig: {what}; no report could be written, please send this:\n{text}", file=sys.stderr, flush=True)
+            sent = f"{what}; this is an error of the program. Please send the text on standard error"
         else:
             print(f"rig: {sent}", file=sys.stderr, flush=True)
-        answer.note_fault(sent, UNFORESEEN)
-    answer.note_fault(f"unforeseen error: {type(error).__name__}", UNFORESEEN)
-    return UNFORESEEN
+        answer.note_fault(sent, UNEXPECTED)
+    answer.note_fault(f"unexpected error: {type(error).__name__}", UNEXPECTED)
+    return UNEXPECTED
 
 
 def watch_threads(arguments: Sequence[str]) -> None:
-    """Give an error that ends a thread the same report; the command then ends with 70 instead of 0."""
+    """Report errors that end a thread in the same way; the command then ends with 70 instead of 0."""
 
     def ended(what: threading.ExceptHookArgs) -> None:
         error = what.exc_value
@@ -66,10 +66,10 @@ def watch_threads(arguments: Sequence[str]) -> None:
 
 def _one_line(error: BaseException) -> str:
     try:
-        told = " ".join(str(error).split())
-    except Exception:  # an error whose own words cannot be had
-        told = ""
-    return _SECRET.sub(_masked, f"{type(error).__name__}: {told[:200]}" if told else type(error).__name__)
+        text = " ".join(str(error).split())
+    except Exception:  # the error's own __str__ raises
+        text = ""
+    return _SECRET.sub(_masked, f"{type(error).__name__}: {text[:200]}" if text else type(error).__name__)
 
 
 def _masked(found: re.Match[str]) -> str:
@@ -81,11 +81,11 @@ def _page(error: BaseException, arguments: Sequence[str]) -> str:
     versions = ", ".join(f"{name} {_version(name)}" for name in _PACKAGES)
     try:
         trace = "".join(traceback.format_exception(error))
-    except Exception as fault:  # an error whose own words cannot be had
+    except Exception as fault:  # the error's own __str__ raises
         trace = f"{type(error).__name__} (no traceback: {type(fault).__name__})\n"
     text = (
-        "The `rig` command met an error that nobody foresaw. Please send this file to the developers, with the\n"
-        "rig file and, where a log was read, the log.\n\n"
+        "The `rig` command ended with an unexpected error. Please send this file to the developers, with the\n"
+        "rig file and, if a log was read, the log.\n\n"
         f"command line  rig {' '.join(map(repr, shown))}\n"
         f"when          {time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())}\n"
         f"versions      {versions}\n"
@@ -103,9 +103,10 @@ def _version(name: str) -> str:
 
 
 def _write(text: str) -> Path | None:
-    """Into the folder for temporary files, else the current one, where nobody else may read it; None where neither is.
+    """Write a new file to the folder for temporary files, else to the current folder, readable by the user alone.
 
-    Nothing is written over.
+    Returns:
+        Its path; None if neither folder can be written to. Existing files are never overwritten.
     """
     for folder in (tempfile.gettempdir, os.getcwd):
         with contextlib.suppress(Exception):

@@ -12,15 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from rig_cli.console import StepProgress, print_json, say
-from rig_cli.foxglove import Foxglove, follow_session, foxglove_beside
-from rig_cli.guided_test import ending_words, run_test
-from rig_cli.live import Live, LiveHost, LivePort, follow, page_beside
-from rig_cli.numbers import TimeScale
-from rig_cli.options import Json, Settings
-from rig_cli.simulated import VirtualRigProcess
-from rig_cli.validation_page import whole_lines
-from rig_cli.workbench import Workbench
 from daq.acquisition.session import Session
 from daq.errors import OperatorStop
 from daq.guided_tests.controls import Controls
@@ -29,6 +20,15 @@ from daq.guided_tests.test_inputs import possible_tests
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.virtual_rig.simulated_operator import SimulatedOperator
+from rig_cli.console import StepProgress, notify, print_json
+from rig_cli.foxglove import follow_session, foxglove_of_session
+from rig_cli.guided_test import ending_words, run_test
+from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
+from rig_cli.numbers import TimeScale
+from rig_cli.options import Json, Settings
+from rig_cli.simulated import VirtualRigProcess
+from rig_cli.validation_page import whole_lines
+from rig_cli.workbench import Workbench
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting, with_parameters
 from rig_configs.load import with_truth
 from rig_configs.schema import Rig
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from live.foxglove.beside import FoxgloveBeside
 
 _BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
-_USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # seconds, for the bar; others 2 or 7
+_USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # s, weights of the bar; others 2 or 7
 
 
 @dataclass(frozen=True)
@@ -50,52 +50,77 @@ class Fault:
     step: str
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Simulation:
+    """How the virtual rig is run.
+
+    Attributes:
+        seed: of its noise, clocks and calibration errors; None: the rig file's.
+        time_scale: seconds of rig time per wall second.
+        fault: "KEY=VALUE@STEP" texts.
+        link: wires of the virtual rig: pty, tcp or auto.
+        lockstep: whether it runs on simulated time.
+    """
+
+    seed: int | None = None
+    time_scale: TimeScale = 8.0
+    fault: Annotated[list[str] | None, Parameter(help="KEY=VALUE@STEP: change the truth just before a step")] = None
+    link: str = "auto"
+    lockstep: Annotated[
+        bool,
+        Parameter(negative="", help="simulated time: repeatable bit for bit by its seed, as fast as it computes"),
+    ] = False
+
+    @property
+    def rate(self) -> float:
+        """Seconds of rig time per second of the session's clock."""
+        return 1.0 if self.lockstep else self.time_scale
+
+
+_DEFAULT = Simulation()
+
+
 def demo(
     *,
     rig: str = "virtual",
     out: Path = Path("out/demo"),
-    seed: int | None = None,
-    time_scale: TimeScale = 8.0,
+    simulation: Simulation = _DEFAULT,
     settings: Settings = None,
-    fault: Annotated[list[str] | None, Parameter(help="KEY=VALUE@STEP: change the truth just before a step")] = None,
-    link: str = "auto",
-    lockstep: Annotated[
-        bool,
-        Parameter(negative="", help="simulated time: repeatable bit for bit by its seed, as fast as it computes"),
-    ] = False,
-    live: Live = False,
-    live_host: LiveHost = "",
-    live_port: LivePort = 0,
-    foxglove: Foxglove | None = None,
+    displays: Displays = TERMINAL_ONLY,
     json: Json = False,
 ) -> int:
     """A whole campaign on the virtual rig: tests recorded through the real drivers, identified, validated, reported."""
     started = time.monotonic()
+    seed, rate = simulation.seed, simulation.rate
     changes = list(settings or []) + ([f"virtual.seed={seed}"] if seed is not None else [])
     loaded = load_rig(rig, settings=changes)
-    faults = [_parse_fault(text, loaded) for text in fault or []]
+    faults = [_parse_fault(text, loaded) for text in simulation.fault or []]
     folder = _fresh(out)
     steps = _steps(loaded)
     progress = StepProgress({s: _USUAL_S.get(s, 7.0 if s.startswith("point") else 2.0) for s in steps})
     workbench = Workbench()
     try:
-        rate = 1.0 if lockstep else time_scale
         with (
             progress,
-            page_beside(live, loaded, None, changes, rate, live_host, live_port, json, progress.say) as page,
-            foxglove_beside(foxglove, loaded, rate, json, progress.say) as given,
+            page_of_session(displays.page, loaded, None, changes, rate, json, progress.notify) as page,
+            foxglove_of_session(displays.foxglove, loaded, rate, json, progress.notify) as connection,
         ):
-            far = (
-                LockstepRig(loaded)
-                if lockstep
-                else VirtualRigProcess(rig, changes, time_scale, link, waits=time_scale > 1)
-            )
-            result = _campaign(rig, changes, loaded, faults, folder, far, progress, workbench, page, given)
+            far = _far_end(rig, loaded, changes, simulation)
+            setup = _Setup(rig, changes, loaded, faults, folder, far, page, connection)
+            result = _Campaign(setup, progress, workbench).run()
     finally:
         workbench.close()
     result["seconds"] = time.monotonic() - started
     _show(result, json)
     return 1 if result["passed"] is False or result["not_reached"] else 0
+
+
+def _far_end(name: str, rig: Rig, changes: list[str], simulation: Simulation) -> VirtualRigProcess | LockstepRig:
+    if simulation.lockstep:
+        return LockstepRig(rig)
+    scale = simulation.time_scale
+    return VirtualRigProcess(name, changes, scale, simulation.link, waits=scale > 1)
 
 
 def _steps(rig: Rig) -> list[str]:
@@ -112,14 +137,14 @@ def _parse_fault(text: str, rig: Rig) -> Fault:
         raise RigFileError(f"--fault {text!r}: expected KEY=VALUE@STEP with a step of {', '.join(known)}")
     key, value = parse_setting(setting)
     try:
-        with_truth(rig, key, value)  # as the simulated rig will, four tests from now
+        with_truth(rig, key, value)  # the simulated rig does the same later, after several tests
     except RigFileError as fault:
         raise RigFileError(f"--fault {text}: {fault}") from fault
     return Fault(key.removeprefix("virtual.truth."), value, names[step])
 
 
 def _fresh(out: Path) -> Path:
-    """The folder for this campaign; an earlier one's logs are never written over."""
+    """Return the folder for this campaign. Logs of an earlier one are never overwritten."""
     folder, number = out, 1
     while folder.exists() and any(folder.iterdir()):
         number += 1
@@ -128,87 +153,119 @@ def _fresh(out: Path) -> Path:
     return folder
 
 
-def _campaign(
-    name: str,
-    changes: list[str],
-    rig: Rig,
-    faults: list[Fault],
-    folder: Path,
-    far: VirtualRigProcess | LockstepRig,
-    progress: StepProgress,
-    workbench: Workbench,
-    page: LivePage | None,
-    given: FoxgloveBeside | None,
-) -> dict[str, Any]:
-    progress.step("start")
-    steps = _steps(rig)
-    if left_out := [test for test in (*_BEFORE_POINTS, *(f"point-{name}" for name in rig.points)) if test not in steps]:
-        progress.say(f"no device for: {', '.join(left_out)}")
-    tests_done: list[TestDone] = []
-    refinements: list[Future[None]] = []
-    with far as simulated:
-        truth = simulated.ask("truth")["truth"]
-        plugged = load_rig(name, settings=[*changes, *simulated.port_settings()])
+@dataclass(frozen=True)
+class _Setup:
+    """Rig, folder and displays of a campaign.
 
-        def begin(step: str) -> None:
-            progress.step(step)
-            for fault in [f for f in faults if f.step == step]:
-                simulated.ask("set", key=fault.key, value=fault.value)
-                progress.say(f"fault: {fault.key} = {fault.value} before {step}")
+    Attributes:
+        name: path or name of the rig file.
+        changes: "key=value" texts over it.
+        rig: the rig file with these changes.
+        faults: in any order.
+        folder: of logs, parameters and report.
+        far: the simulated rig, not running yet.
+        page: the live page; None without one.
+        connection: the connection for Foxglove; None without one.
+    """
 
-        with Session(plugged, simulated.clock, edge=simulated.edge) as session:
-            controls = Controls()
-            tests = Procedures(session, SimulatedOperator(simulated), folder / "logs", progress.tell, "", controls)
-            follow(page, session, _stop_of(session, far), {"log": str(folder)}, controls)
-            follow_session(given, session)
+    name: str
+    changes: list[str]
+    rig: Rig
+    faults: list[Fault]
+    folder: Path
+    far: VirtualRigProcess | LockstepRig
+    page: LivePage | None
+    connection: FoxgloveBeside | None
 
-            def record(rig: Rig, test: str) -> Path:
-                done = run_test(tests, rig, test)
-                tests_done.append(done)
-                if done.missed:
-                    progress.say(ending_words(done))
-                return done.log
 
-            logs: list[Path] = []
-            for test in (step for step in steps if step in _BEFORE_POINTS):
-                begin(test)
-                logs.append(record(plugged, test))
-            begin("identify")
-            parameters = folder / "parameters-before-points.toml"
-            workbench.wait(workbench.identify(plugged, logs, parameters), progress.tell)
-            known = IdentifiedParameters.load(parameters)
-            tests.parameters = IdentifiedParameters.label(parameters)
-            identified = with_parameters(plugged, known)
-            for point in (step for step in steps if step.startswith("point-")):
-                begin(point)
-                logs.append(record(identified, point))
-                refinements.append(workbench.refine(plugged, logs[-1]))
-        radio = simulated.ask("state")
-    progress.step("report")
-    assert rig.virtual is not None
-    facts = {
-        "truth": truth,
-        "seed": rig.virtual.seed,
-        "validated_with": tests.parameters,
-        "notes": [f"Before {f.step} the simulated rig's {f.key} was changed to {f.value}." for f in faults],
-    }
-    report = folder / "report.html"
-    for refinement in refinements:
-        workbench.wait(refinement, progress.tell)
-    progress.tell("writing the report")
-    result = workbench.wait(workbench.conclude(plugged, folder / "parameters.toml", report, facts), progress.tell)
-    result["truth"] = truth
-    result["radio"] = _radio_checks(logs, radio)
-    result["logs"] = [str(path) for path in logs]
-    result["not_reached"] = {done.test: done.missed for done in tests_done if done.missed}
-    result["warnings"] += [f"{done.test}: {warning}" for done in tests_done for warning in done.warnings]
-    result["warnings"] += [session.left] if session.left else []
-    result["report"] = str(report)
-    return result
+class _Campaign:
+    """Recording, identification and validation of all tests of a rig."""
+
+    def __init__(self, setup: _Setup, progress: StepProgress, workbench: Workbench) -> None:
+        self._setup, self._progress, self._workbench = setup, progress, workbench
+        self._steps = _steps(setup.rig)
+        self._logs: list[Path] = []
+        self._done: list[TestDone] = []
+        self._refinements: list[Future[None]] = []
+
+    def run(self) -> dict[str, Any]:
+        """Run the campaign and return its result."""
+        setup = self._setup
+        self._progress.step("start")
+        wanted = (*_BEFORE_POINTS, *(f"point-{name}" for name in setup.rig.points))
+        if left_out := [test for test in wanted if test not in self._steps]:
+            self._progress.notify(f"no device for: {', '.join(left_out)}")
+        with setup.far as simulated:
+            truth = simulated.ask("truth")["truth"]
+            plugged = load_rig(setup.name, settings=[*setup.changes, *simulated.port_settings()])
+            with Session(plugged, simulated.clock, edge=simulated.edge) as session:
+                controls = Controls()
+                operator, folder = SimulatedOperator(simulated), setup.folder
+                tests = Procedures(session, operator, folder / "logs", self._progress.update, "", controls)
+                follow(setup.page, session, _stop_of(session, setup.far), {"log": str(folder)}, controls)
+                follow_session(setup.connection, session)
+                self._record_all(tests, plugged)
+            radio = simulated.ask("state")
+        result = self._conclude(plugged, truth, tests.parameters)
+        result["radio"] = _radio_checks(self._logs, radio)
+        result["warnings"] += [session.left] if session.left else []
+        return result
+
+    def _record_all(self, tests: Procedures, plugged: Rig) -> None:
+        """Record the tests before the points, identify from them, and record the points."""
+        for test in (step for step in self._steps if step in _BEFORE_POINTS):
+            self._record(tests, plugged, test)
+        self._begin("identify")
+        parameters = self._setup.folder / "parameters-before-points.toml"
+        self._workbench.wait(self._workbench.identify(plugged, self._logs, parameters), self._progress.update)
+        tests.parameters = IdentifiedParameters.label(parameters)
+        identified = with_parameters(plugged, IdentifiedParameters.load(parameters))
+        for point in (step for step in self._steps if step.startswith("point-")):
+            self._record(tests, identified, point)
+            self._refinements.append(self._workbench.refine(plugged, self._logs[-1]))
+
+    def _record(self, tests: Procedures, rig: Rig, test: str) -> None:
+        self._begin(test)
+        done = run_test(tests, rig, test)
+        self._done.append(done)
+        if done.missed:
+            self._progress.notify(ending_words(done))
+        self._logs.append(done.log)
+
+    def _begin(self, step: str) -> None:
+        """Start a step and place its faults."""
+        self._progress.step(step)
+        for fault in [f for f in self._setup.faults if f.step == step]:
+            self._setup.far.ask("set", key=fault.key, value=fault.value)
+            self._progress.notify(f"fault: {fault.key} = {fault.value} before {step}")
+
+    def _conclude(self, plugged: Rig, truth: dict[str, Any], parameters: str) -> dict[str, Any]:
+        """Validate, write parameters and report, and return the result."""
+        setup, progress, workbench = self._setup, self._progress, self._workbench
+        progress.step("report")
+        assert setup.rig.virtual is not None
+        facts = {
+            "truth": truth,
+            "seed": setup.rig.virtual.seed,
+            "validated_with": parameters,
+            "notes": [f"Before {f.step} the simulated rig's {f.key} was changed to {f.value}." for f in setup.faults],
+        }
+        report = setup.folder / "report.html"
+        for refinement in self._refinements:
+            workbench.wait(refinement, progress.update)
+        progress.update("writing the report")
+        job = workbench.conclude(plugged, setup.folder / "parameters.toml", report, facts)
+        result = workbench.wait(job, progress.update)
+        result["truth"] = truth
+        result["logs"] = [str(path) for path in self._logs]
+        result["not_reached"] = {done.test: done.missed for done in self._done if done.missed}
+        result["warnings"] += [f"{done.test}: {warning}" for done in self._done for warning in done.warnings]
+        result["report"] = str(report)
+        return result
 
 
 def _stop_of(session: Session, far: VirtualRigProcess | LockstepRig) -> Callable[[str], None]:
-    """What the page's stop does: on simulated time nothing may be sent but by the thread that lets it pass."""
+    """Return the function of the page's stop. On simulated time only the thread that advances it may send."""
     if not isinstance(far, LockstepRig):
         return session.stop
 
@@ -219,7 +276,7 @@ def _stop_of(session: Session, far: VirtualRigProcess | LockstepRig) -> Callable
 
 
 def _radio_checks(logs: list[Path], radio: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """See `_radio_check`, log by log as they were recorded: a log tells its frames' numbers modulo 65536 only."""
+    """See `_radio_check`, log by log in the order of recording: a log has its frame numbers modulo 65536 only."""
     checks: list[dict[str, Any]] = []
     last = 0
     for path in logs:
@@ -229,16 +286,16 @@ def _radio_checks(logs: list[Path], radio: Mapping[str, Any]) -> list[dict[str, 
 
 
 def _radio_check(path: Path, radio: Mapping[str, Any], since: int = 0) -> tuple[dict[str, Any], int]:
-    """Frames this log counted as lost against those the simulated radio dropped in the same stretch.
+    """Compare the frames that this log counted as lost with those that the simulated radio dropped meanwhile.
 
     Args:
-        since: number of a frame before the log's first, fewer than 65536 of them earlier.
+        since: number of a frame before the log's first, fewer than 65536 frames earlier.
 
     Returns:
         The comparison, and the number of the log's last frame.
     """
-    from daq.drivers.contract import CountsFrames  # noqa: PLC0415
-    from daq.replay.stream import decoded, pipelines_of  # noqa: PLC0415
+    from daq.drivers.contract import CountsFrames
+    from daq.replay.stream import decoded, pipelines_of
 
     with open_log(path) as log:
         pipelines = pipelines_of(log)
@@ -271,7 +328,7 @@ def _show(result: Mapping[str, Any], as_json: bool) -> None:
     for test, missed in result["not_reached"].items():
         print(f"  {test} did not reach its end: {missed}")
     for warning in result["warnings"]:
-        say(f"warning: {warning}")
+        notify(f"warning: {warning}")
     lost = sum(row["counted"] for row in result["radio"])
     dropped = sum(row["dropped"] for row in result["radio"])
     print(f"Radio frames lost: {lost} counted, {dropped} dropped by the simulated radio")

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Commands about drivers: list those that are installed, run the tests on one that every driver must pass."""
+"""Commands about drivers: list the installed drivers, run the conformance tests on one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 from pydantic import ValidationError
 
-from rig_cli.console import StepProgress, print_json, say
+from rig_cli.console import StepProgress, notify, print_json
 from rig_cli.options import Json
 from rig_configs.drivers import installed, load_driver
 from rig_configs.errors import RigConfigError
@@ -25,12 +25,12 @@ app = App(name="driver", help="List the installed drivers, check one against wha
 
 @app.command(name="list")
 def list_(*, json: Json = False) -> int:
-    """List the installed drivers: from which package each comes, which roles its devices play."""
+    """List the installed drivers: their package and the roles of their devices."""
     found = [_facts(name, point) for name, point in installed().items()]
     if json:
         print_json({"drivers": found})
         return 0
-    from rig_cli.drivers_page import print_drivers  # noqa: PLC0415 (rich's tables are slow)
+    from rig_cli.drivers_page import print_drivers  # rich's tables are slow
 
     print_drivers(found)
     return 0
@@ -43,15 +43,15 @@ def check(
     thorough: Annotated[bool, Parameter(negative="", help="10⁶ damaged inputs in place of 10⁴: minutes")] = False,
     json: Json = False,
 ) -> int:
-    """Run the tests on one driver that every driver must pass, with its own far end; exit 1 when one fails.
+    """Run the tests that every driver must pass on one driver, with its simulated device; exit 1 when one fails.
 
     Args:
         name: as in `driver = "…"` of a rig file; or PACKAGE:NAME, where PACKAGE is the package it is installed from, or
-            a module that holds the driver as NAME without being registered; or PACKAGE alone, if it has but one.
+            a module that contains the unregistered driver as NAME; or PACKAGE alone, if it has only one.
     """
     chosen = _chosen(name)
-    from rig_testing import cases  # noqa: PLC0415 (numba takes a third of a second to import)
-    from rig_testing.report import Report  # noqa: PLC0415
+    from rig_testing import cases  # numba takes a third of a second to import
+    from rig_testing.report import Report
 
     all_cases = cases(chosen, thorough=thorough)
     with StepProgress(dict.fromkeys((str(case) for case in all_cases), 1.0)) as progress:
@@ -64,15 +64,15 @@ def check(
         failed = [{"test": outcome.name, "why": outcome.why} for outcome in report.failed]
         print_json({"driver": report.driver, "passed": report.passed, "failed": failed})
     else:
-        from rig_cli.drivers_page import print_report  # noqa: PLC0415
+        from rig_cli.drivers_page import print_report
 
         print_report(report)
     return 0 if report.passed else 1
 
 
 def _facts(name: str, point: EntryPoint) -> dict[str, Any]:
-    """What is listed of a driver; of one that cannot be loaded, why."""
-    from daq.drivers.contract import example_of, is_verified  # noqa: PLC0415
+    """Return the list entry of a driver. If it cannot be loaded the reason is printed and the entry has no roles."""
+    from daq.drivers.contract import example_of, is_verified
 
     package = point.dist.name if point.dist is not None else point.module.partition(".")[0]
     facts: dict[str, Any] = {"name": name, "package": package, "roles": [], "verified": False}
@@ -81,16 +81,16 @@ def _facts(name: str, point: EntryPoint) -> dict[str, Any]:
         settings = found.settings.model_validate({"driver": name, "port": "none", **example_of(found)})
         roles = sorted({role.role for role in settings.roles(name)})
     except (ValueError, AttributeError, ValidationError) as error:
-        say(f"rig: driver {name} of {package}: {error}")
+        notify(f"rig: driver {name} of {package}: {error}")
         return facts
     return {**facts, "roles": roles, "verified": is_verified(found)}
 
 
 def _chosen(name: str) -> Driver:
-    """The driver that is meant.
+    """Return the driver of that name.
 
     Raises:
-        RigConfigError: there is none.
+        RigConfigError: it does not exist.
     """
     package, colon, last = name.rpartition(":")
     if not colon:
@@ -106,12 +106,12 @@ def _chosen(name: str) -> Driver:
             f"MODULE:OBJECT; {error}"
         ) from error
     if not isinstance(getattr(found, "name", None), str) or not hasattr(found, "pipeline"):
-        raise RigConfigError(f"{name} is no driver: it has no name and no pipeline")
+        raise RigConfigError(f"{name} is not a driver: it has no name or no pipeline")
     return found
 
 
 def _packages(point: EntryPoint) -> set[str]:
-    """Names that a driver's package goes by."""
+    """Return the names of a driver's package: distribution, normalised distribution, top-level module."""
     distribution = point.dist.name if point.dist is not None else ""
     return {distribution, re.sub(r"[-_.]+", "_", distribution).lower(), point.module.partition(".")[0]}
 

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Drivers on the terminal: the list, and what the tests of one found."""
+"""Drivers on the terminal: the list, and the results of the tests of one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rig_testing.report import Report
 
 
 def print_drivers(drivers: Sequence[Mapping[str, Any]]) -> None:
-    """One line a driver."""
+    """Print one line a driver."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for heading in ("driver", "package", "roles", "tried on hardware"):
         table.add_column(heading)
@@ -27,7 +27,7 @@ def print_drivers(drivers: Sequence[Mapping[str, Any]]) -> None:
 
 
 def print_report(report: Report) -> None:
-    """One line a test, what failed in red, the verdict at the end."""
+    """Print one line a test, failed ones in red, and the verdict."""
     console = stdout_console()
     table = Table(box=None, pad_edge=False, show_header=False, padding=(0, 2))
     for outcome in report.outcomes:

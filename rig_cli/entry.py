@@ -1,37 +1,37 @@
-"""Where the `rig` command begins: Ctrl-C while it is still loading ends it like any other, and so does any fault."""
+"""Entry point of the `rig` command. Ctrl-C and errors during loading are reported as those of a running command."""
 
 from __future__ import annotations
 
 import gc
 import sys
 
-_AT_ONCE = {"predict"}  # commands that end within a second or two
-_SELDOM = (100_000, 50, 50)  # loading makes hundreds of thousands of objects and hardly any garbage
+_SHORT_COMMANDS = {"predict"}  # commands that end within a second or two
+_RARE_COLLECTION = (100_000, 50, 50)  # loading creates hundreds of thousands of objects and hardly any garbage
 
 
 def main() -> None:
     """Entry point."""
-    if set(sys.argv[1:2]) & _AT_ONCE:  # a process that lives long wants short pauses instead
-        gc.set_threshold(*_SELDOM)
+    if set(sys.argv[1:2]) & _SHORT_COMMANDS:  # long-running commands keep the default, which gives shorter pauses
+        gc.set_threshold(*_RARE_COLLECTION)
     try:
-        from rig_cli.main import main as carry_out  # noqa: PLC0415 (loading takes a while)
+        from rig_cli.main import main as carry_out  # loading takes a while
 
         carry_out()
     except KeyboardInterrupt:
-        from rig_cli import answer  # noqa: PLC0415 (needed by no command that works)
+        from rig_cli import answer  # needed by no command that works
 
         print("rig: interrupted", file=sys.stderr)
         answer.begin(sys.argv[1:])
         answer.give_error("interrupted", 130)
         sys.exit(130)
     except Exception as error:
-        from rig_cli import answer, crash  # noqa: PLC0415 (needed by no command that works)
+        from rig_cli import answer, crash  # needed by no command that works
 
         answer.begin(sys.argv[1:])
         crash.report(error, sys.argv[1:])
         sys.exit(answer.ended(0))
     finally:
-        gc.freeze()  # else the interpreter, before it ends, looks for garbage in all of numba: a third of a second
+        gc.freeze()  # at exit the interpreter would search all objects of numba for garbage: a third of a second
 
 
 if __name__ == "__main__":

@@ -1,15 +1,37 @@
-"""Commands that bring data out to other programs and in from them: export, import."""
+"""Commands that exchange data with other programs: export, import."""
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from rig_cli.console import print_json, say, show
+from rig_cli.console import notify, print_json, show
 from rig_cli.options import Json, Settings
 from rig_cli.share_progress import share_progress
+
+if TYPE_CHECKING:
+    from daq.exchange.export import Exported
+    from daq.exchange.import_recording import Imported
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ExportSpan:
+    """Part of a log that is exported.
+
+    Attributes:
+        from_s: first instant, seconds since the log's start
+        to_s: end, seconds since the log's start
+    """
+
+    from_s: Annotated[float | None, Parameter(name="--from")] = None
+    to_s: Annotated[float | None, Parameter(name="--to")] = None
+
+
+_WHOLE_LOG = ExportSpan()
 
 
 def export(
@@ -18,16 +40,15 @@ def export(
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     format: Literal["parquet", "csv", "mat", "hdf5"] | None = None,
     channels: Annotated[list[str] | None, Parameter(consume_multiple=True, negative="")] = None,
-    from_s: Annotated[float | None, Parameter(name="--from")] = None,
-    to_s: Annotated[float | None, Parameter(name="--to")] = None,
+    span: ExportSpan = _WHOLE_LOG,
     signals: Annotated[bool, Parameter(negative="")] = False,
     force: Annotated[bool, Parameter(negative="")] = False,
     json: Json = False,
 ) -> int:
     """Write a log's channels for other programs: parquet, csv, MATLAB/Octave, hdf5.
 
-    The format is what OUTPUT's name ends in. Parquet and csv hold one table per file: several channels become
-    OUTPUT-laser_x.csv …; units, provenance, events and losses are in OUTPUT.csv.json beside them. Mat and hdf5 hold
+    The format is the ending of OUTPUT's name. Parquet and csv contain one table per file: several channels become
+    OUTPUT-laser_x.csv …; units, provenance, events and losses are in OUTPUT.csv.json next to them. Mat and hdf5 contain
     everything in one file.
 
     Parameters
@@ -37,51 +58,104 @@ def export(
     output
         file name ending in .parquet, .csv, .mat, .h5 or .hdf5
     format
-        where the name's ending does not say it
+        the format, if the ending of the name does not state it
     channels
         topics such as laser/x laser/y; with --signals x y angles marks; all that hold samples when not given
-    from_s
-        first instant, seconds since the log's start
-    to_s
-        end, seconds since the log's start
     signals
         displacements, angles and index marks on one clock, as identification takes them, instead of the channels
     force
         replace files of that name
     """
-    from daq.exchange import export_log  # noqa: PLC0415 (pyarrow takes a while to import)
+    from daq.exchange import export_log  # pyarrow takes a while to import
 
-    with share_progress(f"exporting {log.name}") as tell:
+    with share_progress(f"exporting {log.name}") as progress:
         done = export_log(
             log,
             output,
             format=format,
             channels=channels or (),
-            from_s=from_s,
-            to_s=to_s,
+            from_s=span.from_s,
+            to_s=span.to_s,
             signals=signals,
             force=force,
-            progress=tell,
+            progress=progress,
         )
     for missing in done.missing:
-        say(f"warning: missing from the log: {missing}")
+        notify(f"warning: missing from the log: {missing}")
     if json:
-        print_json(
-            {
-                "log": str(log),
-                "format": done.format,
-                "files": [str(file) for file in done.files],
-                "rows": done.rows,
-                "missing": done.missing,
-                "losses": done.losses,
-            }
-        )
+        files = [str(file) for file in done.files]
+        lost = {"missing": done.missing, "losses": done.losses}
+        print_json({"log": str(log), "format": done.format, "files": files, "rows": done.rows, **lost})
         return 0
+    _print_export(done)
+    return 0
+
+
+def _print_export(done: Exported) -> None:
     for name, count in done.rows.items():
         show(f"{name:10} {count:9d} samples")
     for file in done.files:
-        say(f"written to {file}")
-    return 0
+        notify(f"written to {file}")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ImportColumns:
+    """Columns of the recording, as NAME:UNIT.
+
+    Attributes:
+        time: column of sample times, from the recording's start or since 1970
+        rate_Hz: rows per second without a column of times
+        x: displacement of the disk's centre along x
+        y: displacement of the disk's centre along y
+        theta3: angle of pendulum A relative to the rotor
+        theta4: angle of pendulum B relative to the rotor
+        phase: rotor angle in every row, unwrapped or not; 0: the imbalance points along +x
+        marks: times at which the index mark passed: a column, or a file of its own, MARKS.csv:s
+        speed: rotor speed; integrated to a phase without an absolute reference
+    """
+
+    time: str | None = None
+    rate_Hz: Annotated[float | None, Parameter(name="--rate")] = None
+    x: str | None = None
+    y: str | None = None
+    theta3: str | None = None
+    theta4: str | None = None
+    phase: str | None = None
+    marks: str | None = None
+    speed: str | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ImportFacts:
+    """What the file does not contain about its recording.
+
+    Attributes:
+        test: ring-down-x, ring-down-y, spin-down, run-up, point-NAME
+        point: a validation point; the same as --test point-NAME
+        note: the operator's note
+        start: when the recording's time was 0, such as 2026-03-01T10:00:00; UTC without a zone
+        release: when the pendulums were released, s; A,B if they differ
+        counts_per_revolution: of the encoders, if it differs from the rig file's
+        invalid: values that mean "no reading", as they are in the file, separated by commas
+        clock_tolerance_ppm: standard uncertainty of the rate of the recording's clock, such as 0.1 for one disciplined
+            by GPS; default: the rig file's clock_tolerance_ppm, or 50
+        recorder: name of the recorder; files of one recorder share its clock's error, and so do files without a name
+    """
+
+    test: str = ""
+    point: str = ""
+    note: str = ""
+    start: str | None = None
+    release: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    counts_per_revolution: int | None = None
+    invalid: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    clock_tolerance_ppm: float | None = None
+    recorder: str = ""
+
+
+_NO_COLUMNS, _NO_FACTS = ImportColumns(), ImportFacts()
 
 
 def import_(
@@ -89,24 +163,8 @@ def import_(
     *,
     output: Annotated[Path, Parameter(name=["--output", "-o"])],
     rig: str,
-    test: str = "",
-    point: str = "",
-    note: str = "",
-    time: str | None = None,
-    rate_Hz: Annotated[float | None, Parameter(name="--rate")] = None,
-    x: str | None = None,
-    y: str | None = None,
-    theta3: str | None = None,
-    theta4: str | None = None,
-    phase: str | None = None,
-    marks: str | None = None,
-    speed: str | None = None,
-    start: str | None = None,
-    release: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    counts_per_revolution: int | None = None,
-    invalid: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    clock_tolerance_ppm: float | None = None,
-    recorder: str = "",
+    columns: ImportColumns = _NO_COLUMNS,
+    facts: ImportFacts = _NO_FACTS,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
@@ -115,83 +173,33 @@ def import_(
     Columns are named NAME:UNIT, for example --time t:ms --x disp1:mm --y disp2:-um --theta3 ch4:deg. NAME is the
     column's name or its number from 1, in mat and hdf5 a path (data.x, data.2). UNIT is s ms us ns min, m mm um nm in,
     rad deg rev, rad/s rpm Hz deg/s, with a minus sign for an axis that points the other way, or a number that turns
-    the value into m, rad, s or rad/s; it may be left out where the name ends in it (displacement_m). A column with
-    times of its own is NAME:UNIT@TIME:UNIT. Empty cells are no samples; gaps are counted and never filled.
+    the value into m, rad, s or rad/s; it may be left out if the name ends in it (displacement_m). A column with
+    times of its own is NAME:UNIT@TIME:UNIT. Empty cells are not samples; gaps are counted and never filled.
 
     Parameters
     ----------
     file
-        the recording; delimiter, decimal comma, comments and header of a csv are found out
+        the recording; delimiter, decimal comma, comments and header of a csv are detected
     output
         the log, ending in .mcap
     rig
         rig file or its name; its snapshot goes into the log
-    test
-        ring-down-x, ring-down-y, spin-down, run-up, point-NAME
-    point
-        a validation point; stands for --test point-NAME
-    note
-        the operator's words
-    time
-        column of sample times, from the recording's start or since 1970
-    rate_Hz
-        rows per second where there is no column of times
-    x
-        displacement of the disk's centre along x
-    y
-        displacement of the disk's centre along y
-    theta3
-        angle of pendulum A relative to the rotor
-    theta4
-        angle of pendulum B relative to the rotor
-    phase
-        rotor angle in every row, unwrapped or not; 0: the imbalance points along +x
-    marks
-        times at which the index mark passed: a column, or a file of its own, MARKS.csv:s
-    speed
-        rotor speed; integrated to a phase without an absolute reference
-    start
-        when the recording's time was 0, such as 2026-03-01T10:00:00; UTC where it names no zone
-    release
-        when the pendulums were let go, s; A,B where they differ
-    counts_per_revolution
-        of the encoders, where it is not the rig file's
-    invalid
-        values that mean "no reading", as they are in the file, separated by commas
-    clock_tolerance_ppm
-        standard uncertainty of the rate of the recording's clock, such as 0.1 for one disciplined by GPS; without it
-        the rig file's clock_tolerance_ppm, or 50 where it has none
-    recorder
-        name of what recorded it; files of one recorder share its clock's error, and so do files without a name
     """
-    from daq.exchange import import_recording, make_recipe  # noqa: PLC0415
-    from daq.exchange.recipe import parse_numbers  # noqa: PLC0415
-    from rig_configs import load_rig  # noqa: PLC0415
+    from daq.exchange import import_recording, make_recipe
+    from daq.exchange.recipe import parse_numbers
+    from rig_configs import load_rig
 
+    known = {name: value for name, value in asdict(facts).items() if name not in ("release", "invalid")}
     recipe = make_recipe(
-        test=test,
-        point=point,
-        note=note,
-        time=time,
-        rate_Hz=rate_Hz,
-        x=x,
-        y=y,
-        theta3=theta3,
-        theta4=theta4,
-        phase=phase,
-        marks=marks,
-        speed=speed,
-        start=start,
-        counts_per_revolution=counts_per_revolution,
-        release_s=parse_numbers(release, "--release") if release else (),
-        invalid=parse_numbers(invalid, "--invalid") if invalid else (),
-        clock_tolerance_ppm=clock_tolerance_ppm,
-        recorder=recorder,
+        **asdict(columns),
+        **known,
+        release_s=parse_numbers(facts.release, "--release") if facts.release else (),
+        invalid=parse_numbers(facts.invalid, "--invalid") if facts.invalid else (),
     )
-    with share_progress(f"importing {file.name}") as tell:
-        done = import_recording(file, output, load_rig(rig, settings=settings or []), recipe, tell)
+    with share_progress(f"importing {file.name}") as progress:
+        done = import_recording(file, output, load_rig(rig, settings=settings or []), recipe, progress)
     for warning in done.warnings:
-        say(f"warning: {warning}")
+        notify(f"warning: {warning}")
     if json:
         print_json(
             {
@@ -205,9 +213,13 @@ def import_(
             }
         )
         return 0
+    _print_import(done)
+    return 0
+
+
+def _print_import(done: Imported) -> None:
     for topic, count in done.samples.items():
         show(f"{topic:10} {count:9d} samples")
     for device, count in done.invalid.items():
         show(f"{device:10} {count:9d} invalid readings, {done.gaps.get(device, 0)} samples in gaps")
-    say(f"written to {done.path}")
-    return 0
+    notify(f"written to {done.path}")

@@ -1,5 +1,5 @@
 # pyright: strict
-"""`--foxglove`: what is recorded, watched or played, for Foxglove and Lichtblick on this machine."""
+"""`--foxglove`: data that are recorded, watched or played, for Foxglove and Lichtblick on this machine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from rig_cli import answer
-from rig_cli.console import say
+from rig_cli.console import notify
 from rig_configs import RigFileError
 
 if TYPE_CHECKING:
@@ -28,12 +28,12 @@ _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/\s?#A-Z*]+")
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Foxglove:
-    """Whether and how the connection is offered.
+    """Options of the connection.
 
     Attributes:
-        wanted: whether it is.
-        port: on the loopback; there is no way to let other machines in.
-        origins: of pages in a browser that may connect.
+        wanted: whether it is offered.
+        port: port on the loopback interface; other machines cannot connect.
+        origins: origins of pages in a browser that may connect.
     """
 
     wanted: Annotated[
@@ -56,65 +56,72 @@ class Foxglove:
     ] = field(default_factory=list[str])
 
 
-def foxglove_beside(
-    asked: Foxglove | None, rig: Rig, rate: float, as_json: bool, told: Callable[[str], None] = say
+NOT_OFFERED = Foxglove()
+
+
+def foxglove_of_session(
+    options: Foxglove, rig: Rig, rate: float, as_json: bool, notify: Callable[[str], None] = notify
 ) -> AbstractContextManager[FoxgloveBeside | None]:
-    """The connection of a session that is opened inside this context; nothing where it is not wanted.
+    """Return a context that offers a session opened inside it to Foxglove; None without the option.
 
     Args:
         rig: the session's.
-        rate: seconds of the rig per second of the wall.
+        rate: seconds of rig time per wall second.
     """
-    return _beside(asked, rig, rate, as_json, told) if asked is not None and asked.wanted else nullcontext()
+    if not options.wanted:
+        return nullcontext()
+    return _open_connection(options, rig, rate, as_json, notify)
 
 
 @contextmanager
-def _beside(
-    asked: Foxglove, rig: Rig, rate: float, as_json: bool, told: Callable[[str], None]
+def _open_connection(
+    options: Foxglove, rig: Rig, rate: float, as_json: bool, notify: Callable[[str], None]
 ) -> Generator[FoxgloveBeside]:
-    from live.foxglove.beside import FoxgloveBeside  # noqa: PLC0415 (only where it is asked for)
+    from live.foxglove.beside import FoxgloveBeside  # only if requested
 
-    beside = FoxgloveBeside(rig, rate, asked.port, _checked(asked.origins), told)
+    connection = FoxgloveBeside(rig, rate, options.port, _checked(options.origins), notify)
     try:
-        with beside:
-            _announce(beside.url, as_json, told)
-            yield beside
+        with connection:
+            _announce(connection.url, as_json, notify)
+            yield connection
     finally:
-        _say_left_out(beside.left_out, told)
+        _report_skipped(connection.left_out, notify)
 
 
-def follow_session(beside: FoxgloveBeside | None, session: Session) -> None:
-    """Have the connection, where there is one, show an open session."""
-    if beside is not None:
-        beside.follow(session)
+def follow_session(connection: FoxgloveBeside | None, session: Session) -> None:
+    """Show an open session on the connection, if there is one."""
+    if connection is not None:
+        connection.follow(session)
 
 
 @contextmanager
 def foxglove_of_log(
-    asked: Foxglove | None, log: Log, rig: Rig, transport: Transport, origin_ns: int, as_json: bool
+    options: Foxglove, log: Log, rig: Rig, transport: Transport, origin_ns: int, as_json: bool
 ) -> Generator[None]:
-    """The connection of a log that is played; nothing where it is not wanted.
+    """Offer a log that is played; does nothing without the option.
 
     Args:
-        log: open; it is read here and not needed afterwards.
+        log: open log; it is read here and not needed afterwards.
         rig: its rig.
-        transport: where it stands, s since origin_ns.
+        transport: playing position, s since origin_ns.
         origin_ns: ns since 1970.
     """
-    if asked is None or not asked.wanted:
+    if not options.wanted:
         yield
         return
-    from live.foxglove.played import Giving, Played  # noqa: PLC0415 (only where it is asked for)
-    from live.foxglove.served import Refusals, facts_of  # noqa: PLC0415
-    from live.foxglove.server import FoxgloveServer  # noqa: PLC0415
+    from live.foxglove.played import Giving, Played  # only if requested
+    from live.foxglove.served import Refusals, facts_of
+    from live.foxglove.server import FoxgloveServer
 
     played = Played(log)
     metadata = {**facts_of(rig), "log": log.path.name}
-    server = FoxgloveServer(log.path.name, played.offered, metadata, _checked(asked.origins), asked.port, Refusals(say))
+    server = FoxgloveServer(
+        log.path.name, played.offered, metadata, _checked(options.origins), options.port, Refusals(notify)
+    )
     with server, Giving(played, transport, origin_ns, server):
-        _announce(server.url, as_json, say)
+        _announce(server.url, as_json, notify)
         yield
-    _say_left_out(server.left_out, say)
+    _report_skipped(server.left_out, notify)
 
 
 def _checked(origins: list[str]) -> tuple[str, ...]:
@@ -127,15 +134,15 @@ def _checked(origins: list[str]) -> tuple[str, ...]:
     return tuple(origins)
 
 
-def _announce(url: str, as_json: bool, told: Callable[[str], None]) -> None:
+def _announce(url: str, as_json: bool, notify: Callable[[str], None]) -> None:
     if as_json:
         answer.announce({"foxglove": url})
-    told(
-        f"for Foxglove and Lichtblick (open a connection, Foxglove WebSocket): {url}; read-only; it asks for no "
-        "token: anyone on this machine can read it"
+    notify(
+        f"for Foxglove and Lichtblick (open a connection, Foxglove WebSocket): {url}; read-only and without a token: "
+        "any user of this machine can read it"
     )
 
 
-def _say_left_out(left_out: int, told: Callable[[str], None]) -> None:
+def _report_skipped(left_out: int, notify: Callable[[str], None]) -> None:
     if left_out:
-        told(f"Foxglove connection: {left_out} messages were left out for clients that took less; the log has all")
+        notify(f"Foxglove connection: {left_out} messages were skipped for slow clients; the log contains all")

@@ -1,4 +1,4 @@
-"""What `rig test` shows without a device: the plan of a test, and which tests of a campaign are missing."""
+"""Output of `rig test` without a device: the plan of a test, and which tests of a campaign are missing."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Any
 
 from rich.table import Table
 
-from rig_cli.console import harmless, say, show
-from rig_cli.words import length, stdout_console
 from daq.errors import LogError
 from daq.guided_tests.kinds import given_on, kind_of, refusal
 from daq.guided_tests.plan import Plan, PlannedState
 from daq.guided_tests.test_inputs import test_names
 from daq.log import open_log
 from daq.log.outcome import not_reached_of
+from rig_cli.console import harmless, notify, show
+from rig_cli.words import length, stdout_console
 from rig_configs.schema import Rig
 
 
 def print_plan(plan: Plan) -> None:
-    """A plan as a table with what stands around it."""
+    """Print a plan: its head, the table of states, and the prompts."""
     times = f", {plan.repeats} times" if plan.repeats > 1 else ""
     show(f"{plan.test}: {plan.line}{times}; about {length(plan.usual_s)}")
     show(f"  needs    {', '.join(f'{signal} ({device})' for signal, device in plan.needs.items()) or 'nothing'}")
@@ -35,7 +35,7 @@ def print_plan(plan: Plan) -> None:
         table.add_row(f"{number}", *_cells(state))
     stdout_console().print(table)
     if plan.prompts:
-        show("The operator is asked:")
+        show("Prompts to the operator:")
         for prompt in plan.prompts:
             show(f"  {harmless(prompt)}")
     show("An abort leads to 'finish' from every state before it. No device was opened.")
@@ -50,10 +50,10 @@ def _cells(state: PlannedState) -> tuple[str, ...]:
 
 
 def campaign(rig: Rig, folder: Path) -> dict[str, Any]:
-    """Which tests a rig can do, and what a folder of logs has of them.
+    """Return the tests that a rig can do, each with its state in a folder of logs.
 
-    An interrupted campaign is resumed by running what is "missing" or "not reached": every test has a log of its own,
-    and none needs the one before it.
+    An interrupted campaign is resumed by running the tests that are "missing" or "not reached". Every test has a log of
+    its own and needs no earlier one.
     """
     logs = _logs(rig, folder)
     tests: list[dict[str, Any]] = []
@@ -78,7 +78,7 @@ def campaign(rig: Rig, folder: Path) -> dict[str, Any]:
 
 
 def _logs(rig: Rig, folder: Path) -> list[tuple[Path, str, str]]:
-    """Logs of a rig in a folder: file, test, what was not reached. One that cannot be read is named and passed over."""
+    """Return the rig's logs in a folder: file, test, what was not reached. Unreadable logs are reported and skipped."""
     found: list[tuple[Path, str, str]] = []
     for path in sorted(folder.glob("*.mcap*")) if folder.is_dir() else []:
         try:
@@ -88,12 +88,12 @@ def _logs(rig: Rig, folder: Path) -> list[tuple[Path, str, str]]:
                     cut = "" if log.complete else "the recording was cut"
                     found.append((path, run.get("test", ""), cut or not_reached_of(log)))
         except (LogError, OSError) as error:
-            say(f"warning: {path} is passed over: {error}")
+            notify(f"warning: {path} is skipped: {error}")
     return found
 
 
 def print_campaign(found: dict[str, Any]) -> None:
-    """The tests of a rig, a line each."""
+    """Print the tests of a rig, one a line."""
     table = Table(box=None, pad_edge=False)
     for title in ("test", found["folder"], "what it does"):
         table.add_column(title)

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from rig_cli.console import print_json, say, wait_for_compilation
-from rig_cli.foxglove import Foxglove, follow_session, foxglove_beside
-from rig_cli.guided_plan_page import campaign, print_campaign, print_plan
-from rig_cli.guided_test_page import TestPage
-from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
-from rig_cli.live import Live, LiveHost, LivePort, follow, page_beside
-from rig_cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone, TimeScale
-from rig_cli.options import Json, ParametersPath, Settings, warn_of_slips, what_if_words
 from daq.acquisition.session import Session
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.kinds import Asked, Refused
@@ -24,69 +18,130 @@ from daq.guided_tests.procedure import Procedures, TestDone
 from daq.guided_tests.runner import NotReached
 from daq.guided_tests.test_inputs import asked
 from daq.transports import HostClock
+from rig_cli.console import notify, print_json, wait_for_compilation
+from rig_cli.foxglove import follow_session, foxglove_of_session
+from rig_cli.guided_plan_page import campaign, print_campaign, print_plan
+from rig_cli.guided_test_page import TestPage
+from rig_cli.keyboard import Keyboard, Keys, TerminalOperator
+from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
+from rig_cli.numbers import PositiveRpm, PositiveSeconds, SecondsOrNone, TimeScale
+from rig_cli.options import Json, ParametersPath, Settings, warn_of_unusual_settings, what_if_words
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
 
 if TYPE_CHECKING:
     from live.beside import LivePage
     from live.foxglove.beside import FoxgloveBeside
+    from rig_cli.tracking import LiveTracking
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class TestNumbers:
+    """Numbers of a test. None: the test's own default.
+
+    Attributes:
+        top_rpm: top speed of a run-up or run-down.
+        duration: its duration, s.
+        speed_rpm: speed of a point or of start-ups.
+        count: number of start-ups.
+        pre_trigger: duration of the log before the motion, s.
+        number: "NAME=VALUE" texts.
+    """
+
+    __test__ = False  # not a pytest class
+
+    top_rpm: Annotated[PositiveRpm | None, Parameter(help="of a run-up or run-down")] = None
+    duration: Annotated[PositiveSeconds | None, Parameter(help="of a run-up or run-down, s")] = None
+    speed_rpm: Annotated[PositiveRpm | None, Parameter(help="of a point or start-ups, instead of the point's own")] = (
+        None
+    )
+    count: Annotated[int | None, Parameter(help="how many start-ups")] = None
+    pre_trigger: Annotated[
+        SecondsOrNone | None, Parameter(help="s of a ring-down's or spin-down's log before the motion")
+    ] = None
+    number: Annotated[list[str] | None, Parameter(help="NAME=VALUE: any number of a test; its plan lists them")] = None
+
+    def by_name(self) -> dict[str, float]:
+        """Return the given numbers by their names in a test.
+
+        Raises:
+            RigFileError: a text is not NAME=VALUE.
+        """
+        named = {
+            "top_rpm": self.top_rpm,
+            "duration_s": self.duration,
+            "speed_rpm": self.speed_rpm,
+            "count": self.count,
+            "pre_trigger_s": self.pre_trigger,
+        }
+        return {name: float(value) for name, value in named.items() if value is not None} | _numbers(self.number or [])
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class TestRun:
+    """How a test is run.
+
+    Attributes:
+        plan: whether only its plan is shown.
+        out: folder of the logs.
+        note: the operator's note.
+        parameters: parameters.toml over the rig file
+        track: whether c3 and c4 are tracked.
+        time_scale: seconds of rig time per wall second.
+    """
+
+    __test__ = False  # not a pytest class
+
+    plan: Annotated[bool, Parameter(negative="", help="show the states, open no device")] = False
+    out: Path = Path("out")
+    parameters: ParametersPath = None
+    note: str = ""
+    track: Annotated[bool, Parameter(negative="", help="show c3 and c4 while the pendulums swing")] = False
+    time_scale: TimeScale = 1.0
+
+
+_DEFAULT_NUMBERS, _DEFAULT_RUN = TestNumbers(), TestRun()
 
 
 def test(
     rig: str,
-    name: Annotated[str | None, Parameter(help="a test; without one: what the rig can do, and what is missing")] = None,
+    name: Annotated[str | None, Parameter(help="a test; without one: tests of the rig, and which are missing")] = None,
     point: str | None = None,
     *,
-    plan: Annotated[bool, Parameter(negative="", help="show the states, open no device")] = False,
-    out: Path = Path("out"),
-    parameters: ParametersPath = None,
-    note: str = "",
-    top_rpm: Annotated[PositiveRpm | None, Parameter(help="of a run-up or run-down")] = None,
-    duration: Annotated[PositiveSeconds | None, Parameter(help="of a run-up or run-down, s")] = None,
-    speed_rpm: Annotated[
-        PositiveRpm | None, Parameter(help="of a point or start-ups, instead of the point's own")
-    ] = None,
-    count: Annotated[int | None, Parameter(help="how many start-ups")] = None,
-    pre_trigger: Annotated[
-        SecondsOrNone | None, Parameter(help="s of a ring-down's or spin-down's log before the motion")
-    ] = None,
-    number: Annotated[
-        list[str] | None, Parameter(help="NAME=VALUE: any number that a test takes; its plan shows them")
-    ] = None,
-    track: Annotated[bool, Parameter(negative="", help="show c3 and c4 while the pendulums swing")] = False,
-    live: Live = False,
-    live_host: LiveHost = "",
-    live_port: LivePort = 0,
-    foxglove: Foxglove | None = None,
-    time_scale: TimeScale = 1.0,
+    options: TestRun = _DEFAULT_RUN,
+    numbers: TestNumbers = _DEFAULT_NUMBERS,
+    displays: Displays = TERMINAL_ONLY,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Run one guided test, or show its plan; without a name, what a rig can do and what is missing.
+    """Run one guided test, or show its plan; without a name, list what the rig can do and what is missing.
 
     The tests are ring-down-x, ring-down-y, spin-down, run-up, run-down, point NAME, start-ups NAME, and those of
     installed packages. While one runs in a terminal, p pauses it where the rig may wait, r resumes, a aborts it (the
-    log is kept, the rotor comes to rest, exit code 1), n begins a note that Enter puts into the log.
+    log is kept, the rotor comes to rest, exit code 1), n begins a note that Enter writes to the log.
     """
+    parameters = options.parameters
     loaded = load_rig(rig, parameters, settings or [])
     if name is None:
-        found = campaign(loaded, out)
+        found = campaign(loaded, options.out)
         print_json(found) if json else print_campaign(found)
         return 0
-    warn_of_slips(loaded)
-    named = {"top_rpm": top_rpm, "duration_s": duration, "speed_rpm": speed_rpm, "count": count}
-    given = {key: float(value) for key, value in (named | {"pre_trigger_s": pre_trigger}).items() if value is not None}
-    wanted = _asked(loaded, name, given | _numbers(number or []), point or "")
-    if plan:
+    warn_of_unusual_settings(loaded)
+    wanted = _asked(loaded, name, numbers.by_name(), point or "")
+    if options.plan:
         planned = plan_of(wanted)
         print_json(planned.facts()) if json else print_plan(planned)
         return 0
     label = IdentifiedParameters.label(parameters) if parameters is not None else ""
     label = label + what_if_words(settings, "; ") if label else ""
-    following = _tracking(wanted, parameters, settings) if track else None
-    beside = page_beside(live, loaded, parameters, settings or [], time_scale, live_host, live_port, json)
-    given = foxglove_beside(foxglove, loaded, time_scale, json)
-    return _run(wanted, out, note, label, time_scale, following, beside, given, json)
+    contexts = _Displays(
+        _tracking(wanted, parameters, settings) if options.track else None,
+        page_of_session(displays.page, loaded, parameters, settings or [], options.time_scale, json),
+        foxglove_of_session(displays.foxglove, loaded, options.time_scale, json),
+    )
+    return _run(wanted, options, label, contexts, json)
 
 
 def _numbers(texts: list[str]) -> dict[str, float]:
@@ -103,10 +158,10 @@ def _numbers(texts: list[str]) -> dict[str, float]:
 
 
 def _asked(rig: Rig, name: str, given: dict[str, float], point: str = "") -> Asked:
-    """A test with all its numbers.
+    """Return a test with all its numbers.
 
     Raises:
-        RigFileError: it cannot be run so.
+        RigFileError: the test cannot be run with these numbers.
     """
     try:
         return asked(rig, name, given, point)
@@ -114,42 +169,47 @@ def _asked(rig: Rig, name: str, given: dict[str, float], point: str = "") -> Ask
         raise RigFileError(str(why)) from why
 
 
-def _tracking(wanted: Asked, parameters: Path | None, settings: list[str] | None) -> Any:
-    """What makes a session be tracked; compiled before a device is opened."""
+@dataclass(frozen=True)
+class _Displays:
+    """Displays of a running test.
+
+    Attributes:
+        tracking: starts tracking of an open session; None without --track.
+        page: context of the live page.
+        foxglove: context of the connection for Foxglove.
+    """
+
+    tracking: Callable[[Session], LiveTracking] | None
+    page: AbstractContextManager[LivePage | None]
+    foxglove: AbstractContextManager[FoxgloveBeside | None]
+
+
+def _tracking(wanted: Asked, parameters: Path | None, settings: list[str] | None) -> Callable[[Session], LiveTracking]:
+    """Return a function that starts tracking of a session. The tracker is compiled before a device is opened."""
     with wait_for_compilation("tracking"):
-        from rig_cli import tracking  # noqa: PLC0415 (numba takes seconds to import)
+        from rig_cli import tracking  # numba takes seconds to import
 
         tracking.compile_tracker(wanted.rig.physics)
     std = tracking.imbalance_std(parameters, settings or [])
     return lambda session: tracking.LiveTracking(session, std, parameters)
 
 
-def _run(
-    wanted: Asked,
-    out: Path,
-    note: str,
-    label: str,
-    time_scale: float,
-    track: Any,
-    beside: AbstractContextManager[LivePage | None],
-    given: AbstractContextManager[FoxgloveBeside | None],
-    as_json: bool,
-) -> int:
+def _run(wanted: Asked, options: TestRun, label: str, displays: _Displays, as_json: bool) -> int:
     controls = Controls()
     keys = Keys(controls)
     early: NotReached | None = None
     done: TestDone | None = None
     with ExitStack() as stack:
-        live_page, connection = stack.enter_context(beside), stack.enter_context(given)
-        session = stack.enter_context(Session(wanted.rig, HostClock(time_scale), say=say))
-        following = stack.enter_context(track(session)) if track is not None else None
+        live_page, connection = stack.enter_context(displays.page), stack.enter_context(displays.foxglove)
+        session = stack.enter_context(Session(wanted.rig, HostClock(options.time_scale), say=notify))
+        following = stack.enter_context(displays.tracking(session)) if displays.tracking is not None else None
         keyboard = stack.enter_context(Keyboard(keys))
         words = following.words if following is not None else str
         page = stack.enter_context(TestPage(session, controls, keys if keyboard.there else None, words))
-        prompted = follow(live_page, session, session.stop, {"note": note}, controls, keys.confirmed.set)
+        prompted = follow(live_page, session, session.stop, {"note": options.note}, controls, keys.confirmed.set)
         follow_session(connection, session)
         operator = TerminalOperator(keyboard, prompted, live_page is not None)
-        tests = Procedures(session, operator, out, page.tell, note, controls)
+        tests = Procedures(session, operator, options.out, page.update, options.note, controls)
         tests.parameters = label
         try:
             done = tests.carry_out(wanted)
@@ -163,12 +223,12 @@ def _run(
 
 
 def _show_early(test: str, early: NotReached, notices: list[str], tracked: dict[str, Any], as_json: bool) -> int:
-    """Of a test that ended before its log began."""
+    """Report a test that ended before its log began."""
     if as_json:
         ended = {"reached": False, "ended": f"not reached: {early}", "aborted": early.aborted}
         print_json({"test": test, "log": None, **ended, **tracked, "warnings": notices})
     else:
-        say(f"{test} did not reach its end: {early}. No log had begun")
+        notify(f"{test} did not reach its end: {early}. No log had begun")
     return 3 if notices else 1
 
 
@@ -183,15 +243,15 @@ def _show(done: TestDone, notices: list[str], tracked: dict[str, Any], as_json: 
         print_json({"test": done.test, "log": str(done.log), **done.summary, **(repeated if done.runs else {}), **more})
     else:
         for warning in done.warnings:
-            say(f"warning: {warning}")
+            notify(f"warning: {warning}")
         for line in _counts(done):
-            say(line)
-        say(f"{done.log}: {ending_words(done)}")
+            notify(line)
+        notify(f"{done.log}: {ending_words(done)}")
     return 3 if notices else 1 if done.missed else 0
 
 
 def _counts(done: TestDone) -> list[str]:
-    """What a repeated test came to, in lines; none of any other."""
+    """Return the result lines of a repeated test; an empty list for other tests."""
     counted = done.summary.get("classes")
     if not done.runs or counted is None:
         return []
@@ -203,12 +263,12 @@ def _counts(done: TestDone) -> list[str]:
 
 
 def ending_words(done: TestDone) -> str:
-    """How a test ended, for its operator."""
+    """Return how a test ended, for its operator."""
     return f"{done.test} did not reach its end: {done.missed}" if done.missed else f"{done.test} done"
 
 
 def run_test(tests: Procedures, rig: Rig, name: str) -> TestDone:
-    """One guided test by its name; speeds follow from the rig's (identified) k1 and k2.
+    """Run one guided test by its name; its speeds follow from the rig's (identified) k1 and k2.
 
     Raises:
         RigFileError: the rig cannot run it.

@@ -1,7 +1,7 @@
 # pyright: strict
-"""What the terminal shows while a guided test runs: readings, how much of each limit is used, losses, the test's state.
+"""Terminal page of a running guided test: readings, shares of their limits, losses, state of the test.
 
-On a terminal a page in place; elsewhere a line when the state changes and every few seconds.
+On a terminal the page is updated in place; otherwise a line is printed at each change of state and every few seconds.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from rig_cli.console import LiveTable, harmless, say
-from rig_cli.keyboard import KEYS, Keys
 from daq.acquisition.session import Session
 from daq.guided_tests.controls import Controls
 from daq.log.losses import Losses
+from rig_cli.console import LiveTable, harmless, notify
+from rig_cli.keyboard import KEYS, Keys
 
-_LINE_EVERY_S, _STATE_EVERY_S = 5.0, 1.0  # wall s between two lines; states that are over sooner have none
-_SPAN_S = 1.0  # rig time over which extremes are taken
-_NEAR = 0.8  # share of a limit from which it is shown in red
+_LINE_EVERY_S, _STATE_EVERY_S = 5.0, 1.0  # wall s between two lines; shorter states get no line
+_SPAN_S = 1.0  # rig time of the extremes
+_NEAR = 0.8  # share of a limit above which it is shown in red
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One quantity now.
+    """Present value of one quantity.
 
     Attributes:
-        name, unit: of it.
-        value: the newest; NaN without one.
-        span: peak to peak over the last second; NaN where that means nothing.
-        used: share of its limit, 0 …; NaN where it has none.
+        name, unit: name and unit of the quantity.
+        value: newest value; NaN without one.
+        span: peak to peak over the last second; NaN if it has no meaning.
+        used: share of its limit, 0 …; NaN without a limit.
     """
 
     name: str
@@ -47,13 +47,13 @@ class Reading:
     used: float = math.nan
 
     def words(self) -> str:
-        """For a line."""
+        """Return the reading as part of a line."""
         used = "" if math.isnan(self.used) else f" ({100 * self.used:.0f} % of its limit)"
         return f"{self.name} {_figure(self.value, self.unit)}{used}"
 
 
 def readings(session: Session) -> list[Reading]:
-    """What the rig's sensors read now; those that the rig has not are left out."""
+    """Return the present readings of the sensors that the rig has."""
     roles, limits = session.rig.roles, session.rig.limits
     found: list[Reading] = []
     for sensor in roles.displacements:
@@ -73,13 +73,13 @@ def readings(session: Session) -> list[Reading]:
 
 
 class TestPage(LiveTable):
-    """Follows the tests of one session.
+    """Page of the tests of one session.
 
     Args:
         session: open.
         controls: of its tests.
-        keys: the terminal's; None where nobody presses any.
-        more: what else is to be shown, a line; empty when nothing.
+        keys: the terminal's; None without a keyboard.
+        more: returns a further line; empty for none.
     """
 
     __test__ = False  # not a pytest class
@@ -87,20 +87,20 @@ class TestPage(LiveTable):
     def __init__(self, session: Session, controls: Controls, keys: Keys | None, more: Callable[[], str]) -> None:
         self._session, self._controls, self._keys, self._more = session, controls, keys, more
         self._started = time.monotonic()
-        self._said_s, self._said = -math.inf, ("", "")
+        self._line_s, self._line_state = -math.inf, ("", "")
         super().__init__(self._page)
 
-    def tell(self, text: str, share: float | None) -> None:
-        """Something is going on: where there is no terminal, a line if it is time."""
+    def update(self, text: str, share: float | None) -> None:
+        """Print a line if one is due; a terminal updates itself."""
         if self._live is not None:
             return
         now, at = time.monotonic() - self._started, (self._controls.status.test, self._controls.status.state)
-        if now - self._said_s < (_LINE_EVERY_S if at == self._said else _STATE_EVERY_S):
+        if now - self._line_s < (_LINE_EVERY_S if at == self._line_state else _STATE_EVERY_S):
             return
-        changed, self._said, self._said_s = at != self._said, at, now
+        changed, self._line_state, self._line_s = at != self._line_state, at, now
         words = text if changed else "; ".join([text, *(reading.words() for reading in readings(self._session))])
         parts = [words, *([more] if (more := self._more()) else []), *([] if changed else [self._losses()])]
-        say(f"[{now:6.1f} s] {'; '.join(parts)}")
+        notify(f"[{now:6.1f} s] {'; '.join(parts)}")
 
     def _losses(self) -> str:
         return Losses(self._session.losses(), "health").words()
@@ -125,13 +125,13 @@ class TestPage(LiveTable):
         lines.append(Text(losses, style="" if losses == "nothing lost" else "yellow"))
         if self._keys is not None:
             typed = self._keys.typed
-            lines.append(Text(KEYS if typed is None else f"note (Enter keeps it, Esc drops it): {typed}", style="dim"))
+            lines.append(Text(KEYS if typed is None else f"note (Enter writes it, Esc drops it): {typed}", style="dim"))
         bar = [] if status.share is None else [ProgressBar(total=1.0, completed=status.share, width=40), Text()]
         return Group(table, *lines[:2], *bar, *lines[2:])
 
 
 def _newest(session: Session, topic: str, field: str) -> NDArray[np.float64]:
-    """Valid values of the last second."""
+    """Return the valid values of the last second."""
     _, (values,) = session.newest(topic, (field,), _SPAN_S)
     known: NDArray[np.float64] = np.asarray(values, np.float64)
     return known[np.isfinite(known)]

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A rig's parameters over time, as identification follows them, in the figure's own terms."""
+"""A rig's parameters over time, converted from the history of identification to the figure's types."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rig_configs import PARAMETER_UNITS
 
 
 def history_figure(found: History, level: float) -> Figure:
-    """The figure.
+    """Draw the history.
 
     Args:
         found: parameters files in the order of their tests.
-        level: chance of marking any change when there is none.
+        level: probability of marking any change if there is none.
     """
     joint, single, marks = list[Value](), list[Value](), list[Value]()
     for instant, step in zip(found.instants, found.steps, strict=True):

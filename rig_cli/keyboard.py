@@ -1,5 +1,5 @@
 # pyright: strict
-"""The keys of a running test: p pause, r resume, a abort, n TEXT a note, Enter when something asked for is done."""
+"""The keys of a running test: p pause, r resume, a abort, n TEXT a note, Enter confirms a prompt."""
 
 from __future__ import annotations
 
@@ -9,23 +9,24 @@ import threading
 from collections.abc import Callable
 from types import TracebackType
 
-from rig_cli.console import say
 from daq.errors import ProcedureError
 from daq.guided_tests.controls import Controls
+from rig_cli.console import notify
 
 KEYS = "p pause   r resume   a abort   n note   Ctrl-C stop"
-_TURN_S = 0.1  # wall s between two looks for a key
+_POLL_S = 0.1  # wall s between two reads of the keyboard
 
 
 class Keys:
-    """What keys mean.
+    """Meaning of the keys.
 
     Args:
         controls: of the running test.
 
     Attributes:
-        typed: the note that is being written; None when none is.
+        typed: the note being written; None without one.
         confirmed: set by Enter outside a note.
+        aborted: set by the key a.
     """
 
     def __init__(self, controls: Controls) -> None:
@@ -35,7 +36,7 @@ class Keys:
         self.aborted = threading.Event()
 
     def press(self, key: str) -> None:
-        """One key; those without a meaning are passed over."""
+        """Handle one key; keys without a meaning are ignored."""
         if self.typed is not None:
             self._write(key)
         elif key in "\r\n":
@@ -65,10 +66,10 @@ class Keys:
 
 
 class Keyboard:
-    """The keys of a terminal, as long as the context lasts; where there is no terminal, nothing.
+    """Context in which the terminal's keys are read; without a terminal it does nothing.
 
     Args:
-        keys: who is given them.
+        keys: receives the keys.
     """
 
     def __init__(self, keys: Keys) -> None:
@@ -96,21 +97,23 @@ class Keyboard:
         """Wait for Enter, or for an abort.
 
         Args:
-            elsewhere: whether somebody may confirm by something else than this keyboard.
+            elsewhere: whether a prompt can also be confirmed elsewhere, on the live page.
         Raises:
-            ProcedureError: no terminal is there to press it at.
+            ProcedureError: standard input is not a terminal, and prompts cannot be confirmed elsewhere.
         """
-        say(f">>> {text}")
+        notify(f">>> {text}")
         if not self.there and not elsewhere:
-            raise ProcedureError(f"{text}: standard input is no terminal, so nobody can. Run the test in a terminal")
+            raise ProcedureError(
+                f"{text}: standard input is not a terminal, so no key can be pressed. Run the test in a terminal"
+            )
         self.keys.confirmed.clear()
-        while not self.keys.confirmed.wait(_TURN_S) and not self.keys.aborted.is_set():
+        while not self.keys.confirmed.wait(_POLL_S) and not self.keys.aborted.is_set():
             pass
 
     def _read(self) -> None:
-        with contextlib.suppress(OSError, ValueError):  # the terminal has gone: nobody presses keys any more
+        with contextlib.suppress(OSError, ValueError):  # the terminal is closed: no more keys
             while not self._ending.is_set():
-                if key := _key(_TURN_S):
+                if key := _key(_POLL_S):
                     self.keys.press(key)
 
 
@@ -132,76 +135,78 @@ else:
     import tty
 
     def _single_keys() -> Callable[[], None]:
-        """Have the terminal hand over each key at once, unseen; returns what undoes it. Ctrl-C stays as it is."""
+        """Switch the terminal to single keys without echo, Ctrl-C unchanged; returns the function that restores it."""
         descriptor = sys.stdin.fileno()
         before = termios.tcgetattr(descriptor)
         tty.setcbreak(descriptor)
         return lambda: termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
-    _left = bytearray()  # of a letter of several bytes
+    _pending = bytearray()  # incomplete bytes of a character
 
     def _key(wait_s: float) -> str:
-        """The next key; empty when none comes in time."""
+        """Return the next key; empty after `wait_s` without one."""
         ready, _, _ = select.select([sys.stdin], [], [], wait_s)
         if not ready:
             return ""
         if not (data := os.read(sys.stdin.fileno(), 1)):
-            raise OSError("the terminal has gone")
-        _left.extend(data)
+            raise OSError("the terminal is closed")
+        _pending.extend(data)
         with contextlib.suppress(UnicodeDecodeError):
-            key = _left.decode()
-            _left.clear()
+            key = _pending.decode()
+            _pending.clear()
             return key
-        if len(_left) > 4:
-            _left.clear()
+        if len(_pending) > 4:
+            _pending.clear()
         return ""
 
 
 class TerminalOperator:
-    """Asks the person at the terminal; the test goes on when the sensors see that it was done.
+    """Prompts the person at the terminal. The test continues when the sensors show that the action was done.
 
     Args:
-        keyboard: where a person confirms what no sensor sees.
-        told: is told too what is asked for, as a page beside the terminal.
-        elsewhere: whether a person may confirm there too.
+        keyboard: confirms what no sensor detects.
+        notify: called with each prompt too, for a page next to the terminal.
+        elsewhere: whether a prompt can also be confirmed on that page.
     """
 
     def __init__(
-        self, keyboard: Keyboard, told: Callable[[str], None] = lambda text: None, elsewhere: bool = False
+        self, keyboard: Keyboard, notify: Callable[[str], None] = lambda text: None, elsewhere: bool = False
     ) -> None:
-        self._keyboard, self._told, self._elsewhere = keyboard, told, elsewhere
+        self._keyboard, self._notify, self._elsewhere = keyboard, notify, elsewhere
 
-    def _ask(self, text: str) -> None:
-        self._told(text)
-        say(f">>> {text}")
+    def _prompt(self, text: str) -> None:
+        self._notify(text)
+        notify(f">>> {text}")
 
     def pluck(self, axis: str) -> None:
         """See daq.guided_tests.hands.Operator."""
-        self._ask(f"displace the column by 2 to 3 mm along {axis} and let go")
+        self._prompt(f"displace the column by 2 to 3 mm along {axis} and release it")
 
     def flick(self) -> None:
         """See daq.guided_tests.hands.Operator."""
-        self._ask("flick both pendulums, slower than two turns a second")
+        self._prompt("flick both pendulums, slower than two turns a second")
 
     def scatter(self) -> None:
         """See daq.guided_tests.hands.Operator."""
-        self._ask("leave both pendulums or balls anywhere, elsewhere each time, and take your hands off")
+        self._prompt("leave both pendulums or balls anywhere, at another place each time, and take your hands off")
 
     def lock(self, seen: bool) -> None:
         """See daq.guided_tests.hands.Operator."""
-        self._ask("the rotor at rest: lock both pendulums, A at 0° and B at 180°")
+        self._prompt("the rotor at rest: lock both pendulums, A at 0° and B at 180°")
         if not seen:
-            text = "no encoder sees the pendulums: press Enter when both are locked"
-            self._told(text)
+            text = "no encoder measures the pendulums: press Enter when both are locked"
+            self._notify(text)
             self._keyboard.confirm(text, self._elsewhere)
 
     def release(self) -> None:
         """See daq.guided_tests.hands.Operator."""
-        self._ask("release both pendulums, both at once")
+        self._prompt("release both pendulums, both at once")
 
     def turn(self, rpm: float, ramp_rpm_per_s: float) -> None:
         """See daq.guided_tests.hands.Operator."""
         if rpm:
-            self._ask(f"turn the rotor to {rpm:.0f} rpm, by about {ramp_rpm_per_s:.0f} rpm a second, and hold it there")
+            self._prompt(
+                f"turn the rotor to {rpm:.0f} rpm, by about {ramp_rpm_per_s:.0f} rpm a second, and hold it there"
+            )
         else:
-            self._ask(f"bring the rotor to rest, by about {ramp_rpm_per_s:.0f} rpm a second")
+            self._prompt(f"bring the rotor to rest, by about {ramp_rpm_per_s:.0f} rpm a second")

@@ -1,5 +1,5 @@
 # pyright: strict
-"""`rig live`: a rig or a log in the browser; and the same page beside other commands, by their `--live`."""
+"""`rig live`: a rig or a log in the browser; and the same page for other commands, by their `--live`."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from rig_cli import answer
-from rig_cli.console import say
-from rig_cli.foxglove import Foxglove, follow_session, foxglove_beside, foxglove_of_log
-from rig_cli.numbers import TimeScale
-from rig_cli.options import Json, ParametersPath, Settings, warn_of_slips
 from daq.errors import LogError
+from rig_cli import answer
+from rig_cli.console import notify
+from rig_cli.foxglove import NOT_OFFERED, Foxglove, follow_session, foxglove_of_log, foxglove_of_session
+from rig_cli.numbers import TimeScale
+from rig_cli.options import Json, ParametersPath, Settings, warn_of_unusual_settings
 from rig_configs import IdentifiedParameters, load_rig, overridden, with_parameters
 
 if TYPE_CHECKING:
@@ -26,54 +27,92 @@ if TYPE_CHECKING:
     from live.beside import LivePage
     from rig_configs.schema import Rig
 
-Host = Annotated[str, Parameter(help="let others in: the name or address by which they reach this machine")]
+Host = Annotated[str, Parameter(help="admit other machines: the name or address by which they reach this one")]
 Port = Annotated[int, Parameter(help="of the page; 0 for any free one")]
-Live = Annotated[
-    bool, Parameter(name="--live", negative="", help="show it in the browser too, with a stop button; see rig live")
-]
-LiveHost = Annotated[str, Parameter(name="--live-host", help="of that page, as rig live's --host")]
-LivePort = Annotated[int, Parameter(name="--live-port", help="of that page, as rig live's --port")]
 
-_LOOK_S = 0.1
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PagePlace:
+    """Address of the page of `rig live`.
+
+    Attributes:
+        host: name or address of this machine for other machines; "" for this machine only.
+        port: 0 for any free one.
+    """
+
+    host: Host = ""
+    port: Port = 0
+
+
+_LOCAL = PagePlace()
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Displays:
+    """Displays of a running session besides the terminal.
+
+    Attributes:
+        live: whether a live page is shown.
+        live_host, live_port: address of that page.
+        foxglove: options of the connection for Foxglove.
+    """
+
+    live: Annotated[
+        bool, Parameter(negative="", help="show it in the browser too, with a stop button; see rig live")
+    ] = False
+    live_host: Annotated[str, Parameter(help="of that page, as rig live's --host")] = ""
+    live_port: Annotated[int, Parameter(help="of that page, as rig live's --port")] = 0
+    foxglove: Foxglove = field(default_factory=Foxglove)
+
+    @property
+    def page(self) -> PagePlace | None:
+        """Address of the live page; None without one."""
+        return PagePlace(self.live_host, self.live_port) if self.live else None
+
+
+TERMINAL_ONLY = Displays()
+
+
+_CHECK_EVERY_S = 0.1
 
 
 def live(
     source: Annotated[str, Parameter(help="a log, a rig file or a shipped rig's name")],
     *,
-    host: Host = "",
-    port: Port = 0,
+    place: PagePlace = _LOCAL,
     speed: Annotated[float, Parameter(help="of a log: seconds of it per second")] = 1.0,
     parameters: ParametersPath = None,
-    foxglove: Foxglove | None = None,
+    foxglove: Foxglove = NOT_OFFERED,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Show a rig or a log in the browser, with a stop button; only who has its token gets in.
+    """Show a rig or a log in the browser, with a stop button; access needs its token.
 
     Ctrl-C ends it. A log is played: play, pause, seek, speed. A rig is opened and watched, and nothing is recorded; its
     page has a stop button. With --json the first line is {"url", "token"}.
     """
     if source.endswith((".mcap", ".mcap.part")):
-        return _log(Path(source), host, port, speed, parameters, foxglove, settings or [], json)
-    return _rig(source, host, port, parameters, foxglove, time_scale, settings or [], json)
+        return _log(Path(source), place, speed, parameters, foxglove, settings or [], json)
+    return _rig(source, place, parameters, foxglove, time_scale, settings or [], json)
 
 
 def _log(
     path: Path,
-    host: str,
-    port: int,
+    place: PagePlace,
     speed: float,
     parameters: Path | None,
-    foxglove: Foxglove | None,
+    foxglove: Foxglove,
     settings: list[str],
     as_json: bool,
 ) -> int:
-    from daq.log import open_log  # noqa: PLC0415 (numba takes a third of a second to import)
-    from daq.log.snapshot import rig_of  # noqa: PLC0415
-    from live.model import Model  # noqa: PLC0415
-    from live.replayed import Replayed  # noqa: PLC0415
-    from live.serving import Serving  # noqa: PLC0415
+    from daq.log import open_log  # numba takes a third of a second to import
+    from daq.log.snapshot import rig_of
+    from live.model import Model
+    from live.replayed import Replayed
+    from live.serving import Serving
 
     with ExitStack() as stack:
         with open_log(path) as log:
@@ -82,79 +121,77 @@ def _log(
                 replayed = Replayed(log, rig, speed)
             except ValueError as fault:
                 raise LogError(f"--speed: {fault}") from fault
-            serving = stack.enter_context(Serving(replayed, Model(rig, known, source), host, port))
-            _announce(serving.url, serving.token, host, as_json)
+            serving = stack.enter_context(Serving(replayed, Model(rig, known, source), place.host, place.port))
+            _announce(serving.url, serving.token, place.host, as_json)
             origin_ns = replayed.signals.origin_ns
             stack.enter_context(foxglove_of_log(foxglove, log, rig, replayed.transport, origin_ns, as_json))
         try:
             threading.Event().wait()
         except KeyboardInterrupt:
-            say("the page is closed")
+            notify("the page is closed")
     return 0
 
 
 def _rig(
     name: str,
-    host: str,
-    port: int,
+    place: PagePlace,
     parameters: Path | None,
-    foxglove: Foxglove | None,
+    foxglove: Foxglove,
     time_scale: float,
     settings: list[str],
     as_json: bool,
 ) -> int:
-    from daq.acquisition.session import Session  # noqa: PLC0415
-    from daq.transports import HostClock  # noqa: PLC0415
+    from daq.acquisition.session import Session
+    from daq.transports import HostClock
 
     rig = load_rig(name, settings=settings)
-    warn_of_slips(rig)
+    warn_of_unusual_settings(rig)
     clock = HostClock(time_scale)
     with (
-        page_beside(True, rig, parameters, settings, clock.rate, host, port, as_json) as page,
-        foxglove_beside(foxglove, rig, clock.rate, as_json) as given,
-        Session(rig, clock, say=say) as session,
+        page_of_session(place, rig, parameters, settings, clock.rate, as_json) as page,
+        foxglove_of_session(foxglove, rig, clock.rate, as_json) as given,
+        Session(rig, clock, say=notify) as session,
     ):
         follow(page, session, session.stop, {"words": "watched, not recorded"})
         follow_session(given, session)
         try:
             while True:
                 session.check()
-                time.sleep(_LOOK_S)
+                time.sleep(_CHECK_EVERY_S)
         except KeyboardInterrupt:
-            say("the page is closed")
+            notify("the page is closed")
     return 3 if session.notices else 0
 
 
-def page_beside(
-    wanted: bool,
+def page_of_session(
+    place: PagePlace | None,
     rig: Rig,
     parameters: Path | None,
     settings: list[str],
     rate: float,
-    host: str,
-    port: int,
     as_json: bool,
-    told: Callable[[str], None] = say,
+    notify: Callable[[str], None] = notify,
 ) -> AbstractContextManager[LivePage | None]:
-    """The page of a session that is opened inside this context; nothing where it is not wanted.
+    """Return a context with the page of a session opened inside it; None without `--live`.
 
     Args:
+        place: address of the page; None for no page.
         rig: the session's.
-        parameters, settings: what the model's curves follow.
-        rate: seconds of the rig per second of the wall.
+        parameters, settings: of the model's curves.
+        rate: seconds of rig time per wall second.
     """
-    if not wanted:
+    if place is None:
         return nullcontext()
     laid, known, source = _laid_over(rig, parameters, settings)
-    from live.beside import LivePage  # noqa: PLC0415 (numba takes a third of a second to import)
+    from live.beside import LivePage  # numba takes a third of a second to import
 
     class Announced(LivePage):
         def __enter__(self) -> LivePage:
             page = super().__enter__()
-            _announce(page.url, page.token, host, as_json, told)
+            _announce(page.url, page.token, place.host, as_json, notify)
             return page
 
-    return Announced(laid, known, source, rate, rig.name, host, port)
+    return Announced(laid, known, source, rate, rig.name, place.host, place.port)
 
 
 def follow(
@@ -165,14 +202,14 @@ def follow(
     controls: Controls | None = None,
     confirmed: Callable[[], None] | None = None,
 ) -> Callable[[str], None]:
-    """Have the page, where there is one, show an open session; see live.beside.
+    """Show an open session on the page, if there is one; see live.beside.
 
     Returns:
-        What is to be told of all that the operator is asked for.
+        Function to be called with every prompt to the operator.
     """
     if page is None:
         return lambda text: None
-    from live.beside import Asking  # noqa: PLC0415 (only where there is a page)
+    from live.beside import Asking  # only with a page
 
     asking = Asking(controls, confirmed)
     page.follow(session, asking, stop, facts)
@@ -180,21 +217,21 @@ def follow(
 
 
 def _laid_over(rig: Rig, parameters: Path | None, settings: list[str]) -> tuple[Rig, IdentifiedParameters | None, str]:
-    """A rig with identified parameters laid over it, these, and where the model's numbers are from."""
+    """Return the rig with identified parameters applied, these parameters, and the source of the model's numbers."""
     if parameters is None:
         return rig, None, "rig file"
     known = IdentifiedParameters.load(parameters)
     return with_parameters(rig, known.without(overridden(known, settings))), known, parameters.name
 
 
-def _announce(url: str, token: str, host: str, as_json: bool, told: Callable[[str], None] = say) -> None:
-    """The page's address: as the first line of the output where that is JSON."""
+def _announce(url: str, token: str, host: str, as_json: bool, notify: Callable[[str], None] = notify) -> None:
+    """Report the page's address, with JSON output as its first line."""
     address: Mapping[str, Any] = {"url": url, "token": token}
     if as_json:
         answer.announce(address)
-    told(f"the live page: {url}")
+    notify(f"the live page: {url}")
     if host:
-        told(
-            f"warning: --host {host}: everybody who reaches this machine and has that address sees the page and may "
-            "press its stop; it is not encrypted, so the network sees the token too"
+        notify(
+            f"warning: --host {host}: all who reach this machine and have that address see the page and may press its "
+            "stop; it is not encrypted, so the token can be read on the network"
         )

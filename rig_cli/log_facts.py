@@ -1,4 +1,4 @@
-"""One log as `rig log --json` tells it."""
+"""Contents of one log as `rig log --json` prints them."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ _PHYSICAL = ("rotor", "imbalance", "pendulums", "suspension")
 
 
 def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_events: bool = False) -> dict[str, Any]:
-    """What is in a log; parts of it that are not what they should be are told under "unreadable".
+    """Return the contents of a log. Parts that cannot be read are listed under "unreadable".
 
     Args:
         log: open.
         path: its file.
-        verified: what `Log.verify` found; None when it was not asked.
-        all_events: every event beside those taken together.
+        verified: result of `Log.verify`; None if the log was not verified.
+        all_events: include every event in addition to the groups of similar ones.
     """
     unreadable: list[str] = []
 
     def readable(read: Callable[[], Any], otherwise: Any) -> Any:
         try:
             return read()
-        except (LogError, RecursionError) as fault:  # JSON may be nested as deep as someone likes
+        except (LogError, RecursionError) as fault:  # JSON of any nesting depth can be in a file
             unreadable.append(one_line(fault, path))
             return otherwise
 
@@ -40,22 +40,10 @@ def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_e
     happened: EventContent = readable(lambda: event_content(events_of(log), log.start_ns), EventContent())
     raw = readable(lambda: raw_content(log, thorough=verified is not None), {})
     health = readable(lambda: last_health(log), None)
-    snapshot = readable(lambda: snapshot_of(log), {}) if "rig.json" in log.attachments else {}
+    snapshot: dict[str, Any] = readable(lambda: snapshot_of(log), {}) if "rig.json" in log.attachments else {}
     channels = {topic: readable(lambda t=topic: asdict(channel_content(log, t)), None) for topic in log}
-    facts = {
-        "log": str(path),
-        "state": state_of(log, has_end(path)),
-        "complete": log.complete,
-        "verified": verified is not None,
-        "missing": [str(missing) for missing in log.missing],
-        "lost_before": [str(missing) for missing in log.lost_before],
-        "unchecked": [str(place) for place in verified or () if place not in log.missing],
-        "size_bytes": log.size_bytes,
-        "chunks": log.chunk_count,
-        "library": log.library,
-        "start_ns": log.start_ns,
-        "end_ns": log.end_ns,
-        "duration_s": (log.end_ns - log.start_ns) * 1e-9,
+    facts: dict[str, Any] = {
+        **_file_facts(log, path, verified),
         "run": run,
         "summary": summary,
         "outcome": outcome_of(summary),
@@ -81,8 +69,27 @@ def log_facts(log: Log, path: Path, verified: Sequence[Missing] | None, *, all_e
     return {**facts, "unreadable": unreadable}
 
 
+def _file_facts(log: Log, path: Path, verified: Sequence[Missing] | None) -> dict[str, Any]:
+    """Return state, completeness, size and time span of a log's file."""
+    return {
+        "log": str(path),
+        "state": state_of(log, has_end(path)),
+        "complete": log.complete,
+        "verified": verified is not None,
+        "missing": [str(missing) for missing in log.missing],
+        "lost_before": [str(missing) for missing in log.lost_before],
+        "unchecked": [str(place) for place in verified or () if place not in log.missing],
+        "size_bytes": log.size_bytes,
+        "chunks": log.chunk_count,
+        "library": log.library,
+        "start_ns": log.start_ns,
+        "end_ns": log.end_ns,
+        "duration_s": (log.end_ns - log.start_ns) * 1e-9,
+    }
+
+
 def _sensors(log: Log) -> dict[str, str]:
-    """What each displacement sensor measured for the rig, in words, by device; empty where it is not stated."""
+    """Return what each displacement sensor measured, in words, by device; empty if the rig file does not state it."""
     try:
         return rig_of(log).roles.duties
     except (LogError, RecursionError):

@@ -1,28 +1,28 @@
-"""One log on the terminal: a page."""
+"""Page of one log on the terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, cast
 
 from rich.text import Text
 
+from daq.log.content import seconds
+from daq.log.outcome import not_reached
 from rig_cli.log_table import STATES, VERDICTS
 from rig_cli.trip_page import trip_lines
 from rig_cli.words import length, local_time, printable, size, stdout_console
-from daq.log.content import seconds
-from daq.log.outcome import not_reached
 
 
 def print_log(facts: Mapping[str, Any]) -> None:
-    """One log's page on standard output."""
+    """Print one log's page on standard output."""
     console = stdout_console()
     for name, text, style in _lines(facts):
         console.print(Text.assemble((f"{name:13}", "dim"), (printable(text), style)), soft_wrap=True)
 
 
 def _lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
-    """Lines as (what, text, style)."""
+    """Return the lines as (name, text, style)."""
     run = facts["run"]
     yield "log", facts["log"], "bold"
     yield "state", *_state(facts)
@@ -46,8 +46,10 @@ def _lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
     for trip in facts["trips"]:
         yield from trip_lines(trip, facts["start_ns"])
     for device, identity in facts["devices"].items():
-        told = identity.items() if isinstance(identity, Mapping) else [("says", identity)]
-        yield "device", f"{device}: " + ", ".join(f"{name} {value}" for name, value in told), ""
+        items: Iterable[tuple[str, Any]] = [("reports", identity)]
+        if isinstance(identity, Mapping):
+            items = cast("Mapping[str, Any]", identity).items()
+        yield "device", f"{device}: " + ", ".join(f"{name} {value}" for name, value in items), ""
     for device, words in facts["sensors"].items():
         yield "sensor", f"{device}: measures {words}", ""
     for name, value in _flat(facts["rig"]["physical"]):
@@ -60,7 +62,7 @@ _RUN_SHOWN = ("rig", "test", "point", "note", "parameters", "software", "origin"
 
 
 def _judged(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
-    """What the test did not reach, and the last validation's verdict."""
+    """Return lines about what the test did not reach, and about the last validation's verdict."""
     if missed := not_reached(facts["run"].get("test", ""), facts["outcome"]):
         yield "not reached", missed, "bold red"
     if facts["verdict"]:
@@ -90,7 +92,7 @@ def _recorded(facts: Mapping[str, Any]) -> Iterable[str]:
 def _verdict(verdict: Mapping[str, Any]) -> tuple[str, str]:
     why = ", ".join(filter(None, (verdict["point"] and f"point {verdict['point']}", verdict["state"], verdict["why"])))
     if verdict["stale"]:
-        return f"stale: {verdict['verdict']} was said of another log ({why})", "yellow"
+        return f"stale: {verdict['verdict']} is the verdict on another log ({why})", "yellow"
     return f"{verdict['verdict']} ({why})", VERDICTS.get(verdict["verdict"], "bold red")
 
 
@@ -108,26 +110,28 @@ def _loss_lines(losses: Mapping[str, Any] | None) -> Iterable[tuple[str, str, st
     text = ", ".join(counts) or "nothing lost"
     yield "losses", text + source[losses["source"]], "bold red" if losses["total"] else "green"
     for device, kinds in losses["events"].items():
-        told = [f"{kind} {told['events']} times, {told['span_s']:.6g} s" for kind, told in kinds.items()]
-        yield "", f"{device}: {'; '.join(told)}", "red"
+        counted = [f"{kind} {loss['events']} times, {loss['span_s']:.6g} s" for kind, loss in kinds.items()]
+        yield "", f"{device}: {'; '.join(counted)}", "red"
 
 
 def _channel_lines(facts: Mapping[str, Any]) -> Iterable[tuple[str, str, str]]:
-    for topic, told in facts["channels"].items():
-        if told:
-            text = f"{topic:12}{told['samples']:12,d} samples {told['span_s']:11.3f} s {told['rate_Hz']:10.2f} Hz"
+    for topic, channel in facts["channels"].items():
+        if channel:
+            text = (
+                f"{topic:12}{channel['samples']:12,d} samples {channel['span_s']:11.3f} s {channel['rate_Hz']:10.2f} Hz"
+            )
             yield "channel", text.replace(",", " "), ""
-    for device, told in facts["raw"].items():
-        if told:
-            ways = "" if told["bytes_in"] is None else f", {size(told['bytes_in'])} in, {size(told['bytes_out'])} out"
-            yield "raw", f"{device:12}{told['messages']:12,d} reads and writes".replace(",", " ") + ways, ""
+    for device, raw in facts["raw"].items():
+        if raw:
+            ways = "" if raw["bytes_in"] is None else f", {size(raw['bytes_in'])} in, {size(raw['bytes_out'])} out"
+            yield "raw", f"{device:12}{raw['messages']:12,d} reads and writes".replace(",", " ") + ways, ""
 
 
 def _health_lines(health: Mapping[str, Any] | None) -> Iterable[tuple[str, str, str]]:
     if health is None:
         return
     disk = health.get("disk")
-    slow_s = seconds(disk, "slow_s") if isinstance(disk, Mapping) else 0.0
+    slow_s = seconds(cast("Mapping[str, Any]", disk), "slow_s") if isinstance(disk, Mapping) else 0.0
     if slow_s > 0:
         text, style = f"the disk was behind for {slow_s:.1f} s", "yellow"
     elif health.get("stalled"):
@@ -160,6 +164,6 @@ def _event_style(kind: str) -> str:
 def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
     for name, value in table.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{name}.")
+            yield from _flat(cast("Mapping[str, Any]", value), f"{prefix}{name}.")
         else:
             yield f"{prefix}{name}", value

@@ -1,4 +1,4 @@
-"""Many logs on the terminal: a table with the columns that fit."""
+"""Table of many logs on the terminal, with the columns that fit."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pathlib import Path
 from rich.cells import cell_len, set_cell_size
 from rich.text import Text
 
-from rig_cli.console import say
-from rig_cli.words import length, local_time, printable, size, stdout_console
 from daq.catalogue.entry import Entry
 from daq.log.outcome import not_reached
+from rig_cli.console import notify
+from rig_cli.words import length, local_time, printable, size, stdout_console
 
 STATES = {
     "finished": ("finished", "green"),
@@ -31,9 +31,9 @@ class _Column:
     """A column of the table.
 
     Attributes:
-        of: text and style for an entry.
-        least: width it can be shortened to; 0 when it cannot.
-        keep: the column that is kept least goes first where there is no room.
+        of: returns text and style of an entry.
+        least: width to which it can be shortened; 0 if it cannot.
+        keep: priority; the column with the lowest is left out first if the terminal is too narrow.
     """
 
     title: str
@@ -67,9 +67,9 @@ _COLUMNS = (
 
 
 def print_logs(entries: Sequence[Entry], files: int, folder: Path) -> None:
-    """The table on standard output, newest or whatever was asked for first, and a closing line on standard error."""
+    """Print the table on standard output in the requested order, and a closing line on standard error."""
     if not entries:
-        say(f"{folder}: no logs" if files == 0 else f"{folder}: none of {files} logs is what was looked for")
+        notify(f"{folder}: no logs" if files == 0 else f"{folder}: none of {files} logs matches")
         return
     console = stdout_console()
     columns = _that_fit(entries, console.width)
@@ -79,7 +79,7 @@ def print_logs(entries: Sequence[Entry], files: int, folder: Path) -> None:
     for entry in entries:
         _add_row(table, [column.of(entry) for column, _ in columns], columns)
     console.print(table, soft_wrap=True, end="")  # rich's own table takes half a second for a thousand logs
-    say(_closing(entries, files))
+    notify(_closing(entries, files))
 
 
 def _add_row(table: Text, cells: Sequence[tuple[str, str]], columns: Sequence[tuple[_Column, int]]) -> None:
@@ -95,7 +95,7 @@ def _shortened(text: str, width: int) -> str:
 
 
 def _that_fit(entries: Sequence[Entry], room: int) -> list[tuple[_Column, int]]:
-    """Columns with something in them, and their widths; what matters least is left out, then shortened."""
+    """Return the columns with contents and their widths; those of low priority are left out, then others shortened."""
     widths: dict[_Column, int] = {}
     for column in _COLUMNS:
         widest = max(cell_len(printable(column.of(entry)[0])) for entry in entries)

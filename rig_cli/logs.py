@@ -1,21 +1,22 @@
-"""Commands that look at logs: all of a folder, and one."""
+"""Commands about logs: all of a folder, and one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from cyclopts import Parameter
 
-from rig_cli.console import print_json, say
+from daq.catalogue.query import Query, Sort, parse_instant
+from rig_cli.console import notify, print_json
 from rig_cli.log_table import print_logs
-from rig_cli.options import Json, need_place
+from rig_cli.options import Json, check_outputs
 from rig_cli.share_progress import share_progress
 from rig_cli.words import local_time
-from daq.catalogue.query import Query, Sort, parse_instant
 
 if TYPE_CHECKING:
     from daq.log import Log
@@ -23,29 +24,12 @@ if TYPE_CHECKING:
 Flag = Annotated[bool, Parameter(negative="")]
 
 
-def logs(
-    folder: Path,
-    *words: str,
-    rig: str = "",
-    test: str = "",
-    point: str = "",
-    note: str = "",
-    parameters: str = "",
-    verdict: str = "",
-    since: str | None = None,
-    until: str | None = None,
-    lost: Flag = False,
-    complete: Flag = False,
-    incomplete: Flag = False,
-    sort: Sort = "started",
-    reverse: Flag = False,
-    json: Json = False,
-) -> int:
-    """List the logs of a folder and of the folders below it, newest first.
+@Parameter(name="*")
+@dataclass(frozen=True)
+class LogFilter:
+    """Conditions on the listed logs. Empty ones admit every log.
 
-    Args:
-        folder: where the logs are.
-        words: each must be in the rig's name, test, point, note or file name.
+    Attributes:
         rig: must be in the rig's name.
         test: must be in the test's name.
         point: the point's name.
@@ -57,44 +41,86 @@ def logs(
         lost: only logs in which samples or frames were lost.
         complete: only whole files.
         incomplete: only cut, damaged and unreadable files.
+    """
+
+    rig: str = ""
+    test: str = ""
+    point: str = ""
+    note: str = ""
+    parameters: str = ""
+    verdict: str = ""
+    since: str | None = None
+    until: str | None = None
+    lost: Flag = False
+    complete: Flag = False
+    incomplete: Flag = False
+
+    def query(self, words: tuple[str, ...], sort: Sort, reverse: bool) -> Query:
+        """Return the catalogue's query.
+
+        Raises:
+            ValueError: the text has what was expected.
+        """
+        if self.complete and self.incomplete:
+            raise ValueError("expected one of --complete and --incomplete, got both")
+        try:
+            since, until = (
+                None if text is None else parse_instant(text, datetime.now(), end)
+                for text, end in ((self.since, False), (self.until, True))
+            )
+        except ValueError as fault:
+            raise ValueError(f"--since, --until: {fault}") from fault
+        return Query(
+            words,
+            self.rig,
+            self.test,
+            self.point,
+            self.note,
+            self.parameters,
+            self.verdict,
+            since,
+            until,
+            lost=True if self.lost else None,
+            complete=self.complete if self.complete or self.incomplete else None,
+            sort=sort,
+            reverse=reverse,
+        )
+
+
+_EVERY_LOG = LogFilter()
+
+
+def logs(
+    folder: Path,
+    *words: str,
+    only: LogFilter = _EVERY_LOG,
+    sort: Sort = "started",
+    reverse: Flag = False,
+    json: Json = False,
+) -> int:
+    """List the logs of a folder and of the folders below it, newest first.
+
+    Args:
+        folder: where the logs are.
+        words: each must be in the rig's name, test, point, note or file name.
         sort: by what; times, sizes and counts largest first.
         reverse: the other way round.
     """
-    from daq.catalogue import Catalogue  # noqa: PLC0415 (the log's reader takes half a second to import)
+    from daq.catalogue import Catalogue  # the log's reader takes half a second to import
 
-    if complete and incomplete:
-        say("rig logs: expected one of --complete and --incomplete, got both")
-        return 2
     try:
-        span = [
-            None if text is None else parse_instant(text, datetime.now(), end)
-            for text, end in ((since, False), (until, True))
-        ]
+        query = only.query(words, sort, reverse)
     except ValueError as fault:
-        say(f"rig logs: --since, --until: {fault}")
+        notify(f"rig logs: {fault}")
         return 2
-    query = Query(
-        words,
-        rig,
-        test,
-        point,
-        note,
-        parameters,
-        verdict,
-        *span,
-        lost=True if lost else None,
-        complete=complete if complete or incomplete else None,
-        sort=sort,
-        reverse=reverse,
-    )
     catalogue = Catalogue(folder)
     with ExitStack() as stack:
-        entries = catalogue.entries(_shown_when_needed(stack, "reading new logs"))
+        entries = catalogue.entries(_progress_when_called(stack, "reading new logs"))
     found = query.sorted(entry for entry in entries if query.admits(entry))
     if catalogue.cache_trouble:
-        say(f"rig logs: {catalogue.cache_trouble}")
+        notify(f"rig logs: {catalogue.cache_trouble}")
     for trouble in catalogue.unread_folders:
-        say(f"rig logs: {trouble}")
+        notify(f"rig logs: {trouble}")
     if json:
         print_json(
             {
@@ -120,27 +146,27 @@ def log(
 ) -> int:
     """What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or damaged.
 
-    What a recovered log had lost before is told, but is no fault of this file.
+    Losses of a recovered log that occurred before its recovery are listed, but are no damage of this file.
 
     Args:
         log: the log, finished or not.
-        verify: read everything and check it; --no-verify takes the file's own word.
-        events: list every event; otherwise those that are alike are taken together.
+        verify: read everything and check it; --no-verify trusts the file's summary.
+        events: list every event; otherwise similar ones are grouped.
         snapshot: print only the rig file as it was when the log was recorded (TOML).
         plot: draw the whole log into this .svg, .png or .pdf file.
     """
-    need_place("rig log: --plot", plot)
-    from rig_cli.log_facts import log_facts  # noqa: PLC0415 (the log's reader takes half a second to import)
-    from rig_cli.log_page import print_log  # noqa: PLC0415
-    from daq.log import open_log  # noqa: PLC0415
+    check_outputs("rig log: --plot", plot)
+    from daq.log import open_log
+    from rig_cli.log_facts import log_facts  # the log's reader takes half a second to import
+    from rig_cli.log_page import print_log
 
     with open_log(log) as opened:
         if snapshot:
             return _print_snapshot(opened, json)
         found = None
         if verify:
-            with share_progress(f"checking {log.name}") as told:
-                found = opened.verify(told)
+            with share_progress(f"checking {log.name}") as progress:
+                found = opened.verify(progress)
         facts = log_facts(opened, log, found, all_events=events)
         if plot is not None:
             _plot(opened, plot, facts)
@@ -152,46 +178,47 @@ def log(
     return 1 if damaged or facts["unreadable"] else 0
 
 
-def _shown_when_needed(stack: ExitStack, text: str) -> Callable[[float], None]:
-    """Progress that shows itself when there is some to be told of."""
-    told: list[Callable[[float], None]] = []
+def _progress_when_called(stack: ExitStack, text: str) -> Callable[[float], None]:
+    """Return a progress function that shows nothing until its first call."""
+    opened: list[Callable[[float], None]] = []
 
-    def tell(share: float) -> None:
-        if not told:
-            told.append(stack.enter_context(share_progress(text)))
-        told[0](share)
+    def progress(share: float) -> None:
+        if not opened:
+            opened.append(stack.enter_context(share_progress(text)))
+        opened[0](share)
 
-    return tell
+    return progress
 
 
 def _print_snapshot(opened: Log, json: bool) -> int:
-    from daq.log.snapshot import snapshot_of  # noqa: PLC0415
+    from daq.log.snapshot import snapshot_of
 
     table = snapshot_of(opened)
     if json:
         print_json(table)
     else:
-        import tomlkit  # noqa: PLC0415
+        import tomlkit
 
-        print(tomlkit.dumps(_without_nothing(table)), end="")
+        print(tomlkit.dumps(_without_null(table)), end="")
     return 0
 
 
-def _without_nothing(value: Any) -> Any:
-    """TOML has no null; a key that is not there means the same."""
+def _without_null(value: Any) -> Any:
+    """Return a table without null values: TOML has none, and a missing key has the same meaning."""
     if isinstance(value, dict):
-        return {key: _without_nothing(part) for key, part in value.items() if part is not None}
+        table = cast("dict[str, Any]", value)
+        return {key: _without_null(part) for key, part in table.items() if part is not None}
     if isinstance(value, list):
-        return [_without_nothing(part) for part in value if part is not None]
+        return [_without_null(part) for part in cast("list[Any]", value) if part is not None]
     return value
 
 
 def _plot(opened: Log, path: Path, facts: dict[str, Any]) -> None:
-    from analysis.figures.log_overview import draw_log_overview  # noqa: PLC0415 (matplotlib takes a second to import)
+    from analysis.figures.log_overview import draw_log_overview  # matplotlib takes a second to import
 
     run = facts["run"]
     words = [Path(facts["log"]).name, *(run[key] for key in ("rig", "test") if run.get(key))]
     words += [local_time(run["started"])] if run.get("started") else []
-    with share_progress(f"drawing {path.name}") as told:
-        draw_log_overview(opened, path, " · ".join(words), told)
-    say(f"drawn: {path}")
+    with share_progress(f"drawing {path.name}") as progress:
+        draw_log_overview(opened, path, " · ".join(words), progress)
+    notify(f"drawn: {path}")

@@ -1,7 +1,7 @@
 """The `rig` command: parse, call one verb, print.
 
-Exit codes: 0 done, 1 a verdict of "fail", 2 bad use or bad input, 3 hardware or I/O fault, 70 an error that nobody
-foresaw, 130 interrupted.
+Exit codes: 0 done, 1 a verdict of "fail", 2 bad use or bad input, 3 hardware or I/O fault, 70 an unexpected error,
+130 interrupted.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from keyword import iskeyword
 from cyclopts import App, CycloptsError
 
 from analysis.errors import AnalysisError
-from rig_cli import answer, crash
-from rig_cli.console import say, wait_for_compilation
-from rig_cli.misused import error_panel, error_words
-from rig_cli.numbers import NUMBERS_ARE_FINITE
 from daq.errors import LogError, OperatorStop, RigError
 from daq.version import software_version
 from dynamics.compiled_code import keep_compiled_code
 from dynamics.errors import DynamicsError
 from reproduction.errors import ReproductionError, UnknownItem
+from rig_cli import answer, crash
+from rig_cli.console import notify, wait_for_compilation
+from rig_cli.misused import error_panel, error_words
+from rig_cli.numbers import NUMBERS_ARE_FINITE
 from rig_configs.errors import RigConfigError
 from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputError
 
-_VERBS = {  # imported when called: `rig predict` need not wait for the drivers, nor `rig --help` for anything
+_VERBS = {  # modules are imported when their verb is called: `rig --help` and `rig predict` start without the drivers
     "rig_cli.demo": {
         "demo": "A whole campaign on the virtual rig: tests recorded through the real drivers, identified, validated, "
         "reported.",
     },
     "rig_cli.acquire": {
-        "check": "Validate a rig file, open its devices, hold what they do against it; exit 1 when a device fails a "
+        "check": "Validate a rig file, open its devices, compare them with the file; exit 1 when a device fails a "
         "check.",
         "record": "Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and "
         "the disk.",
     },
     "rig_cli.guided_test": {
-        "test": "Run one guided test, or show its plan; without a name, what a rig can do and what is missing.",
+        "test": "Run one guided test, or show its plan; without a name, list what the rig can do and what is missing.",
     },
     "rig_cli.offline": {
         "identify": "Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml.",
@@ -53,7 +53,7 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
     },
     "rig_cli.track": {"track": "States and pendulum damping of a logged run over time, with uncertainty."},
     "rig_cli.plot": {
-        "plot": "Draw logs: orbit, Bode, polar, waterfall and more, the model beside what was measured.",
+        "plot": "Draw logs: orbit, Bode, polar, waterfall and more, the model with what was measured.",
     },
     "rig_cli.logs": {
         "log": "What is in one log, and whether it is whole: every byte is checked; exit 1 when the file is cut or "
@@ -61,9 +61,9 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
         "logs": "List the logs of a folder and of the folders below it, newest first.",
     },
     "rig_cli.replay": {"replay": "Decode a log's raw bytes again through the same pipelines."},
-    "rig_cli.live": {"live": "Show a rig or a log in the browser, with a stop button; only who has its token gets in."},
+    "rig_cli.live": {"live": "Show a rig or a log in the browser, with a stop button; access needs its token."},
     "rig_cli.recover": {
-        "recover": "Make a cut or damaged log whole: a new file of all that is sound in it; says what is missing.",
+        "recover": "Make a cut or damaged log whole: a new file of its intact part; lists what is missing.",
     },
     "rig_cli.exchange": {
         "export": "Write a log's channels for other programs: parquet, csv, MATLAB/Octave, hdf5.",
@@ -79,22 +79,22 @@ _VERBS = {  # imported when called: `rig predict` need not wait for the drivers,
     "rig_cli.basins": {"basins": "Where releases end, over the angles at which the locks hold the pendulums."},
     "rig_cli.maps": {"map": "Where the balanced state is stable, over any two numbers of the rig file."},
     "rig_cli.plan": {
-        "plan": "Say which experiments reach a wanted uncertainty: how long, what amplitude, what rate; exit 1 when "
+        "plan": "List the experiments that reach a wanted uncertainty: duration, amplitude, sample rate; exit 1 when "
         "none can.",
     },
     "rig_cli.completion": {
         "completion": "Print the script with which a shell completes commands and options of rig.",
     },
     "rig_cli.reproduce": {
-        "reproduce": "Make figures and tables of the source anew and judge its claims.",
+        "reproduce": "Reproduce figures and tables of the source and judge its claims.",
     },
     "rig_cli.bench": {"bench": "Time against true error for every method on offer, with peers in the same run."},
 }
-_FULL = (ENOSPC, EDQUOT, EFBIG)  # the disk, this person's share of it, what one file may hold
-_PARAMETERS = "Show identified parameters, say what changed, follow them over time."
+_FULL = (ENOSPC, EDQUOT, EFBIG)  # disk full, quota of the user exceeded, file larger than the file system allows
+_PARAMETERS = "Show identified parameters, compare them, follow them over time."
 _DRIVER = "List the installed drivers, check one against what every driver must do."
-_STUDY = "Run whole campaigns by the hundred, or identify an archive anew; on one machine or many."
-_VIRTUAL = "Start a virtual rig; in another terminal, be the hands at it."
+_STUDY = "Run whole campaigns by the hundred, or identify an archive again; on one machine or many."
+_VIRTUAL = "Start a virtual rig; operate it from another terminal."
 _USE_COMPILED = {
     "check",
     "record",
@@ -114,11 +114,11 @@ _USE_COMPILED = {
 }
 
 
-def commands(told: Collection[str] = ()) -> App:
-    """The command line.
+def commands(loaded: Collection[str] = ()) -> App:
+    """Return the command line.
 
     Args:
-        told: verbs whose own modules are imported and asked what they are; the others get their one line from here.
+        loaded: verbs whose modules are imported for their full help. The help of the others is the line given here.
     """
     app = App(
         name="rig",
@@ -130,16 +130,16 @@ def commands(told: Collection[str] = ()) -> App:
     for module, verbs in _VERBS.items():
         for verb, line in verbs.items():
             place = f"{module}:{verb}{'_' if iskeyword(verb) else ''}"
-            app.command(place, name=verb, help=None if verb in told else line)
-    app.command("rig_cli.parameters:app", name="parameters", help=None if "parameters" in told else _PARAMETERS)
-    app.command("rig_cli.virtual:app", name="virtual", help=None if "virtual" in told else _VIRTUAL)
-    app.command("rig_cli.studies:app", name="study", help=None if "study" in told else _STUDY)
-    app.command("rig_cli.drivers:app", name="driver", help=None if "driver" in told else _DRIVER)
+            app.command(place, name=verb, help=None if verb in loaded else line)
+    app.command("rig_cli.parameters:app", name="parameters", help=None if "parameters" in loaded else _PARAMETERS)
+    app.command("rig_cli.virtual:app", name="virtual", help=None if "virtual" in loaded else _VIRTUAL)
+    app.command("rig_cli.studies:app", name="study", help=None if "study" in loaded else _STUDY)
+    app.command("rig_cli.drivers:app", name="driver", help=None if "driver" in loaded else _DRIVER)
     return app
 
 
 def run(arguments: list[str]) -> int:
-    """Carry out one command; returns the exit code."""
+    """Carry out one command and return the exit code."""
     answer.begin(arguments)
     return answer.ended(_carried_out(arguments))
 
@@ -156,14 +156,14 @@ def _carried_out(arguments: list[str]) -> int:
             )
         return result if isinstance(result, int) else 0
     except CycloptsError as error:
-        answer.give_error(" ".join(error_words(error).split()), 2)  # on standard error cyclopts has said the same
+        answer.give_error(" ".join(error_words(error).split()), 2)  # cyclopts has printed the same on standard error
         return 2
-    except BrokenPipeError:  # whoever read our output, `head` perhaps, has seen enough
+    except BrokenPipeError:  # the program that read the output, for example `head`, has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except KeyboardInterrupt as stop:
         text = f"interrupted{f' by {stop}' if str(stop) else ''}"
-        say(f"rig: {text}")
+        notify(f"rig: {text}")
         answer.give_error(text, 130)
         return 130
     except Exception as error:
@@ -171,13 +171,13 @@ def _carried_out(arguments: list[str]) -> int:
         if code is None:
             crash.report(error, arguments)
             return answer.ended(0)
-        say(f"rig: {_words(error)}")
+        notify(f"rig: {_words(error)}")
         answer.give_error(_words(error), code)
         return code
 
 
 def _words(error: Exception) -> str:
-    """What to say of an error, with what to do where the error itself does not."""
+    """Return the text of an error, with what to do if the error itself does not contain it."""
     if isinstance(error, MemoryError):
         return f"the memory is full{f' ({error})' if str(error) else ''}; end other programs, or use a part of the data"
     full = isinstance(error, OSError) and error.errno in _FULL
@@ -185,10 +185,10 @@ def _words(error: Exception) -> str:
 
 
 def _exit_code(error: Exception) -> int | None:
-    """2 for bad input, 3 for hardware, I/O and memory, None for what nobody raised on purpose."""
+    """Return 2 for bad input, 3 for hardware, I/O and memory errors, None for an unexpected error."""
     if isinstance(error, OperatorStop):
         return 130
-    identification = sys.modules.get("identification")  # it loads fits and statistics: only where they are used
+    identification = sys.modules.get("identification")  # imports scipy: used only if the command has loaded it
     if isinstance(error, RigConfigError | DynamicsError | LogError | AnalysisError) or (
         identification is not None and isinstance(error, identification.IdentificationError)
     ):
@@ -201,10 +201,10 @@ def _exit_code(error: Exception) -> int | None:
 
 
 def main() -> None:
-    """Entry point. A hang-up or a polite kill ends a command as Ctrl-C does: a log is finished, the rotor stopped."""
-    keep_compiled_code()  # the command's own place, before anything compiles; its child processes inherit it
+    """Entry point. SIGHUP and SIGTERM end a command as Ctrl-C does: the log is finished and the rotor stopped."""
+    keep_compiled_code()  # set the folder of compiled code before anything compiles; child processes inherit it
     for name in ("SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):  # Windows has no hang-up
+        if hasattr(signal, name):  # Windows has no SIGHUP
             signal.signal(getattr(signal, name), _interrupt)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):

@@ -1,5 +1,5 @@
 # pyright: strict
-"""How numbers and their values stand on the command line: KEY=A:B:N, KEY=1,2,3, KEY=A:B."""
+"""Syntax of axes on the command line: KEY=A:B:N, KEY=1,2,3, KEY=A:B."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _EXAMPLE = "for example speed_ratio=0.3:7:400 or pendulums.a.damping_Nms_per_rad
 
 
 def read_axis(option: str, text: str, command: str = "rig map") -> MapAxis:
-    """KEY=A:B:N or KEY=A:B:N:log; several keys that change alike are joined by +.
+    """Read KEY=A:B:N or KEY=A:B:N:log; keys that change together are joined by +.
 
     Raises:
-        RigFileError: what was expected, under the option's name.
+        RigFileError: the text has another form or a value out of range. The message contains the option's name.
     """
     wanted = f"KEY=A:B:N or KEY=A:B:N:log, {_EXAMPLE}"
 
@@ -32,10 +32,10 @@ def read_axis(option: str, text: str, command: str = "rig map") -> MapAxis:
 
 
 def read_family(option: str, text: str) -> Family:
-    """KEY=V,V,V or KEY=A:B:N[:log].
+    """Read KEY=V,V,V or KEY=A:B:N[:log].
 
     Raises:
-        RigFileError: what was expected, under the option's name.
+        RigFileError: the text has another form or a value out of range. The message contains the option's name.
     """
     wanted = "KEY=V,V,V or KEY=A:B:N or KEY=A:B:N:log, for example suspension.zeta1+suspension.zeta2=0.005,0.02,0.1"
 
@@ -50,10 +50,10 @@ def read_family(option: str, text: str) -> Family:
 
 
 def read_range(option: str, text: str) -> SearchRange:
-    """KEY=A:B or KEY=A:B:log.
+    """Read KEY=A:B or KEY=A:B:log.
 
     Raises:
-        RigFileError: what was expected, under the option's name.
+        RigFileError: the text has another form or a value out of range. The message contains the option's name.
     """
     wanted = "KEY=A:B or KEY=A:B:log, for example suspension.zeta1+suspension.zeta2=0.005:2:log"
 
@@ -77,12 +77,12 @@ def _read(
         return read(tuple(key.strip() for key in keys.split("+")), values)
     except RigFileError:
         raise
-    except ValueError:  # too many or too few parts, or what is no number
+    except ValueError:  # too many or too few parts, or one that is not a number
         raise fault from None
 
 
 def _made(option: str, make: Callable[[], _T], command: str = "rig map") -> _T:
-    """Under the option's name."""
+    """Call `make`; its errors get the option's name in front."""
     try:
         return make()
     except RigFileError as error:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""`rig map` of the whole motion: what a release comes to at every point, or which stable motions coexist."""
+"""`rig map` of whole motions: the end of a release at every point, or which stable motions coexist."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from analysis.maps.files import write_map
 from analysis.maps.question import MapQuestion
 from analysis.maps.records import motion_record
 from analysis.maps.states import STATES, StateMap
-from rig_cli.console import plain, print_json, say
+from rig_cli.console import notify, plain, print_json
 from rig_cli.map_page import borders_json
 from rig_cli.options import what_if_words
 from rig_cli.scheduler import lent_engine, worked_out
@@ -33,7 +33,7 @@ from studies.tile_files import TileFolder
 def map_motions(
     question: MapQuestion, output: Path | None, plot: Path | None, scheduler: str | None, as_json: bool
 ) -> int:
-    """Work the map out; write, draw and say it."""
+    """Compute the map; write, draw and print it."""
     started = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="rig-map-") as passing:
         place = Path(passing) if output is None else Path(f"{output}.tiles")
@@ -41,8 +41,8 @@ def map_motions(
         seconds = time.perf_counter() - started
         borders = None
         if question.borders:
-            with share_progress("borders") as told:
-                borders = borders_of(question, question.plane(), told)
+            with share_progress("borders") as progress:
+                borders = borders_of(question, question.plane(), progress)
         result = _json(found, seconds) | {"borders": None if borders is None else borders_json(borders)}
         written = [] if output is None else write_map(output, motion_record(found, borders, plain(result)))
         for study in studies:
@@ -59,7 +59,7 @@ def map_motions(
     for path in written:
         print(f"written to {path}")
     if not written:
-        say("nothing kept: give -o FILE.npz for the arrays, --plot FILE for the figure")
+        notify("no file written: give -o FILE.npz for the arrays, --plot FILE for the figure")
     return 0
 
 
@@ -74,7 +74,7 @@ def _whole(question: MapQuestion, place: Path, scheduler: str | None) -> tuple[S
 def _refined(question: MapQuestion, place: Path, scheduler: str | None) -> tuple[StateMap, list[Study]]:
     if question.quantity == "coexisting":
         raise RigFileError(
-            "rig map: --refine is of states; --quantity coexisting goes from each point to its neighbours"
+            "rig map: --refine is of states; --quantity coexisting is followed from each point to its neighbours"
         )
     with lent_engine(scheduler) as engine:
         return releases.refined(question, lambda study: worked_out(study, place, engine, "tiles where states change"))

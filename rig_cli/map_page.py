@@ -1,5 +1,5 @@
 # pyright: strict
-"""What `rig map` says and draws of what it found."""
+"""Output of `rig map`: figure, JSON and text."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from analysis.figures.page import write_figure
 from analysis.figures.plane_maps import draw_map
 from analysis.maps.answers import MapAnswer
 from analysis.maps.question import MapQuestion
-from rig_cli.console import say
-from rig_cli.options import what_if_words
 from dynamics.stability.borders import Borders
+from rig_cli.console import notify
+from rig_cli.options import what_if_words
 
 
-def say_what_is_left_out(question: MapQuestion) -> None:
-    """Effects that a rig has and its map has not."""
+def report_omissions(question: MapQuestion) -> None:
+    """Report effects of the rig that the map does not include."""
     known, rig = question.known, question.loaded()
     if known and known.slow_roll and known.slow_roll.bow_m:
-        say("the map leaves the bow out: a bent shaft has no state at rest")
+        notify("the map leaves the bow out: a bent shaft has no state at rest")
     if rig.physics.a.friction_arm_m or rig.physics.b.friction_arm_m:
-        say("the map leaves dry friction out")
+        notify("the map leaves dry friction out")
 
 
 def draw(path: Path, found: MapAnswer) -> None:
@@ -35,7 +35,7 @@ def draw(path: Path, found: MapAnswer) -> None:
 
 
 def map_json(found: MapAnswer) -> dict[str, Any]:
-    """What was found, as JSON has it."""
+    """Return the result for JSON."""
     grid, lines = found.grid, found.borders
     there, size = np.isfinite(grid.multiplier_max), grid.multiplier_max.size
     return {
@@ -101,7 +101,7 @@ def _best_json(found: MapAnswer) -> dict[str, Any] | None:
 
 
 def borders_json(lines: Borders) -> list[dict[str, Any]]:
-    """Each branch: its length, whether it is closed, how stability is lost on it, where it begins and ends."""
+    """Return for each branch its length, whether it is closed, the kinds of stability loss, and its ends."""
     return [
         {
             "points": len(b.x),
@@ -116,7 +116,7 @@ def borders_json(lines: Borders) -> list[dict[str, Any]]:
 
 
 def print_map(result: Mapping[str, Any], settings: Sequence[str]) -> None:
-    """The same in words."""
+    """Print the result as text."""
     print(
         f"{result['points']} points in {result['seconds']:.3g} s ({result['microseconds_per_point']:.3g} µs a point), "
         f"balanced state stable on {100 * result['stable_share']:.1f} %, largest error estimate "
@@ -144,7 +144,7 @@ def print_map(result: Mapping[str, Any], settings: Sequence[str]) -> None:
     if settings:
         print(what_if_words(settings))
     if missed := result["points_beyond_accuracy"]:
-        say(f"{missed} points are known less well than asked; error_estimate says how well")
+        notify(f"{missed} points are less accurate than requested; error_estimate has the error of each")
 
 
 def _print_refined_and_varied(result: Mapping[str, Any]) -> None:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A map in tiles beside its file: what is done is kept until the file is written."""
+"""Computation of a map in tiles in a folder next to its file: finished tiles are kept until the file is written."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 def in_tiles(
     question: MapQuestion, output: Path | None, scheduler: str | None
 ) -> Generator[Callable[[], StabilityMap] | None]:
-    """How a map's grid is worked out where it is more than a tile, or others work.
+    """Yield the function that computes a map's grid in tiles.
 
-    Tiles lie in OUTPUT.tiles, and are removed at the end of the `with` statement, when the file has all of them; where
-    it ends with an error they stay, and the same command goes on. Without a file they are in a temporary folder.
+    Tiles are in OUTPUT.tiles and are removed at the end of the `with` statement, when the file contains them all. After
+    an error they stay, and the same command continues with them. Without a file they are in a temporary folder.
 
     Yields:
-        What works the grid out; None where it is one tile of this process.
+        The function; None if the grid is one tile computed by this process.
     """
-    from studies.maps import assembled, map_study  # noqa: PLC0415 (loads numba)
-    from studies.tile_files import TileFolder  # noqa: PLC0415
+    from studies.maps import assembled, map_study  # loads numba
+    from studies.tile_files import TileFolder
 
     if question.refine and scheduler is not None:
         raise RigFileError(
-            "rig map: multipliers that are refined are this process's work, microseconds a point; leave --scheduler "
-            "out, or ask for the whole fine grid"
+            "rig map: multipliers that are refined are computed by this process alone, microseconds a point; leave "
+            "--scheduler out, or leave out --refine and give a finer grid"
         )
     study = map_study(question)
     if question.refine or (study.tiles == 1 and scheduler is None):

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What is said of a command line that cannot be parsed: cyclopts' own words, and which option a letter stands for."""
+"""Errors of a command line that cannot be parsed: the text of cyclopts, and which option a letter may stand for."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from itertools import chain
 
 from cyclopts import CycloptsError, CycloptsPanel, UnknownOptionError
 
-_LETTER = 2  # signs of an option of one letter
+_LETTER = 2  # characters of an option of one letter, with its hyphen
 
 
 def error_words(error: CycloptsError) -> str:
-    """The error as a sentence, with what may have been meant.
+    """Return the error as a sentence, with the options that may have been meant.
 
-    Cyclopts finds options that are spelt alike; one letter is like none of them, so those that begin with it are named.
+    Cyclopts suggests options of similar spelling. It finds none for one letter: options that begin with it are named.
     """
     words = str(error)
     if not isinstance(error, UnknownOptionError):
@@ -29,5 +29,5 @@ def error_words(error: CycloptsError) -> str:
 
 
 def error_panel(error: CycloptsError) -> object:
-    """The same as cyclopts frames it in a terminal."""
+    """Return the error in the frame that cyclopts prints in a terminal."""
     return CycloptsPanel(error_words(error))

@@ -1,21 +1,22 @@
-"""What the model alone says of a rig: predict."""
+"""`rig predict`: results of the model alone."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
 
-from rig_cli.console import print_json, say, wait_for_compilation
-from rig_cli.numbers import Positive, PositiveRpm
-from rig_cli.options import Json, ParametersPath, Settings, need_place, what_if_words
-from rig_cli.rest_points import say_balancing, say_lost
+from rig_cli.console import notify, print_json, wait_for_compilation
+from rig_cli.numbers import Positive
+from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
+from rig_cli.rest_points import report_balancing, report_lost
 from rig_cli.share_progress import share_progress
 from rig_cli.slow_roll_page import forced_region, shown_json, shown_line
-from rig_cli.speed import asked_speed
+from rig_cli.speed import NO_SPEED, SpeedChoice
 from rig_cli.start_ups_page import start_ups_json, start_ups_lines
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
@@ -45,89 +46,87 @@ AccuracyOrNone = Annotated[
 ]
 
 
-def predict(
-    rig: str,
-    *,
-    point: str | None = None,
-    speed_rpm: PositiveRpm | None = None,
-    speed_ratio: Positive | None = None,
-    accuracy: AccuracyOrNone = None,
-    at_least: Annotated[str | None, Parameter(name="--model", help="take a bigger model than needed")] = None,
-    release: Annotated[bool, Parameter(help="follow a release from 0° and 180° to where it ends")] = True,
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PredictModel:
+    """Accuracy and model of a prediction.
+
+    Attributes:
+        accuracy: see `AccuracyOrNone`.
+        at_least: name of the smallest model to be used; None: the smallest that is exact.
+    """
+
+    accuracy: AccuracyOrNone = None
+    at_least: Annotated[str | None, Parameter(name="--model", help="take a bigger model than needed")] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PredictQuestions:
+    """Results besides the steady states, or instead of them.
+
+    Attributes:
+        release: whether a release is followed.
+        balancing: whether the balancing region is shown instead.
+        lost: whether the speeds without singular points are shown instead.
+        start_ups: number of start-ups to be followed; None: none.
+        sweep: axis along which the states are followed instead; None: one speed.
+    """
+
+    release: Annotated[bool, Parameter(help="follow a release from 0° and 180° to where it ends")] = True
     balancing: Annotated[
         bool, Parameter(negative="", help="what the pendulums can balance: region, margins of S_P, centre of gravity")
-    ] = False,
-    lost: Annotated[
-        bool, Parameter(negative="", help="speeds at which singular points of Types II, III are lost")
-    ] = False,
+    ] = False
+    lost: Annotated[bool, Parameter(negative="", help="speeds at which singular points of Types II, III are lost")] = (
+        False
+    )
     start_ups: Annotated[
         int | None,
         Parameter(help="follow so many start-ups from rest, pendulums or balls free; --plot then draws them"),
-    ] = None,
+    ] = None
+    sweep: Sweep = None
+
+
+_DEFAULT_MODEL, _STEADY_STATES = PredictModel(), PredictQuestions()
+
+
+def predict(
+    rig: str,
+    *,
+    speed: SpeedChoice = NO_SPEED,
+    model: PredictModel = _DEFAULT_MODEL,
+    questions: PredictQuestions = _STEADY_STATES,
     parameters: ParametersPath = None,
     settings: Settings = None,
-    sweep: Sweep = None,
     plot: Plot = None,
     json: Json = False,
 ) -> int:
     """Steady states, stability and amplitudes at a point or a speed, and where a release ends.
 
-    --balancing and --lost need no speed. With --parameters what was found beside the values acts in all of it (a bow,
-    drag, a suspension that depends on the motion), and run-out is in what the sensors show.
+    --balancing and --lost need no speed. With --parameters all effects of the parameters file are included (a bow,
+    drag, a suspension that depends on the motion), and the sensors' amplitudes include run-out.
     """
-    need_place("rig predict: --plot", plot)
+    check_outputs("rig predict: --plot", plot)
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
-    if sweep is not None:
-        from rig_cli.predict_sweep import predict_sweep  # noqa: PLC0415
+    changes = settings or []
+    if questions.sweep is not None:
+        from rig_cli.predict_sweep import predict_sweep
 
-        if at_least is not None:
+        if model.at_least is not None:
             raise RigFileError("rig predict: --model goes with one point or speed, not with --sweep")
-        places = (point, speed_rpm, speed_ratio)
-        return predict_sweep(rig, sweep, known, settings or [], places, accuracy or 1e-8, plot, json=json)
-    loaded = load_rig(rig, known, settings or [])
-    if balancing or lost:
-        if (balancing and lost) or (point, speed_rpm, speed_ratio) != (None, None, None):
+        return predict_sweep(rig, questions.sweep, known, changes, speed, model.accuracy or 1e-8, plot, json=json)
+    loaded = load_rig(rig, known, changes)
+    if questions.balancing or questions.lost:
+        if (questions.balancing and questions.lost) or speed.count:
             raise RigFileError("rig predict: give --balancing or --lost alone, without a point or a speed")
-        return (say_balancing if balancing else say_lost)(loaded, known, settings or [], plot, json)
-    speed = asked_speed("rig predict", loaded, point, speed_rpm, speed_ratio)
-    with wait_for_compilation("dynamics"):
-        from dynamics import choose_model, steady_states  # noqa: PLC0415
-
-        physics = known.with_effects(loaded.physics)
-        found = steady_states(physics, speed, accuracy or _accuracy_of(physics), at_least=at_least)
-        outcomes = _released(physics, speed, found) if release else []
-    outcome = outcomes[0] if outcomes else None
-    model = found[0].model if found else choose_model(physics, at_least=at_least)
-    started = None if start_ups is None else start_ups_json(loaded, physics, speed, start_ups, plot)
-    if plot is not None and started is None:
-        from analysis.figures.steady_states import draw_steady_states  # noqa: PLC0415
-        from analysis.figures.style import save  # noqa: PLC0415
-
-        title = (
-            f"{loaded.name}, Ω = {speed / physics.natural_frequencies_rad_s[0]:.4g} ({speed * 30 / math.pi:.1f} rpm)"
-            f"{what_if_words(settings, '; ')}"
-        )
-        save(plot, draw_steady_states(physics, found, title, outcome))
-    result = {
-        "model": model.name,
-        "why": model.why,
-        "speed_ratio": speed / physics.natural_frequencies_rad_s[0],
-        "speed_rpm": speed * 30 / math.pi,
-        "balancing_region": forced_region(physics, speed),
-        "slow_roll": known.slow_roll.table() if known.slow_roll else None,
-        "steady_states": [_state_json(s, physics) | _shown(s, known, loaded) for s in found],
-        "unresolved": list(found.unresolved),
-        "release": None if outcome is None else _outcome_json(outcome, physics),
-        "releases_within_play": [_outcome_json(o, physics) for o in outcomes],
-        "start_ups": started,
-        "what_if": list(settings or []),
-        "plot": None if plot is None else str(plot),
-    }
+        return (report_balancing if questions.balancing else report_lost)(loaded, known, changes, plot, json)
+    found = _predicted(loaded, known, speed.rad_s("rig predict", loaded), model, questions.release)
+    result = _result(found, known, questions.start_ups, changes, plot)
     if json:
         print_json(result)
         return 0
-    _print(result, found)
-    for line in start_ups_lines(started) if started else []:
+    _print(result, found.states)
+    for line in start_ups_lines(result["start_ups"]) if result["start_ups"] else []:
         print(line)
     for line in known.slow_roll.sentences if known.slow_roll else []:
         print(line)
@@ -136,21 +135,93 @@ def predict(
     return 0
 
 
+@dataclass(frozen=True)
+class _Prediction:
+    """Steady states at one speed, and ends of releases.
+
+    Attributes:
+        rig: the rig file.
+        physics: its parameters with all effects.
+        speed_rad_s: the rotor's.
+        states: the steady states.
+        outcomes: ends of releases within the play; empty if none was followed.
+        model, why: the model, and the reason for it.
+    """
+
+    rig: Rig
+    physics: RotorParameters
+    speed_rad_s: float
+    states: SteadyStates
+    outcomes: list[ReleaseOutcome]
+    model: str
+    why: str
+
+
+def _predicted(
+    rig: Rig, known: IdentifiedParameters, speed_rad_s: float, model: PredictModel, release: bool
+) -> _Prediction:
+    with wait_for_compilation("dynamics"):
+        from dynamics import choose_model, steady_states
+
+        physics = known.with_effects(rig.physics)
+        accuracy, at_least = model.accuracy or _accuracy_of(physics), model.at_least
+        states = steady_states(physics, speed_rad_s, accuracy, at_least=at_least)
+        outcomes = _released(physics, speed_rad_s, states) if release else []
+    chosen = states[0].model if states else choose_model(physics, at_least=at_least)
+    return _Prediction(rig, physics, speed_rad_s, states, outcomes, chosen.name, chosen.why)
+
+
+def _result(
+    found: _Prediction, known: IdentifiedParameters, start_ups: int | None, settings: list[str], plot: Path | None
+) -> dict[str, Any]:
+    """Write the figure, if requested, and return the JSON."""
+    physics, speed = found.physics, found.speed_rad_s
+    outcome = found.outcomes[0] if found.outcomes else None
+    started = None if start_ups is None else start_ups_json(found.rig, physics, speed, start_ups, plot)
+    if plot is not None and started is None:
+        _draw(plot, found, outcome, settings)
+    return {
+        "model": found.model,
+        "why": found.why,
+        "speed_ratio": speed / physics.natural_frequencies_rad_s[0],
+        "speed_rpm": speed * 30 / math.pi,
+        "balancing_region": forced_region(physics, speed),
+        "slow_roll": known.slow_roll.table() if known.slow_roll else None,
+        "steady_states": [_state_json(s, physics) | _shown(s, known, found.rig) for s in found.states],
+        "unresolved": list(found.states.unresolved),
+        "release": None if outcome is None else _outcome_json(outcome, physics),
+        "releases_within_play": [_outcome_json(o, physics) for o in found.outcomes],
+        "start_ups": started,
+        "what_if": settings,
+        "plot": None if plot is None else str(plot),
+    }
+
+
+def _draw(plot: Path, found: _Prediction, outcome: ReleaseOutcome | None, settings: list[str]) -> None:
+    from analysis.figures.steady_states import draw_steady_states
+    from analysis.figures.style import save
+
+    ratio = found.speed_rad_s / found.physics.natural_frequencies_rad_s[0]
+    rpm = found.speed_rad_s * 30 / math.pi
+    title = f"{found.rig.name}, Ω = {ratio:.4g} ({rpm:.1f} rpm){what_if_words(settings, '; ')}"
+    save(plot, draw_steady_states(found.physics, found.states, title, outcome))
+
+
 def _shown(state: SteadyState, known: IdentifiedParameters, rig: Rig) -> dict[str, Any]:
-    """What the sensors show beside the motion, where there is run-out."""
+    """Return the sensors' amplitudes, which differ from the motion's if there is run-out; else an empty table."""
     roll = known.slow_roll
     return {"sensors": shown_json(state, known, rig)} if roll and (roll.run_out_x_m or roll.run_out_y_m) else {}
 
 
 def _accuracy_of(physics: RotorParameters) -> float:
-    """What is asked for where nobody says: |v| v has kinks, which leave multipliers good to some 1e-7."""
+    """Return the default accuracy: |v| v has kinks, which limit the accuracy of multipliers to about 1e-7."""
     return 1e-6 if any(physics.damping_growth_s_per_m) else 1e-8
 
 
 def _released(physics: RotorParameters, speed: float, found: SteadyStates) -> list[ReleaseOutcome]:
-    """Where releases within the locks' play end; none, with a word, where there is no locked motion to release from."""
-    from dynamics.errors import DynamicsError  # noqa: PLC0415
-    from dynamics.steady.outcome import releases_within_play  # noqa: PLC0415
+    """Return the ends of releases within the locks' play; an empty list, with a message, without a locked motion."""
+    from dynamics.errors import DynamicsError
+    from dynamics.steady.outcome import releases_within_play
 
     if not (physics.a.present or physics.b.present):
         return []
@@ -158,12 +229,12 @@ def _released(physics: RotorParameters, speed: float, found: SteadyStates) -> li
         with share_progress("following a release until it settles") as progress:
             return releases_within_play(physics, speed, states=found, progress=progress)
     except DynamicsError as error:
-        say(f"no release followed: {error}")
+        notify(f"no release followed: {error}")
         return []
 
 
 def _angles_json(theta_rad: tuple[float, float], physics: RotorParameters) -> dict[str, float | None]:
-    """θ3 and θ4 in degrees; none for a pendulum that is not there."""
+    """Return θ3 and θ4 in degrees; None for a pendulum that the rig does not have."""
     there = (physics.a.present, physics.b.present)
     return {
         name: math.degrees(angle) if present else None
@@ -172,7 +243,7 @@ def _angles_json(theta_rad: tuple[float, float], physics: RotorParameters) -> di
 
 
 def _state_json(s: SteadyState, physics: RotorParameters) -> dict[str, Any]:
-    out = {
+    out: dict[str, Any] = {
         "type": s.type,
         **_angles_json(s.theta_rad, physics),
         "any_angle": s.any_angle,
@@ -191,7 +262,7 @@ def _state_json(s: SteadyState, physics: RotorParameters) -> dict[str, Any]:
 
 
 def _outcome_json(o: ReleaseOutcome, physics: RotorParameters) -> dict[str, Any]:
-    out = {
+    out: dict[str, Any] = {
         "reaches": o.state,
         "from_deg": [math.degrees(angle) for angle in o.from_rad],
         **_angles_json(o.theta_rad, physics),
@@ -222,7 +293,7 @@ def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
         )
         if "stick_half_width_deg" in s:
             bands = ("anywhere" if w >= 180 else f"within ± {w:.3g}°" for w in s["stick_half_width_deg"])
-            print("       so without dry friction, which can hold A and B " + ", ".join(bands))
+            print("       without dry friction, which can hold A and B " + ", ".join(bands))
         if "sensors" in s:
             print(shown_line(s["sensors"]))
     if not found:
@@ -237,15 +308,15 @@ def _print(result: dict[str, Any], found: list[SteadyState]) -> None:
 
 
 def _angles(s: dict[str, Any], digits: int = 3) -> str:
-    """Both angles of a JSON entry, in columns."""
-    shown = []
+    """Return both angles of a JSON entry, in columns."""
+    shown: list[str] = []
     for name, angle in (("θ3", s["theta3_deg"]), ("θ4", s["theta4_deg"])):
         shown.append(f"{name}     none" if angle is None else f"{name} {angle:{5 + digits}.{digits}f}°")
     return " ".join(shown) + (" or any other, turned together" if s.get("any_angle") else "")
 
 
 def _release_lines(releases: list[dict[str, Any]]) -> list[str]:
-    """Where releases within the play end, each end once, with how many reach it."""
+    """Return a line for each end of the releases within the play, with the number that reach it."""
     lines: list[str] = []
     for end, members in _by_end(releases).items():
         first = members[0]
@@ -272,7 +343,7 @@ def _release_lines(releases: list[dict[str, Any]]) -> list[str]:
 
 
 def _by_end(releases: list[dict[str, Any]]) -> dict[tuple[str, ...], list[dict[str, Any]]]:
-    """Releases by the state and the angles they reach."""
+    """Group releases by the state and the angles they reach."""
     ends: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for r in releases:
         reached = r["reaches"] not in ("not settled", "slipping", "held by friction")
@@ -282,5 +353,5 @@ def _by_end(releases: list[dict[str, Any]]) -> dict[tuple[str, ...], list[dict[s
 
 
 def _near_one(multiplier: float) -> str:
-    """Six digits, or the difference from 1 where they would hide it."""
+    """Return six digits, or the difference from 1 if six digits do not show it."""
     return f"{multiplier:.6f}" if abs(multiplier - 1) > 1e-4 else f"1 {multiplier - 1:+.3e}"

@@ -1,31 +1,48 @@
 # pyright: strict
-"""Numbers from the command line: what a command takes is checked while it is parsed, before anything is started.
+"""Ranges of numbers on the command line, checked during parsing, before anything is started.
 
-`NUMBERS_ARE_FINITE` is the default of every option of every command; the types say more where more is known.
+`NUMBERS_ARE_FINITE` is the default of every option of every command. The types below restrict single options further.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Annotated, Any
+from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Annotated, Any, cast, get_type_hints
 
 from cyclopts import Parameter
 
-LONGEST_S = 366 * 86_400.0  # a year; what runs longer is a slip of the pen
+LONGEST_S = 366 * 86_400.0  # a year; longer durations are taken for typing errors
 _LONGEST_LOOK_S = 3600.0
-SLOWEST, FASTEST = 0.01, 100.0  # seconds of rig time per wall second, as HostClock takes them
+SLOWEST, FASTEST = 0.01, 100.0  # seconds of rig time per wall second, the range of HostClock
 _LARGEST = 1e15
 
 
 def _finite(_: Any, value: Any) -> None:
-    for number in value if isinstance(value, list | tuple) else [value]:  # pyright: ignore[reportUnknownVariableType]
-        if isinstance(number, int | float) and not abs(number) <= _LARGEST:  # NaN is not, either
+    if is_dataclass(value):  # a group of options
+        for field in fields(value):
+            try:
+                _finite(None, getattr(value, field.name))
+            except ValueError as fault:
+                raise ValueError(f"{_option(type(value), field.name)}: {fault}") from fault
+        return
+    numbers = cast("Sequence[Any]", value) if isinstance(value, list | tuple) else [value]
+    for number in numbers:
+        if isinstance(number, int | float) and not abs(number) <= _LARGEST:  # also true for NaN
             raise ValueError(f"expected a finite number, at most {_LARGEST:g}, got {number:.6g}")
 
 
+def _option(group: type, name: str) -> str:
+    """Return the option of a field in a group."""
+    for mark in getattr(get_type_hints(group, include_extras=True)[name], "__metadata__", ()):
+        if isinstance(mark, Parameter) and mark.name:
+            return cast("tuple[str, ...]", mark.name)[0]
+    return f"--{name.replace('_', '-')}"
+
+
 def between(low: float, high: float, *, low_too: bool = False) -> Callable[[Any, Any], None]:
-    """A validator of numbers above `low` (or from it on) up to `high`; None, where nothing was given, passes."""
+    """Return a validator of numbers above `low` (with `low_too`: from `low`) up to `high`. None passes."""
 
     def check(_: Any, value: Any) -> None:
         if value is None:

@@ -1,23 +1,27 @@
-"""Commands from logs to numbers: identify, validate."""
+"""Commands from logs to parameters and verdicts: identify, validate."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from rig_cli.console import STDERR, print_json, say, show
-from rig_cli.options import Json, ParametersPath, Settings, need_place, what_if_words
+from rig_cli.console import STDERR, notify, print_json, show
+from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
 from rig_cli.setting_costs import SETTING_HELP, WITHOUT_HELP
 from rig_cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden
 
 if TYPE_CHECKING:
+    from analysis.validation import Validation
+    from daq.signals.run import Run
     from identification.rungs import Rung
+    from rig_configs.schema import Rig
 
-_NOTHING_KNOWN_DEG = 90.0  # of an axis
+_MAX_AXIS_STD_DEG = 90.0  # the direction of an axis is unknown
 
 
 def identify(
@@ -33,14 +37,14 @@ def identify(
     json: Json = False,
 ) -> int:
     """Identify k1, k2, ζ1, ζ2, c3, c4, S_P with covariance from logs; writes parameters.toml."""
-    from rig_cli import results  # noqa: PLC0415 (scipy and numba take seconds to import)
-    from rig_cli.parameters import limit_json  # noqa: PLC0415
-    from identification import identify as find  # noqa: PLC0415
-    from identification.joint.limits import limits  # noqa: PLC0415
-    from studies.runs import load_runs  # noqa: PLC0415
+    from identification import identify as find
+    from identification.joint.limits import limits
+    from rig_cli import results  # scipy and numba take seconds to import
+    from rig_cli.parameters import limit_json
+    from studies.runs import load_runs
 
     _need(logs, "rig identify LOG…")
-    need_place("rig identify: -o", output)
+    check_outputs("rig identify: -o", output)
     held = _held_back(without or [])
     loaded = load_rig(rig, settings=settings or [])
     runs = load_runs(logs)
@@ -52,23 +56,23 @@ def identify(
         limited_by = {limit.name: limit_json(limit) for limit in limited}
         print_json({**results.identification_json(found), "limited_by": limited_by, "file": str(output)})
         return 0
-    from rig_cli.parameters_page import limit_lines  # noqa: PLC0415
+    from rig_cli.parameters_page import limit_lines
 
     for line in [*results.parameter_lines(parameters), *limit_lines(limited)]:
         print(line)
     for warning in found.warnings:
-        say(f"warning: {warning}")
-    say(f"written to {output}")
+        notify(f"warning: {warning}")
+    notify(f"written to {output}")
     return 0
 
 
 def _held_back(names: list[str]) -> frozenset[Rung]:
-    """The rungs that --without names.
+    """Return the rungs that --without names.
 
     Raises:
-        RigFileError: there is no such rung.
+        RigFileError: a rung of that name does not exist.
     """
-    from identification.rungs import held_back  # noqa: PLC0415 (scipy and numba take seconds to import)
+    from identification.rungs import held_back  # scipy and numba take seconds to import
 
     try:
         return held_back(names)
@@ -76,106 +80,164 @@ def _held_back(names: list[str]) -> frozenset[Rung]:
         raise RigFileError(f"rig identify: --without: {error}") from error
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class AxisAngle:
+    """Angle between sensor and stiffness axes, instead of the identified one.
+
+    Attributes:
+        axis_angle_deg, axis_angle_std_deg: value and standard uncertainty, °; both or none are given.
+    """
+
+    axis_angle_deg: Annotated[float | None, Parameter(help="instead of the identified one, with its std")] = None
+    axis_angle_std_deg: Annotated[float | None, Parameter(help="standard uncertainty of --axis-angle-deg")] = None
+
+    def checked(self) -> tuple[float, float] | None:
+        """Return value and standard uncertainty, °; None if they were not given.
+
+        Raises:
+            RigFileError: only one was given, or one is out of range.
+        """
+        value_deg, std_deg = self.axis_angle_deg, self.axis_angle_std_deg
+        if value_deg is None and std_deg is None:
+            return None
+        if (
+            value_deg is None
+            or std_deg is None
+            or not math.isfinite(value_deg)
+            or not 0 <= std_deg <= _MAX_AXIS_STD_DEG
+        ):
+            raise RigFileError(
+                "rig validate: expected --axis-angle-deg and --axis-angle-std-deg together, finite, the latter 0 to "
+                f"{_MAX_AXIS_STD_DEG:g}, got {value_deg} and {std_deg}"
+            )
+        return value_deg, std_deg
+
+
+_IDENTIFIED_ANGLE = AxisAngle()
+
+
 def validate(
     rig: str,
     *logs: Path,
     parameters: ParametersPath = None,
-    axis_angle_deg: Annotated[float | None, Parameter(help="instead of the identified one, with its std")] = None,
-    axis_angle_std_deg: Annotated[float | None, Parameter(help="standard uncertainty of --axis-angle-deg")] = None,
+    axis: AxisAngle = _IDENTIFIED_ANGLE,
     report: Path | None = None,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
     """Compare steady states and releases at points with the model; exit 1 when a point does not pass.
 
-    With --set it answers a what-if: the settings lie over rig file and parameters, and no verdict is kept.
+    With --set it answers a what-if: the settings override rig file and parameters, and no verdict is kept.
     """
-    from analysis.prediction import known_axis_angle  # noqa: PLC0415
-    from daq.signals.completeness import missing_warnings  # noqa: PLC0415
-    from daq.signals.run import disagreements  # noqa: PLC0415
-    from studies.runs import keep_verdicts, load_runs, validated  # noqa: PLC0415
+    from studies.runs import keep_verdicts, load_runs, validated
 
-    _need(logs, "rig validate RIG LOG…")
-    need_place("rig validate: --report", report)
-    if report is not None:
-        from analysis.report.twin import need_free_twin  # noqa: PLC0415 (matplotlib)
-
-        need_free_twin(report)
+    _check_validation(logs, report)
     if parameters is None:
         raise RigFileError("rig validate: give --parameters parameters.toml, as `rig identify` wrote it")
-    found_before = IdentifiedParameters.load(parameters)
-    known = found_before.without(overridden(found_before, settings or []))
-    loaded = load_rig(rig, found_before, settings or [])
-    given = _given_angle(axis_angle_deg, axis_angle_std_deg)
+    identified = IdentifiedParameters.load(parameters)
+    changed = overridden(identified, settings or [])
+    known = identified.without(changed)
+    loaded = load_rig(rig, identified, settings or [])
+    angle = axis.checked()
     what_if = list(settings or [])
-    if given is not None and known.axis_angle_deg is not None:
-        what_if.append(f"axis angle {given[0]:g} ± {given[1]:g}°")
+    if angle is not None and known.axis_angle_deg is not None:
+        what_if.append(f"axis angle {angle[0]:g} ± {angle[1]:g}°")
     runs = load_runs(logs)
-    found = validated(runs, loaded, known, STDERR.print, given, overridden(found_before, settings or []))
-    warnings = missing_warnings(runs) + [f"{run.source}: {text}" for run in runs for text in disagreements(run)]
-    warnings += found.warnings
-    if given is None and known.axis_angle_deg is None:
-        value, std = known_axis_angle(known, loaded)
-        warnings.append(
-            f"{parameters} has no angle between sensor and stiffness axes: {value:g} ± {std:g}° is taken; identify "
-            "again, or give --axis-angle-deg and --axis-angle-std-deg"
-        )
+    found = validated(runs, loaded, known, STDERR.print, angle, changed)
+    warnings = _validation_warnings(runs, found)
+    if angle is None and known.axis_angle_deg is None:
+        warnings.append(_assumed_angle(parameters, known, loaded))
     if not what_if:
         warnings += keep_verdicts(found, runs, IdentifiedParameters.label(parameters))
     for warning in warnings:
-        say(f"warning: {warning}")
+        notify(f"warning: {warning}")
     if report is not None:
-        from analysis.report.campaign import Campaign, IdentificationResult  # noqa: PLC0415 (matplotlib)
-        from analysis.report.write import write_report  # noqa: PLC0415
-        from rig_cli.parameters_budget import all_budgets  # noqa: PLC0415
-
-        identified = IdentificationResult(known, warnings=warnings)
-        title = f"{'What if: validation' if what_if else 'Validation'} of {loaded.name}"
-        campaign = Campaign(
-            title,
-            loaded,
-            runs,
-            identified,
-            found,
-            axis_angle_deg=given,
-            what_if=what_if,
-            budgets=all_budgets(loaded, known),
-        )
-        write_report(report, campaign)
+        _write_report(report, _Validated(loaded, runs, known, found, angle, what_if, warnings))
     if json:
-        print_json(
-            {
-                **found.to_json(),
-                "passed": found.passed,
-                "what_if": what_if,
-                "warnings": warnings,
-                "report": str(report) if report else None,
-            }
-        )
+        more = {"passed": found.passed, "what_if": what_if, "warnings": warnings}
+        print_json({**found.to_json(), **more, "report": str(report) if report else None})
     else:
-        if what_if:
-            print(f"{what_if_words(what_if)}: not the rig's verdict, none is kept")
-        result = found.to_json()
-        for line in whole_lines(result):
-            show(line)
-        print_points(result["points"])
+        _print_validation(found, what_if)
     return 0 if found.passed else 1
 
 
-def _given_angle(value_deg: float | None, std_deg: float | None) -> tuple[float, float] | None:
-    """The axis angle of the command line; None where there is none."""
-    if value_deg is None and std_deg is None:
-        return None
-    if value_deg is None or std_deg is None or not math.isfinite(value_deg) or not 0 <= std_deg <= _NOTHING_KNOWN_DEG:
-        raise RigFileError(
-            "rig validate: expected --axis-angle-deg and --axis-angle-std-deg together, finite, the latter 0 to "
-            f"{_NOTHING_KNOWN_DEG:g}, got {value_deg} and {std_deg}"
-        )
-    return value_deg, std_deg
+@dataclass(frozen=True)
+class _Validated:
+    """A validation with its inputs, for the report."""
+
+    rig: Rig
+    runs: list[Run]
+    known: IdentifiedParameters
+    found: Validation
+    angle_deg: tuple[float, float] | None
+    what_if: list[str]
+    warnings: list[str]
+
+
+def _check_validation(logs: tuple[Path, ...], report: Path | None) -> None:
+    """Check logs and report before the work.
+
+    Raises:
+        RigFileError, AnalysisError: there is no log, or the report cannot be written.
+    """
+    _need(logs, "rig validate RIG LOG…")
+    check_outputs("rig validate: --report", report)
+    if report is not None:
+        from analysis.report.twin import need_free_twin  # matplotlib
+
+        need_free_twin(report)
+
+
+def _validation_warnings(runs: list[Run], found: Validation) -> list[str]:
+    from daq.signals.completeness import missing_warnings
+    from daq.signals.run import disagreements
+
+    own = [f"{run.source}: {text}" for run in runs for text in disagreements(run)]
+    return [*missing_warnings(runs), *own, *found.warnings]
+
+
+def _assumed_angle(parameters: Path, known: IdentifiedParameters, rig: Rig) -> str:
+    """Return the warning about an assumed angle between sensor and stiffness axes."""
+    from analysis.prediction import known_axis_angle
+
+    value, std = known_axis_angle(known, rig)
+    return (
+        f"{parameters} has no angle between sensor and stiffness axes: {value:g} ± {std:g}° is assumed; identify "
+        "again, or give --axis-angle-deg and --axis-angle-std-deg"
+    )
+
+
+def _write_report(path: Path, done: _Validated) -> None:
+    from analysis.report.campaign import Campaign, IdentificationResult  # matplotlib
+    from analysis.report.write import write_report
+    from rig_cli.parameters_budget import all_budgets
+
+    title = f"{'What if: validation' if done.what_if else 'Validation'} of {done.rig.name}"
+    campaign = Campaign(
+        title,
+        done.rig,
+        done.runs,
+        IdentificationResult(done.known, warnings=done.warnings),
+        done.found,
+        axis_angle_deg=done.angle_deg,
+        what_if=done.what_if,
+        budgets=all_budgets(done.rig, done.known),
+    )
+    write_report(path, campaign)
+
+
+def _print_validation(found: Validation, what_if: list[str]) -> None:
+    if what_if:
+        print(f"{what_if_words(what_if)}: not the rig's verdict, and not kept")
+    result = found.to_json()
+    for line in whole_lines(result):
+        show(line)
+    print_points(result["points"])
 
 
 def print_points(points: dict[str, Any]) -> None:
-    """A line per point with its verdict and reason."""
+    """Print a line per point with its verdict and reason."""
     for name, point in points.items():
         show(f"{name}: {point['verdict']:14} {point['state']:10} {point['why']}")
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
-from rig_cli.console import print_json, say
+from rig_cli.console import notify, print_json
 from rig_cli.numbers import Chance
-from rig_cli.options import Json, need_place
+from rig_cli.options import Json, check_outputs
 from rig_cli.parameters_budget import budget
 from rig_cli.plan import share
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, ParametersFileError, RigFileError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from identification.history import History
     from identification.joint.limits import Limit
 
-app = App(name="parameters", help="Show identified parameters, say what changed, follow them over time.")
+app = App(name="parameters", help="Show identified parameters, compare them, follow them over time.")
 app.command(budget)
 _CORRELATED = 0.5
 MassStd = Annotated[str, Parameter(help="relative standard uncertainty of the masses, e.g. 0.05%")]
@@ -39,7 +39,7 @@ def show(*files: Path, mass_std: MassStd = "0%", json: Json = False) -> int:
     if json:
         print_json({"files": shown})
         return 0
-    from rig_cli.parameters_page import print_parameters  # noqa: PLC0415
+    from rig_cli.parameters_page import print_parameters
 
     for facts in shown:
         print_parameters(facts)
@@ -51,16 +51,16 @@ def diff(
     old: Path,
     new: Path,
     *,
-    level: Annotated[Chance, Parameter(help="chance of calling anything changed when nothing is")] = 0.01,
+    level: Annotated[Chance, Parameter(help="probability of marking any change if there is none")] = 0.01,
     json: Json = False,
 ) -> int:
-    """Say what changed between two parameters files, by how much, and whether that is significant.
+    """Compare two parameters files: what changed, by how much, and whether that is significant.
 
     Args:
         old: the parameters before.
         new: the parameters after.
     """
-    from identification.compare import compare  # noqa: PLC0415 (scipy and numba take seconds to import)
+    from identification.compare import compare  # scipy and numba take seconds to import
 
     if not 0 < level < 1:
         raise RigFileError(f"rig parameters diff: --level expected a chance between 0 and 1, got {level:g}")
@@ -69,7 +69,7 @@ def diff(
     if json:
         print_json({"old": str(old), "new": str(new), "level": level, "words": words, **comparison_json(found)})
         return 0
-    from rig_cli.parameters_page import print_comparison  # noqa: PLC0415
+    from rig_cli.parameters_page import print_comparison
 
     print_comparison(found, words, level)
     return 0
@@ -80,23 +80,23 @@ def history(
     *places: Path,
     rig: Annotated[str | None, Parameter(help="only files of this rig")] = None,
     plot: Annotated[Path | None, Parameter(help="draw it: .svg, .png or .pdf")] = None,
-    level: Annotated[Chance, Parameter(help="chance of marking any change when there is none")] = 0.01,
+    level: Annotated[Chance, Parameter(help="probability of marking any change if there is none")] = 0.01,
     json: Json = False,
 ) -> int:
     """Follow a rig's parameters over its parameters files, with each log's own values and the changes marked.
 
     Args:
-        places: parameters files, and folders in which they are looked for. Logs enter by being identified.
+        places: parameters files, and folders that are searched for them. A log is included after it is identified.
     """
-    from identification.compare import compare  # noqa: PLC0415 (scipy and numba take seconds to import)
-    from identification.history import history as follow  # noqa: PLC0415
+    from identification.compare import compare  # scipy and numba take seconds to import
+    from identification.history import history as follow
 
     if plot is not None:
-        need_place("rig parameters history: --plot", plot)
+        check_outputs("rig parameters history: --plot", plot)
     found = follow(list(places) or [Path()], rig)
     if plot is not None:
-        from analysis.figures.style import save  # noqa: PLC0415 (matplotlib is slow)
-        from rig_cli.history_figure import history_figure  # noqa: PLC0415
+        from analysis.figures.style import save  # matplotlib is slow
+        from rig_cli.history_figure import history_figure
 
         save(plot, history_figure(found, level))
     first, last = found.instants[0], found.instants[-1]
@@ -106,13 +106,13 @@ def history(
     if json:
         print_json(_history_json(found, overall, plot))
         return 0
-    from rig_cli.parameters_page import print_history  # noqa: PLC0415
+    from rig_cli.parameters_page import print_history
 
     print_history(found, overall, level)
     if found.skipped:
-        say(f"{len(found.skipped)} other TOML files are no parameters files")
+        notify(f"{len(found.skipped)} other TOML files are not parameters files")
     if plot is not None:
-        say(f"drawn: {plot}")
+        notify(f"drawn: {plot}")
     return 0
 
 
@@ -126,7 +126,7 @@ def _load(path: Path) -> IdentifiedParameters:
 
 
 def _facts(path: Path, mass_std: float) -> dict[str, Any]:
-    from identification.joint.limits import limits  # noqa: PLC0415 (scipy and numba take seconds to import)
+    from identification.joint.limits import limits  # scipy and numba take seconds to import
 
     parameters = _load(path)
     try:
@@ -169,17 +169,17 @@ def _facts(path: Path, mass_std: float) -> dict[str, Any]:
 
 
 def _out(test: dict[str, Any], name: str, tests: list[dict[str, Any]]) -> bool:
-    """Whether a test's value is left out: it is bad, and another test shows the parameter."""
+    """Return whether a test's value is left out: the test is bad, and another one shows the parameter."""
     return "left_out" in test and any(name in t.get("values", {}) for t in tests if "left_out" not in t)
 
 
 def limit_json(limit: Limit) -> dict[str, Any]:
-    """{main, share of each source}."""
+    """Return the main source, the share of each source, and advice."""
     return {"main": limit.main, "shares": limit.shares, "advice": limit.advice}
 
 
 def comparison_json(found: Comparison) -> dict[str, Any]:
-    """What `rig parameters diff --json` prints of the numbers."""
+    """Return the numbers of `rig parameters diff --json`."""
     return {
         "changes": {
             c.name: {

@@ -1,4 +1,4 @@
-"""The command that says how sure identified parameters and predicted quantities are, and why."""
+"""`rig parameters budget`: uncertainty of identified parameters and predicted quantities, and its sources."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig, overr
 
 if TYPE_CHECKING:
     from analysis.budget import PredictedBudgets
+    from analysis.prediction import Prediction
     from identification.joint.budget import ParameterBudgets
     from uncertainty import Budgets, LinearCheck, MonteCarlo
 
@@ -28,16 +29,16 @@ Trials = Annotated[
 ]
 MonteCarloToo = Annotated[
     bool,
-    Parameter(name="--monte-carlo", negative="", help="draw every source, hold the linear intervals against it"),
+    Parameter(name="--monte-carlo", negative="", help="draw every source, compare the linear intervals with it"),
 ]
 _MODEL_TRIALS, _LINEAR_TRIALS = 4_000, 200_000
 _KINDS: tuple[Literal["symmetric", "shortest"], ...] = ("symmetric", "shortest")
-_DIGITS = 1  # of the standard uncertainty that matter to the verdict
+_DIGITS = 1  # significant digits of the standard uncertainty in the verdict
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is to be budgeted.
+class Selection:
+    """Quantities of a budget.
 
     Attributes:
         parameters: names of the file's parameters.
@@ -50,35 +51,35 @@ class Asked:
     quantities: frozenset[str] = frozenset()
 
     def shows(self, quantity: str) -> bool:
-        """Whether a predicted quantity is asked for."""
+        """Return whether a predicted quantity is requested."""
         return not self.quantities or quantity in self.quantities
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Budgets of parameters and predictions with what was asked besides."""
+    """Budgets of parameters and predictions, with the other results."""
 
-    asked: Asked
+    selection: Selection
     of_parameters: ParameterBudgets
     predicted: PredictedBudgets | None
     exact: Mapping[str, Mapping[str, float]]
     skipped: Mapping[str, str]
     sampled: Sequence[MonteCarlo] = ()
-    checks: Mapping[str, Mapping[str, LinearCheck]] = field(default_factory=dict)
+    checks: Mapping[str, Mapping[str, LinearCheck]] = field(default_factory=dict[str, "Mapping[str, LinearCheck]"])
 
     @property
     def together(self) -> Budgets:
-        """Of everything that is shown, with the same sources."""
-        from uncertainty import Budgets  # noqa: PLC0415
+        """Budgets of everything that is shown, on the same sources."""
+        from uncertainty import Budgets
 
         parameters = self.of_parameters.budgets
-        names = list(self.asked.parameters)
+        names = list(self.selection.parameters)
         at = [parameters.names.index(name) for name in names]
         values, units = [parameters.values[at]], [parameters.units[i] for i in at]
         sources, tables = parameters.sources, [parameters.sensitivities[at]]
         if self.predicted is not None:
             found = self.predicted.budgets
-            rows = [i for i, name in enumerate(found.names) if self.asked.shows(name)]
+            rows = [i for i, name in enumerate(found.names) if self.selection.shows(name)]
             extra = np.zeros((len(at), found.sensitivities.shape[1] - parameters.sensitivities.shape[1]))
             sources, tables = found.sources, [np.concatenate([tables[0], extra], axis=1), found.sensitivities[rows]]
             values.append(found.values[rows])
@@ -90,7 +91,7 @@ class Answer:
 def budget(
     file: Path,
     *names: str,
-    rig: Annotated[str | None, Parameter(help="rig file: what is taken as known, and the points")] = None,
+    rig: Annotated[str | None, Parameter(help="rig file: its known values, and the points")] = None,
     level: Level = 0.95,
     monte_carlo: MonteCarloToo = False,
     trials: Trials = None,
@@ -98,27 +99,27 @@ def budget(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Say how sure each parameter is, with --rig each predicted quantity of the points too, and what makes it unsure.
+    """Show the uncertainty of each parameter, with --rig also of each quantity predicted at the points, by source.
 
     Args:
         file: parameters.toml.
         names: parameters (k1), points (D) or their quantities (D.theta3_deg); without one, all.
     """
-    from identification.joint.budget import parameter_budgets  # noqa: PLC0415 (scipy and numba take seconds to import)
+    from identification.joint.budget import parameter_budgets  # scipy and numba take seconds to import
 
     if settings and rig is None:
         raise RigFileError("rig parameters budget: --set changes a rig file; give it with --rig")
     identified = IdentifiedParameters.load(file)
     loaded = None if rig is None else load_rig(rig, identified, settings or [])
-    asked = _asked(names, identified, loaded)
+    selection = _selected(names, identified, loaded)
     of_parameters = parameter_budgets(identified, loaded)
     predicted, skipped = None, dict[str, str]()
-    if loaded is not None and asked.points:
+    if loaded is not None and selection.points:
         kept = identified.without(overridden(identified, settings or []))
-        predicted, skipped = _predicted(loaded, kept, asked, of_parameters)
-    exact = {} if loaded is None else _exact(loaded, identified, asked, predicted)
-    answer = Answer(asked, of_parameters, predicted, exact, skipped)
-    if not asked.parameters and not (predicted and any(map(asked.shows, predicted.budgets.names))):
+        predicted, skipped = _predicted(loaded, kept, selection, of_parameters)
+    exact = {} if loaded is None else _exact(loaded, identified, selection, predicted)
+    answer = Answer(selection, of_parameters, predicted, exact, skipped)
+    if not selection.parameters and not (predicted and any(map(selection.shows, predicted.budgets.names))):
         raise RigFileError(
             f"rig parameters budget: nothing to budget: {'; '.join(f'{n}: {w}' for n, w in skipped.items())}"
         )
@@ -127,7 +128,7 @@ def budget(
     if json:
         print_json(_json(file, loaded, answer, level, settings or []))
         return 0
-    from rig_cli.parameters_budget_page import print_budget  # noqa: PLC0415
+    from rig_cli.parameters_budget_page import print_budget
 
     print_budget(str(file), loaded, answer, level)
     if settings:
@@ -136,30 +137,33 @@ def budget(
 
 
 def all_budgets(rig: Rig, identified: IdentifiedParameters) -> Budgets:
-    """Of every parameter, and of every quantity predicted at the points where the model has a stable state.
+    """Return budgets of every parameter, and of every quantity predicted at points where the model has a stable state.
 
     Args:
-        identified: without what was set by hand.
+        identified: without the values set by hand.
     """
-    from identification.joint.budget import parameter_budgets  # noqa: PLC0415
+    from identification.joint.budget import parameter_budgets
 
-    asked, of_parameters = Asked(tuple(identified.values), tuple(rig.points)), parameter_budgets(identified, rig)
-    predicted, skipped = _predicted(rig, identified, asked, of_parameters)
-    return Answer(asked, of_parameters, predicted, {}, skipped).together
+    selection, of_parameters = (
+        Selection(tuple(identified.values), tuple(rig.points)),
+        parameter_budgets(identified, rig),
+    )
+    predicted, skipped = _predicted(rig, identified, selection, of_parameters)
+    return Answer(selection, of_parameters, predicted, {}, skipped).together
 
 
-def _asked(names: Sequence[str], identified: IdentifiedParameters, rig: Rig | None) -> Asked:
-    """The names as parameters, points and quantities.
+def _selected(names: Sequence[str], identified: IdentifiedParameters, rig: Rig | None) -> Selection:
+    """Sort the names into parameters, points and quantities.
 
     Raises:
-        RigFileError: one is none of them.
+        RigFileError: a name is in none of these groups.
     """
-    from analysis.budget import quantity_names  # noqa: PLC0415
-    from identification.compare import short  # noqa: PLC0415
+    from analysis.budget import quantity_names
+    from identification.compare import short
 
     points = () if rig is None else tuple(rig.points)
     if not names:
-        return Asked(tuple(identified.values), points)
+        return Selection(tuple(identified.values), points)
     called = {short(name): name for name in identified.values} | {name: name for name in identified.values}
     parameters, wanted, quantities = dict[str, None](), dict[str, None](), set[str]()
     for name in names:
@@ -173,20 +177,21 @@ def _asked(names: Sequence[str], identified: IdentifiedParameters, rig: Rig | No
             known = [*map(short, identified.values), *points, *(quantity_names(points[0]) if points else [])]
             hint = "" if rig else "; points of a rig file need --rig"
             raise RigFileError(f"rig parameters budget: no {name!r}; expected any of {', '.join(known)}{hint}")
-    return Asked(tuple(parameters), tuple(wanted), frozenset(quantities))
+    return Selection(tuple(parameters), tuple(wanted), frozenset(quantities))
 
 
 def _predicted(
-    rig: Rig, identified: IdentifiedParameters, asked: Asked, of_parameters: ParameterBudgets
+    rig: Rig, identified: IdentifiedParameters, selection: Selection, of_parameters: ParameterBudgets
 ) -> tuple[PredictedBudgets | None, dict[str, str]]:
-    """Budgets of the points, and why a point has none."""
-    from analysis.budget import predicted_budgets, quantity_names  # noqa: PLC0415
-    from analysis.errors import NoStableState  # noqa: PLC0415
-    from analysis.prediction import known_axis_angle, predict_point  # noqa: PLC0415
+    """Return the budgets of the points, and for points without one the reason."""
+    from analysis.budget import predicted_budgets, quantity_names
+    from analysis.errors import NoStableState
+    from analysis.prediction import known_axis_angle, predict_point
 
-    found, skipped = {}, {}
+    found: dict[str, Prediction] = {}
+    skipped: dict[str, str] = {}
     with wait_for_compilation("dynamics"):
-        for point in asked.points:
+        for point in selection.points:
             speed = rig.physics.speed_rad_s(rig.points[point].speed_ratio)
             try:
                 found[point] = predict_point(rig, identified, speed)
@@ -206,21 +211,21 @@ def _predicted(
         slow_roll=identified.slow_roll,
         terms=identified.terms,
     )
-    for name in (n for point in found for n in quantity_names(point) if asked.shows(n)):
+    for name in (n for point in found for n in quantity_names(point) if selection.shows(n)):
         if name not in budgets.budgets.names:
-            skipped[name] = "it is 0 whatever the parameters are"
+            skipped[name] = "it is 0 for all values of the parameters"
     return budgets, skipped
 
 
 def _exact(
-    rig: Rig, identified: IdentifiedParameters, asked: Asked, predicted: PredictedBudgets | None
+    rig: Rig, identified: IdentifiedParameters, selection: Selection, predicted: PredictedBudgets | None
 ) -> dict[str, dict[str, float]]:
-    """Number that is taken as exact → quantity → its change for 0.1 % of the number, in the quantity's unit."""
-    from identification.joint.budget import exact_shifts  # noqa: PLC0415
+    """Return number taken as exact → quantity → its change for 0.1 % of the number, in the quantity's unit."""
+    from identification.joint.budget import exact_shifts
 
     order = list(identified.values)
     shifts = {
-        number: {name: float(shift[order.index(name)]) for name in asked.parameters}
+        number: {name: float(shift[order.index(name)]) for name in selection.parameters}
         for number, shift in exact_shifts(identified, rig.known).items()
     }
     if predicted is not None:
@@ -228,21 +233,21 @@ def _exact(
         by_number = {number: slope[at] for number, slope in identified.by_number.items()}
         for number, shift in predicted.exact_shifts(by_number).items():
             shown = zip(predicted.budgets.names, shift.tolist(), strict=True)
-            shifts.setdefault(number, {}).update({name: s for name, s in shown if asked.shows(name)})
+            shifts.setdefault(number, {}).update({name: s for name, s in shown if selection.shows(name)})
     return shifts
 
 
 def _drawn(answer: Answer, rig: Rig | None, level: float, trials: int | None, seed: int) -> Answer:
-    """The answer with a Monte Carlo calculation and its verdicts on the linear intervals."""
-    from dataclasses import replace  # noqa: PLC0415
+    """Return the answer with a Monte Carlo calculation and its verdicts on the linear intervals."""
+    from dataclasses import replace
 
-    from uncertainty import check_linear, monte_carlo  # noqa: PLC0415
+    from uncertainty import check_linear, monte_carlo
 
     sampled: list[MonteCarlo] = []
     together = answer.together
-    if answer.asked.parameters:
+    if answer.selection.parameters:
         parameters = answer.of_parameters.budgets
-        at = [parameters.names.index(name) for name in answer.asked.parameters]
+        at = [parameters.names.index(name) for name in answer.selection.parameters]
         values, slopes = parameters.values[at], parameters.sensitivities[at]
         sampled.append(
             monte_carlo(
@@ -251,16 +256,16 @@ def _drawn(answer: Answer, rig: Rig | None, level: float, trials: int | None, se
                 seed=seed,
                 level=level,
                 trials=max(trials or 0, _LINEAR_TRIALS),
-                names=answer.asked.parameters,
+                names=answer.selection.parameters,
             )
         )
     if answer.predicted is not None and rig is not None:
-        from analysis.budget_monte_carlo import NonlinearModel  # noqa: PLC0415
+        from analysis.budget_monte_carlo import NonlinearModel
 
         count = trials or _MODEL_TRIALS
         found = answer.predicted
-        with share_progress(f"{count} draws of {', '.join(found.predictions)}", count, "draws") as told:
-            model = NonlinearModel(found, rig.physics, told, count)
+        with share_progress(f"{count} draws of {', '.join(found.predictions)}", count, "draws") as progress:
+            model = NonlinearModel(found, rig.physics, progress, count)
             sampled.append(
                 monte_carlo(
                     model, found.budgets.sources, seed=seed, level=level, trials=count, names=found.budgets.names
@@ -276,7 +281,7 @@ def _drawn(answer: Answer, rig: Rig | None, level: float, trials: int | None, se
 
 
 def _json(file: Path, rig: Rig | None, answer: Answer, level: float, settings: Sequence[str]) -> dict[str, Any]:
-    from uncertainty.rows import budget_json  # noqa: PLC0415
+    from uncertainty.rows import budget_json
 
     together = answer.together
     shown = {each.name: budget_json(each, level) for each in together.budgets}
@@ -289,13 +294,13 @@ def _json(file: Path, rig: Rig | None, answer: Answer, level: float, settings: S
             "verdict": by_kind[_KINDS[0]].verdict,
             "checks": {kind: check.to_json() for kind, check in by_kind.items()},
         }
-    parameters = set(answer.asked.parameters)
+    parameters = set(answer.selection.parameters)
     std = {each.name: each.std for each in together.budgets}
     return {
         "file": str(file),
         "rig": None if rig is None else rig.name,
-        "parameters": {name: told for name, told in shown.items() if name in parameters},
-        "predicted": {name: told for name, told in shown.items() if name not in parameters},
+        "parameters": {name: row for name, row in shown.items() if name in parameters},
+        "predicted": {name: row for name, row in shown.items() if name not in parameters},
         "correlation": {"order": list(together.names), "matrix": together.correlation.tolist()},
         "stretch": answer.of_parameters.stretch,
         "taken_as_exact": {

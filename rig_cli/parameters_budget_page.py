@@ -1,4 +1,4 @@
-"""Uncertainty budgets on the terminal: a summary, a table per quantity, what is taken as exact, Monte Carlo."""
+"""Uncertainty budgets on the terminal: a summary, a table per quantity, numbers taken as exact, Monte Carlo."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from uncertainty.rows import BudgetRow, budget_rows
 if TYPE_CHECKING:
     from rig_cli.parameters_budget import Answer
 
-_LEAST_SHARE = 1e-3  # of a variance: what is less has no row of its own
-_LEAST_SIGMAS = 0.1  # a change that is less is not shown among what is taken as exact
+_LEAST_SHARE = 1e-3  # share of a variance below which a source has no row of its own
+_LEAST_SIGMAS = 0.1  # standard uncertainties below which a change is not shown among the numbers taken as exact
 _CORRELATED = 0.5
-_MATRIX = 9  # quantities whose correlation matrix fits a page
+_MATRIX = 9  # number of quantities up to which the correlation matrix fits a page
 
 
 def print_budget(file: str, rig: Rig | None, answer: Answer, level: float) -> None:
-    """The page of `rig parameters budget`."""
+    """Print the page of `rig parameters budget`."""
     console, together = stdout_console(), answer.together
     console.print(Text(printable(file if rig is None else f"{file} · {rig.name}"), "bold"), soft_wrap=True)
     console.print(_summary(together, level))
@@ -119,7 +119,7 @@ def _cells(row: BudgetRow) -> list[str | Text]:
 
 
 def _print_correlation(console: Console, together: Budgets) -> None:
-    """The matrix where it fits; else its largest entries, all of them are in the JSON."""
+    """Print the matrix if it fits, else its largest entries; the JSON contains all of them."""
     matrix, names = together.correlation, together.names
     if 1 < len(names) <= _MATRIX:
         table = _table(("correlation", *names), right=tuple(range(1, len(names) + 1)))
@@ -135,7 +135,7 @@ def _print_correlation(console: Console, together: Budgets) -> None:
 def _print_exact(console: Console, rig: Rig | None, answer: Answer, together: Budgets) -> None:
     if rig is None or not rig.known.exact:
         return
-    console.print(Text(f"taken as exact: what {100 * EXACT_STEP:g} % of each number would change", "bold"))
+    console.print(Text(f"taken as exact: effect of {100 * EXACT_STEP:g} % of each number", "bold"))
     if not answer.exact:
         missing = f"{', '.join(rig.known.exact)}: the file has no derivatives by these numbers; identify again"
         console.print(Text(missing, "dim"), soft_wrap=True)
@@ -183,7 +183,7 @@ def _print_monte_carlo(console: Console, answer: Answer) -> None:
         )
     console.print(table)
     if any(by_kind[kind].verdict == "undecided" for by_kind in answer.checks.values()):
-        console.print(Text("undecided: the draws are too few to see δ; give more --trials", "dim"))
+        console.print(Text("undecided: the draws are too few to resolve δ; give more --trials", "dim"))
 
 
 def _table(titles: tuple[str, ...], right: tuple[int, ...]) -> Table:

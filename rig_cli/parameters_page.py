@@ -12,28 +12,28 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from rig_cli.words import local_time, percent, printable, stdout_console
 from identification.compare import Change, Comparison, short
 from identification.history import History
 from identification.joint.limits import Limit
+from rig_cli.words import local_time, percent, printable, stdout_console
 from rig_configs import PARAMETER_UNITS
 
 
 def print_parameters(facts: Mapping[str, Any]) -> None:
-    """One file's page."""
+    """Print one file's page."""
     console = stdout_console()
     console.print(Text(printable(facts["file"]), "bold"), soft_wrap=True)
     about = [str(facts[key]) for key in ("rig", "method", "software") if facts.get(key)]
     if about:
         console.print(Text(printable(" · ".join(about)), "dim"), soft_wrap=True)
     table = _table(("parameter", "value", "± std", "relative", "unit", "limited by", "from"), right=(1, 2, 3))
-    for name, told in facts["parameters"].items():
-        value, std = rounded(told["value"], told["std"])
-        limited = told["limited_by"]
+    for name, row in facts["parameters"].items():
+        value, std = rounded(row["value"], row["std"])
+        limited = row["limited_by"]
         where = Text("not known", "dim") if limited is None else Text(shares_in_words(limited["shares"]))
-        unit = "" if told["unit"] == "1" else told["unit"]
+        unit = "" if row["unit"] == "1" else row["unit"]
         table.add_row(
-            Text(short(name), "bold"), value, std, percent(told["relative_std"]), unit, where, _counted(told["tests"])
+            Text(short(name), "bold"), value, std, percent(row["relative_std"]), unit, where, _counted(row["tests"])
         )
     console.print(table)
     for pair in sorted(facts["correlated"], key=lambda p: -abs(p["correlation"])):
@@ -44,31 +44,31 @@ def print_parameters(facts: Mapping[str, Any]) -> None:
             console.print(
                 Text(f"left out     {test['test']} ({test['log']}) {test['left_out']}", "bold red"), soft_wrap=True
             )
-    for name, told in facts["parameters"].items():
-        if told["limited_by"] is not None and told["limited_by"]["main"] != "noise":
+    for name, row in facts["parameters"].items():
+        if row["limited_by"] is not None and row["limited_by"]["main"] != "noise":
             console.print(
-                Text(f"{short(name):13}{told['limited_by']['main']} limits it: {told['limited_by']['advice']}", "dim"),
+                Text(f"{short(name):13}{row['limited_by']['main']} limits it: {row['limited_by']['advice']}", "dim"),
                 soft_wrap=True,
             )
     if not facts["keeps_its_tests"]:
-        console.print(Text("the file keeps too little of its tests to say what limits it", "dim"), soft_wrap=True)
+        console.print(Text("the file has too little of its tests to derive what limits it", "dim"), soft_wrap=True)
 
 
 def limit_lines(found: list[Limit]) -> list[str]:
-    """What limited each result, a line each: for the end of `rig identify`."""
+    """Return what limited each result, one line each, for the end of `rig identify`."""
     return [
         f"{limit.name:16} limited by {shares_in_words(limit.shares)}; to do better: {limit.advice}" for limit in found
     ]
 
 
 def shares_in_words(shares: Mapping[str, float]) -> str:
-    """noise 80 %, clock 20 %: the sources that matter, the largest first."""
-    told = sorted(((v, k) for k, v in shares.items() if v >= 0.05), reverse=True)
-    return ", ".join(f"{k} {100 * v:.0f} %" for v, k in told)
+    """Return for example "noise 80 %, clock 20 %": the shares of at least 5 %, the largest first."""
+    main = sorted(((v, k) for k, v in shares.items() if v >= 0.05), reverse=True)
+    return ", ".join(f"{k} {100 * v:.0f} %" for v, k in main)
 
 
 def print_comparison(found: Comparison, words: str, level: float) -> None:
-    """What changed: in words, then the table."""
+    """Print what changed: as text, then as a table."""
     console = stdout_console()
     changed = bool(found.significant(level)) or found.p < level
     console.print(Text(words, "bold yellow" if changed else "bold green"), soft_wrap=True)
@@ -99,7 +99,7 @@ def print_comparison(found: Comparison, words: str, level: float) -> None:
         soft_wrap=True,
     )
     console.print(
-        Text(f"± is one standard deviation; significance counts all {len(found.changes)} looks (Holm)", "dim")
+        Text(f"± is one standard deviation; significance counts all {len(found.changes)} comparisons (Holm)", "dim")
     )
     for names, where in ((found.only_old, "OLD"), (found.only_new, "NEW")):
         if names:
@@ -109,7 +109,7 @@ def print_comparison(found: Comparison, words: str, level: float) -> None:
 
 
 def print_history(found: History, overall: str | None, level: float) -> None:
-    """A row per file, changed values marked, then what changed in words."""
+    """Print a row per file with changed values marked, then the changes as text."""
     console = stdout_console()
     names = [n for n in PARAMETER_UNITS if any(n in i.parameters.values for i in found.instants)]
     table = _table(("recorded", "file", *map(short, names)), right=tuple(range(2, 2 + len(names))))
@@ -123,7 +123,7 @@ def print_history(found: History, overall: str | None, level: float) -> None:
     if overall is not None:
         console.print(Text.assemble(("first to last: ", "dim"), (overall, "bold")), soft_wrap=True)
     if not all(i.time_known for i in found.instants):
-        console.print(Text("? the file does not say when its logs were recorded; shown is the file's own time", "dim"))
+        console.print(Text("? the file has no time of recording of its logs; the file's own time is shown", "dim"))
 
 
 def _print_steps(console: Console, found: History, level: float) -> None:
@@ -139,7 +139,7 @@ def _print_steps(console: Console, found: History, level: float) -> None:
 
 
 def rounded(value: float, std: float) -> tuple[str, str]:
-    """A value to two digits of its standard deviation, and that; powers of ten are taken out alike."""
+    """Return a value to two digits of its standard deviation, and that; both with the same power of ten."""
     if not (std > 0 and math.isfinite(std)):
         return f"{value:.7g}", "0"
     power = 0

@@ -1,4 +1,4 @@
-"""The command that says what to record for a wanted uncertainty."""
+"""`rig plan`: what to record for a wanted uncertainty."""
 
 from __future__ import annotations
 
@@ -26,30 +26,30 @@ def plan(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Say which experiments reach a wanted uncertainty: how long, what amplitude, what rate; exit 1 when none can.
+    """List the experiments that reach a wanted uncertainty: duration, amplitude, sample rate; exit 1 when none can.
 
     Args:
-        rig: a rig file, or the name of a shipped one; its parameters are what they are believed to be.
+        rig: a rig file, or the name of a shipped one; its parameters are the prior estimates.
     """
-    from identification.plan.planning import plan as find  # noqa: PLC0415 (numba takes seconds to import)
-    from identification.plan.sensors import Sensors  # noqa: PLC0415
-    from identification.plan.wants import parse_want  # noqa: PLC0415
+    from identification.plan.planning import plan as find  # numba takes seconds to import
+    from identification.plan.sensors import Sensors
+    from identification.plan.wants import parse_want
 
     if not want:
-        raise RigFileError("rig plan: say what is to be known, for example --want zeta1=1% --want c3=2%")
+        raise RigFileError("rig plan: give what is to be identified, for example --want zeta1=1% --want c3=2%")
     wants = [parse_want(text) for text in want]
     mass = share(mass_std, "rig plan: --mass-std")
     loaded = load_rig(rig, parameters, settings or [])
     sensors = Sensors.of(loaded)
     if log:
-        from daq.signals.run import load_run  # noqa: PLC0415
+        from daq.signals.run import load_run
 
         sensors = sensors.as_in([load_run(path) for path in log])
     found = find(loaded, wants, sensors, mass, lambda text: STDERR.print(f"trying {text}"))
     if json:
         print_json({"rig": loaded.name, **plan_json(found), "what_if": list(settings or [])})
     else:
-        from rig_cli.plan_page import print_plan  # noqa: PLC0415
+        from rig_cli.plan_page import print_plan
 
         print_plan(loaded.name, found)
         if settings:
@@ -58,10 +58,10 @@ def plan(
 
 
 def share(text: str, where: str) -> float:
-    """A relative standard uncertainty written as 0.1% or 0.001.
+    """Read a relative standard uncertainty written as 0.1% or 0.001.
 
     Raises:
-        RigFileError: it is neither, or not from 0 to below 1.
+        RigFileError: the text has another form, or the value is not from 0 to below 1.
     """
     number, percent, rest = text.strip().partition("%")
     try:
@@ -74,7 +74,7 @@ def share(text: str, where: str) -> float:
 
 
 def plan_json(found: Plan) -> dict[str, Any]:
-    """What `rig plan --json` prints."""
+    """Return the numbers of `rig plan --json`."""
     sensors = found.sensors
     return {
         "possible": found.possible,

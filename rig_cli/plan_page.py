@@ -6,14 +6,14 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from rig_cli.words import length, percent, stdout_console
 from identification.compare import short
 from identification.plan.experiment import Experiment
 from identification.plan.planning import MOST_RUNS, Answer, Plan
+from rig_cli.words import length, percent, stdout_console
 
 
 def print_plan(rig: str, found: Plan) -> None:
-    """What to record, what it reaches, what cannot be reached and why."""
+    """Print what to record, what it reaches, what cannot be reached and why."""
     console = stdout_console()
     console.print(Text.assemble(("plan ", "dim"), (rig, "bold")))
     console.print(Text(_sensors(found), "dim"), soft_wrap=True)
@@ -59,7 +59,7 @@ def _how(experiment: Experiment) -> str:
         return f"ramp to {s['top_rpm']:.0f} rpm at {s['rate_rpm_per_s']:.2g} rpm/s{largest}"
     if experiment.method == "spin-down":
         return f"flick both to {s['flick_rad_per_s']:.2g} rad/s, against each other"
-    return f"let go at {s['speed_rpm']:.0f} rpm"
+    return f"release at {s['speed_rpm']:.0f} rpm"
 
 
 def _wants(found: Plan) -> Table:
@@ -79,7 +79,7 @@ def _cannot(answer: Answer) -> str:
     name, wanted = short(answer.want.name), percent(answer.wanted)
     if not answer.best:
         return f"{name} to {wanted} cannot be reached: no test on this rig shows it"
-    mend = {
+    remedy = {
         "gain": "a better calibration of the lasers and the lever between laser and disk",
         "clock": "better known clocks: a smaller clock_tolerance_ppm, or longer logs",
         "mass": "weighing the rotor more exactly",
@@ -87,5 +87,5 @@ def _cannot(answer: Answer) -> str:
     }[answer.limited_by]
     return (
         f"{name} to {wanted} cannot be reached with these sensors: {answer.limited_by} limits it to "
-        f"{percent(answer.floor)} even after {MOST_RUNS} runs. What would help: {mend}"
+        f"{percent(answer.floor)} even after {MOST_RUNS} runs. Remedy: {remedy}"
     )

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The command that draws logs: one figure of each, or one of all, beside the model."""
+"""`rig plot`: figures of logs, one of each or one of all, with the model."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from rig_cli.console import print_json, say
+from daq.errors import LogError
+from rig_cli.console import notify, print_json
 from rig_cli.options import Json, Settings, what_if_words
 from rig_cli.share_progress import share_progress
-from daq.errors import LogError
 from rig_configs import IdentifiedParameters, RigFileError
 
 if TYPE_CHECKING:
@@ -42,17 +42,19 @@ def plot(
     *logs: Path,
     over: Annotated[Path | None, Parameter(help="a second log, drawn over the first")] = None,
     model: Annotated[
-        Path | None, Parameter(help="parameters.toml of the model drawn beside; without it the log's own rig file")
+        Path | None, Parameter(help="parameters.toml of the model in the figure; without it the log's own rig file")
     ] = None,
     output: Annotated[
         Path | None,
-        Parameter(name=["--output", "-o"], help="a figure (.svg, .png, .pdf, .html) or a folder; without it here"),
+        Parameter(
+            name=["--output", "-o"], help="a figure (.svg, .png, .pdf, .html) or a folder; without: current folder"
+        ),
     ] = None,
-    force: Annotated[bool, Parameter(negative="", help="replace figures that are there")] = False,
+    force: Annotated[bool, Parameter(negative="", help="replace existing figures")] = False,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Draw logs: orbit, Bode, polar, waterfall and more, the model beside what was measured.
+    """Draw logs: orbit, Bode, polar, waterfall and more, the model with what was measured.
 
     time: displacements, angles, speed. orbit: path with index mark. dial: pendulum angles. bode, polar: 1× vectors over
     speed. waterfall: spectra over speed. spectrum: full spectrum and power densities. orders: order map. slip: angles
@@ -60,13 +62,13 @@ def plot(
     what identification fitted. history: of parameters files. health: the streams of a log. An .html figure zooms and
     needs no network.
 
-    A folder stands for its logs. Those that a kind cannot show are named, the others drawn: exit 0 where all that were
-    named themselves are drawn, 2 where one of them, an unreadable log, or every log of a folder is not.
+    A folder means its logs. Logs that a kind cannot show are named, the others are drawn. Exit 0 when all logs given by
+    name are drawn, 2 when one of them, an unreadable log, or every log of a folder is not.
 
     Args:
         logs: logs, and folders of them; of history parameters files.
     """
-    from rig_cli.plotted import figures_of, logs_in  # noqa: PLC0415 (matplotlib and numba take seconds to import)
+    from rig_cli.plotted import figures_of, logs_in  # matplotlib and numba take seconds to import
 
     if not logs:
         raise RigFileError(f"no log given; usage: rig plot {kind} LOG…")
@@ -92,14 +94,14 @@ def plot(
         for figure in drawn:
             print(f"written to {figure['file']}")
     for each in left:
-        say(f"not drawn: {each.reason}")
+        notify(f"not drawn: {each.reason}")
     passed_over = all(each.lacks and each.log in of_folders for each in left)
     return 0 if drawn and passed_over else 2
 
 
 @dataclass(frozen=True)
 class _NotDrawn:
-    """A log without a figure: why, and whether it merely lacks what the kind shows."""
+    """A log without a figure: the reason, and whether the log only lacks the data that the kind shows."""
 
     log: Path
     reason: str
@@ -109,15 +111,15 @@ class _NotDrawn:
 def _draw_all(
     kind: Kind, wanted: Wanted, places: Sequence[Path], force: bool
 ) -> tuple[list[dict[str, Any]], list[_NotDrawn]]:
-    """What was drawn, as JSON says it, and what was not.
+    """Draw all figures; return the JSON of those drawn, and the logs that were not.
 
     Raises:
-        AnalysisError, LogError: of the only log, or of a figure of all.
+        AnalysisError, LogError: from the only log, or from a figure of all logs.
     """
-    from analysis.errors import NotEnoughData  # noqa: PLC0415
+    from analysis.errors import NotEnoughData
 
     drawn, left = list[dict[str, Any]](), list[_NotDrawn]()
-    with share_progress(f"drawing {kind}") as tell:
+    with share_progress(f"drawing {kind}") as progress:
         for i, (place, draw) in enumerate(zip(places, wanted.draws, strict=True)):
             try:
                 drawn.append(_drawn(place, draw(), force))
@@ -127,14 +129,14 @@ def _draw_all(
                 log, reason = wanted.logs[i], str(error)
                 named = reason if log.name in reason else f"{log}: {reason}"
                 left.append(_NotDrawn(log, named, isinstance(error, NotEnoughData)))
-            tell((i + 1) / len(places))
+            progress((i + 1) / len(places))
     return drawn, left
 
 
 def _places(kind: Kind, names: Sequence[str], output: Path | None, force: bool) -> list[Path]:
-    """A file for each figure; names that are taken or mean nothing are refused before the work."""
-    from analysis.figures.page import SUFFIXES  # noqa: PLC0415 (matplotlib)
-    from daq.exchange.staging import Staging  # noqa: PLC0415
+    """Return a file for each figure. Existing files and unusable names are rejected before the work."""
+    from analysis.figures.page import SUFFIXES  # matplotlib
+    from daq.exchange.staging import Staging
 
     folder = output is not None and (output.is_dir() or not output.suffix)
     if output is None or folder:
@@ -154,9 +156,9 @@ def _places(kind: Kind, names: Sequence[str], output: Path | None, force: bool) 
 
 
 def _drawn(place: Path, figure: tuple[Any, dict[str, Any]], force: bool) -> dict[str, Any]:
-    """Write one figure; what JSON says of it."""
-    from analysis.figures.page import write_figure  # noqa: PLC0415 (matplotlib)
-    from daq.exchange.staging import Staging  # noqa: PLC0415
+    """Write one figure and return its JSON."""
+    from analysis.figures.page import write_figure  # matplotlib
+    from daq.exchange.staging import Staging
 
     drawing, facts = figure
     with Staging(force) as staging:
@@ -169,5 +171,5 @@ def _drawn(place: Path, figure: tuple[Any, dict[str, Any]], force: bool) -> dict
             ending.unlink(missing_ok=True)
         staging.commit()
     for text in facts.get("warnings", []):
-        say(f"warning: {text}")
+        notify(f"warning: {text}")
     return {"file": str(place), **facts}

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What `rig plot` draws: logs, rigs and models brought together for each kind of figure."""
+"""Figures of `rig plot`: logs, rigs and models combined for each kind of figure."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from matplotlib.figure import Figure
 
 from analysis.figures.kinds import KINDS, FigureKind
 from analysis.rig_model import RigModel
-from rig_cli.console import STDERR
 from daq.log import open_log
 from daq.log.snapshot import rig_of
 from daq.signals.run import Run, load_run, point_of
+from rig_cli.console import STDERR
 from rig_configs import IdentifiedParameters, Rig, RigFileError, overridden, with_parameters
 
 Drawn = tuple[Figure, dict[str, Any]]
-_LEVEL = 0.01  # chance of marking any change of a parameter when there is none
+_LEVEL = 0.01  # probability of marking any change of a parameter if there is none
 
 
 def logs_in(kind: str, places: Sequence[Path]) -> tuple[list[Path], frozenset[Path]]:
-    """Every log that was named and those of folders that were, at most one folder further down, and which are of these.
+    """Return all logs, those given by name and those in folders or one level below, and the set of the latter.
 
     Args:
-        kind: one of KINDS; "history" takes folders of parameters files itself.
+        kind: one of KINDS; "history" reads folders of parameters files itself.
     Raises:
         RigFileError: a folder without logs.
     """
@@ -49,10 +49,10 @@ def logs_in(kind: str, places: Sequence[Path]) -> tuple[list[Path], frozenset[Pa
 
 @dataclass(frozen=True)
 class Wanted:
-    """Figures to be drawn: what each file is called without its ending, and what draws it (with facts for JSON).
+    """Figures to be drawn: file names without ending, and functions that draw them and return facts for JSON.
 
     Attributes:
-        logs: what each is of; none where one figure is of all.
+        logs: the log of each figure; empty if one figure shows all.
     """
 
     names: tuple[str, ...]
@@ -62,14 +62,14 @@ class Wanted:
 
 @dataclass(frozen=True)
 class _Model:
-    """Where the model's numbers come from."""
+    """Source of the model's numbers."""
 
     path: Path | None
     known: IdentifiedParameters | None
     settings: Sequence[str]
 
     def of(self, log: Path) -> RigModel:
-        """The model of a log's rig."""
+        """Return the model of a log's rig."""
         with open_log(log) as opened:
             rig = rig_of(opened, self.settings)
         return self.with_rig(rig)
@@ -90,16 +90,16 @@ def figures_of(
     known: IdentifiedParameters | None,
     settings: Sequence[str],
 ) -> Wanted:
-    """What is to be drawn of the logs.
+    """Return the figures to be drawn of the logs.
 
     Args:
         kind: one of KINDS.
-        logs: of "history", parameters files and folders of them.
+        logs: for "history" parameters files and folders of them.
         over: a log to draw over each.
-        model, known: the parameters file and what is in it; None: the rig file in each log.
-        settings: laid over.
+        model, known: the parameters file and its contents; None: the rig file in each log.
+        settings: `--set` texts over the rig file.
     Raises:
-        RigFileError: nothing can be drawn over this kind of figure.
+        RigFileError: this kind of figure takes no second log.
     """
     found = KINDS[kind]
     if over is not None and not found.overlays:
@@ -145,16 +145,16 @@ def _facts(kind: str, logs: Sequence[Path], model: str, run: Run | None = None) 
 
 
 def _health(log: Path) -> Drawn:
-    from analysis.figures.health import draw_health  # noqa: PLC0415 (one kind need not load another)
+    from analysis.figures.health import draw_health
 
     with open_log(log) as opened:
         return draw_health(opened), _facts("health", [log], "")
 
 
 def _map(logs: Sequence[Path], source: _Model) -> Drawn:
-    from analysis.errors import NotEnoughData  # noqa: PLC0415
-    from analysis.figures.stability_map import MapPoint, draw_points_on_map  # noqa: PLC0415
-    from analysis.steady_state import measure  # noqa: PLC0415
+    from analysis.errors import NotEnoughData
+    from analysis.figures.stability_map import MapPoint, draw_points_on_map
+    from analysis.steady_state import measure
 
     model, points, warnings = source.of(logs[0]), list[MapPoint](), list[str]()
     for log in logs:
@@ -162,7 +162,7 @@ def _map(logs: Sequence[Path], source: _Model) -> Drawn:
         try:
             found = measure(run, model.rig)
         except NotEnoughData as error:
-            warnings.append(f"{log.name} is no point on the map: {error}")
+            warnings.append(f"{log.name} is not a point on the map: {error}")
             continue
         ratio = found.speed_rad_s.value / model.speeds_rad_s[0]
         points.append(MapPoint(point_of(run.test) or run.test, ratio, found.state))
@@ -171,14 +171,14 @@ def _map(logs: Sequence[Path], source: _Model) -> Drawn:
 
 
 def _slip(logs: Sequence[Path], source: _Model) -> Drawn:
-    from analysis.figures.slip import draw_slip  # noqa: PLC0415
+    from analysis.figures.slip import draw_slip
 
     model = source.of(logs[0])
     return draw_slip([load_run(log) for log in logs], model), _facts("slip", logs, model.name)
 
 
 def _multipliers(logs: Sequence[Path], source: _Model) -> Drawn:
-    from analysis.figures.multipliers import draw_multipliers, speed_point  # noqa: PLC0415
+    from analysis.figures.multipliers import draw_multipliers, speed_point
 
     model = source.of(logs[0])
     points = [speed_point(load_run(log)) for log in logs]
@@ -186,9 +186,9 @@ def _multipliers(logs: Sequence[Path], source: _Model) -> Drawn:
 
 
 def _residuals(logs: Sequence[Path], source: _Model) -> Drawn:
-    from analysis.figures.residuals import draw_residuals  # noqa: PLC0415
-    from rig_cli.report_forms import report_identification  # noqa: PLC0415
-    from identification import identify  # noqa: PLC0415
+    from analysis.figures.residuals import draw_residuals
+    from identification import identify
+    from rig_cli.report_forms import report_identification
 
     runs = [load_run(log) for log in logs]
     found = report_identification(identify(runs, source.of(logs[0]).rig, STDERR.print))
@@ -197,7 +197,7 @@ def _residuals(logs: Sequence[Path], source: _Model) -> Drawn:
 
 
 def _history(files: Sequence[Path], source: _Model) -> Drawn:
-    from rig_cli.history_figure import history_figure  # noqa: PLC0415
-    from identification.history import history  # noqa: PLC0415
+    from identification.history import history
+    from rig_cli.history_figure import history_figure
 
     return history_figure(history(list(files), None), _LEVEL), _facts("history", files, "")

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The rig file of a virtual rig that runs: what its operator would write of a real one, ports and all."""
+"""The rig file of a running virtual rig: the file that its operator would write for a real rig, with ports."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from typing import Any, cast
 
 import tomlkit
 
-from rig_cli.options import need_place
+from rig_cli.options import check_outputs
 from rig_configs import RigFileError, parse_setting
 from rig_configs.load import apply_setting, shipped_rigs
 from rig_configs.toml_text import read_text
 
-_FIRST_LINE = "# Written by `rig virtual`, which writes over it."
+_FIRST_LINE = "# Written by `rig virtual`, which overwrites it."
 
 
 def need_free(output: Path) -> None:
-    """Whether the file may be written.
+    """Check that the file may be written.
 
     Raises:
-        RigFileError: there is no such folder, or there is a file that `rig virtual` has not written.
+        RigFileError: the folder does not exist, or a file of that name exists that `rig virtual` has not written.
     """
-    need_place("--output", output)
+    check_outputs("--output", output)
     if output.exists() and not read_text(output).startswith(_FIRST_LINE):
-        raise RigFileError(f"--output {output}: there is a file of this name; give another, or remove it")
+        raise RigFileError(f"--output {output}: a file of this name exists; give another name, or remove the file")
 
 
 def write_plugged(rig: str, settings: Sequence[str], ports: Mapping[str, str], output: Path) -> None:
-    """Write a rig file: as it was given, with settings laid over it, with these ports and without [virtual].
+    """Write a rig file with settings applied, with these ports and without [virtual].
 
     Args:
         rig: path or name.
         settings: "key=value" texts; those of [virtual] are left out.
-        ports: of the devices by name.
+        ports: ports of the devices by name.
         output: the file.
 
     Raises:

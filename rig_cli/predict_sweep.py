@@ -1,5 +1,5 @@
 # pyright: strict
-"""`rig predict --sweep`: steady states along one number of a rig, and where another type becomes the stable one."""
+"""`rig predict --sweep`: steady states along one number of a rig, and where the stable type changes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.options import what_if_words
 from rig_cli.share_progress import share_progress
+from rig_cli.speed import SpeedChoice
 from rig_configs import IdentifiedParameters, Rig, RigFileError, load_rig
 
 if TYPE_CHECKING:
@@ -22,33 +23,33 @@ def predict_sweep(
     text: str,
     known: IdentifiedParameters,
     settings: Sequence[str],
-    speeds: tuple[str | None, float | None, float | None],
+    speed: SpeedChoice,
     accuracy: float,
     plot: Path | None,
     *,
     json: bool,
 ) -> int:
-    """Branches over the number, its break points, the figure.
+    """Compute the branches over the number and their break points, and draw the figure.
 
     Args:
         text: KEY=A:B:N[:log].
-        speeds: --point, --speed-rpm, --speed-ratio.
+        speed: constant speed, unless the number is the speed.
     """
     with wait_for_compilation("dynamics"):
-        from analysis.maps.lines import line_over  # noqa: PLC0415
-        from rig_cli.map_axes import read_axis  # noqa: PLC0415
+        from analysis.maps.lines import line_over
+        from rig_cli.map_axes import read_axis
     axis = read_axis("--sweep", text, "rig predict")
 
     def rig_with(more: list[str]) -> Rig:
         return load_rig(rig, known, [*settings, *more])
 
     loaded = rig_with([])
-    line = line_over(rig_with, axis, *_speed(loaded, *speeds), effects=known.with_effects)
-    with share_progress(f"{axis.count} values of {axis.key}") as told:
-        found = line.branches(accuracy, told)
+    line = line_over(rig_with, axis, *_speed(loaded, speed), effects=known.with_effects)
+    with share_progress(f"{axis.count} values of {axis.key}") as progress:
+        found = line.branches(accuracy, progress)
     if plot is not None:
-        from analysis.figures.branches import draw_branches  # noqa: PLC0415
-        from analysis.figures.style import save  # noqa: PLC0415
+        from analysis.figures.branches import draw_branches
+        from analysis.figures.style import save
 
         at = "" if axis.is_speed else f", {line.at(axis.low)[1] * 30 / math.pi:.1f} rpm"
         title = f"{loaded.name}{at}{what_if_words(settings, '; ')}"
@@ -63,11 +64,10 @@ def predict_sweep(
     return 0
 
 
-def _speed(
-    rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: float | None
-) -> tuple[float | None, float | None]:
-    """Speed in rad/s or as a ratio, as they were asked for."""
-    if sum(x is not None for x in (point, speed_rpm, speed_ratio)) > 1:
+def _speed(rig: Rig, speed: SpeedChoice) -> tuple[float | None, float | None]:
+    """Return the speed in rad/s or as a ratio, whichever was given."""
+    point, speed_rpm, speed_ratio = speed.point, speed.speed_rpm, speed.speed_ratio
+    if speed.count > 1:
         raise RigFileError("rig predict: give one of --point, --speed-rpm, --speed-ratio")
     if point is not None:
         if point not in rig.points:
@@ -77,25 +77,25 @@ def _speed(
 
 
 def lines(found: SteadyBranches, key: str) -> list[str]:
-    """What a sweep found, for people."""
-    said = list[str]()
+    """Return the result of a sweep as lines of text."""
+    text = list[str]()
     for branch in found.stable_branches():
         ends = [_at(branch, i) for i in (0, -1)]
-        said.append(
+        text.append(
             f"{branch.type:4} stable from {key} = {branch.values[0]:.7g} to {branch.values[-1]:.7g}: "
             f"{ends[0]} … {ends[1]}"
         )
-    if not said:
-        said.append("no stable steady state at any value")
+    if not text:
+        text.append("no stable steady state at any value")
     for one in found.break_points:
         before, after = (" and ".join(types) or "none" for types in (one.before, one.after))
-        said.append(f"break point at {key} = {one.value:.7g} ± {one.error:.1g}: stable before {before}, after {after}")
+        text.append(f"break point at {key} = {one.value:.7g} ± {one.error:.1g}: stable before {before}, after {after}")
     if not found.break_points:
-        said.append("no break point: the same types are stable at all values")
+        text.append("no break point: the same types are stable at all values")
     if found.unresolved:
         value, why = found.unresolved[0]
-        said.append(f"{len(found.unresolved)} not in the list, the first at {key} = {value:.7g}: {why}")
-    return said
+        text.append(f"{len(found.unresolved)} not in the list, the first at {key} = {value:.7g}: {why}")
+    return text
 
 
 def _at(branch: Branch, i: int) -> str:

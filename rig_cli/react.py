@@ -1,9 +1,10 @@
 # pyright: strict
-"""`rig react`: how the pendulums answer a sudden change of the rig at speed."""
+"""`rig react`: motion after a sudden change of the rig at speed."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,13 +12,32 @@ import numpy as np
 from cyclopts import Parameter
 
 from rig_cli.console import print_json, wait_for_compilation
-from rig_cli.numbers import Positive, PositiveRpm, PositiveSeconds
-from rig_cli.options import Json, ParametersPath, Settings, need_place, what_if_words
-from rig_cli.speed import asked_speed
+from rig_cli.numbers import Positive, PositiveSeconds
+from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
+from rig_cli.speed import NO_SPEED, SpeedChoice
 from rig_configs import IdentifiedParameters, RigFileError, load_rig
 
 if TYPE_CHECKING:
     from dynamics.steady.reaction import Reaction
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ReactionEnd:
+    """End of the motion after the change.
+
+    Attributes:
+        share: deviation at which the reaction is over, as a share of the largest one.
+        seconds: duration of the motion; None: until the slowest decay is over.
+    """
+
+    share: Annotated[Positive, Parameter(help="of the largest deviation, at which the reaction is over")] = 0.05
+    seconds: Annotated[PositiveSeconds | None, Parameter(help="followed; default: until the slowest has decayed")] = (
+        None
+    )
+
+
+_UNTIL_SHARE = ReactionEnd()
 
 
 def react(
@@ -26,11 +46,8 @@ def react(
     change: Annotated[
         list[str] | None, Parameter(help="KEY=VALUE that changes at once: imbalance.radius_m=+20%")
     ] = None,
-    point: str | None = None,
-    speed_rpm: PositiveRpm | None = None,
-    speed_ratio: Positive | None = None,
-    share: Annotated[Positive, Parameter(help="of the largest deviation, at which the reaction is over")] = 0.05,
-    seconds: Annotated[PositiveSeconds | None, Parameter(help="followed; left out: until the slowest has died")] = None,
+    speed: SpeedChoice = NO_SPEED,
+    until: ReactionEnd = _UNTIL_SHARE,
     plot: Annotated[Path | None, Parameter(help="write a figure: .svg, .png, .pdf, or .html, which zooms")] = None,
     parameters: ParametersPath = None,
     settings: Settings = None,
@@ -38,26 +55,28 @@ def react(
 ) -> int:
     """How the pendulums answer a sudden change at speed: vibration, peak, and the time until it is balanced again.
 
-    The motion starts in the stable state of the rig as it is and goes on with --change laid over it, at the same speed.
+    The motion starts in the stable state of the rig before the change and continues with --change at the same speed.
     """
-    need_place("rig react: --plot", plot)
+    check_outputs("rig react: --plot", plot)
     if not change:
         raise RigFileError("rig react: expected --change KEY=VALUE, as imbalance.radius_m=+20%")
     known = IdentifiedParameters.load(parameters) if parameters else IdentifiedParameters({}, np.zeros((0, 0)))
     before = load_rig(rig, known, settings or [])
     after = load_rig(rig, known, [*(settings or []), *change])
-    speed = asked_speed("rig react", before, point, speed_rpm, speed_ratio)
+    speed_rad_s, share = speed.rad_s("rig react", before), until.share
     with wait_for_compilation("dynamics"):
-        from dynamics.steady.reaction import reaction  # noqa: PLC0415 (loads numba)
+        from dynamics.steady.reaction import reaction  # loads numba
 
-        found = reaction(known.with_effects(before.physics), known.with_effects(after.physics), speed, share, seconds)
-    title = f"{before.name}, {', '.join(change)} at {speed * 30 / math.pi:.1f} rpm{what_if_words(settings, '; ')}"
+        found = reaction(
+            known.with_effects(before.physics), known.with_effects(after.physics), speed_rad_s, share, until.seconds
+        )
+    title = f"{before.name}, {', '.join(change)} at {speed_rad_s * 30 / math.pi:.1f} rpm{what_if_words(settings, '; ')}"
     if plot is not None:
-        from analysis.figures.page import write_figure  # noqa: PLC0415
-        from analysis.figures.reaction import draw_reaction  # noqa: PLC0415
+        from analysis.figures.page import write_figure
+        from analysis.figures.reaction import draw_reaction
 
         write_figure(plot, draw_reaction(found, title, share), title)
-    result = _json(found, speed, share) | {
+    result = _json(found, speed_rad_s, share) | {
         "change": list(change),
         "what_if": list(settings or []),
         "plot": None if plot is None else str(plot),

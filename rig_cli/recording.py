@@ -1,4 +1,4 @@
-"""What the terminal shows while a rig is being recorded: every channel's rate and size, the losses, the disk."""
+"""Terminal page of a recording: every channel's rate and size, the losses, the disk."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from rig_cli.console import LiveTable, say
 from daq.acquisition.recorder import DiskState
 from daq.acquisition.session import Session
 from daq.log.losses import Losses
+from rig_cli.console import LiveTable, notify
 
 _EVERY_S, _LINE_EVERY_S = 0.25, 10.0
 _ROWS = (
@@ -26,7 +26,7 @@ _ROWS = (
 
 
 class RecordingStatus(LiveTable):
-    """A table that follows a recording on a terminal; where there is none, a line every ten seconds."""
+    """A table of a recording on a terminal; otherwise a line every ten seconds."""
 
     def __init__(self, session: Session) -> None:
         super().__init__()
@@ -34,7 +34,7 @@ class RecordingStatus(LiveTable):
         self._started = self._shown = time.monotonic()
 
     def show(self) -> None:
-        """Bring it up to date, if it is time."""
+        """Update the display if an update is due."""
         now = time.monotonic()
         if now - self._shown < (_EVERY_S if self._live is not None else _LINE_EVERY_S):
             return
@@ -43,7 +43,7 @@ class RecordingStatus(LiveTable):
             self._live.update(self._table(), refresh=True)
         else:
             parts = (self._losses(), self._session.rates.now(), _disk(self._session.disk()))
-            say(f"{self._elapsed()}  {'; '.join(part for part in parts if part)}")
+            notify(f"{self._elapsed()}  {'; '.join(part for part in parts if part)}")
 
     def _elapsed(self) -> str:
         return f"[{time.monotonic() - self._started:7.1f} s]"
@@ -53,8 +53,8 @@ class RecordingStatus(LiveTable):
 
     def _table(self) -> Group:
         table = Table(box=None, pad_edge=False)
-        for title, justify in (("channel", "left"), ("rate", "right"), ("now", "right"), ("peak to peak", "right")):
-            table.add_column(title, justify=justify)  # type: ignore[arg-type]
+        for title in ("channel", "rate", "now", "peak to peak"):
+            table.add_column(title, justify="left" if title == "channel" else "right")
         since = self._session.clock.now_ns() - 1_000_000_000
         for topic, field, scale, unit in _ROWS:
             times, (values,) = self._session.recent.last(topic, (field,), since)
@@ -70,7 +70,7 @@ class RecordingStatus(LiveTable):
 
 
 def _figures(times: np.ndarray, values: np.ndarray, unit: str) -> tuple[str, str, str]:
-    """Rate, newest value and peak to peak of the last second."""
+    """Return rate, newest value and peak to peak of the last second."""
     known = values[np.isfinite(values)]
     if len(times) < 2 or not len(known):
         return "silent" if len(times) < 2 else f"{len(times)} Hz", "—", "—"

@@ -1,4 +1,4 @@
-"""`rig recover`: a cut or damaged log made whole."""
+"""`rig recover`: a new, whole log from a cut or damaged one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from rig_cli.console import print_json, say, show
+from rig_cli.console import notify, print_json, show
 from rig_cli.options import Json
 from rig_cli.share_progress import share_progress
 
@@ -15,15 +15,15 @@ from rig_cli.share_progress import share_progress
 def recover(
     part: Path, *, output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None, json: Json = False
 ) -> int:
-    """Make a cut or damaged log whole: a new file of all that is sound in it; says what is missing.
+    """Make a cut or damaged log whole: a new file of its intact part; lists what is missing.
 
-    Exit 1 when not one message could be kept.
+    Exit 1 when no message could be kept.
     """
-    from daq.log.recover import recover as make_whole  # noqa: PLC0415 (numba takes a third of a second to import)
+    from daq.log.recover import recover as make_whole  # numba takes a third of a second to import
 
     with share_progress(f"recovering {part.name}") as progress:
         found = make_whole(part, output, progress)
-    nothing = found.messages == 0  # at best facts and attachments were there
+    nothing = found.messages == 0  # then at most facts and attachments are kept
     if json:
         print_json(
             {
@@ -39,11 +39,11 @@ def recover(
             }
         )
         return 1 if nothing else 0
-    say(f"{found.messages} messages over {found.seconds:.3f} s kept in {found.path}")
+    notify(f"{found.messages} messages over {found.seconds:.3f} s kept in {found.path}")
     for place in found.missing:
         show(f"missing    {place}")
     if not found.missing:
-        say(f"nothing in {part} is cut or damaged: it needed no recovery")
+        notify(f"nothing in {part} is cut or damaged: it needed no recovery")
     if nothing:
-        say("no message was left to recover: the new log holds only facts of the run and attached files")
+        notify("no message was left to recover: the new log contains only facts of the run and attached files")
     return 1 if nothing else 0

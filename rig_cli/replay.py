@@ -1,4 +1,4 @@
-"""`rig replay`: a log decoded again and compared, corrected, judged by interlocks, watched, or played to programs."""
+"""`rig replay`: a log decoded again: compared, corrected, checked by interlocks, watched, or played to programs."""
 
 from __future__ import annotations
 
@@ -6,17 +6,12 @@ import json as json_text
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from rig_cli.console import STDERR, print_json, say, show
-from rig_cli.numbers import SecondsOrNone
-from rig_cli.options import Json, Settings
-from rig_cli.replay_interlocks import show_interlocks
-from rig_cli.replay_view import ReplayView
-from rig_cli.share_progress import share_progress
 from daq.errors import LogError
 from daq.log import Log, open_log
 from daq.playback import Playback, Played, open_outlets, played_devices
@@ -25,23 +20,51 @@ from daq.replay.anew import Anew, decode_anew
 from daq.replay.calibration import Calibration
 from daq.replay.compare import ChannelCheck
 from daq.replay.pace import paced
+from rig_cli.console import STDERR, notify, print_json, show
+from rig_cli.numbers import SecondsOrNone
+from rig_cli.options import Json, Settings
+from rig_cli.replay_interlocks import show_interlocks
+from rig_cli.replay_view import ReplayView
+from rig_cli.share_progress import share_progress
 
-_PLAIN_S = 5.0  # between two lines where there is no terminal
+_PLAIN_S = 5.0  # between two lines of output that is not a terminal
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ReplayJob:
+    """What is done with a log. Without any option it is compared.
+
+    Attributes:
+        check: whether a difference is exit code 1.
+        calibration: numbers for a new log.
+        output: the new log.
+        speed: pace.
+        to: where the bytes are played.
+        linger: how long the ports stay open at the end, s.
+        interlocks: whether the interlocks are applied.
+        all_trips: whether they are applied after the first trip.
+    """
+
+    check: bool = False
+    calibration: Annotated[Path | None, Parameter(help="TOML with [devices.…] calibration; needs -o")] = None
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="new log, decoded again")] = None
+    speed: Annotated[str | None, Parameter(help="watch it at this pace: 1, a number, or max")] = None
+    to: Annotated[str | None, Parameter(help="play the bytes to pty, tcp, or device=port,device=port")] = None
+    linger: Annotated[SecondsOrNone | None, Parameter(help="with --to: keep ports open at the end, s at most")] = None
+    interlocks: Annotated[bool, Parameter(negative="", help="when interlocks would have tripped")] = False
+    all_trips: Annotated[
+        bool, Parameter(name="--all", negative="", help="with --interlocks: go on after the first trip")
+    ] = False
+
+
+_COMPARE = ReplayJob()
 
 
 def replay(
     log: Path,
     *,
-    check: bool = False,
-    calibration: Annotated[Path | None, Parameter(help="TOML with [devices.…] calibration; needs -o")] = None,
-    output: Annotated[Path | None, Parameter(name=["--output", "-o"], help="new log, decoded again")] = None,
-    speed: Annotated[str | None, Parameter(help="watch it at this pace: 1, a number, or max")] = None,
-    to: Annotated[str | None, Parameter(help="play the bytes to pty, tcp, or device=port,device=port")] = None,
-    linger: Annotated[SecondsOrNone | None, Parameter(help="with --to: keep ports open at the end, s at most")] = None,
-    interlocks: Annotated[bool, Parameter(negative="", help="when interlocks would have tripped")] = False,
-    all_trips: Annotated[
-        bool, Parameter(name="--all", negative="", help="with --interlocks: go on after the first trip")
-    ] = False,
+    job: ReplayJob = _COMPARE,
     settings: Annotated[
         Settings, Parameter(help="with --interlocks: other limits, e.g. limits.amplitude_m=0.004")
     ] = None,
@@ -49,48 +72,47 @@ def replay(
 ) -> int:
     """Decode a log's raw bytes again through the same pipelines.
 
-    Alone it compares with what was decoded live and prints the result; with --check a difference is exit code 1.
-    With -o it writes a new log, with --calibration by corrected numbers. With --speed it shows the log at that pace.
-    With --to it plays the bytes to other programs, at --speed (1 if not given); one that configures its devices first
-    is answered as they would answer. With --interlocks it shows when they would have tripped, exit code 1 when one
-    would.
+    Without options it compares the result with what was decoded live and prints it; with --check a difference is exit
+    code 1. With -o it writes a new log, with --calibration with corrected numbers. With --speed it shows the log at
+    that pace. With --to it plays the bytes to other programs, at --speed (default 1); a program that configures its
+    devices first gets the devices' replies. With --interlocks it shows when they would have tripped, exit code 1 when
+    one would.
     """
-    _refuse_contradictions(check, calibration, output, speed, to, linger, interlocks)
-    if interlocks:
-        return show_interlocks(log, settings or [], all_trips=all_trips, json=json)
-    if settings or all_trips:
-        raise LogError(f"{'--set' if settings else '--all'}: expected --interlocks with it; nothing else here takes it")
-    if output is not None:
-        return _anew(log, output, calibration, json)
-    if to is not None:
-        return _play(log, to, _factor(speed or "1"), linger, json)
-    if speed is not None:
-        return _watch(log, _factor(speed), json)
-    return _check(log, check, json)
+    _refuse_contradictions(job)
+    if job.interlocks:
+        return show_interlocks(log, settings or [], all_trips=job.all_trips, json=json)
+    if settings or job.all_trips:
+        raise LogError(
+            f"{'--set' if settings else '--all'}: expected --interlocks with it; no other job takes this option"
+        )
+    if job.output is not None:
+        return _write_new(log, job.output, job.calibration, json)
+    if job.to is not None:
+        return _play(log, job.to, _factor(job.speed or "1"), job.linger, json)
+    if job.speed is not None:
+        return _watch(log, _factor(job.speed), json)
+    return _check(log, job.check, json)
 
 
-def _refuse_contradictions(
-    check: bool,
-    calibration: Path | None,
-    output: Path | None,
-    speed: str | None,
-    to: str | None,
-    linger: float | None,
-    interlocks: bool,
-) -> None:
-    if calibration is not None and output is None:
+def _refuse_contradictions(job: ReplayJob) -> None:
+    if job.calibration is not None and job.output is None:
         raise LogError("--calibration: expected -o NEW.mcap with it; a log is never changed, a new one is written")
-    if linger is not None and to is None:
+    if job.linger is not None and job.to is None:
         raise LogError("--linger: expected --to with it; there are no ports to keep open")
-    jobs = {"--interlocks": interlocks, "--check": check, "-o": output is not None, "--to": to is not None}
-    given = [name for name, there in jobs.items() if there]
-    if len(given) > 1 or (speed is not None and given and given != ["--to"]):
-        named = [*given, *(["--speed"] if speed is not None else [])]
+    flags = {
+        "--interlocks": job.interlocks,
+        "--check": job.check,
+        "-o": job.output is not None,
+        "--to": job.to is not None,
+    }
+    given = [name for name, there in flags.items() if there]
+    if len(given) > 1 or (job.speed is not None and given and given != ["--to"]):
+        named = [*given, *(["--speed"] if job.speed is not None else [])]
         raise LogError(f"{' and '.join(named)}: expected one job at a time; give the commands one after the other")
 
 
 def _factor(text: str) -> float:
-    """Seconds of the log per second."""
+    """Return seconds of the log per second."""
     try:
         factor = math.inf if text == "max" else float(text)
     except ValueError:
@@ -155,9 +177,9 @@ def _first_difference(row: ChannelCheck) -> tuple[str, ...]:
 # --- into a new log ----------------------------------------------------------------------------------------------
 
 
-def _anew(path: Path, output: Path, calibration: Path | None, json: bool) -> int:
+def _write_new(path: Path, output: Path, calibration: Path | None, json: bool) -> int:
     loaded = None if calibration is None else Calibration.load(calibration)
-    with share_progress("decoding anew") as progress:
+    with share_progress("decoding again") as progress:
         made = decode_anew(path, output, loaded, progress)
     if json:
         rows = {row.topic: {"origin": row.live, "anew": row.again, "moved": _fields_json(row)} for row in made.moved}
@@ -173,7 +195,7 @@ def _anew(path: Path, output: Path, calibration: Path | None, json: bool) -> int
         return 0
     for line in _moved_lines(made):
         show(line)
-    say(f"written to {made.path}")
+    notify(f"written to {made.path}")
     return 0
 
 
@@ -207,11 +229,16 @@ def _watch(path: Path, speed: float, json: bool) -> int:
                     view.add(chunk.host_ns, items)
         except KeyboardInterrupt:
             ended = "Ctrl-C"
-        result = {"log": str(path), "ended": ended, "seconds": time.monotonic() - started, **view.totals()}
+        result: dict[str, Any] = {
+            "log": str(path),
+            "ended": ended,
+            "seconds": time.monotonic() - started,
+            **view.totals(),
+        }
     if json:
         print_json(result)
     else:
-        say(
+        notify(
             f"{path}: {result['span_s']:.1f} s of the log shown, ended by {ended}, at most "
             f"{result['most_late_s'] * 1e3:.0f} ms late"
         )
@@ -236,7 +263,7 @@ def _play(path: Path, to: str, speed: float, linger: float | None, json: bool) -
         played_s = max(0.0, (state.log_ns - log.start_ns) * 1e-9)
         span = f"{played_s:.1f} s of {(log.end_ns - log.start_ns) * 1e-9:.1f} s"
     for line in _lost_lines(state):
-        say(line)
+        notify(line)
     if json:
         print_json(
             {
@@ -251,7 +278,7 @@ def _play(path: Path, to: str, speed: float, linger: float | None, json: bool) -
             }
         )
     else:
-        say(
+        notify(
             f"{path}: {sum(state.delivered.values())} bytes played, {span}, ended by {ended}, at most "
             f"{state.most_late_s * 1e3:.0f} ms late"
         )
@@ -260,34 +287,34 @@ def _play(path: Path, to: str, speed: float, linger: float | None, json: bool) -
 
 
 def _announce(ports: dict[str, str], path: Path, speed: float) -> None:
-    """The ports, as `rig virtual` prints its own."""
+    """Print the ports in the form of `rig virtual`."""
     scale = speed if math.isfinite(speed) else 1.0
     print(json_text.dumps({"ports": ports, "log": str(path), "time_scale": scale}), flush=True)
     settings = " ".join(f"--set devices.{device}.port={port}" for device, port in ports.items())
-    say(f"for example: rig record {path} --listen --until-silent 2 -o again.mcap --time-scale {scale:g} {settings}")
+    notify(f"for example: rig record {path} --listen --until-silent 2 -o again.mcap --time-scale {scale:g} {settings}")
 
 
 def _carry_out(playback: Playback, log: Log, speed: float, linger: float | None) -> str:
-    def ports(devices: list[str]) -> None:
-        say(f"waiting for a program to open {', '.join(devices)}" if devices else "every port is open")
+    def report_ports(devices: list[str]) -> None:
+        notify(f"waiting for a program to open {', '.join(devices)}" if devices else "every port is open")
 
-    def setup(waiting: Mapping[str, str]) -> None:
+    def report_setup(waiting: Mapping[str, str]) -> None:
         wanted = ", ".join(f"{device} ({expects})" for device, expects in waiting.items())
-        say(f"the host configures its devices; to be started yet: {wanted}" if waiting else "all devices are started")
+        notify(f"the host configures its devices; not started: {wanted}" if waiting else "all devices are started")
 
     try:
-        playback.wait_for_readers(ports)
-        playback.wait_for_setup(setup)
+        playback.wait_for_readers(report_ports)
+        playback.wait_for_setup(report_setup)
         if playback.configured and math.isinf(speed):
-            say(
-                "warning: what comes before the host begins to record is past then, and at --speed max that is most; "
+            notify(
+                "warning: the host begins to record after its first bytes are past, and at --speed max these are most; "
                 "--speed 1 plays at the log's own pace"
             )
-        say("playing")
-        state = playback.play(log.raw_in_order(), _PlayedLines(log).tell)
+        notify("playing")
+        state = playback.play(log.raw_in_order(), _PlayedLines(log).report)
         if state.cut_short:
             return "the host, which stopped its devices and left" if state.stopped else "the readers, who left"
-        say("all bytes are handed over; the ports stay open until their readers close them")
+        notify("all bytes are delivered; the ports stay open until their readers close them")
         playback.hold(linger)
     except KeyboardInterrupt:
         return "Ctrl-C"
@@ -295,36 +322,37 @@ def _carry_out(playback: Playback, log: Log, speed: float, linger: float | None)
 
 
 class _PlayedLines:
-    """A line now and then about how far it is, and one at once when a reader has gone."""
+    """Progress lines of playing, and a line at once when a reader disconnects."""
 
     def __init__(self, log: Log) -> None:
         self._start_ns, self._span_s = log.start_ns, (log.end_ns - log.start_ns) * 1e-9
-        self._told_s = time.monotonic()
+        self._line_s = time.monotonic()
         self._gone: set[str] = set()
 
-    def tell(self, state: Played) -> None:
+    def report(self, state: Played) -> None:
         """See Playback.play."""
         for device in state.gone.keys() - self._gone:
             self._gone.add(device)
             if not state.stopped:
-                say(f"{device}: its reader has gone, {(state.gone[device] - self._start_ns) * 1e-9:.1f} s into the log")
-        if time.monotonic() - self._told_s > _PLAIN_S:
-            self._told_s = time.monotonic()
+                at_s = (state.gone[device] - self._start_ns) * 1e-9
+                notify(f"{device}: its reader disconnected {at_s:.1f} s into the log")
+        if time.monotonic() - self._line_s > _PLAIN_S:
+            self._line_s = time.monotonic()
             late = f", {state.late_s:.2f} s late: a reader is slow" if state.late_s > 0.1 else ""
             at_s = max(0.0, (state.log_ns - self._start_ns) * 1e-9)
             STDERR.print(f"{at_s:.1f} s of {self._span_s:.1f} s played{late}")
 
 
 def _lost_lines(state: Played) -> list[str]:
-    undelivered = {} if state.stopped else state.undelivered
+    undelivered: Mapping[str, int] = {} if state.stopped else state.undelivered
     return [
         *(
-            f"{device}: {count} bytes were not played, nobody read them any more"
+            f"{device}: {count} bytes were not played: no program read them"
             for device, count in undelivered.items()
             if count
         ),
         *(
-            f"{device}: {count} commands were not followed, a log cannot: it did what it did"
+            f"{device}: {count} commands had no effect: a log plays the recorded answers"
             for device, count in state.unfollowed.items()
             if count
         ),

@@ -1,5 +1,5 @@
 # pyright: strict
-"""`rig replay LOG --interlocks`: the table of all interlocks, and when each would have tripped in a log."""
+"""`rig replay LOG --interlocks`: table of all interlocks, and when each would have tripped in a log."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from rig_cli.console import print_json, say, show
-from rig_cli.options import what_if_words
-from rig_cli.share_progress import share_progress
-from rig_cli.words import stdout_console
 from daq.acquisition.interlock_table import INTERLOCKS, Interlock
 from daq.log import open_log
 from daq.replay.interlocked import InterlockReplay, WouldTrip, replay_interlocks
+from rig_cli.console import notify, print_json, show
+from rig_cli.options import what_if_words
+from rig_cli.share_progress import share_progress
+from rig_cli.words import stdout_console
 
 _HEAD = ("interlock", "in this log", "threshold", "deadline", "reaction", "guards", "threshold from", "role")
 _GAP = "  "
@@ -25,14 +25,14 @@ def show_interlocks(path: Path, settings: Sequence[str], *, all_trips: bool, jso
 
     Args:
         path: the log.
-        settings: "key=value" laid over its rig file.
-        all_trips: go on after the first trip.
-        json: one object instead of a table.
+        settings: "key=value" texts over its rig file.
+        all_trips: continue after the first trip.
+        json: print one object instead of a table.
 
     Returns:
-        Exit code: 1 when one would have tripped.
+        Exit code: 1 if one would have tripped.
     """
-    with open_log(path) as log, share_progress("putting it through the interlocks") as progress:
+    with open_log(path) as log, share_progress("applying the interlocks") as progress:
         found = replay_interlocks(log, settings, all_trips=all_trips, progress=progress)
     if json:
         print_json(_facts(path, found, settings))
@@ -83,10 +83,10 @@ def _print(path: Path, found: InterlockReplay, settings: Sequence[str]) -> None:
     what_if = what_if_words(settings, ", ")
     judged = f"{path}: {_s(found.until_ns, found.start_ns):.1f} s judged{what_if}"
     if not found.trips:
-        say(f"{judged}: nothing would have tripped")
+        notify(f"{judged}: nothing would have tripped")
         return
     names = ", ".join(dict.fromkeys(trip.interlock for trip in found.trips))
-    say(f"{judged}: would have tripped at {_s(found.trips[0].time_ns, found.start_ns):.3f} s: {names}")
+    notify(f"{judged}: would have tripped at {_s(found.trips[0].time_ns, found.start_ns):.3f} s: {names}")
 
 
 def _row(row: Interlock, found: InterlockReplay) -> tuple[str, ...]:
@@ -95,9 +95,9 @@ def _row(row: Interlock, found: InterlockReplay) -> tuple[str, ...]:
 
 
 def _state(row: Interlock, found: InterlockReplay) -> str:
-    """What an interlock did in the log, in a few words."""
+    """Return what an interlock did in the log."""
     if row.judge == "session":
-        return "a session alone judges it"
+        return "judged in a session only"
     if not row.has_role(found.roles):
         return f"not judged: no {'second ' if row.name == 'stuck sensor' else ''}{row.role or row.guards}"
     times = [_s(trip.time_ns, found.start_ns) for trip in found.trips if trip.interlock == row.name]
@@ -110,18 +110,18 @@ def _trip_lines(trip: WouldTrip, start_ns: int) -> Iterable[str]:
     lasted_s = _s(trip.last_ns, trip.time_ns)
     again = f" (until {_s(trip.last_ns, start_ns):.3f} s)" if lasted_s else ""
     yield f"{_s(trip.time_ns, start_ns):.3f} s  {trip.interlock}: {trip.text}{again}"
-    told = "orders unknown" if trip.told_rpm is None else f"told {trip.told_rpm:.0f} rpm"
+    commanded = "orders unknown" if trip.told_rpm is None else f"commanded {trip.told_rpm:.0f} rpm"
     speed = "speed unknown" if trip.speed_rpm is None else f"{trip.speed_rpm:.0f} rpm"
     values = [
         f"{topic} " + ", ".join(f"{name} {value:.6g}" for name, value in newest.items())
         for topic, newest in trip.newest.items()
         if newest
     ]
-    yield f"           rotor {speed}, {told}; newest: {'; '.join(values)}"
+    yield f"           rotor {speed}, {commanded}; newest: {'; '.join(values)}"
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> Iterable[str]:
-    """Rows in columns as wide as their widest cell; columns that the terminal has no room for are left out."""
+    """Return rows in columns as wide as their widest cell, without columns that do not fit the terminal."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     room = stdout_console().width
     while sum(widths) + len(_GAP) * (len(widths) - 1) > room and len(widths) > 2:
@@ -129,7 +129,7 @@ def _table(rows: Sequence[tuple[str, ...]]) -> Iterable[str]:
     for row in rows:
         yield _GAP.join(cell.ljust(width) for cell, width in zip(row, widths, strict=False)).rstrip()
     if left_out := _HEAD[len(widths) :]:
-        yield f"left out, the terminal being {room} columns wide: {', '.join(left_out)}. --json has them"
+        yield f"left out on a terminal of {room} columns: {', '.join(left_out)}. --json has them"
 
 
 def _s(time_ns: int, start_ns: int) -> float:

@@ -1,4 +1,4 @@
-"""What is seen of a log while it is replayed at its pace: a table on a terminal, plain lines elsewhere."""
+"""Display of a log that is replayed at its pace: a table on a terminal, otherwise lines."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 from rich.table import Table
 
-from rig_cli.console import LiveTable, say
 from daq.drivers.items import Batch, Event
 from daq.log import Log
 from daq.log.losses import Losses
 from daq.replay.pace import Paced
+from rig_cli.console import LiveTable, notify
 
 _REFRESH_S = 0.125
-_PLAIN_S = 5.0  # between two lines where there is no terminal
+_PLAIN_S = 5.0  # between two lines of output that is not a terminal
 
 _LAST: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "laser/x": lambda last: f"{last['displacement_m'] * 1e3:8.4f} mm",
@@ -30,7 +30,7 @@ _LAST: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
 
 
 class ReplayView(LiveTable):
-    """Counts what is replayed and shows it eight times a second."""
+    """Counts the replayed samples and shows them eight times a second."""
 
     def __init__(self, log: Log, replayed: Paced) -> None:
         super().__init__()
@@ -44,7 +44,7 @@ class ReplayView(LiveTable):
         self._shown_s, self._shown_ns, self._shown_samples = -math.inf, self._now_ns, dict(self._samples)
 
     def add(self, host_ns: int, items: list[Batch | Event]) -> None:
-        """What one read gave."""
+        """Add the result of one read."""
         self._now_ns = max(self._now_ns, host_ns)
         for item in items:
             if isinstance(item, Batch):
@@ -56,7 +56,7 @@ class ReplayView(LiveTable):
             self._show()
 
     def totals(self) -> dict[str, Any]:
-        """For the end, with units in the names."""
+        """Return the totals, with units in the names."""
         return {
             "span_s": self._at_s,
             "samples": dict(self._samples),
@@ -82,7 +82,7 @@ class ReplayView(LiveTable):
         state = f"{self._at_s:.1f} s of {self._span_s:.1f} s" + (f", {late:.2f} s late" if late > 0.1 else "")
         if self._live is None:
             last = "; ".join(f"{topic} {_LAST[topic](values).strip()}" for topic, values in self._last.items())
-            say(f"{state}: {last}; {lost}")
+            notify(f"{state}: {last}; {lost}")
             return
         table = Table(title=state, caption=lost)
         for name in ("channel", "samples", "Hz in the log", "last"):

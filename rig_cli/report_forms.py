@@ -1,4 +1,4 @@
-"""Results of the packages below in the report's own types."""
+"""Results of other packages converted to the report's types."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rig_configs import IdentifiedParameters
 
 
 def report_identification(found: Identification) -> IdentificationResult:
-    """The identification in the report's own types."""
+    """Convert an identification."""
     estimates = [
         TestEstimate(e.test, e.source, dict(zip(e.names, e.values.tolist(), strict=True)), e.std)
         for e in found.estimates
@@ -23,10 +23,10 @@ def report_identification(found: Identification) -> IdentificationResult:
 
 
 def report_changes(label: str, old: IdentifiedParameters, new: IdentifiedParameters) -> Changes:
-    """What changed since an earlier identification, in the report's own types.
+    """Convert the changes since an earlier identification.
 
     Args:
-        label: how the earlier one is called in the report.
+        label: name of the earlier one in the report.
     """
     found = compare(old, new)
     rows = [ParameterChange(c.name, c.old, c.new, c.change, c.std, c.p_holm) for c in found.changes]

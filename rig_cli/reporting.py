@@ -1,5 +1,5 @@
 # pyright: strict
-"""The report of a campaign: what the demo ends with, and `rig report` makes at any time."""
+"""The report of a campaign, for `rig demo` and `rig report`."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, cast
 
 from analysis.report.campaign import Campaign, Changes, IdentificationResult
 from analysis.report.write import write_report
+from daq.signals.completeness import missing_warnings
+from daq.signals.run import Run, disagreements
 from rig_cli import results
 from rig_cli.parameters_budget import all_budgets
 from rig_cli.report_forms import report_changes, report_identification
-from daq.signals.completeness import missing_warnings
-from daq.signals.run import Run, disagreements
 from rig_configs import IdentifiedParameters, Rig
 
 if TYPE_CHECKING:
@@ -30,21 +30,19 @@ def reported(
     joint: Identification | None,
     validation: Validation | None,
     *,
-    title: str = "",
     since: tuple[str, IdentifiedParameters] | None = None,
     facts: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write the report of a campaign.
 
     Args:
-        path: the HTML file; its numbers go beside it.
-        before: parameters that the points were validated with.
-        joint: what all logs together say; None shows `before` alone.
-        title: by default "Campaign on" the rig's name.
-        since: an earlier identification, and what it is called.
+        path: the HTML file; its numbers are written next to it.
+        before: parameters with which the points were validated.
+        joint: joint identification of all logs; None shows only `before`.
+        since: name and parameters of an earlier identification.
         facts: "truth" and "seed" of a simulated rig, "notes".
     """
-    told = dict(facts or {})
+    given = dict(facts or {})
     identities: dict[str, dict[str, Any]] = runs[0].metadata.get("identities", {}) if runs else {}
     devices = {name: {k: _shown(v) for k, v in identity.items()} for name, identity in identities.items()}
     shown = IdentificationResult(before) if joint is None else report_identification(joint)
@@ -54,17 +52,17 @@ def reported(
     if since is not None:
         changes = report_changes(since[0], since[1], shown.parameters)
     campaign = Campaign(
-        title=title or f"Campaign on {rig.name}",
+        title=f"Campaign on {rig.name}",
         rig=rig,
         runs=runs,
         identification=shown,
         validation=validation,
         axis_angle_deg=before.axis_angle_deg,
         devices=devices,
-        truth=told.get("truth"),
-        notes=told.get("notes", ()),
+        truth=given.get("truth"),
+        notes=given.get("notes", ()),
         software_version=results.software_version(),
-        seed=told.get("seed"),
+        seed=given.get("seed"),
         budgets=all_budgets(rig, shown.parameters),
         changes=changes,
     )
@@ -72,7 +70,7 @@ def reported(
 
 
 def _shown(value: object) -> str:
-    """A device's word about itself; a list's members one after another."""
+    """Return a value of a device's identity as text; members of lists and tables are separated by commas."""
     if isinstance(value, Mapping):
         return ", ".join(f"{k} {_shown(v)}" for k, v in cast("Mapping[object, object]", value).items())
     if isinstance(value, list | tuple):

@@ -1,5 +1,5 @@
 # pyright: strict
-"""`rig reproduce`: the source's figures, tables and claims, made anew and judged."""
+"""`rig reproduce`: the source's figures, tables and claims, reproduced and judged."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from rig_cli.console import print_json, say, wait_for_compilation
+from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.numbers import WholeCount
 from rig_cli.options import Json
 from rig_cli.share_progress import share_progress
@@ -27,20 +27,20 @@ def reproduce(
     out: Annotated[Path, Parameter(name=["--out", "-o"], help="folder for the book and the items' files")] = Path(
         "out/reproduction"
     ),
-    jobs: Annotated[WholeCount | None, Parameter(help="processes; left out: one a processor")] = None,
-    docs: Annotated[Path | None, Parameter(help="write the verdicts as Markdown too, figures beside it")] = None,
+    jobs: Annotated[WholeCount | None, Parameter(help="processes; default: one a processor")] = None,
+    docs: Annotated[Path | None, Parameter(help="write the verdicts as Markdown too, with their figures")] = None,
     json: Json = False,
 ) -> int:
-    """Make figures and tables of the source anew and judge its claims.
+    """Reproduce figures and tables of the source and judge its claims.
 
-    IDS are the source's numbers, as 2.2, 3.13 or table-3.2; 3 stands for all of chapter 3. Each item's folder holds
-    its figures (SVG, PNG), their data (parquet) and item.json with parameters, assumptions and verdicts; book.html
-    holds all of them.
+    IDS are the source's numbers, as 2.2, 3.13 or table-3.2; 3 means all of chapter 3. Each item's folder contains its
+    figures (SVG, PNG), their data (parquet) and item.json with parameters, assumptions and verdicts; book.html contains
+    all of them.
     """
     with wait_for_compilation("reproduction"):
-        from reproduction.book import counts_of, write_book, write_docs  # noqa: PLC0415 (loads figures and the compiler)
-        from reproduction.catalogue import ITEMS, chosen  # noqa: PLC0415
-        from reproduction.running import reproduce as make  # noqa: PLC0415
+        from reproduction.book import counts_of, write_book, write_docs  # loads figures and the compiler
+        from reproduction.catalogue import ITEMS, chosen
+        from reproduction.running import reproduce as make
 
     if list_:
         if json:
@@ -53,8 +53,8 @@ def reproduce(
         raise RigFileError("rig reproduce: expected items of the source, as 2.2 or 3, or --all; --list shows them")
     items = chosen(ids)
     out.mkdir(parents=True, exist_ok=True)
-    with share_progress(f"{len(items)} items of the source") as told:
-        made = make(items, out, min(jobs or os.cpu_count() or 1, len(items)), lambda share, what: told(share))
+    with share_progress(f"{len(items)} items of the source") as progress:
+        made = make(items, out, min(jobs or os.cpu_count() or 1, len(items)), lambda share, what: progress(share))
     book = write_book(out / "book.html", made)
     if docs is not None:
         write_docs(docs, made)
@@ -75,13 +75,13 @@ def reproduce(
         for claim in one.claims:
             print(f"  {claim['verdict']}: {claim['statement']} ({claim['place']}) {claim['computed']}")
     counts = ", ".join(f"{count} {verdict}" for verdict, count in counts_of(made).items())
-    say(f"{counts}; the book is {book}")
+    notify(f"{counts}; the book is {book}")
     return _exit_code(made)
 
 
 def _exit_code(made: Sequence[Written]) -> int:
-    """3 where an item could not be made."""
+    """Return 3 if an item could not be reproduced."""
     failed = [one for one in made if one.failed]
     for one in failed:
-        say(f"{one.item.id} could not be made: {one.failed}")
+        notify(f"{one.item.id} could not be reproduced: {one.failed}")
     return 3 if failed else 0

@@ -19,16 +19,18 @@ if TYPE_CHECKING:
 _GRAMS = 1e3
 
 
-def say_balancing(rig: Rig, known: IdentifiedParameters, settings: Sequence[str], plot: Path | None, json: bool) -> int:
-    """Region, margins of S_P, ring of the centre of gravity and balanced angles; with a figure where one is wanted."""
+def report_balancing(
+    rig: Rig, known: IdentifiedParameters, settings: Sequence[str], plot: Path | None, json: bool
+) -> int:
+    """Print region, margins of S_P, ring of the centre of gravity and balanced angles; draw them if requested."""
     with wait_for_compilation("dynamics"):
-        from analysis.moment_margins import moment_margins  # noqa: PLC0415
+        from analysis.moment_margins import moment_margins
 
         physics = rig.physics
         found = moment_margins(rig, known)
     if plot is not None:
-        from analysis.figures.balancing_plane import draw_balancing  # noqa: PLC0415
-        from analysis.figures.page import write_figure  # noqa: PLC0415
+        from analysis.figures.balancing_plane import draw_balancing
+        from analysis.figures.page import write_figure
 
         title = f"{rig.name}: {found.margins.region}{what_if_words(settings, '; ')}"
         write_figure(plot, draw_balancing(physics, title, found.std_kg_m), title)
@@ -47,8 +49,8 @@ def say_balancing(rig: Rig, known: IdentifiedParameters, settings: Sequence[str]
 
 
 def _balancing_json(physics: RotorParameters, found: MomentMargins) -> dict[str, Any]:
-    from analysis.moment_margins import probability_of_region  # noqa: PLC0415
-    from dynamics import balanced_angles, gravity_disk  # noqa: PLC0415
+    from analysis.moment_margins import probability_of_region
+    from dynamics import balanced_angles, gravity_disk
 
     disk, margins = gravity_disk(physics), found.margins
     chance = (
@@ -93,7 +95,7 @@ def _balancing_lines(result: dict[str, Any], found: MomentMargins) -> list[str]:
     )
     for way, margin, std in ways:
         lines.append(
-            f"  S_P may {way} as it likes: the region stays"
+            f"  S_P may {way} without limit: the region stays"
             if margin is None
             else f"  S_P may {way} by {_g_m(margin, std)} before the region changes"
         )
@@ -111,16 +113,16 @@ def _g_m(value: float, std: float) -> str:
     return f"{_GRAMS * value:.4g} g m" + (f" ± {_GRAMS * std:.2g}" if std > 0 else "")
 
 
-def say_lost(rig: Rig, known: IdentifiedParameters, settings: Sequence[str], plot: Path | None, json: bool) -> int:
-    """Speeds at which there are no singular points of Types II and III."""
+def report_lost(rig: Rig, known: IdentifiedParameters, settings: Sequence[str], plot: Path | None, json: bool) -> int:
+    """Print the speeds at which singular points of Types II and III do not exist."""
     with wait_for_compilation("dynamics"):
-        from dynamics.steady.point_loss import point_losses  # noqa: PLC0415
+        from dynamics.steady.point_loss import point_losses
 
         physics = known.with_effects(rig.physics)
         losses = point_losses(physics)
     if plot is not None:
-        from analysis.figures.page import write_figure  # noqa: PLC0415
-        from analysis.figures.point_loss import draw_point_loss  # noqa: PLC0415
+        from analysis.figures.page import write_figure
+        from analysis.figures.point_loss import draw_point_loss
 
         title = f"{rig.name}: where singular points are lost{what_if_words(settings, '; ')}"
         write_figure(plot, draw_point_loss(physics, title), title)
@@ -155,14 +157,14 @@ def say_lost(rig: Rig, known: IdentifiedParameters, settings: Sequence[str], plo
     print(
         "exact: isotropic suspension"
         if exact
-        else "by the mean torque of pendulums at rest on the rotor; orbits that wobble may differ a little"
+        else "from the mean torque of pendulums at rest on the rotor; orbits with wobble may differ slightly"
     )
-    print("what is stable, or slips, at each speed: rig map --quantity coexisting")
+    print("stable and slipping motions at each speed: rig map --quantity coexisting")
     if settings:
         print(what_if_words(settings))
     return 0
 
 
 def _finite(pair: tuple[float, float], unit: float) -> list[float | None]:
-    """Ends of a band in a unit; None for one without end."""
+    """Return the ends of a band in a unit; None for an infinite end."""
     return [end * unit if math.isfinite(end) else None for end in pair]

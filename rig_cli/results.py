@@ -1,4 +1,4 @@
-"""Results of the packages below in the forms that JSON, terminal and report take."""
+"""Results of other packages converted for JSON, terminal and report."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rig_configs import PARAMETER_UNITS, IdentifiedParameters
 
 
 def with_version(parameters: IdentifiedParameters, settings: Sequence[str] = ()) -> IdentifiedParameters:
-    """The parameters with the software's version, and what was set beside the rig file, in their provenance."""
-    said = {"settings": list(settings)} if settings else {}
-    return replace(parameters, provenance={"software": software_version(), **said, **parameters.provenance})
+    """Return the parameters with the software's version and the `--set` texts in their provenance."""
+    given = {"settings": list(settings)} if settings else {}
+    return replace(parameters, provenance={"software": software_version(), **given, **parameters.provenance})
 
 
 def parameters_json(parameters: IdentifiedParameters) -> dict[str, dict[str, Any]]:
-    """{name: {value, std, unit}}."""
+    """Return {name: {value, std, unit}}."""
     std = parameters.std
     return {
         name: {"value": value, "std": std[name], "unit": PARAMETER_UNITS[name]}
@@ -27,7 +27,7 @@ def parameters_json(parameters: IdentifiedParameters) -> dict[str, dict[str, Any
 
 
 def identification_json(found: Identification) -> dict[str, Any]:
-    """What `rig identify --json` prints."""
+    """Return the numbers of `rig identify --json`."""
     return {
         "parameters": parameters_json(found.parameters),
         "correlation": {"order": list(found.parameters.values), "matrix": found.parameters.correlation.tolist()},
@@ -50,8 +50,8 @@ def identification_json(found: Identification) -> dict[str, Any]:
 
 
 def parameter_lines(parameters: IdentifiedParameters, truth: Mapping[str, float] | None = None) -> list[str]:
-    """A table of the parameters for the terminal; with a simulated rig's truth, how far off."""
-    lines = []
+    """Return a table of the parameters for the terminal; with a simulated rig's truth, also the deviations from it."""
+    lines: list[str] = []
     for name, value in parameters.values.items():
         std = parameters.std[name]
         unit = "" if PARAMETER_UNITS[name] == "1" else f" {PARAMETER_UNITS[name]}"

@@ -1,7 +1,7 @@
 # pyright: strict
-"""What the settings of the estimators cost and gain, as measured: one table for help texts and docs/benchmarks.md.
+"""Measured costs and gains of the estimators' settings: one table for help texts and docs/benchmarks.md.
 
-The figures are those of the rows of one run of the commands named here; a test holds docs/benchmarks.md to them.
+The figures are the rows of one run of the commands named here. A test compares docs/benchmarks.md with them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True)
 class SettingCost:
-    """One setting of one estimator over the balanced setting of the same cases.
+    """One setting of one estimator relative to the balanced setting on the same cases.
 
     Attributes:
         service, setting: what was measured.
-        time: median over the cases of the time over balanced's.
+        time: time over balanced's, median over the cases.
         error: rms error over balanced's: least and largest of the cases.
-        cases, records: how many cases, and the least number of records in any.
+        cases, records: number of cases, and the least number of records in any.
     """
 
     service: str
@@ -46,7 +46,7 @@ COSTS = (
     SettingCost("release", "fast", 0.48, (1.01, 1.01), 1, 3),
     SettingCost("release", "reference", 1.7, (1.01, 1.01), 1, 3),
 )
-"""Settings with fewer than ten records are too few for their errors to differ from balanced's by more than chance."""
+"""With fewer than ten records the errors of a setting do not differ significantly from balanced's."""
 
 
 def _span(setting: str, low: Callable[[SettingCost], float], high: Callable[[SettingCost], float]) -> str:
@@ -64,7 +64,7 @@ SETTING_HELP = (
     "cheapest with honest intervals, near the bound, or as exact as the data allow; by test, "
     f"{_line('fast')}, {_line('reference')} ({COMMAND}, few records: docs/benchmarks.md)"
 )
-"""Of `--setting` for what fits records."""
+"""Help of `--setting` for tests that fit records."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class TrackingCost:
 
     Attributes:
         log: what was recorded.
-        fast_ms: processor time a second of record, ms.
-        ratio: the reference's time over it.
+        fast_ms: processor time of the fast setting per second of record, ms.
+        ratio: time of the reference over it.
         rates, damping: standard deviation smoothed over filtered, median over the rows: of the rates, of ln c.
     """
 
@@ -91,11 +91,11 @@ TRACKING_HELP = (
     f"filterpy in {TRACKING.ratio:.0f} times the time, and smoothed ones whose std is {TRACKING.rates:.2g} (rates) and "
     f"{TRACKING.damping:.2g} (ln c) of the filter's (docs/benchmarks.md)"
 )
-"""Of `rig track --setting`."""
+"""Help of `rig track --setting`."""
 
 WITHOUT_HELP = (
-    "a rung of the model ladders that is not taken, however much the data ask for it; repeat for more: lines, "
+    "a rung of the model ladders that is never taken, even if the data support it; repeat for more: lines, "
     "spectrum, wander, amplitude, second-mode, slow-roll, ripple, clocks, friction, drag, open-masses "
     "(docs/how-to/experimenter.md)"
 )
-"""Of `rig identify --without`."""
+"""Help of `rig identify --without`."""

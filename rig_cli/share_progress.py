@@ -1,5 +1,5 @@
 # pyright: strict
-"""How far a piece of work is that can say its share done: rate and time left, on a terminal in place."""
+"""Progress of work with a known completed share: rate and time left, updated in place on a terminal."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _EVERY_S = 10.0
 def share_progress(
     text: str, count: float | None = None, unit: str = "", before: float = 0.0
 ) -> Generator[Callable[[float], None]]:
-    """A bar on a terminal for work that tells its share done, 0 … 1; elsewhere a line every ten seconds.
+    """Yield a function that shows the completed share, 0 … 1: a bar on a terminal, else a line every ten seconds.
 
-    Ctrl-C says how far the work was.
+    Ctrl-C prints the share that was completed.
 
     Args:
-        text: what is done.
-        count, unit: how much all of it is, in what; None: the rate is shown in percent.
-        before: share that is done already.
+        text: the work.
+        count, unit: total amount of work and its unit; None: the rate is shown in percent.
+        before: share that is completed at the start.
     """
     live = console.STDERR.is_terminal
     bar = Progress(
@@ -45,31 +45,31 @@ def share_progress(
     def pace(share: float, now: float) -> str:
         return pace_words(share, now - began, count, unit, before)
 
-    def told(share: float) -> None:
+    def progress(share: float) -> None:
         nonlocal last, reached
         reached, now = share, time.monotonic()
         if live:
             bar.update(task, completed=share, pace=pace(share, now))
         elif now - last > _EVERY_S:
             last = now
-            console.say(
+            console.notify(
                 f"{text}: {100 * share:.0f} %{_after_comma(pace_words(share, now - began, count, unit, before))}"
             )
 
     try:
         with bar:
             task = bar.add_task(console.harmless(text), total=1.0, pace="")
-            yield told
+            yield progress
     except KeyboardInterrupt:
-        console.say(f"stopped: {text}, {100 * reached:.0f} % done")
+        console.notify(f"stopped: {text}, {100 * reached:.0f} % done")
         raise
 
 
 def pace_words(share: float, elapsed_s: float, count: float | None, unit: str, before: float = 0.0) -> str:
-    """Rate and time left, as they are on average since the beginning; empty before there is any.
+    """Return mean rate since the start and time left; empty before any progress.
 
     Args:
-        before: share that was done already when the work began.
+        before: share that was completed at the start.
     """
     if not before < share <= 1 or elapsed_s <= 0:
         return ""
@@ -86,7 +86,7 @@ def _duration(seconds: float) -> str:
 
 
 def _short(number: float) -> str:
-    """Three digits, thousands apart."""
+    """Return three digits, with a space between thousands."""
     return f"{number:.3g}" if number < 1000 else f"{float(f'{number:.3g}'):,.0f}".replace(",", "\u202f")
 
 

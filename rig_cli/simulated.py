@@ -1,4 +1,4 @@
-"""Starting the virtual rig beside us."""
+"""The virtual rig as a child process."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class VirtualRigProcess:
 
     Args:
         rig: path or name of the rig file.
-        settings: `--set` texts to lay over it.
+        settings: `--set` texts over it.
         time_scale: seconds of rig time per wall second.
         link: "pty", "tcp" or "auto".
-        waits: whether its time stands while it or we are late; who talks to it then has to use `clock`.
+        waits: whether rig time stops while the rig or its host is late; then all programs that use it need `clock`.
 
     Attributes:
-        clock: of whoever runs the rig.
-        edge: the machine's own ports and disk.
+        clock: clock of the program that runs the rig.
+        edge: None: the machine's own ports and disk are used.
     """
 
     edge = None
@@ -46,14 +46,14 @@ class VirtualRigProcess:
             "--link",
             link,
         ]
-        command += ["--while-stdin-open"]  # it ends with us, however we end
+        command += ["--while-stdin-open"]  # it ends with this process, also if this process is killed
         for setting in settings:
             command += ["--set", setting]
         self.clock: HostClock = HostClock(time_scale)
         if waits:
             self.clock = PacedClock(time_scale)
             command += ["--pace", str(self.clock.path)]
-        # a session of its own: Ctrl-C is ours to handle, the wires must stay until the rotor has been stopped
+        # its own session: Ctrl-C reaches this process alone, and the wires stay until the rotor has been stopped
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=sys.platform != "win32"
         )
@@ -69,7 +69,7 @@ class VirtualRigProcess:
         try:
             ready = json.loads(line)
         except ValueError:
-            raise DeviceError(f"the virtual rig did not start, it said {line!r}; its reason stands above") from None
+            raise DeviceError(f"the virtual rig did not start, it printed {line!r}; its error is above") from None
         return ready["ports"], OperatorLine(ready["control_port"], ready["token"])
 
     def ask(self, do: str, **what: Any) -> dict[str, Any]:
@@ -77,7 +77,7 @@ class VirtualRigProcess:
         return self.line.ask(do, **what)
 
     def port_settings(self) -> list[str]:
-        """Settings that point a rig file's devices at this process."""
+        """Return settings that point a rig file's devices at this process."""
         return [f"devices.{name}.port={json.dumps(port)}" for name, port in self.ports.items()]
 
     def __enter__(self) -> VirtualRigProcess:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What run-out and a bow of a parameters file do to predicted steady states, in numbers and words."""
+"""Effects of run-out and of a bow of a parameters file on predicted steady states."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Entries = dict[str, Any]
 
 
 def shown_json(state: SteadyState, known: IdentifiedParameters, rig: Rig) -> Entries:
-    """What the sensors show of a steady state: order-1 amplitudes with run-out, and the motion's without it, mm.
+    """Return what the sensors show of a steady state: order-1 amplitudes with run-out, and the motion's without it, mm.
 
     Args:
-        known: with run-out and axis angle; where no test has shown that, the sensors stand as mounted.
+        known: with run-out and axis angle; without an identified angle the sensors' mounting angle is used.
         rig: how the sensors are mounted.
     """
-    from analysis.prediction import known_axis_angle  # noqa: PLC0415 (numba takes seconds to import)
-    from analysis.run_out import shown_run_out  # noqa: PLC0415
+    from analysis.prediction import known_axis_angle  # numba takes seconds to import
+    from analysis.run_out import shown_run_out
 
     beta = math.radians(known_axis_angle(known, rig)[0])
     x, y = state.x_m, -1j * state.y_m
@@ -40,7 +40,7 @@ def shown_json(state: SteadyState, known: IdentifiedParameters, rig: Rig) -> Ent
 
 
 def shown_line(shown: Entries) -> str:
-    """One state's amplitudes as the sensors show them."""
+    """Return one state's amplitudes as the sensors show them."""
     return (
         f"       with run-out the sensors show x {shown['amplitude_x_mm']:.4f} mm, y {shown['amplitude_y_mm']:.4f} mm "
         f"(the motion alone x {shown['of_motion_x_mm']:.4f} mm, y {shown['of_motion_y_mm']:.4f} mm)"
@@ -48,9 +48,9 @@ def shown_line(shown: Entries) -> str:
 
 
 def forced_region(physics: RotorParameters, speed_rad_s: float) -> str:
-    """Whether the pendulums can balance the imbalance and the bow together at a speed."""
-    from dynamics import balancing_region  # noqa: PLC0415
-    from dynamics.steady.singular_points import bow_moment  # noqa: PLC0415
+    """Return whether the pendulums can balance imbalance and bow together at a speed."""
+    from dynamics import balancing_region
+    from dynamics.steady.singular_points import bow_moment
 
     whole = abs(physics.imbalance_moment_kg_m + bow_moment(physics, speed_rad_s))
     return balancing_region(physics.a.first_moment_kg_m, physics.b.first_moment_kg_m, whole)

@@ -1,31 +1,58 @@
 # pyright: strict
-"""The speed at which a command works: a point's, or a number."""
+"""The speed of a command: a point's, or a number."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Annotated
 
+from cyclopts import Parameter
+
+from rig_cli.numbers import Positive, PositiveRpm
 from rig_configs import Rig, RigFileError
 
 
-def asked_speed(command: str, rig: Rig, point: str | None, speed_rpm: float | None, speed_ratio: float | None) -> float:
-    """The speed asked for, rad/s.
+@Parameter(name="*")
+@dataclass(frozen=True)
+class SpeedChoice:
+    """Options for the speed of a command. At most one of them may be given.
 
-    Args:
-        command: "rig predict", for messages.
-        point: of the rig file; or
-        speed_rpm: in rpm; or
-        speed_ratio: over the first natural frequency.
-    Raises:
-        RigFileError: none or several were given, no such point, or a speed that is not above 0.
+    Attributes:
+        point: name of a point of the rig file.
+        speed_ratio: speed over the first natural frequency.
+        speed_rpm: speed in rpm.
     """
-    if sum(x is not None for x in (point, speed_rpm, speed_ratio)) != 1:
-        raise RigFileError(f"{command}: give one of --point, --speed-rpm, --speed-ratio")
-    if point is not None:
-        if point not in rig.points:
-            raise RigFileError(f"{command}: no point {point!r} in {rig.name}; known: {', '.join(rig.points)}")
-        return rig.physics.speed_rad_s(rig.points[point].speed_ratio)
-    speed = speed_rpm * math.pi / 30 if speed_rpm is not None else rig.physics.speed_rad_s(speed_ratio or 0.0)
-    if not 0 < speed < math.inf:
-        raise RigFileError(f"{command}: expected a speed above 0, got {speed:g} rad/s")
-    return speed
+
+    point: Annotated[str | None, Parameter(help="the speed of a point of the rig file")] = None
+    speed_ratio: Annotated[Positive | None, Parameter(help="the speed as a ratio to the first resonance")] = None
+    speed_rpm: Annotated[PositiveRpm | None, Parameter(help="the same in rpm")] = None
+
+    @property
+    def count(self) -> int:
+        """Number of the options that are given."""
+        return sum(value is not None for value in (self.point, self.speed_ratio, self.speed_rpm))
+
+    def rad_s(self, command: str, rig: Rig) -> float:
+        """Return the speed, rad/s.
+
+        Args:
+            command: "rig predict", for messages.
+            rig: has the points and the first natural frequency.
+        Raises:
+            RigFileError: none or several were given, the point does not exist, or the speed is not above 0.
+        """
+        if self.count != 1:
+            raise RigFileError(f"{command}: give one of --point, --speed-rpm, --speed-ratio")
+        if self.point is not None:
+            if self.point not in rig.points:
+                raise RigFileError(f"{command}: no point {self.point!r} in {rig.name}; known: {', '.join(rig.points)}")
+            return rig.physics.speed_rad_s(rig.points[self.point].speed_ratio)
+        rpm, ratio = self.speed_rpm, self.speed_ratio or 0.0
+        speed = rpm * math.pi / 30 if rpm is not None else rig.physics.speed_rad_s(ratio)
+        if not 0 < speed < math.inf:
+            raise RigFileError(f"{command}: expected a speed above 0, got {speed:g} rad/s")
+        return speed
+
+
+NO_SPEED = SpeedChoice()

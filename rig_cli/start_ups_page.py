@@ -1,5 +1,5 @@
 # pyright: strict
-"""`rig predict --start-ups`: where repeated start-ups from rest end by the model, as JSON and as lines."""
+"""`rig predict --start-ups`: ends of repeated start-ups from rest by the model, as JSON and as lines."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rig_cli.share_progress import share_progress
 from daq.guided_tests.hands import HAND_RAMP_RPM_S
+from rig_cli.share_progress import share_progress
 from rig_configs import Rig, RigFileError
 
 if TYPE_CHECKING:
@@ -19,22 +19,22 @@ _MOST = 10_000
 
 
 def start_ups_json(rig: Rig, physics: RotorParameters, speed: float, count: int, plot: Path | None) -> dict[str, Any]:
-    """Start-ups from random places with the pendulums or balls free, each with the rig's own ramp.
+    """Simulate start-ups from random positions with pendulums or balls free, each with the rig's own ramp.
 
     Args:
-        physics: that turns, with its friction.
+        physics: the rotor, with its friction.
         speed: rad/s.
-        count: of start-ups.
-        plot: writes a figure; None: none.
+        count: number of start-ups.
+        plot: file of a figure; None: no figure.
     Raises:
-        RigFileError: too few or too many, or a balancer that is not a pair of alike pendulums or balls.
+        RigFileError: the count is out of range, or the balancer is not a pair of equal pendulums or balls.
     """
-    from analysis.figures.start_ups import draw_start_ups  # noqa: PLC0415
-    from analysis.figures.style import save  # noqa: PLC0415
-    from analysis.friction_sweep import balance_of  # noqa: PLC0415
-    from analysis.settled_scatter import settled_scatter  # noqa: PLC0415
-    from dynamics import locked_orbit  # noqa: PLC0415
-    from dynamics.motions.start_ups import random_starts, start_ups_from_rest  # noqa: PLC0415
+    from analysis.figures.start_ups import draw_start_ups
+    from analysis.figures.style import save
+    from analysis.friction_sweep import balance_of
+    from analysis.settled_scatter import settled_scatter
+    from dynamics import locked_orbit
+    from dynamics.motions.start_ups import random_starts, start_ups_from_rest
 
     if not 2 <= count <= _MOST:
         raise RigFileError(f"rig predict --start-ups {count}: expected 2 to {_MOST}")
@@ -72,7 +72,7 @@ def start_ups_json(rig: Rig, physics: RotorParameters, speed: float, count: int,
 
 
 def start_ups_lines(result: dict[str, Any]) -> list[str]:
-    """For people."""
+    """Return the result as lines of text."""
     off, left = result["off_balance_deg"], result["amplitude_x_mm"]
     lines = [
         f"{result['count']} start-ups from rest: places scatter by {result['scatter_deg']:.3g}°"
@@ -83,5 +83,5 @@ def start_ups_lines(result: dict[str, Any]) -> list[str]:
     if result["not_at_rest"]:
         lines.append(f"  {result['not_at_rest']} of them had not come to rest on the rotor 30 s after the ramp")
     if result["not_followed"]:
-        lines.append(f"  {result['not_followed']} of them go a way that no arithmetic follows: their ends are examples")
+        lines.append(f"  {result['not_followed']} of them cannot be followed numerically: their ends are examples")
     return lines

@@ -11,7 +11,7 @@ import numpy as np
 from cyclopts import App, Parameter
 from numpy.typing import NDArray
 
-from rig_cli.console import print_json, say
+from rig_cli.console import notify, print_json
 from rig_cli.numbers import WholeCount
 from rig_cli.options import Json, Settings
 from rig_cli.scheduler import Scheduler, worked_out
@@ -23,8 +23,10 @@ if TYPE_CHECKING:
     from studies.archive import Reidentified
     from studies.campaigns import CampaignResults
 
-app = App(name="study", help="Run whole campaigns by the hundred, or identify an archive anew; on one machine or many.")
-Out = Annotated[Path, Parameter(name=["--out", "-o"], help="folder for results and tiles; a study there goes on")]
+app = App(
+    name="study", help="Run whole campaigns by the hundred, or identify an archive again; on one machine or many."
+)
+Out = Annotated[Path, Parameter(name=["--out", "-o"], help="folder for results and tiles; its study continues")]
 
 
 @app.command
@@ -32,14 +34,14 @@ def campaigns(
     rig: str = "virtual",
     *,
     runs: Annotated[WholeCount, Parameter(help="how many campaigns")] = 100,
-    seed: Annotated[int, Parameter(help="of the first; the others' count up from it")] = 0,
+    seed: Annotated[int, Parameter(help="of the first; those of the others count up from it")] = 0,
     out: Out = Path("out/campaigns"),
     scheduler: Scheduler = None,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Run campaigns on the virtual rig: how often the truth lies in the stated intervals, and how often points pass."""
-    from studies.campaigns import CampaignResults, campaign_study, need_virtual  # noqa: PLC0415 (loads numba)
+    """Run campaigns on the virtual rig: how often the truth is in the stated intervals, and how often points pass."""
+    from studies.campaigns import CampaignResults, campaign_study, need_virtual  # loads numba
 
     need_virtual(rig, settings or [])
     study = campaign_study(rig_text(rig)[1], settings or [], seed, runs)
@@ -59,8 +61,8 @@ def campaigns(
     for point, counts in found.verdicts().items():
         print(f"{point}: {', '.join(f'{count} {verdict}' for verdict, count in counts.items())}")
     for failed, why in found.failed.items():
-        say(f"seed {failed} came to no end: {why}")
-    say(f"written to {out / 'campaigns.json'}")
+        notify(f"seed {failed} did not reach its end: {why}")
+    notify(f"written to {out / 'campaigns.json'}")
     return 0
 
 
@@ -73,8 +75,8 @@ def archive(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Identify every campaign of an archive anew; the logs of one folder are one campaign."""
-    from studies.archive import Reidentified, archive_study, campaigns_in  # noqa: PLC0415 (loads numba)
+    """Identify every campaign of an archive again; the logs of one folder are one campaign."""
+    from studies.archive import Reidentified, archive_study, campaigns_in  # loads numba
 
     if not folders:
         raise RigFileError("no folder given; usage: rig study archive FOLDER…")
@@ -95,7 +97,7 @@ def archive(
     for row, entry in zip(rows, written, strict=True):
         shown = row.text if row.parameters is None else f"{entry['file']}, {len(row.warnings)} warnings"
         print(f"{row.name}: {shown}")
-    say(f"written to {out / 'archive.json'}")
+    notify(f"written to {out / 'archive.json'}")
     return 0
 
 
@@ -105,8 +107,8 @@ def _made(out: Path) -> Path:
 
 
 def _line(name: str, z: NDArray[np.floating]) -> str:
-    from studies.campaigns import within  # noqa: PLC0415
-    from uncertainty.binomial import binomial_interval  # noqa: PLC0415
+    from studies.campaigns import within
+    from uncertainty.binomial import binomial_interval
 
     inside = within(z)
     low, high = binomial_interval(inside, len(z))
@@ -117,7 +119,7 @@ def _line(name: str, z: NDArray[np.floating]) -> str:
 
 
 def _campaigns_json(found: CampaignResults) -> dict[str, Any]:
-    from studies.campaigns import within  # noqa: PLC0415
+    from studies.campaigns import within
 
     def covered(rows: dict[str, NDArray[np.floating]]) -> dict[str, Any]:
         return {
@@ -142,7 +144,7 @@ def _campaigns_json(found: CampaignResults) -> dict[str, Any]:
 
 
 def _written(row: Reidentified, out: Path) -> dict[str, Any]:
-    """A campaign's parameters in a file of its own; what the summary says of it."""
+    """Write a campaign's parameters into a file of its own; return its entry in the summary."""
     if row.parameters is None:
         return {"name": row.name, "error": row.text}
     path = out / f"{row.name.replace('/', '-')}.toml"

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The command that follows a recorded run: states and pendulum damping over time, with uncertainty."""
+"""`rig track`: states and pendulum damping of a recorded run over time, with uncertainty."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from rig_cli.console import print_json, say
+from rig_cli.console import notify, print_json
 from rig_cli.options import Json, ParametersPath, Settings
 from rig_cli.setting_costs import TRACKING_HELP
 from rig_cli.share_progress import share_progress
@@ -30,21 +30,21 @@ def track(
         Path | None,
         Parameter(
             name=["--output", "-o"],
-            help="a folder, a table (.parquet, .csv, .npz; its figure beside it) or a figure (.svg, .png, .pdf)",
+            help="a folder, a table (.parquet, .csv, .npz; with its figure) or a figure (.svg, .png, .pdf)",
         ),
     ] = None,
-    every_ms: Annotated[float, Parameter(help="readings are handed over, and rows made, once in so many ms")] = 50.0,
-    force: Annotated[bool, Parameter(negative="", help="replace files that are there")] = False,
+    every_ms: Annotated[float, Parameter(help="readings are processed, and rows made, once in so many ms")] = 50.0,
+    force: Annotated[bool, Parameter(negative="", help="replace existing files")] = False,
     settings: Settings = None,
     json: Json = False,
 ) -> int:
     """States and pendulum damping of a logged run over time, with uncertainty.
 
     Spin-downs and points show the damping; rows are x, y, θ3, θ4, their rates, c3, c4 with standard deviations. The
-    start values of c3 and c4 are those of --parameters, or of the rig file, and may be ten times wrong. A bow that
-    --parameters holds acts on the motion.
+    start values of c3 and c4 are those of --parameters, or of the rig file, and may be wrong by a factor of ten. A bow
+    in --parameters acts on the motion.
     """
-    from rig_cli.track_page import print_tracking, tracking_json  # noqa: PLC0415 (numba takes seconds to import)
+    from rig_cli.track_page import print_tracking, tracking_json  # numba takes seconds to import
 
     if not logs:
         raise RigFileError("no log given; usage: rig track LOG…")
@@ -65,9 +65,9 @@ def track(
 
 
 def _places(logs: Sequence[Path], output: Path | None, force: bool) -> list[Places]:
-    """Where each log's results go; names that are taken are refused before the work."""
-    from rig_cli.track_files import places  # noqa: PLC0415 (matplotlib)
-    from daq.exchange.staging import Staging  # noqa: PLC0415
+    """Return the files of each log's results. Existing files are rejected before the work."""
+    from daq.exchange.staging import Staging
+    from rig_cli.track_files import places  # matplotlib
 
     found = [places(output, log, len(logs) == 1) for log in logs]
     with Staging(force) as staging:
@@ -84,14 +84,14 @@ def _places(logs: Sequence[Path], output: Path | None, force: bool) -> list[Plac
 
 
 def _rig_for(log: Path, rig: str | None, known: IdentifiedParameters | None, settings: Sequence[str]) -> Rig:
-    """The log's own rig, or the file given instead of it, with parameters and settings laid over.
+    """Return the log's own rig, or the given rig file, with parameters and settings applied.
 
     Raises:
-        RigFileError: the file's sensors are not those the log was recorded with.
+        RigFileError: the file's sensors differ from those of the recording.
         LogError: the log has no rig file.
     """
-    from daq.log import open_log  # noqa: PLC0415 (numba takes a third of a second to import)
-    from daq.log.snapshot import rig_of  # noqa: PLC0415
+    from daq.log import open_log  # numba takes a third of a second to import
+    from daq.log.snapshot import rig_of
 
     with open_log(log) as opened:
         own = rig_of(opened)
@@ -103,7 +103,7 @@ def _rig_for(log: Path, rig: str | None, known: IdentifiedParameters | None, set
 
 
 def _check_sensors(log: Path, own: Rig, given: Rig, name: str | None) -> None:
-    """Whether readings decoded with one rig file's sensors may be taken for another's."""
+    """Raise `RigFileError` if the sensors of a rig file differ from those with which the log was decoded."""
     a, b = own.roles, given.roles
     facts = {
         "encoders of so many counts per revolution": (
@@ -137,30 +137,30 @@ def _tracked(
     place: Places,
     force: bool,
 ) -> Tracking:
-    """One log through the tracker, and into its files."""
-    from rig_cli.track_files import write_files  # noqa: PLC0415
-    from rig_cli.track_page import Tracking, trackable  # noqa: PLC0415
-    from rig_cli.tracking import imbalance_std  # noqa: PLC0415
-    from daq.signals.run import load_run  # noqa: PLC0415
-    from identification.tracking.replay import track as follow  # noqa: PLC0415
+    """Track one log and write its files."""
+    from daq.signals.run import load_run
+    from identification.tracking.replay import track as follow
+    from rig_cli.track_files import write_files
+    from rig_cli.track_page import Tracking, trackable
+    from rig_cli.tracking import imbalance_std
 
     run = load_run(log)
     warnings = trackable(run)
     against = None if parameters is None else IdentifiedParameters.load(parameters)
     physics = rig.physics if against is None else against.with_effects(rig.physics)
-    with share_progress(f"{setting} tracking of {log.name}") as tell:
+    with share_progress(f"{setting} tracking of {log.name}") as progress:
         found = follow(
             run,
             physics,
             imbalance_std=imbalance_std(parameters, settings),
             batch_s=1e-3 * every_ms,
             setting=setting,
-            tell=tell,
+            tell=progress,
         )
     result = Tracking(run, rig, found, setting, against, parameters, warnings)
     for text in result.warnings:
-        say(f"warning: {text}")
+        notify(f"warning: {text}")
     files = write_files(result, place, force)
     for file in files:
-        say(f"written to {file}")
+        notify(f"written to {file}")
     return result.with_files(files)

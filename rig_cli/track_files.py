@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from analysis.figures.style import save
 from analysis.figures.tracked import TrackedDamping, TrackedPicture, TrackedState, draw_tracked
-from rig_cli.console import plain
-from rig_cli.track_page import Tracking, tracking_json
 from daq.exchange import ExchangeError
 from daq.exchange.csv_files import CsvFiles
 from daq.exchange.parquet_files import ParquetFiles
@@ -25,6 +23,8 @@ from daq.exchange.staging import Staging
 from daq.exchange.tables import Layout
 from identification.tracking.replay import SmoothedRun, TrackedRun
 from identification.tracking.tracker import STATE_NAMES
+from rig_cli.console import plain
+from rig_cli.track_page import Tracking, tracking_json
 
 Array = NDArray[np.float64]
 
@@ -34,19 +34,19 @@ _DAMPINGS = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
 @dataclass(frozen=True)
 class Places:
-    """Where one log's results go; None: not wanted."""
+    """Files of one log's results; None: not requested."""
 
     table: Path | None = None
     figure: Path | None = None
 
 
 def places(output: Path | None, log: Path, alone: bool) -> Places:
-    """What `-o` means for one log.
+    """Return the files that `-o` means for one log.
 
     Args:
-        output: a folder, or a file for a log that is alone.
+        output: a folder, or a file if there is only one log.
     Raises:
-        ExchangeError: a file for several logs, or one with an ending that is not on offer.
+        ExchangeError: a file for several logs, or a file with an unsupported ending.
     """
     if output is None:
         return Places()
@@ -65,7 +65,7 @@ def places(output: Path | None, log: Path, alone: bool) -> Places:
 
 
 def columns(found: TrackedRun) -> dict[str, NDArray[Any]]:
-    """The table's columns, all of shape (n,): SI, the unit at the end of each name.
+    """Return the table's columns, all of shape (n,): SI, the unit at the end of each name.
 
     `std_` is one standard deviation, `low_` and `high_` are 95 % intervals, `smoothed_` is the reference setting's.
     """
@@ -95,9 +95,9 @@ def write_table(place: Path, staging: Staging, found: TrackedRun, facts: Mapping
     """Write the steps.
 
     Args:
-        facts: where they come from; kept in a parquet file's own metadata.
+        facts: origin of the steps; written to the metadata of a parquet file.
     Raises:
-        ExchangeError: the file is there already.
+        ExchangeError: the file exists.
     """
     table = columns(found)
     part = staging.place(place)
@@ -113,7 +113,7 @@ def write_table(place: Path, staging: Staging, found: TrackedRun, facts: Mapping
 
 
 def picture(result: Tracking) -> TrackedPicture:
-    """What the figure shows: the smoothed motion where there is one."""
+    """Return the contents of the figure, with the smoothed motion if there is one."""
     run, found = result.run, result.found
     best = found.smoothed or found
     turns_Hz = float(np.max(np.abs(found.speed_rad_s))) / (2 * math.pi)
@@ -131,7 +131,7 @@ def picture(result: Tracking) -> TrackedPicture:
     for j, (name, time, values) in enumerate((("x, mm", run.x_time_s, run.x_m), ("y, mm", run.y_time_s, run.y_m))):
         if len(time):
             value, std = _scaled(best, j, 1e3)
-            measured = np.asarray(1e3 * (values - np.nanmean(values)), np.float64)  # a laser's zero is anywhere
+            measured = np.asarray(1e3 * (values - np.nanmean(values)), np.float64)  # the zero of a laser is arbitrary
             states.append(TrackedState(name, found.time_s, value - value.mean(), std, time, measured, turns_Hz))
     dampings: dict[str, list[TrackedDamping]] = {}
     for j, name in enumerate(("c3", "c4")):
@@ -153,13 +153,13 @@ def _scaled(found: TrackedRun | SmoothedRun, j: int, factor: float) -> tuple[Arr
 
 
 def write_files(result: Tracking, place: Places, force: bool) -> list[Path]:
-    """Table and figure, both or none; the files written.
+    """Write table and figure, both or none; return the files written.
 
     Args:
-        force: files of those names are replaced.
+        force: replace existing files.
     Raises:
-        ExchangeError: there are such files already.
-        BadFigureName: a figure's ending is not on offer.
+        ExchangeError: a file exists.
+        BadFigureName: a figure's ending is not supported.
     """
     with Staging(force) as staging:
         if place.table is not None:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What `rig track` says of a run: final dampings, whether to trust them, readings, losses; terminal and JSON."""
+"""Results of `rig track`: final dampings, whether they are trusted, readings, losses; terminal and JSON."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rig_cli.console import show
 from daq.guided_tests.kinds import kind_of
 from daq.signals.run import Run
 from identification import NotIdentifiable
 from identification.tracking.replay import TrackedRun
 from identification.tracking.tracker import STATE_NAMES
+from rig_cli.console import show
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, Rig
 
 _NAMES = {"c3": "c3_Nms_per_rad", "c4": "c4_Nms_per_rad"}
-_TIMES = 1.96  # standard deviations of a 95 % interval
-_NARROWED = 0.5  # of the start's relative standard deviation: what is wider has learned next to nothing
+_COVERAGE_FACTOR = 1.96  # standard deviations of a 95 % interval
+_MAX_NARROWED = 0.5  # ratio of final to initial relative standard deviation above which a damping is not learned
 
 
 @dataclass(frozen=True)
 class Known:
-    """A damping to hold the tracked one against: value, standard deviation and 95 % interval, N m s/rad."""
+    """A damping for comparison with the tracked one: value, standard deviation and 95 % interval, N m s/rad."""
 
     value: float
     std: float
@@ -34,26 +34,26 @@ class Known:
     @property
     def low(self) -> float:
         """Lower end of the 95 % interval."""
-        return max(self.value - _TIMES * self.std, 1e-3 * abs(self.value))
+        return max(self.value - _COVERAGE_FACTOR * self.std, 1e-3 * abs(self.value))
 
     @property
     def high(self) -> float:
         """Upper end of the 95 % interval."""
-        return self.value + _TIMES * self.std
+        return self.value + _COVERAGE_FACTOR * self.std
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """One log, tracked.
+    """Result of tracking one log.
 
     Attributes:
-        run, rig: what was tracked, with whose parameters.
+        run, rig: the recorded run, and the rig whose parameters were used.
         found: the steps.
         setting: "fast" or "reference".
-        against: a parameters file to hold the dampings against; None without one.
+        against: parameters file for comparison of the dampings; None without one.
         against_path: its path.
-        told: warnings from before the tracking.
-        files: written.
+        run_warnings: warnings about the run itself.
+        files: files written.
     """
 
     run: Run
@@ -62,16 +62,16 @@ class Tracking:
     setting: Literal["fast", "reference"]
     against: IdentifiedParameters | None
     against_path: Path | None
-    told: tuple[str, ...] = ()
+    run_warnings: tuple[str, ...] = ()
     files: tuple[Path, ...] = field(default=())
 
     def with_files(self, files: list[Path]) -> Tracking:
-        """The same, with what was written."""
+        """Return a copy with the written files."""
         return replace(self, files=tuple(files))
 
     @property
     def known(self) -> dict[str, Known]:
-        """The parameters file's dampings by their short names, or the rig file's, whose uncertainty nobody knows."""
+        """Dampings of the parameters file by their short names, or the rig file's with an unknown uncertainty (0)."""
         physics = self.rig.physics
         own = (physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad)
         if self.against is None:
@@ -81,14 +81,14 @@ class Tracking:
 
     @property
     def known_text(self) -> str:
-        """Where these come from."""
+        """Source of the dampings for comparison."""
         return "rig file" if self.against_path is None else f"{self.against_path.name}, 95 %"
 
     @property
     def learned(self) -> dict[str, bool]:
-        """Whether a damping's interval is clearly narrower than at the start."""
+        """Whether each damping's relative interval is clearly narrower than at the start."""
         relative = self.found.std / self.found.values
-        return {short: bool(relative[-1, j] < _NARROWED * relative[0, j]) for j, short in enumerate(_NAMES)}
+        return {short: bool(relative[-1, j] < _MAX_NARROWED * relative[0, j]) for j, short in enumerate(_NAMES)}
 
     @property
     def trusted(self) -> bool:
@@ -97,37 +97,39 @@ class Tracking:
 
     @property
     def warnings(self) -> list[str]:
-        """What a reader of the numbers must know."""
-        found, said = self.found, list(self.told)
+        """Warnings about the numbers."""
+        found, warnings = self.found, list(self.run_warnings)
         if not found.trusted.any():
-            said.append(
+            warnings.append(
                 f"{self.run.source}: the filter never followed the readings; the numbers of the rig file and of "
                 "--parameters may not be those of the rig that was recorded"
             )
         elif not found.last.trusted:
-            said.append(f"{self.run.source}: at the end the filter does not follow the readings")
+            warnings.append(f"{self.run.source}: at the end the filter does not follow the readings")
         for short, learned in self.learned.items():
             if not learned:
-                said.append(f"{self.run.source}: this run shows next to nothing of {short}: the start value stands")
+                warnings.append(
+                    f"{self.run.source}: this run contains almost no information on {short}: its start value remains"
+                )
         if found.smoothed is not None and found.smoothed.kept > 0:
-            said.append(
+            warnings.append(
                 f"{self.run.source}: at {100 * found.smoothed.kept:.2g} % of the steps the smoother is less certain "
                 "than the filter; the filter's estimate stands there"
             )
-        return said
+        return warnings
 
 
 def trackable(run: Run) -> tuple[str, ...]:
-    """Warnings about a run that may be tracked.
+    """Return warnings about a run that may be tracked.
 
     Raises:
-        NotIdentifiable: it lacks angles, or marks of a rotor that turns, or its pendulums are locked.
+        NotIdentifiable: it has no angles, no marks while the rotor turns, or its pendulums are locked.
     """
     angles = run.angle_rad.size and np.isfinite(run.angle_rad).any(axis=0).all()
     if not angles:
         raise NotIdentifiable(
-            f"{run.source}: expected angles of both pendulums, the log has {len(run.angle_time_s)} readings that hold "
-            "them; record with encoders, or use a log of a spin-down or of a point"
+            f"{run.source}: expected angles of both pendulums, the log has {len(run.angle_time_s)} readings with "
+            "angles; record with encoders, or use a log of a spin-down or of a point"
         )
     kind, marks = kind_of(run.test), len(run.mark_time_s)
     if kind is not None and kind.gives and not set(_NAMES.values()) & set(kind.gives):
@@ -146,12 +148,12 @@ def trackable(run: Run) -> tuple[str, ...]:
             "has an integrated speed; import it again with marks or a phase"
         )
     if kind is None and marks < 2:
-        return (f"{run.source}: no index marks; the rotor is taken to be at rest",)
+        return (f"{run.source}: no index marks; the rotor is assumed to be at rest",)
     return ()
 
 
 def tracking_json(result: Tracking) -> dict[str, Any]:
-    """What `rig track --json` says of one log."""
+    """Return the JSON of one log."""
     found, last = result.found, result.found.last
     against = result.known if result.against is not None else {}
     return {
@@ -191,13 +193,13 @@ def tracking_json(result: Tracking) -> dict[str, Any]:
 
 
 def _against(known: Known, found: TrackedRun, j: int) -> dict[str, float]:
-    """A known damping, and how far off the tracked one is in standard deviations of both together."""
+    """Return a known damping and the deviation of the tracked one in standard deviations of both together."""
     both = math.hypot(known.std, float(found.std[-1, j]))
     return {"value": known.value, "std": known.std, "z": (float(found.values[-1, j]) - known.value) / both}
 
 
 def print_tracking(result: Tracking) -> None:
-    """The summary of one log."""
+    """Print the summary of one log."""
     facts, found = tracking_json(result), result.found
     show(
         f"{result.run.source}: {result.run.test}, {facts['to_s'] - facts['from_s']:.1f} s, {facts['rows']} rows, "
@@ -229,7 +231,7 @@ def print_tracking(result: Tracking) -> None:
 
 
 def _verdict(result: Tracking) -> str:
-    """Whether to trust the numbers, and what they are good for."""
+    """Return whether to trust the numbers, and how to use them."""
     if result.trusted:
         return (
             "trusted: the filter follows the readings and both dampings are learned from them. Intervals of a "

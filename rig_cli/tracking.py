@@ -1,4 +1,4 @@
-"""The pendulums' damping while a test runs: the session's newest readings through the online tracker."""
+"""Tracking of the pendulums' damping during a test, from the session's newest readings."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from dynamics import RotorParameters
 from identification.tracking.tracker import Sensors, Tracked, Tracker
 from rig_configs import IdentifiedParameters, overridden
 
-_TURN_S = 0.1  # wall seconds between two looks at the readings
+_POLL_S = 0.1  # wall seconds between two reads of the newest readings
 _NAMES = (("c3", "c3_Nms_per_rad"), ("c4", "c4_Nms_per_rad"))
 
 
 def imbalance_std(parameters: Path | None, settings: Sequence[str] = ()) -> float:
-    """Relative standard deviation of S_P: of a parameters file; a rig file's where there is none, or S_P was set."""
+    """Return the relative standard deviation of S_P: the parameters file's, else (or if S_P was set) the default."""
     found = IdentifiedParameters({}, np.zeros((0, 0))) if parameters is None else IdentifiedParameters.load(parameters)
     found = found.without(overridden(found, settings))
     if "SP_kg_m" not in found.values:
@@ -31,15 +31,15 @@ def imbalance_std(parameters: Path | None, settings: Sequence[str] = ()) -> floa
 
 
 def compile_tracker(physics: RotorParameters) -> None:
-    """Have the filter compiled, which takes ten seconds once, before a session is open and a rotor may turn."""
+    """Compile the filter, which takes ten seconds once, before a session is open and a rotor may turn."""
     Tracker(physics).feed_encoders(np.arange(0, 10**9, 10**7), np.zeros((100, 2)))
 
 
 class LiveTracking:
-    """Follows an open session from a thread of its own, as long as the context lasts; nothing in it ends the test.
+    """Tracks an open session in a thread of its own while the context lasts. Its errors never end the test.
 
     Args:
-        session: its rig's parameters are what the tracker starts from.
+        session: the tracker starts from its rig's parameters.
         imbalance_std: relative standard deviation of its S_P.
         parameters: a parameters file whose bow acts on the motion; None without one.
     """
@@ -59,7 +59,7 @@ class LiveTracking:
             imbalance_std=imbalance_std,
         )
         self._index_rad = math.radians(roles.phase.index_angle_deg if roles.phase else 0.0)
-        self._seen_ns = {"pendulums": 0, "tacho": 0}
+        self._last_ns = {"pendulums": 0, "tacho": 0}
         self._closed: list[bool | None] = [None, None]
         self._fault = ""
         self._ending = threading.Event()
@@ -77,11 +77,11 @@ class LiveTracking:
 
     @property
     def now(self) -> Tracked:
-        """What the tracker holds true."""
+        """Present estimate."""
         return self._tracker.estimate()
 
     def words(self) -> str:
-        """For a progress line; empty as long as nothing can be said."""
+        """Return the estimate for a progress line; empty while it is not trusted."""
         if self._fault:
             return self._fault
         now = self.now
@@ -90,20 +90,20 @@ class LiveTracking:
         return ", ".join(f"{short} {now.values[name]:.2e} ± {now.std[name]:.0e}" for short, name in _NAMES)
 
     def facts(self) -> dict[str, Any]:
-        """For a result: values, 95 % intervals and whether to trust them."""
+        """Return values, 95 % intervals and whether they are trusted, for JSON."""
         now = self.now
         parameters = {name: {"value": now.values[name], "interval": list(now.intervals[name])} for _, name in _NAMES}
         return {"trusted": now.trusted and not self._fault, **parameters}
 
     def _run(self) -> None:
         try:
-            while not self._ending.wait(_TURN_S):
+            while not self._ending.wait(_POLL_S):
                 self.follow()
         except Exception as error:
             self._fault = f"tracking stopped: {error}"
 
     def follow(self) -> None:
-        """Hand over what is new."""
+        """Feed the readings since the last call to the tracker."""
         marks, (turns,) = self._new("tacho", ("revolutions",))
         if len(marks):
             self._tracker.feed_marks(marks, 2 * math.pi * turns.astype(float) + self._index_rad)
@@ -113,9 +113,9 @@ class LiveTracking:
             self._tracker.feed_encoders(time_ns, np.column_stack([a, b]))
 
     def _new(self, topic: str, fields: tuple[str, ...]) -> tuple[np.ndarray, list[np.ndarray]]:
-        time_ns, columns = self._session.recent.last(topic, fields, self._seen_ns[topic] + 1)
+        time_ns, columns = self._session.recent.last(topic, fields, self._last_ns[topic] + 1)
         if len(time_ns):
-            self._seen_ns[topic] = int(time_ns[-1])
+            self._last_ns[topic] = int(time_ns[-1])
         return time_ns, columns
 
     def _locks(self, time_ns: np.ndarray, flags: np.ndarray) -> None:

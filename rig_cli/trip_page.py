@@ -1,5 +1,5 @@
 # pyright: strict
-"""A trip on the terminal: its reasons, and the seconds around it as one line of blocks for each field that moved."""
+"""A trip on the terminal: its reasons, and the seconds around it as one line of blocks for each measured field."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any, TypeGuard, cast
 
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _NONE, _EMPTY = "×", " "
-_WIDTH = 61  # odd: the trip stands in the middle of a whole excerpt
+_WIDTH = 61  # odd: the trip is in the middle of a whole excerpt
 _MOST_FIELDS = 24
 
 Line = tuple[str, str, str]
 
 
 def trip_lines(trip: Mapping[str, Any], start_ns: int) -> Iterable[Line]:
-    """Lines of a log's page as (what, text, style).
+    """Return lines of a log's page as (name, text, style).
 
-    A log is whatever its file holds; what is no trip's fact is left out.
+    The contents of a file are arbitrary: values of the wrong type are left out.
 
     Args:
         trip: the event.
@@ -55,16 +55,16 @@ def _plots(excerpt: object, from_ms: float, until_ms: float) -> Iterable[Line]:
 
 
 def _moves(name: str, numbers: Sequence[float]) -> bool:
-    """Whether a field is worth a line: a measured quantity bears its unit in its name, and is more than two points."""
+    """Return whether a field is drawn: it has a unit in its name, as measured quantities have, and over two points."""
     return len(numbers) > 2 and name.endswith(("_m", "_rad", "_rpm", "_V", "_A", "_K", "_Pa", "_N", "_m_s2", "_deg"))
 
 
 def sparkline(points: Sequence[tuple[float, float | None]], from_ms: float, until_ms: float) -> str:
-    """Points as a line of blocks: in each column the one farthest from the middle of all, × where there is none.
+    """Return points as a line of blocks: in each column the point farthest from the middle of the range, × for a gap.
 
     Args:
-        points: times in ms and values, None for none.
-        from_ms, until_ms: what the line spans.
+        points: times in ms and values, None for a missing one.
+        from_ms, until_ms: span of the line.
     """
     numbers = [value for _, value in points if value is not None]
     low, high = min(numbers, default=0.0), max(numbers, default=0.0)

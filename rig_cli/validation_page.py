@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a validation came to, in lines for the terminal: what all points say first, then each point."""
+"""Result of a validation in lines for the terminal: first all points together, then each."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 
 def whole_lines(result: Mapping[str, Any]) -> list[str]:
-    """What all points say together, and what is or would be the reason for a failure.
+    """Return the result of all points together, and present or possible reasons for a failure.
 
     Args:
-        result: as `Validation.to_json` gives it.
+        result: as returned by `Validation.to_json`.
     """
     agreement, explained = result.get("agreement"), result.get("explanations")
     lines: list[str] = list(result.get("reasons", ()))
@@ -22,7 +22,7 @@ def whole_lines(result: Mapping[str, Any]) -> list[str]:
 
 
 def noticed_lines(result: Mapping[str, Any]) -> list[str]:
-    """The smallest deviation of each cause that the points together would notice, largest shares last."""
+    """Return the smallest deviation of each cause that the points together would detect, in the order of the result."""
     lines: list[str] = []
     for one in result.get("noticed", ()):
         points = {name: size for name, size in one["points"].items() if size is not None}

@@ -1,26 +1,42 @@
 # pyright: strict
-"""The virtual rig: starting it, and in another terminal the hands at it."""
+"""`rig virtual`: starting the virtual rig, and operating it from another terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
-from rig_cli.console import print_json, say
+from rig_cli.console import notify, print_json
 from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
 from rig_cli.options import Json, Settings
 from rig_configs import RigFileError, load_rig
 
-app = App(name="virtual", help="Start a virtual rig; in another terminal, be the hands at it.")
+app = App(name="virtual", help="Start a virtual rig; operate it from another terminal.")
 
-Control = Annotated[
-    Path | None, Parameter(help="the file in which the rig leaves its control port and token, where several run")
-]
+Control = Annotated[Path | None, Parameter(help="the file with the rig's control port and token, if several run")]
 _SLOWLY_RPM_S = 20.0
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ParentProcess:
+    """Options of a program that starts the rig as its child process.
+
+    Attributes:
+        while_stdin_open: whether the rig ends when standard input is closed.
+        pace: file of a paced clock; None: the host's clock.
+    """
+
+    while_stdin_open: Annotated[bool, Parameter(negative="", show=False)] = False
+    pace: Annotated[Path | None, Parameter(show=False)] = None
+
+
+_NO_PARENT = ParentProcess()
 
 
 @app.default
@@ -35,18 +51,19 @@ def start(
     link: Literal["auto", "pty", "tcp"] = "auto",
     control: Control = None,
     settings: Settings = None,
-    while_stdin_open: Annotated[bool, Parameter(negative="", show=False)] = False,
-    pace: Annotated[Path | None, Parameter(show=False)] = None,
+    parent: ParentProcess = _NO_PARENT,
     json: Json = False,
 ) -> None:
     """Start a virtual rig and print its ports as one JSON line; Ctrl-C or `rig virtual stop` ends it."""
-    from rig_cli.plugged_rig_file import need_free, write_plugged  # noqa: PLC0415
-    from daq.virtual_rig.run import VirtualRig, serve  # noqa: PLC0415 (only this command simulates)
+    from daq.virtual_rig.run import VirtualRig, serve  # only this command simulates
+    from rig_cli.plugged_rig_file import need_free, write_plugged
 
     loaded = load_rig(rig, settings=settings or [])
     if output is not None:
         need_free(output)
-    virtual = VirtualRig(loaded, time_scale, link, pace)
+    virtual = VirtualRig(loaded, time_scale, link, parent.pace)
+
+    until_eof = parent.while_stdin_open
 
     def ready(note: Path | None) -> None:
         if output is not None:
@@ -61,30 +78,32 @@ def start(
                 "rig_file": str(output) if output else None,
             }
         )
-        if not while_stdin_open and not json:
-            _say_how(loaded.name, virtual.ports(), output, time_scale, note if control else None)
+        if not until_eof and not json:
+            _report_usage(loaded.name, virtual.ports(), output, time_scale, note if control else None)
 
-    serve(virtual, ready, control, leaves_note=control is not None or not while_stdin_open, until_eof=while_stdin_open)
+    serve(virtual, ready, control, leaves_note=control is not None or not until_eof, until_eof=until_eof)
 
 
-def _say_how(rig: str, ports: Mapping[str, str], output: Path | None, time_scale: float, note: Path | None) -> None:
-    """What to type in other terminals."""
+def _report_usage(
+    rig: str, ports: Mapping[str, str], output: Path | None, time_scale: float, note: Path | None
+) -> None:
+    """Print examples of commands for other terminals."""
     scale = "" if time_scale == 1 else f" --time-scale {time_scale:g}"
     set_ports = "".join(f" --set devices.{name}.port={port}" for name, port in ports.items())
     chosen = f" --control {note}" if note else ""
-    say(f"for example: rig check {output if output else rig}{scale}{'' if output else set_ports}")
-    say(f"the hands: rig virtual pluck x{chosen}, or flick, clamp, turn, fault, unplug, plug, state, stop")
+    notify(f"for example: rig check {output if output else rig}{scale}{'' if output else set_ports}")
+    notify(f"to operate it: rig virtual pluck x{chosen}, or flick, clamp, turn, fault, unplug, plug, state, stop")
 
 
 @contextmanager
 def _operator(control: Path | None) -> Generator[Any]:
-    """The line to the rig that runs; what it refuses is bad use.
+    """Yield the connection to the running rig. A rejected request is reported as bad use.
 
     Raises:
-        RigFileError: it refused.
-        DeviceError: none runs.
+        RigFileError: the rig rejected a request.
+        DeviceError: no rig runs.
     """
-    from daq.virtual_rig.running import reach  # noqa: PLC0415
+    from daq.virtual_rig.running import reach
 
     _, line = reach(control)
     try:
@@ -99,11 +118,11 @@ def _done(json: bool, words: str, **facts: Any) -> None:
     if json:
         print_json({"done": True, **facts})
     else:
-        say(words)
+        notify(words)
 
 
 def _by_hand(control: Path | None, act: Callable[[Any], None]) -> None:
-    from daq.virtual_rig.simulated_operator import SimulatedOperator  # noqa: PLC0415
+    from daq.virtual_rig.simulated_operator import SimulatedOperator
 
     with _operator(control) as line:
         act(SimulatedOperator(line))
@@ -113,11 +132,11 @@ def _by_hand(control: Path | None, act: Callable[[Any], None]) -> None:
 def pluck(
     axis: Literal["x", "y"],
     *,
-    mm: Annotated[Positive | None, Parameter(help="how far; without it as a ring-down asks for")] = None,
+    mm: Annotated[Positive | None, Parameter(help="how far; default: as a ring-down requires")] = None,
     control: Control = None,
     json: Json = False,
 ) -> None:
-    """Displace the column along an axis and let go."""
+    """Displace the column along an axis and release it."""
     _by_hand(control, lambda hand: hand.pluck(axis, mm))
     _done(json, f"plucked along {axis}")
 
@@ -132,13 +151,13 @@ def flick(*, control: Control = None, json: Json = False) -> None:
 @app.command
 def clamp(
     *,
-    release: Annotated[bool, Parameter(negative="", help="let both pendulums go")] = False,
+    release: Annotated[bool, Parameter(negative="", help="release both pendulums")] = False,
     control: Control = None,
     json: Json = False,
 ) -> None:
-    """Hold both pendulums at their places, A at 0° and B at 180°, where no device does; or let them go."""
+    """Hold both pendulums at their places, A at 0° and B at 180°, if no device does; or release them."""
     _by_hand(control, lambda hand: hand.release() if release else hand.lock(seen=True))
-    _done(json, "let both pendulums go" if release else "holding both pendulums at their places")
+    _done(json, "released both pendulums" if release else "holding both pendulums at their places")
 
 
 @app.command
@@ -149,7 +168,7 @@ def turn(
     control: Control = None,
     json: Json = False,
 ) -> None:
-    """Bring the rotor to a speed and hold it there, where no drive does; 0: to rest."""
+    """Bring the rotor to a speed and hold it there, if no drive does; 0: to rest."""
     _by_hand(control, lambda hand: hand.turn(rpm, ramp))
     _done(json, f"turning the rotor to {rpm:g} rpm by {ramp:g} rpm/s")
 
@@ -157,7 +176,7 @@ def turn(
 @app.command(name="set")
 def set_(setting: str, *, control: Control = None, json: Json = False) -> None:
     """Change the rig itself, as a moved clamp does: KEY=VALUE, e.g. suspension.k2_N_per_m=+5%."""
-    from rig_configs import parse_setting  # noqa: PLC0415
+    from rig_configs import parse_setting
 
     key, value = parse_setting(setting)
     with _operator(control) as line:
@@ -173,17 +192,17 @@ def fault(
     value: Annotated[float | None, Parameter(help="how much; see --list")] = None,
     seconds: Annotated[PositiveSeconds | None, Parameter(help="rig time after which it ends by itself")] = None,
     end: Annotated[bool, Parameter(negative="", help="end it")] = False,
-    list_: Annotated[bool, Parameter(name="--list", negative="", help="what each device can have")] = False,
+    list_: Annotated[bool, Parameter(name="--list", negative="", help="list the faults of each device")] = False,
     control: Control = None,
     json: Json = False,
 ) -> None:
-    """Have something go wrong with a device.
+    """Place a fault in a device.
 
     Args:
-        kind: what; words may be joined by hyphens.
-        device: its name in the rig file; may be left out where only one device can have this.
+        kind: the fault; its words may be joined by hyphens.
+        device: its name in the rig file; may be left out if only one device can have this fault.
     """
-    from rig_cli.virtual_page import show_faults  # noqa: PLC0415
+    from rig_cli.virtual_page import show_faults
 
     with _operator(control) as line:
         kinds: dict[str, dict[str, Any]] = line.ask("faults")["devices"]
@@ -193,15 +212,15 @@ def fault(
             print_json({"devices": kinds}) if json else show_faults(kinds)
             return
         what, chosen = _chosen(kind, device, kinds)
-        asked: dict[str, Any] = {"device": chosen, "what": what, "end": end}
-        asked |= {name: given for name, given in (("value", value), ("seconds", seconds)) if given is not None}
-        line.ask("fail", **asked)
+        request: dict[str, Any] = {"device": chosen, "what": what, "end": end}
+        request |= {name: given for name, given in (("value", value), ("seconds", seconds)) if given is not None}
+        line.ask("fail", **request)
     words = "ended" if end else f"placed: {kinds[chosen].get(what, {}).get('words', what)}"
     _done(json, f"{chosen}: {what} {words}{f', for {seconds:g} s' if seconds else ''}", device=chosen, fault=what)
 
 
 def _chosen(kind: str, device: str | None, kinds: Mapping[str, Mapping[str, Any]]) -> tuple[str, str]:
-    """The fault by its own words, and the device."""
+    """Return the fault under its own name, and the device."""
     having = {
         name: next((own for own in known if own.replace(" ", "-") == kind.replace(" ", "-")), "")
         for name, known in kinds.items()
@@ -240,8 +259,8 @@ def plug(device: str, *, control: Control = None, json: Json = False) -> None:
 
 @app.command
 def state(*, control: Control = None, json: Json = False) -> None:
-    """Show what an onlooker sees: motion, ports, faults that last."""
-    from rig_cli.virtual_page import onlooker, show_state  # noqa: PLC0415
+    """Show the state of the rig: motion, ports, present faults."""
+    from rig_cli.virtual_page import onlooker, show_state
 
     with _operator(control) as line:
         seen = onlooker(line.ask("state"))
@@ -250,7 +269,7 @@ def state(*, control: Control = None, json: Json = False) -> None:
 
 @app.command
 def stop(*, control: Control = None, json: Json = False) -> None:
-    """End the rig that runs."""
+    """End the running rig."""
     with _operator(control) as line:
         line.ask("quit")
         line.wait_for_end()

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What the hands at the virtual rig are shown: faults that there are, and the rig as an onlooker sees it."""
+"""Output of `rig virtual`: the faults that can be placed, and the visible state of the rig."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rig_cli.console import show
 
 
 def show_faults(kinds: Mapping[str, Mapping[str, Any]]) -> None:
-    """Each device's faults, a line each; those that every device can have stand once, at the end."""
+    """Print each device's faults, a line each; those that every device can have are listed once, at the end."""
     lines = {device: [_line(fault) for fault in each.items()] for device, each in kinds.items()}
     shared = [line for line in next(iter(lines.values())) if all(line in each for each in lines.values())]
     for device, each in lines.items():
@@ -32,7 +32,7 @@ def _line(fault: tuple[str, Mapping[str, Any]]) -> str:
 
 
 def onlooker(state: Mapping[str, Any]) -> dict[str, Any]:
-    """The state without what stands in it twice; lists of frames as their number."""
+    """Return the state without duplicates, and with lists of frames replaced by their number."""
     own = {"time_s", "speed_rpm", "displacement_mm", "pendulums_deg", "pendulums_held"}
     devices = {
         name: {
@@ -46,7 +46,7 @@ def onlooker(state: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def show_state(seen: Mapping[str, Any]) -> None:
-    """The rig as an onlooker sees it."""
+    """Print the visible state of the rig."""
     x, y = seen["displacement_mm"]
     a, b = (
         f"{'held' if held else 'free'} at {deg % 360:.1f}°"

@@ -1,4 +1,4 @@
-"""Quantities and texts as people read them on a terminal."""
+"""Text of quantities for a terminal."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from datetime import datetime
 
 from rich.console import Console
 
-_PLAIN_WIDTH = 400  # where no terminal sets one
+_PLAIN_WIDTH = 400  # columns of output that is not a terminal
 
 
 class _Stdout(Console):
-    """A console that leaves a closed pipe to the command, which knows the exit code."""
+    """A console that raises BrokenPipeError, so that the command sets the exit code."""
 
     def on_broken_pipe(self) -> None:
         raise BrokenPipeError
 
 
 def stdout_console() -> Console:
-    """Standard output: as wide as the terminal, or without an end where there is none."""
+    """Return a console on standard output: as wide as the terminal, without line breaks if it is not one."""
     return _Stdout(highlight=False, markup=False, width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
 
 
 def printable(text: object) -> str:
-    """Text of any origin in one line, without what would move the cursor or change colours."""
+    """Return text as one line without control characters."""
     return "".join(letter if letter.isprintable() else " " for letter in str(text))
 
 
 def local_time(text: str) -> str:
-    """An instant in local time; what is none stays as it is."""
+    """Return an instant in local time; other text is returned unchanged."""
     try:
         return f"{datetime.fromisoformat(text).astimezone():%Y-%m-%d %H:%M:%S}"
     except (ValueError, OverflowError, OSError):
@@ -36,7 +36,7 @@ def local_time(text: str) -> str:
 
 
 def length(seconds: float) -> str:
-    """A duration for people."""
+    """Return a duration with a suitable unit."""
     for unit, name in ((3600.0, "h"), (60.0, "min")):
         if seconds >= 1.5 * unit:
             return f"{seconds / unit:.2f} {name}"
@@ -44,7 +44,7 @@ def length(seconds: float) -> str:
 
 
 def size(count: int) -> str:
-    """Bytes for people."""
+    """Return a number of bytes with a suitable unit."""
     value, unit = float(count), "B"
     for unit in ("B", "kB", "MB", "GB"):
         if value < 1000 or unit == "GB":
@@ -54,7 +54,7 @@ def size(count: int) -> str:
 
 
 def percent(share: float) -> str:
-    """A share as people read it: two digits, no exponent while that is short."""
+    """Return a share in percent with two digits, in exponential form if it is very small."""
     value = 100 * share
     if not value < float("inf"):
         return "—"

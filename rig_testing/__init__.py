@@ -1,7 +1,7 @@
 # pyright: strict
-"""The tests that every driver must pass, run on simulated time against the driver's own far end.
+"""The tests that every driver must pass, run on simulated time with the driver's own far end.
 
-`examine(driver)` runs all and gives a report. A driver's own package runs the same one by one in its pytest:
+`examine(driver)` runs all and returns a report. A driver's own package runs the same one by one in its pytest:
 
     import pytest, rig_testing
     from my_driver import DRIVER
@@ -10,7 +10,8 @@
     def test_contract(case):
         case()
 
-A test knows the contract (`daq.drivers.contract`) and no device. What does not apply is skipped, with a reason.
+A test depends on the contract (`daq.drivers.contract`) and on no device. A test that does not apply is skipped, with a
+reason.
 """
 
 from rig_testing.examination import Case, cases, examine

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A driver's device, simulated: its far end before a rig that moves, its pipeline, and all that went over its line."""
+"""A simulated device: its far end on a moving rig, its pipeline, and all data on its line."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ NAME = "device"
 START_NS = 1_700_000_000_000_000_000
 NOISE_M = 4e-6
 PLUCK_M = (3e-3, 2e-3)
-"""How far the column is held displaced before it is let go, x and y, m."""
+"""Displacement of the column before it is released, x and y, m."""
 _HOLD_S, _TURN_RAD_S, _RAMP_RAD_S2, _FLICK_RAD_S = 0.3, 20.0, 40.0, 4.0
 
 Items = list[Batch | Event]
 
 
 def settings_for(driver: Driver) -> DeviceSettings:
-    """Settings of the driver's example.
+    """Return the settings of the driver's example.
 
     Raises:
-        pydantic.ValidationError: they are none.
+        pydantic.ValidationError: the example is not valid.
     """
     return driver.settings.model_validate({"driver": driver.name, "port": "simulated", **example_of(driver)})
 
@@ -65,7 +65,7 @@ class RigTime(HostClock):
 
 
 class SetClockWorld(World):
-    """A world whose device clocks show a given time at its beginning."""
+    """A world in which the device clocks start at a given time."""
 
     clock_at_s = 0.0
 
@@ -76,14 +76,14 @@ class SetClockWorld(World):
 
 @dataclass
 class Tape:
-    """What went over a line, and what a fresh pipeline made of it.
+    """Data on a line, and what a fresh pipeline decoded from them.
 
     Attributes:
         identity: of the device.
         reads: direction, bytes and host time, ns, in order.
-        items: what came of them.
+        items: decoded batches and events.
         losses: counted by the pipeline at the end.
-        motion_s, motion: what the rig did, rows as in `daq.drivers.simulated.Stretch`.
+        motion_s, motion: the rig's motion, rows as in `daq.drivers.simulated.Stretch`.
     """
 
     identity: Mapping[str, Any]
@@ -95,19 +95,19 @@ class Tape:
 
 
 class Bench:
-    """One device on its line, the rig that moves before it, and whoever talks to it (see Talk).
+    """One device on its line, the rig that moves in front of it, and the host's side of the line (see Talk).
 
     Args:
         driver: of the device.
         seed: of all that is random.
-        clock_at_s: what the device's own clock shows at the beginning, s; None: what the seed draws.
+        clock_at_s: time of the device's clock at the start, s; None: drawn from the seed.
 
     Attributes:
         time: the simulated time; it passes inside of `running`.
-        gone: the link is lost from now on.
-        items: what the pipeline has given since it is in use.
-        control: the command of the rotor, where the driver has one and `begin` was called.
-        permitted: what `control` asked permission for.
+        gone: whether the link is lost.
+        items: output of the pipeline since its start.
+        control: the command of the rotor, if the driver has one and `begin` was called.
+        permitted: requests of `control` for permission.
         refuse: raised in place of a permission.
     """
 
@@ -184,11 +184,11 @@ class Bench:
             self._stretches.append((stretch.time_s[1:], stretch.rows[1:]))
             self._came(self.far.sample(stretch))
 
-    # --- what is done with it ----------------------------------------------------------------------------------
+    # --- actions ------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def running(self) -> Generator[Bench]:
-        """Time passes while somebody waits; at the end whatever still talks finds the link gone."""
+        """Simulated time passes while a thread waits. At the end the link is lost for threads that still run."""
         with self.time.running():
             try:
                 yield self
@@ -196,7 +196,7 @@ class Bench:
                 self.closed = True
 
     def begin(self) -> None:
-        """Open the device as a session does, and begin a recording: a fresh pipeline that knows its identity."""
+        """Open the device as a session does, and start a recording with a fresh pipeline that has its identity."""
         self.driver.prepare()
         self.identity = self.driver.open(NAME, self.settings, self)
         if isinstance(self.driver, TurnsRotor):
@@ -208,7 +208,7 @@ class Bench:
 
     @property
     def guard(self) -> RotorGuard:
-        """What a speed source asks: permission of the test, and the rotor itself."""
+        """Guard of a speed source: permission by the test, state of the simulated rotor."""
         return RotorGuard(self._permit, self._at_rest, lambda: abs(self.motion.speed_rad_s) * 30 / np.pi)
 
     def _permit(self, rpm: float | None) -> None:
@@ -220,9 +220,9 @@ class Bench:
         return abs(self.motion.speed_rad_s) < 0.05
 
     def stir(self) -> None:
-        """Have the rig move: the column plucked, the pendulums let go and flicked, the rotor turning.
+        """Move the rig: pluck the column, release and flick the pendulums, turn the rotor.
 
-        The rotor is left alone where the driver turns it.
+        The rotor is not turned if the driver turns it.
         """
         at = self.time.now_s + _HOLD_S
         self.motion.hold(*PLUCK_M)
@@ -232,7 +232,7 @@ class Bench:
             self.motion.target_rad_s, self.motion.ramp_rad_s2 = _TURN_RAD_S, _RAMP_RAD_S2
 
     def cut_tape(self) -> Tape:
-        """All since the recording began."""
+        """Return all data since the recording began."""
         times = [part for part, _ in self._stretches] or [np.zeros(0)]
         rows = [part for _, part in self._stretches] or [np.zeros((0, 10))]
         return Tape(
@@ -246,7 +246,7 @@ class Bench:
 
 
 class PlayedTalk:
-    """The stand-in for a device of a log, as a driver talks to it (see Talk)."""
+    """Line to the stand-in for a device of a log (see Talk)."""
 
     def __init__(self, bench: Bench, played: PlayedDevice) -> None:
         self._bench, self._played = bench, played
@@ -279,7 +279,7 @@ class PlayedTalk:
 def decoded(
     driver: Driver, settings: DeviceSettings, identity: Mapping[str, Any], reads: Sequence[tuple[int, bytes, int]]
 ) -> tuple[Items, Pipeline]:
-    """What a fresh pipeline makes of reads."""
+    """Decode reads by a fresh pipeline."""
     pipeline = driver.pipeline(NAME, settings, identity)
     out: Items = []
     for direction, data, host_ns in reads:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Tests of what a device can be told: a speed source and pendulum locks."""
+"""Tests of the commands of a device: a speed source and pendulum locks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LATE_S = 1.0
 
 
 def check_speed_source(subject: Subject) -> str:
-    """Enabled, led up a ramp, followed, stopped quickly; nothing not permitted; not taken for off when silent."""
+    """It enables, follows a ramp and stops quickly; it requests permission; its silence is not taken for off."""
     _need_role(subject, SpeedRole, TurnsRotor, "speed source", "speed_source")
     bench = Bench(subject.driver)
     with bench.running():
@@ -41,19 +41,22 @@ def check_speed_source(subject: Subject) -> str:
         need(abs(_rpm(bench)) < 1.0, f"the rotor turns at {_rpm(bench):.0f} rpm though that was not permitted")
         bench.refuse = None
         control.set_speed(SPEED_RPM)
-        need(SPEED_RPM in bench.permitted, "set_speed: RotorGuard.permit was not asked")
+        need(SPEED_RPM in bench.permitted, "set_speed: RotorGuard.permit was not called")
         bench.time.pass_time(0.5 * SPEED_RPM / RAMP_RPM_S)
         half = _rpm(bench)
         bench.time.pass_time(0.5 * SPEED_RPM / RAMP_RPM_S + _LATE_S)
         need(half < 0.9 * SPEED_RPM, f"{half:.0f} rpm in the middle of a ramp to {SPEED_RPM:g} rpm: no ramp")
-        need(abs(_rpm(bench) / SPEED_RPM - 1) < 0.03, f"told {SPEED_RPM:g} rpm, the rotor turns at {_rpm(bench):.1f}")
-        told = control.actual_rpm
-        need(abs(told - _rpm(bench)) < 5.0, f"actual_rpm {told:.1f}, the rotor turns at {_rpm(bench):.1f} rpm")
-        need(control.dropped_out is None, f"dropped_out is {control.dropped_out!r} while it runs as told")
+        need(
+            abs(_rpm(bench) / SPEED_RPM - 1) < 0.03,
+            f"commanded {SPEED_RPM:g} rpm, the rotor turns at {_rpm(bench):.1f}",
+        )
+        reported = control.actual_rpm
+        need(abs(reported - _rpm(bench)) < 5.0, f"actual_rpm {reported:.1f}, the rotor turns at {_rpm(bench):.1f} rpm")
+        need(control.dropped_out is None, f"dropped_out is {control.dropped_out!r} while it runs as commanded")
         control.quick_stop()
         stopped_s = _time_to_rest(bench)
         need(not control.enabled, "enabled is True after quick_stop()")
-        _is_not_believed_when_silent(bench, control)
+        _rejects_silence(bench, control)
         control.enable()
         control.set_speed(0.75 * SPEED_RPM)
         bench.time.pass_time(1.0)
@@ -64,7 +67,7 @@ def check_speed_source(subject: Subject) -> str:
 
 
 def check_stops_by_itself(subject: Subject) -> str:
-    """A speed source whose host has gone stops the rotor by itself."""
+    """A speed source whose host is disconnected stops the rotor by itself."""
     _need_role(subject, SpeedRole, TurnsRotor, "speed source", "speed_source")
     bench = Bench(subject.driver)
     with bench.running():
@@ -89,8 +92,8 @@ def _refuses(bench: Bench, control: SpeedSource) -> None:
     bench.refuse = None
 
 
-def _is_not_believed_when_silent(bench: Bench, control: SpeedSource) -> None:
-    """A device that says nothing may still hold the rotor: whoever tells it to let go must learn that."""
+def _rejects_silence(bench: Bench, control: SpeedSource) -> None:
+    """Check that `disable` raises if the device does not answer: it may still drive the rotor."""
     control.enable()
     step, receive = bench.far.step, bench.far.receive
     bench.far.step = lambda now_s: step(now_s)[:0]
@@ -100,7 +103,7 @@ def _is_not_believed_when_silent(bench: Bench, control: SpeedSource) -> None:
     except (DeviceError, LinkLost):
         pass
     else:
-        raise Failed("disable: the device says nothing, expected DeviceError, it raised nothing")
+        raise Failed("disable: the device does not answer, expected DeviceError, it raised nothing")
     finally:
         bench.far.step, bench.far.receive = step, receive
     bench.time.pass_time(_LATE_S)
@@ -124,7 +127,7 @@ def _rpm(bench: Bench) -> float:
 
 
 def check_locks(subject: Subject) -> str:
-    """Released and locked as told, acknowledged, and seen in the flags; given up when told to."""
+    """Locks release and close as commanded, acknowledge, show it in the flags, and stop waiting on request."""
     _need_role(subject, PendulumLocks, MovesLocks, "pendulum locks", "locks")
     bench = Bench(subject.driver)
     with bench.running():
@@ -135,9 +138,9 @@ def check_locks(subject: Subject) -> str:
             bench.locks.command(action, lambda: None)
             bench.time.pass_time(1.0)
             if (flags := _lock_flags(subject, bench)) is not None:
-                need(flags == closed, f"{action!r} was acknowledged, the flags say {flags:#x}, expected {closed:#x}")
+                need(flags == closed, f"{action!r} was acknowledged, the flags are {flags:#x}, expected {closed:#x}")
         try:
-            bench.far.receive = lambda data, now_s: b""  # nobody answers
+            bench.far.receive = lambda data, now_s: b""  # never answers
             bench.locks.command("release both", _give_up)
         except ProcedureError:
             pass
@@ -148,7 +151,7 @@ def check_locks(subject: Subject) -> str:
             bench.locks.command("release both", lambda: None)
         except (LinkLost, DeviceError):
             return ""
-        raise Failed("command to a device that is gone: expected LinkLost or DeviceError, it raised nothing")
+        raise Failed("command to a disconnected device: expected LinkLost or DeviceError, it raised nothing")
 
 
 def _give_up() -> None:
@@ -156,7 +159,7 @@ def _give_up() -> None:
 
 
 def _lock_flags(subject: Subject, bench: Bench) -> int | None:
-    """Of the newest pendulum sample; None where the device measures no angles."""
+    """Return the lock flags of the newest pendulum sample; None if the device measures no angles."""
     for role in subject.roles:
         if isinstance(role, PendulumAngles):
             whole = together(bench.items, role.topic)
@@ -165,8 +168,8 @@ def _lock_flags(subject: Subject, bench: Bench) -> int | None:
 
 
 def _need_role(subject: Subject, role: type, protocol: type, name: str, verb: str) -> None:
-    """Whether there is anything to test; a role without its verb is a fault."""
+    """Raise `NotTried` if the driver has no such role; a role without its method is a failure."""
     plays = any(isinstance(each, role) for each in subject.roles)
     if not plays and not isinstance(subject.driver, protocol):
-        raise NotTried(f"it is no {name}" if name.endswith("source") else f"it has no {name}")
+        raise NotTried(f"it is not a {name}" if name.endswith("source") else f"it has no {name}")
     need(plays == isinstance(subject.driver, protocol), f"the role {name!r} and the method `{verb}` go together")

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Tests of a driver's pipeline on recorded bytes: replayed, cut elsewhere, damaged, lost, of another device."""
+"""Tests of a driver's pipeline on recorded bytes: replayed, cut differently, damaged, lost, of another device."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from rig_testing.sizes import size_of
 from rig_testing.subject import Reads, Subject, events, lost, together
 
 _SPLITS = (1, 2, 3, 7, 64)
-_SPLIT_READS = 120  # of the tape: enough for every state, quick enough cut into single bytes
+_SPLIT_READS = 120  # of the tape: these reach every state and are decoded quickly if cut into single bytes
 _JOINED_NS = 40_000_000
-_SAME_NS = 20_000_000  # by which cuts elsewhere may move a sample's time; joined reads move host times themselves
+_SAME_NS = 20_000_000  # by which other cuts may move a sample's time; joined reads move host times themselves
 _LONGEST_WRAP_S = 100.0
 _CLOCK_WRAPS_S = {"2³² µs": 2**32 * 1e-6, "2³² · 10 µs": 2**32 * 1e-5, "2³² ms": 2**32 * 1e-3, "2¹⁶ ms": 2**16 * 1e-3}
 _FLOOD_BYTES, _MOST_BYTES = 1 << 20, 1 << 19
 
 
 def check_replay(subject: Subject) -> str:
-    """The same bytes give the same samples, events and losses, bit for bit; pipelines share nothing."""
+    """The same bytes give the same samples, events and losses, bit for bit; pipelines share no state."""
     tape = subject.tape
     pipelines = [subject.driver.pipeline("device", subject.settings, tape.identity) for _ in range(2)]
     results: list[Items] = [[], []]
@@ -39,7 +39,7 @@ def check_replay(subject: Subject) -> str:
 
 
 def _difference(first: Items, second: Items) -> str:
-    """What is not the same bit for bit; empty when all is."""
+    """Return the first difference; empty if all is equal bit for bit."""
     if len(first) != len(second):
         return f"{len(second)} batches and events, expected {len(first)}"
     for number, (a, b) in enumerate(zip(first, second, strict=True)):
@@ -63,7 +63,7 @@ def _losses_differ(first: dict[str, int], second: dict[str, int]) -> str:
 
 
 def check_split(subject: Subject) -> str:
-    """However the bytes are cut into reads, the samples and the losses are the same."""
+    """Samples and losses do not depend on how the bytes are cut into reads."""
     reads = subject.tape.reads[:_SPLIT_READS]
     whole, pipeline = subject.decode(reads)
     rng = np.random.default_rng(7)
@@ -84,7 +84,7 @@ def _cut(read: tuple[int, bytes, int], size: int) -> Reads:
 
 
 def _joined(reads: Reads) -> Reads:
-    """Reads that follow one another as one, as a host gets them that was late."""
+    """Join consecutive reads, as a delayed host receives them."""
     out: list[tuple[int, bytes, int]] = []
     first_ns = 0
     for direction, data, host_ns in reads:
@@ -118,7 +118,7 @@ def _same(subject: Subject, whole: Items, pipeline: Pipeline, parts: Reads, how:
 
 
 def check_garbage(subject: Subject) -> str:
-    """Garbage between reads is counted, breaks nothing, and what follows is decoded as before."""
+    """Garbage between reads is counted, and data after it are decoded as before."""
     tape, rng = subject.tape, np.random.default_rng(11)
     reads: list[tuple[int, bytes, int]] = []
     incoming = [i for i, read in enumerate(tape.reads) if read[0] == RX]
@@ -136,13 +136,13 @@ def check_garbage(subject: Subject) -> str:
 
 
 def _goes_on(subject: Subject, items: Items) -> None:
-    """The last samples are those of the undisturbed tape."""
+    """Check that the last samples are those of the undisturbed tape."""
     for topic in subject.constant:
         expected, found = subject.rows(subject.tape.items, topic), subject.rows(items, topic)
         count = max(1, len(expected) // 20)
         need(
             len(found) >= count and np.array_equal(expected[-count:], found[-count:], equal_nan=True),
-            f"{topic}: the last samples, long after the damage, are not those of the undisturbed line",
+            f"{topic}: the last samples, long after the damage, differ from those of the undisturbed line",
         )
 
 
@@ -151,7 +151,7 @@ def _kinds(counted: dict[str, int]) -> str:
 
 
 def check_damage(subject: Subject) -> str:
-    """Bytes that are lost out of the middle of reads are counted; exactly, where the driver claims to."""
+    """Bytes lost from the middle of reads are counted; exactly, if the driver claims so."""
     tape, rng = subject.tape, np.random.default_rng(13)
     reads = list(tape.reads)
     long_enough = [i for i, read in enumerate(reads) if read[0] == RX and len(read[1]) >= 12]
@@ -166,9 +166,9 @@ def check_damage(subject: Subject) -> str:
 
 
 def check_lost_reads(subject: Subject) -> str:
-    """Whole reads that are lost are counted where samples bear a clock; exactly, where the driver claims to."""
+    """Lost whole reads are counted if samples have a clock; exactly, if the driver claims so."""
     if not subject.clocks:
-        raise NotTried("its samples bear no clock: nothing tells that one is missing")
+        raise NotTried("its samples have no clock: a missing one cannot be detected")
     tape = subject.tape
     first_ns = tape.reads[0][2]
     away = [(0.8, 0.9), (1.3, 1.33), (1.6, 1.85)]  # s after the beginning
@@ -181,8 +181,8 @@ def _counted(subject: Subject, reads: Reads, what: str) -> str:
     items, pipeline = subject.decode(reads)
     counted = lost(tape.losses, pipeline.losses)
     need(sum(counted.values()) > 0, f"{what} were lost, and no loss was counted")
-    told = len(events(items)) > len(events(tape.items))
-    need(told, f"{what} were lost: counted ({_kinds(counted)}), and no event tells of it")
+    reported = len(events(items)) > len(events(tape.items))
+    need(reported, f"{what} were lost: counted ({_kinds(counted)}), but no event reports it")
     _goes_on(subject, items)
     if subject.claims("counts exactly"):
         for clock in subject.clocks:
@@ -197,7 +197,7 @@ def _counted(subject: Subject, reads: Reads, what: str) -> str:
 
 
 def check_restart(subject: Subject) -> str:
-    """Another device of the kind on the same line: its samples come, later, and the change is told."""
+    """Another device of the kind on the same line: its samples come, later, and the change is reported."""
     tape, other = subject.tape, subject.another
     later_ns = tape.reads[-1][2] + 1_000_000_000 - other.reads[0][2]
     items, _ = subject.decode([*tape.reads, *((d, data, ns + later_ns) for d, data, ns in other.reads)])
@@ -212,27 +212,27 @@ def check_restart(subject: Subject) -> str:
         need(bool(np.all(steps >= 0)), f"{topic}: times step back over a restart, by {-int(steps.min()) * 1e-9:.3g} s")
         off = abs(int(whole.time_ns[-1]) - (other.reads[-1][2] + later_ns)) * 1e-9
         need(off < 1.0, f"{topic}: times are {off:.3g} s away from the host's after a restart")
-    told = events(items, "restart", "gap")
-    need(bool(told) or not subject.clocks, "a restart after a second of silence, and neither restart nor gap is told")
-    return told[0].kind if told else "nothing to tell it by"
+    found = events(items, "restart", "gap")
+    need(bool(found) or not subject.clocks, "a restart after a second of silence: neither restart nor gap is reported")
+    return found[0].kind if found else "no clock to detect it by"
 
 
 def check_counter_wrap(subject: Subject) -> str:
-    """Samples go on where their number wraps."""
+    """Samples continue when their number wraps."""
     if not subject.clocks:
-        raise NotTried("its samples bear no number")
+        raise NotTried("its samples have no number")
     needed_s = max(clock.count_wrap / clock.rate_Hz for clock in subject.clocks)
     if needed_s > _LONGEST_WRAP_S:
-        raise NotTried(f"its number wraps after {needed_s:.3g} s, more than are simulated here")
+        raise NotTried(f"its number wraps after {needed_s:.3g} s, longer than the simulation")
     tape = subject.record(needed_s + 2.0)
     _unbroken(subject, tape.items, tape.losses, f"over {needed_s + 2.0:.0f} s, with a wrap in them")
     return f"after {needed_s:.3g} s"
 
 
 def check_clock_wrap(subject: Subject) -> str:
-    """Samples go on where a clock in the device wraps, at the places where clocks usually do."""
+    """Samples continue when a clock in the device wraps, at the usual values."""
     if not subject.clocks:
-        raise NotTried("its samples bear no clock")
+        raise NotTried("its samples have no clock")
     for name, wrap_s in _CLOCK_WRAPS_S.items():
         tape = subject.record(2.0, clock_at_s=wrap_s - 1.0)
         _unbroken(subject, tape.items, tape.losses, f"with the device's clock passing {name}")
@@ -254,7 +254,7 @@ def _unbroken(subject: Subject, items: Items, losses: dict[str, int], when: str)
 
 
 def check_memory(subject: Subject) -> str:
-    """A pipeline keeps no more than it needs, whatever comes and however long."""
+    """The memory of a pipeline is bounded for any input of any length."""
     data = b"".join(data for direction, data, _ in subject.tape.reads if direction == RX)
     rng = np.random.default_rng(17)
     floods: dict[str, Callable[[], Iterable[bytes]]] = {
@@ -263,7 +263,7 @@ def check_memory(subject: Subject) -> str:
         "letters without an end of line": lambda: (b"t" * 4096 for _ in range(_FLOOD_BYTES // 4096)),
         "its own bytes, in pieces of 999": lambda: _every_other(data, 999),
     }
-    most = 0
+    largest = 0
     for name, flood in floods.items():
         _, pipeline = subject.decode(subject.tape.reads[:20])
         host_ns = subject.tape.reads[-1][2]
@@ -272,10 +272,10 @@ def check_memory(subject: Subject) -> str:
             pipeline.feed(RX, part, host_ns + number * 10_000_000)
         seconds = time.perf_counter() - began
         size = size_of(pipeline)
-        need(size < _MOST_BYTES, f"after 1 MB of {name} it holds {size / 1e3:.0f} kB, expected 500 kB at most")
+        need(size < _MOST_BYTES, f"after 1 MB of {name} it uses {size / 1e3:.0f} kB, expected 500 kB at most")
         need(seconds < 30.0, f"1 MB of {name} took {seconds:.0f} s")
-        most = max(most, size)
-    return f"{most / 1e3:.0f} kB at most"
+        largest = max(largest, size)
+    return f"{largest / 1e3:.0f} kB at most"
 
 
 def _every_other(data: bytes, size: int) -> Iterable[bytes]:

@@ -20,13 +20,13 @@ from rig_testing.report import Failed, need
 from rig_testing.subject import Subject, events, together, turn
 
 _SILENT = "falls silent"
-_NEAR_S = 1.0  # by which a sample's time may differ from the host's
+_NEAR_S = 1.0  # largest difference of a sample's time from the host's
 
 
 def check_settings(subject: Subject) -> str:
-    """The settings class takes the example, refuses what it does not know, and survives JSON."""
+    """The settings class accepts the example, rejects unknown keys, and survives JSON."""
     driver = subject.driver
-    kind: Any = driver.settings  # nobody has checked its type yet
+    kind: Any = driver.settings  # its type is not checked before
     need(
         isinstance(kind, type) and issubclass(kind, DeviceSettings),
         f"settings: expected a class derived from DeviceSettings, got {kind!r}",
@@ -34,27 +34,27 @@ def check_settings(subject: Subject) -> str:
     try:
         settings = subject.settings
     except ValidationError as error:
-        raise Failed(f"settings: the attribute `example` ({example_of(driver)}) is none: {error}") from error
+        raise Failed(f"settings: the attribute `example` ({example_of(driver)}) is not valid: {error}") from error
     table = {"driver": driver.name, "port": "x", **example_of(driver)}
     try:
         driver.settings.model_validate({**table, "no_such_setting": 1})
     except ValidationError:
         pass
     else:
-        raise Failed("settings: an unknown key is taken, expected a ValidationError: a typo would pass unseen")
+        raise Failed("settings: an unknown key is accepted, expected a ValidationError: a typo would not be noticed")
     again = driver.settings.model_validate_json(settings.model_dump_json())
-    need(again == settings, f"settings: {settings!r} became {again!r} through JSON, as a log keeps them")
+    need(again == settings, f"settings: {settings!r} became {again!r} through JSON, the format of a log")
     line: Any = driver.line(settings)
     need(isinstance(line, Line), f"line: expected a Line, got {line!r}")
     need(driver.rest_s > 0, f"rest_s: expected a time above 0 s, got {driver.rest_s}")
     unknown = claims_of(driver) - set(CLAIMS)
-    need(not unknown, f"claims: {', '.join(sorted(unknown))} is none, expected some of {', '.join(CLAIMS)}")
+    need(not unknown, f"claims: {', '.join(sorted(unknown))} unknown, expected some of {', '.join(CLAIMS)}")
     return ""
 
 
 def check_roles(subject: Subject) -> str:
     """Every role has its channel, every channel its role, with the fields that the role needs."""
-    need(bool(subject.roles), "roles: none, expected one at least; an OtherQuantity takes any channel")
+    need(bool(subject.roles), "roles: none, expected at least one; an OtherQuantity accepts any channel")
     for role in subject.roles:
         need(role.device == NAME, f"roles: {role.role} names the device {role.device!r}, expected {NAME!r} as given")
     Roles.of(subject.roles)
@@ -70,33 +70,33 @@ def check_roles(subject: Subject) -> str:
         need(clock.topic in subject.channels, f"clocks: no channel {clock.topic!r}")
         names = subject.channels[clock.topic].names
         need(clock.field in names, f"clocks: channel {clock.topic} has no field {clock.field!r}, only {names}")
-        need(clock.rate_Hz > 0 and clock.tick_ns > 0 and clock.count_wrap > 1, f"clocks: {clock} is none")
+        need(clock.rate_Hz > 0 and clock.tick_ns > 0 and clock.count_wrap > 1, f"clocks: {clock} is not valid")
     return ", ".join(sorted({role.role for role in subject.roles}))
 
 
 def check_opening(subject: Subject) -> str:
-    """The opening dialogue with the far end gives an identity of plain words and numbers."""
+    """The opening dialogue with the far end returns an identity of plain words and numbers."""
     bench = Bench(subject.driver)
     with bench.running():
         try:
             bench.begin()
         except (DeviceError, LinkLost) as error:
-            raise Failed(f"open: its own far end is refused: {error}") from error
+            raise Failed(f"open: its own far end is rejected: {error}") from error
         identity: Any = bench.identity
         need(isinstance(identity, dict), f"open: expected a dict as identity, got {type(identity).__name__}")
         try:
             again = json.loads(json.dumps(identity, allow_nan=False))
         except (TypeError, ValueError) as error:
-            raise Failed(f"open: the identity is no JSON ({error}): {identity!r}") from error
-        need(again == identity, f"open: the identity {identity!r} became {again!r} through JSON, as a log keeps it")
+            raise Failed(f"open: the identity is not JSON ({error}): {identity!r}") from error
+        need(again == identity, f"open: the identity {identity!r} became {again!r} through JSON, the format of a log")
         subject.driver.pipeline(NAME, subject.settings, again)
         return f"in {bench.time.now_s:.1f} s of its time: {', '.join(identity)}"
 
 
 def check_silence(subject: Subject) -> str:
-    """A device that does not answer is an error in words, in finite time, or none that anyone asks."""
+    """A device that does not answer causes an error in finite time, unless the driver sends it no request."""
     bench = Bench(subject.driver)
-    bench.far = FarEnd()  # says nothing
+    bench.far = FarEnd()  # never answers
     with bench.running():
         try:
             bench.begin()
@@ -104,11 +104,11 @@ def check_silence(subject: Subject) -> str:
             waited_s = bench.time.now_s
             need(waited_s < 60.0, f"open: waited {waited_s:.0f} s for an answer, expected a minute at most")
             return f"after {waited_s:.1f} s of its time: {error}"
-    return "nobody is asked"
+    return "it sends no request"
 
 
 def check_streaming(subject: Subject) -> str:
-    """Every channel fills, at its rate, in order, at times near the host's; nothing is lost where nothing was."""
+    """Every channel fills, at its rate, in order, at times near the host's, without losses on an undisturbed line."""
     tape = subject.tape
     seen: list[str] = []
     for topic in subject.constant:
@@ -166,11 +166,11 @@ def _check_batch(columns: Any, topic: str, subject: Subject) -> None:
     try:
         subject.channels[topic].pack(columns)
     except ValueError as error:
-        raise Failed(f"channel {topic}: its samples cannot be kept: {error}") from error
+        raise Failed(f"channel {topic}: its samples cannot be stored: {error}") from error
 
 
 def check_stop(subject: Subject) -> str:
-    """The stream can be stopped, twice, and the device opened again."""
+    """The stream can be stopped twice, and the device opened again."""
     bench = Bench(subject.driver)
     with bench.running():
         bench.begin()
@@ -188,13 +188,13 @@ def check_stop(subject: Subject) -> str:
             need(together(bench.items, topic) is not None, f"opened again after its stop: no samples in {topic}")
         if silent:
             return "it is silent then"
-        need(not subject.claims(_SILENT), f"it goes on sending, and the driver claims that it {_SILENT}")
-        return f"it goes on sending; where it should not, claim {_SILENT!r} and this is a failure"
+        need(not subject.claims(_SILENT), f"it continues to send, and the driver claims that it {_SILENT}")
+        return f"it continues to send; if it should not, claim {_SILENT!r} to make this a failure"
 
 
 def check_link_lost(subject: Subject) -> str:
-    """A stop, and an opening, of a device that is gone ends in LinkLost or DeviceError, or is none."""
-    said: list[str] = []
+    """Stopping, and opening, a disconnected device ends without an error or with LinkLost or DeviceError."""
+    outcomes: list[str] = []
     bench = Bench(subject.driver)
     with bench.running():
         bench.begin()
@@ -206,21 +206,21 @@ def check_link_lost(subject: Subject) -> str:
         for what, act in (("stop", _stop), ("open", _open)):
             try:
                 act(bench)
-                said.append(f"{what}: nothing to say")
+                outcomes.append(f"{what}: no error")
             except (LinkLost, DeviceError) as error:
-                said.append(f"{what}: {type(error).__name__}")
+                outcomes.append(f"{what}: {type(error).__name__}")
             except Exception as error:
                 raise Failed(
-                    f"{what} of a device that is gone: expected LinkLost or DeviceError, got "
+                    f"{what} of a disconnected device: expected LinkLost or DeviceError, got "
                     f"{type(error).__name__}: {error}"
                 ) from error
         waited_s = bench.time.now_s - before_s
-        need(waited_s < 120.0, f"stop and open of a device that is gone took {waited_s:.0f} s")
-    return ", ".join(said)
+        need(waited_s < 120.0, f"stop and open of a disconnected device took {waited_s:.0f} s")
+    return ", ".join(outcomes)
 
 
 def _stop(bench: Bench) -> None:
-    """As a session does: both, whatever becomes of the first."""
+    """Stop as a session does: the driver too, even if the speed source fails."""
     try:
         if bench.control is not None:
             bench.control.stop()
@@ -247,7 +247,7 @@ def check_played(subject: Subject) -> str:
         except (DeviceError, LinkLost) as error:
             raise Failed(f"played: the stand-in does not answer as the device did: {error}") from error
         json.dumps(identity)
-        need(stand_in.sending, f"played: opened, and it does not send; it expects {stand_in.expects!r}")
+        need(stand_in.sending, f"played: it does not send after its opening; it expects {stand_in.expects!r}")
         data = b"".join(stand_in.play(direction, data) for direction, data, _ in tape.reads) + stand_in.rest()
         came = b"".join(data for direction, data, _ in tape.reads if direction == RX)
         need(stand_in.withheld_bytes == 0, f"played: {stand_in.withheld_bytes} bytes of the log were withheld")

@@ -1,5 +1,5 @@
 # pyright: strict
-"""All tests of a driver, one after the other."""
+"""All tests of a driver in sequence."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ CHECKS: dict[str, Callable[[Subject], str]] = {
     "locks": command_checks.check_locks,
     "played": device_checks.check_played,
 }
-"""All tests by name; each returns what it measured, and raises Failed or NotTried."""
+"""All tests by name; each returns what it measured, or raises Failed or NotTried."""
 
 _LONGEST_S, _LONGEST_THOROUGH_S = 120.0, 7200.0
 
@@ -64,7 +64,7 @@ class Case:
         return self.name
 
     def run(self) -> Outcome:
-        """Run it; whatever the driver raises is a failure."""
+        """Run it. Any exception of the driver is a failure."""
         began = time.perf_counter()
         passed, tried = True, True
         try:
@@ -82,8 +82,8 @@ class Case:
         """Run it as a test of pytest or unittest.
 
         Raises:
-            Failed: an AssertionError that says why.
-            unittest.SkipTest: it does not apply.
+            Failed: an AssertionError with the reason.
+            unittest.SkipTest: the test does not apply.
         """
         outcome = self.run()
         if not outcome.tried:
@@ -93,7 +93,7 @@ class Case:
 
 
 def cases(driver: Driver, *, thorough: bool = False) -> list[Case]:
-    """All tests of a driver, to be run in any order; they share what is costly.
+    """Return all tests of a driver, for any order; they share recordings that take long.
 
     Args:
         thorough: 10⁶ damaged inputs in place of 10⁴.
@@ -102,19 +102,19 @@ def cases(driver: Driver, *, thorough: bool = False) -> list[Case]:
     return [Case(name, subject) for name in CHECKS]
 
 
-def examine(driver: Driver, *, thorough: bool = False, told: Callable[[str], None] = lambda name: None) -> Report:
+def examine(driver: Driver, *, thorough: bool = False, notify: Callable[[str], None] = lambda name: None) -> Report:
     """Run all tests on a driver.
 
     Args:
         thorough: 10⁶ damaged inputs in place of 10⁴; minutes.
-        told: called with the name of each test before it begins.
+        notify: called with the name of each test before it begins.
 
     Returns:
-        One outcome per test; a test that cannot be run because the driver raises is a failed one.
+        One outcome per test. A test that the driver prevents by an exception is a failed one.
     """
     outcomes: list[Outcome] = []
     for case in cases(driver, thorough=thorough):
-        told(case.name)
+        notify(case.name)
         outcomes.append(case.run())
     return Report(driver.name, tuple(outcomes))
 
@@ -128,15 +128,15 @@ def _where(error: Exception) -> str:
 
 @contextlib.contextmanager
 def _in_time(seconds: float) -> Generator[None]:
-    """End what hangs, where the system can: in the main thread of a POSIX process."""
+    """End a test after a time limit, if the system can: in the main thread of a POSIX process."""
     if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def too_long(number: int, frame: FrameType | None) -> None:
+    def stop(number: int, frame: FrameType | None) -> None:
         raise Failed(f"it hangs: not at its end after {seconds:g} s")
 
-    before = signal.signal(signal.SIGALRM, too_long)
+    before = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield

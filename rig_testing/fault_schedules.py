@@ -1,10 +1,10 @@
 # pyright: strict
-"""Randomised faults under simulated time: what a whole session does on a bad day, and whether it was right.
+"""Randomised faults on simulated time: reaction of a whole session, and whether it was right.
 
-A schedule is drawn from its seed: what the operator does, which faults of which device and line begin when and how long
-they last, when the host is busy with something else. The same session, drivers and recorder that run a rig run it in
-lockstep. What must hold afterwards is asked of the log, of the simulated rig's truth and of the drive, for any rig file
-and any driver: this module names no device.
+A schedule is drawn from its seed: the operator's actions, which faults of which device and line begin when and how long
+they last, when the host is busy. The session, drivers and recorder of a real rig run it in lockstep. Afterwards the
+log, the simulated rig's true motion and the drive are checked, for any rig file and any driver: this module names no
+device.
 """
 
 from __future__ import annotations
@@ -39,18 +39,19 @@ from rig_testing.stages import AFTER_S, LockstepStage, RealTimeStage, Stage, Tru
 
 Array = NDArray[np.floating[Any]]
 Fields = list[tuple[str, int, float]]
-"""Of a channel: a field, the column of the truth that it shows, and how far it may be off."""
+"""Of a channel: a field, its column of the truth, and the tolerance."""
 
 STOP_WITHIN_S = 0.5
-"""Behind the limit of a needed channel the stop is ordered within this, s."""
+"""Longest time from the limit of a needed channel to the order to stop, s."""
 _RPM = math.pi / 30
 _EARLY_S = 2e-3
-_MOST, _AS_GOOD = 0.6, 1.01  # of samples; of a fit's spread: chance makes it differ by so much where nothing moves
-_TELLS = 0.3  # of the motion's spread at the most: where a fit leaves more, what was read is mostly something else
-_OTHER_CLOCK_S = 1.0  # a clock that is farther off is the pipeline's own count
-_TURNS_RPM = 20.0  # a rotor that surely turns
-_SPOILING = ("garbage", "bit errors", "lost bytes")  # line faults behind which a line without a checksum proves nothing
-_TURNS_S = (STEP_S, (0.004, 0.016), (0.012, 0.020))  # of quick adapters, of others, of those that gather for 16 ms
+_SPREAD_SHARE = 0.6  # share of the samples, the nearest ones, that enter a fit's spread
+_SAME_SPREAD = 1.01  # ratio up to which two spreads are equal: the random difference if nothing moves
+_MAX_SPREAD_RATIO = 0.3  # of a fit's spread to the motion's: above it the readings are mostly of another motion
+_OTHER_CLOCK_S = 1.0  # difference above which a clock is the pipeline's own count
+_TURNS_RPM = 20.0  # speed above which a rotor turns with certainty
+_SPOILING = ("garbage", "bit errors", "lost bytes")  # line faults after which a line without a checksum is not checked
+_TURNS_S = (STEP_S, (0.004, 0.016), (0.012, 0.020))  # of quick adapters, of others, of those that buffer for 16 ms
 _CALM = ["virtual.sensors.axis_angle_deg=0", "virtual.sensors.draw_calibration=false"]
 
 
@@ -59,10 +60,10 @@ class Fault:
     """One fault of a schedule.
 
     Attributes:
-        at_s, seconds: when it begins, how long it lasts; 0: it happens once.
-        device: whose; empty: the host's.
+        at_s, seconds: start and duration; duration 0: it happens once.
+        device: name of the device; empty: the host.
         what: its kind: one of the far end's, of the line's, "unplug", or "busy" for the host.
-        value: of the kind.
+        value: magnitude, in the unit of the kind.
     """
 
     at_s: float
@@ -74,13 +75,13 @@ class Fault:
 
 @dataclass(frozen=True)
 class Schedule:
-    """What happens in one run.
+    """Events of one run.
 
     Attributes:
         seed: of all that is random in it.
-        rpm: to which the rotor is turned; 0: not at all.
-        seconds: of the recording.
-        turn_s: at random between these the adapters hand over what has come, s.
+        rpm: speed of the rotor; 0: it is not turned.
+        seconds: duration of the recording.
+        turn_s: range of the random intervals at which the adapters deliver received data, s.
         faults: in order of time; s since the recording began.
     """
 
@@ -93,15 +94,15 @@ class Schedule:
 
 @dataclass
 class Result:
-    """What came of a schedule.
+    """Result of a schedule.
 
     Attributes:
-        schedule: of it.
-        wrong: what did not hold, sentences; empty when all did.
-        ended: what ended the run; empty when it came to its end.
+        schedule: the schedule.
+        wrong: violated conditions, as sentences; empty if there are none.
+        ended: error that ended the run; empty if it was completed.
         digest: of the log's bytes.
-        rig_s: simulated time of it all, s.
-        stop_s: from the fault to the order to stop, s; NaN where none was needed.
+        rig_s: simulated duration of the run, s.
+        stop_s: from the fault to the order to stop, s; NaN if no stop was needed.
     """
 
     schedule: Schedule
@@ -113,7 +114,7 @@ class Result:
 
 
 def draw(rig: Rig, seed: int, calm: bool = False) -> Schedule:
-    """A schedule from its seed.
+    """Draw a schedule from its seed.
 
     Args:
         rig: with far ends; its faults are drawn from those that they can have.
@@ -148,14 +149,14 @@ def _fault(rig: Rig, dice: np.random.Generator, seconds: float) -> Fault:
 def run(
     rig_name: str, schedule: Schedule, folder: Path, settings: tuple[str, ...] = (), *, real_time: bool = False
 ) -> Result:
-    """Run a schedule and look at what came of it.
+    """Run a schedule and check the result.
 
     Args:
         rig_name: a rig file, or a shipped rig.
         schedule: for that rig.
-        folder: where the log goes.
-        settings: laid over the rig file.
-        real_time: on ptys, with threads and the wall's clock; else in lockstep, where a schedule is repeatable.
+        folder: folder of the log.
+        settings: "key=value" texts over the rig file.
+        real_time: on ptys, with threads and real time; else in lockstep, where a schedule is repeatable.
     """
     changes = [f"virtual.seed={schedule.seed}", *_CALM, *settings]
     rig = load_rig(rig_name, settings=changes)
@@ -171,7 +172,7 @@ def _run(rig: Rig, schedule: Schedule, folder: Path, stage: Stage) -> Result:
     path = folder / f"schedule-{schedule.seed}.mcap"
     begun_s = stage.clock.wall_s()
     session = Session(rig, stage.clock, edge=stage.edge)
-    over = threading.Event()  # what befalls a rig that nobody runs any more is no host's to see
+    over = threading.Event()  # faults after the end of the session are not observed by any host
     try:
         with session:
             session.start_recording(path, {"test": "record"})
@@ -207,12 +208,12 @@ def _begin(stage: Stage, fault: Fault, over: threading.Event) -> None:
             stage.after(fault.seconds, lambda: stage.ask("plug", device=fault.device))
         case _:
             lasts: dict[str, Any] = {"seconds": fault.seconds} if fault.seconds else {}
-            with contextlib.suppress(ValueError):  # one that stands already
+            with contextlib.suppress(ValueError):  # the fault is already present
                 stage.ask("fail", device=fault.device, what=fault.what, value=fault.value, **lasts)
 
 
 def _operate(session: Session, schedule: Schedule) -> None:
-    """What the operator does: turn the rotor, or nothing; then wait."""
+    """Turn the rotor, if the schedule has a speed, and wait for its end."""
     end = session.clock.wall_s() + schedule.seconds
     if schedule.rpm:
         session.drive.enable()
@@ -227,7 +228,7 @@ def _operate(session: Session, schedule: Schedule) -> None:
 
 
 def _judged(path: Path, truth: Truth, rig: Rig, schedule: Schedule, result: Result) -> Iterator[str]:
-    """What the log says, against the truth."""
+    """Compare the log with the truth."""
     with open_log(path) as log:
         if not log.complete:
             yield "the log is not complete"
@@ -245,17 +246,17 @@ def _replays(path: Path, schedule: Schedule) -> Iterator[str]:
 
 
 def _spoilt(schedule: Schedule) -> set[str]:
-    """Devices whose bytes were damaged."""
+    """Return the devices whose bytes were damaged."""
     return {fault.device for fault in schedule.faults if fault.what in _SPOILING}
 
 
-def _begun_anew(schedule: Schedule) -> set[str]:
-    """Devices whose clock and counter may have begun anew."""
+def _restarted(schedule: Schedule) -> set[str]:
+    """Return the devices whose clock and counter may have restarted."""
     return {fault.device for fault in schedule.faults if fault.what in ("power", "restart", "stale", "lost", "range")}
 
 
 def _device_times(log: Log, clock: SampleClock, own: DeviceClock, zero_ns: int) -> Array:
-    """When the samples of a channel were made, by the device's own ticks, rig s."""
+    """Return when the samples of a channel were made, by the device's own ticks, rig s."""
     samples = log[clock.topic]
     period_s = 2.0**32 * clock.tick_ns * 1e-9
     ticks = np.unwrap(samples[clock.field].astype(np.float64), period=2.0**32)
@@ -267,11 +268,12 @@ def _device_times(log: Log, clock: SampleClock, own: DeviceClock, zero_ns: int) 
 def _aligned(
     at_s: Array, late: Array, log: Log, topic: str, fields: Mapping[str, Fields], truth: Truth
 ) -> tuple[Array, Array]:
-    """Times of a device whose wire carries no time of its own: from the shift that fits most of the truth best.
+    """Return times of a device whose wire carries no time, from the time shift with the best fit to the truth.
 
-    Some samples behind a gap may bear times that are early by it, as the driver's page says. Where the motion is too
-    small to tell shifts apart, the smallest of those that fit as well is taken; where no shift makes the truth out of
-    the readings, none: a laser across a whirl of 9 mm reads more of that, by its mounting, than of its own 0.05 mm.
+    Some samples after a gap may have times that are early by the gap, as the driver's page states. If the motion is too
+    small to distinguish shifts, the smallest of the equally good ones is used. If no shift explains the readings by the
+    truth, none is applied: during a whirl of 9 mm a laser across it reads more of the whirl, through its mounting, than
+    of its own axis' 0.05 mm.
     """
     at_s, late = at_s + np.median(late), late - np.median(late)
     if topic not in fields:
@@ -282,38 +284,38 @@ def _aligned(
     shifts = np.arange(-0.012, 0.006, 1e-4)
     was = truth.rows[:, column]
     spread = np.array([_spread(value - np.interp(at_s[some] + shift, truth.time_s, was)) for shift in shifts])
-    alike = shifts[spread <= _AS_GOOD * np.min(spread, where=np.isfinite(spread), initial=np.inf)]
+    alike = shifts[spread <= _SAME_SPREAD * np.min(spread, where=np.isfinite(spread), initial=np.inf)]
     moves = _spread(np.interp(at_s[some], truth.time_s, was))
-    if not len(alike) or np.nanmin(spread) > _TELLS * moves:  # no valid sample, or another motion than the truth's
+    if not len(alike) or np.nanmin(spread) > _MAX_SPREAD_RATIO * moves:  # no valid sample, or another motion
         return at_s, late
     shift = float(alike[np.argmin(np.abs(alike))])
     return at_s + shift, late - shift
 
 
 def _spread(values: Array) -> float:
-    """Root mean square of the distances from their middle, the far ones left out.
+    """Return the root mean square distance of the nearest values from their median.
 
-    Not the median distance: readings are rounded, and a median of them goes in steps.
+    The median distance is not used: readings are rounded, and their median changes in steps.
     """
     away = np.sort(np.abs(values - np.nanmedian(values)))
-    near = away[: int(_MOST * np.count_nonzero(np.isfinite(away)))]
+    near = away[: int(_SPREAD_SHARE * np.count_nonzero(np.isfinite(away)))]
     return float(np.sqrt(np.mean(near**2))) if len(near) else math.nan
 
 
 def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock, bool]]:
-    """Channels on a device's own clock whose samples must be right, whatever else went wrong.
+    """Yield channels on a device's own clock whose samples must be right in spite of the faults.
 
-    And whether the device itself tells how many samples are missing, so that its clock is no count of the host's.
+    The third value is whether the device counts missing samples itself. Otherwise its clock is the host's count.
     """
     for name, device in devices_of(rig.devices).items():
         checked = "checksum" in claims_of(device.driver)
-        if name not in _begun_anew(schedule) and (checked or name not in _spoilt(schedule)):
+        if name not in _restarted(schedule) and (checked or name not in _spoilt(schedule)):
             exact = "counts exactly" in claims_of(device.driver)
             yield from ((name, clock, exact) for clock in device.clocks)
 
 
 def _samples_right(log: Log, rig: Rig, schedule: Schedule, truth: Truth) -> Iterator[str]:
-    """Every valid displacement and angle is what was there at its time; every sample that is missing was counted."""
+    """Check that every valid displacement and angle is the truth at its time, and every missing sample counted."""
     virtual = rig.virtual
     assert virtual is not None
     world, zero_ns = World(virtual, Motion(rig.true_physics, 0.0, 0.1)), truth.zero_ns
@@ -350,7 +352,7 @@ def _samples_right(log: Log, rig: Rig, schedule: Schedule, truth: Truth) -> Iter
 
 
 def _stopped_in_time(log: Log, rig: Rig, schedule: Schedule, result: Result, truth: Truth) -> Iterator[str]:
-    """A guard that was blind while the rotor turned: the stop came in time."""
+    """Check that the rotor was stopped in time if a guarding channel was silent while it turned."""
     stops = [event["time_ns"] for event in log.events if event["kind"] == "stop"]
     stop_ns = stops[0] if stops else None
     zero_ns = truth.zero_ns
@@ -379,7 +381,7 @@ def _stopped_in_time(log: Log, rig: Rig, schedule: Schedule, result: Result, tru
 
 
 def _left_behind(truth: Truth, session: Session) -> Iterator[str]:
-    """The rotor stands in the end, or the operator was warned of it."""
+    """Check that the rotor is at rest in the end, or that the operator was warned."""
     speed_rpm = float(truth.rows[-1, 9]) / _RPM
     warned = any("keep away" in notice for notice in session.notices)
     if abs(speed_rpm) > 10.0 and not warned:

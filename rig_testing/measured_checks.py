@@ -1,5 +1,5 @@
 # pyright: strict
-"""Tests of what a driver's samples say, held against the motion of the simulated rig."""
+"""Comparison of a driver's samples with the motion of the simulated rig."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rig_testing.subject import Subject, together
 
 Array = NDArray[np.floating[Any]]
 
-_LATE_S = 0.02  # by which a sample's time may be off: what no host can know of the line's delay
-_SETTLED_S = 0.5  # the time map has learned by then
+_LATE_S = 0.02  # tolerance of a sample's time: a host cannot measure the line's delay
+_SETTLED_S = 0.5  # time after which the clock map has settled
 
 
 def check_displacement(subject: Subject) -> str:
-    """Displacement is the disk centre's along its axis, m, within noise and gain, growing with the coordinate."""
+    """Displacement is the disk centre's along its axis, m, within noise and gain, and increases with the coordinate."""
     role = next((role for role in subject.roles if isinstance(role, Displacement)), None)
     if role is None:
         raise NotTried("it measures no displacement")
@@ -47,7 +47,7 @@ def check_angles(subject: Subject) -> str:
     role = next((role for role in subject.roles if isinstance(role, PendulumAngles)), None)
     if role is None:
         raise NotTried("it measures no pendulum angles")
-    said: list[str] = []
+    measured_words: list[str] = []
     for field, value, rate in (("theta3_rad", 2, 6), ("theta4_rad", 3, 7)):
         time_s, measured = _samples(subject, role.topic, field)
         true, speed = _at(subject.tape, time_s, value), _at(subject.tape, time_s, rate)
@@ -59,12 +59,12 @@ def check_angles(subject: Subject) -> str:
         need(spread < 3 * role.step_rad, f"{field}: {spread / role.step_rad:.1f} counts apart from the pendulum")
         zero = abs(math.remainder(float(np.median(measured - true)), 2 * math.pi))
         need(zero < 0.05, f"{field}: zero is off by {math.degrees(zero):.2f}°")
-        said.append(f"{field} {spread / role.step_rad:.1f} counts")
-    return ", ".join(said)
+        measured_words.append(f"{field} {spread / role.step_rad:.1f} counts")
+    return ", ".join(measured_words)
 
 
 def check_phase(subject: Subject) -> str:
-    """An index mark comes once a turn, when the imbalance points where the settings say."""
+    """An index mark occurs once a turn, at the direction of the imbalance that the settings state."""
     role = next((role for role in subject.roles if isinstance(role, RotorPhase)), None)
     if role is None:
         raise NotTried("it measures no rotor phase")
@@ -90,21 +90,21 @@ def check_speed(subject: Subject) -> str:
         raise NotTried("it turns no rotor")
     time_s, measured = _samples(subject, role.topic, "speed_rpm")
     off = measured - _at(subject.tape, time_s, 9) * 30 / math.pi
-    need(float(np.max(measured)) > 50, "the rotor was told to turn, and the speed reported stays low")
+    need(float(np.max(measured)) > 50, "the rotor was commanded to turn, but the reported speed stays low")
     worst = float(np.max(np.abs(off)))
     need(worst < 20.0, f"{role.topic}: the speed reported is up to {worst:.1f} rpm off")
     return f"{worst:.1f} rpm at most"
 
 
 def _samples(subject: Subject, topic: str, field: str) -> tuple[Array, Array]:
-    """Times in s since the beginning, and values, of those that are readings and whose times have settled."""
+    """Return times in s since the start, and values, of valid readings after the clock map has settled."""
     whole = together(subject.tape.items, topic)
     if whole is None:
         raise Failed(f"{topic}: no samples")
     time_s = (whole.time_ns - START_NS) * 1e-9
     values = np.asarray(whole.columns[field], np.float64)
     readings = np.isfinite(values)
-    need(bool(readings.mean() > 0.95), f"{topic}: {int(np.sum(~readings))} of {len(readings)} samples are no reading")
+    need(bool(readings.mean() > 0.95), f"{topic}: {int(np.sum(~readings))} of {len(readings)} samples are not readings")
     kept = readings & (time_s > time_s[0] + _SETTLED_S)
     return time_s[kept], values[kept]
 
@@ -114,7 +114,7 @@ def _at(tape: Tape, time_s: Array, column: int) -> Array:
 
 
 def _fit(measured: Array, true: Array, rate: Array) -> tuple[float, float, Array]:
-    """Gain, lateness (s) and what is left: measured = zero + gain · true(t − lateness)."""
+    """Fit measured = zero + gain · true(t − lateness); return gain, lateness (s) and residuals."""
     columns = np.column_stack([np.ones_like(true), true, rate])
     solution, *_ = np.linalg.lstsq(columns, measured, rcond=None)
     return float(solution[1]), -float(solution[2] / solution[1]), measured - columns @ solution

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Recorded bytes, damaged in all ways a line can damage them: nothing breaks, and no wrong sample is believed."""
+"""Recorded bytes with random damage: the pipeline does not fail, and a checksum rejects wrong samples."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from rig_testing.sizes import size_of
 from rig_testing.subject import Subject
 
 QUICK, THOROUGH = 10_000, 1_000_000
-_READS = 3  # of an excerpt
-_PER_EXCERPT = 50
-_SLOW_S = 5.0  # of one damaged excerpt
+_READS = 3  # reads of an excerpt
+_PER_EXCERPT = 50  # damaged inputs of an excerpt
+_SLOW_S = 5.0  # longest time for one damaged excerpt
 _MOST_BYTES = 1 << 20
-_UNSEEN = 3 / 2**16  # share of inputs in which a check of 16 bits lets a damaged message pass, with a margin
-_UNSEEN_BY_CHANCE = 2
+_UNDETECTED_SHARE = 3 / 2**16  # of inputs that a check of 16 bits lets pass, with a margin
+_UNDETECTED_BY_CHANCE = 2
 
 
 def check_mutations(subject: Subject) -> str:
-    """10⁴ damaged inputs (10⁶ when thorough): no crash, no hang, no growing memory; where the wire has a checksum, no
-    wrong sample but those which it lets pass.
+    """10⁴ damaged inputs (10⁶ when thorough): no crash, no hang, bounded memory; with a checksum, no wrong samples
+    except in inputs that the checksum lets pass.
     """
     count = THOROUGH if subject.thorough else QUICK
     rng = np.random.default_rng(19)
@@ -33,14 +33,14 @@ def check_mutations(subject: Subject) -> str:
         first = int(rng.integers(0, max(1, len(subject.tape.reads) - _READS)))
         more = _some_wrong(subject, first, rng, min(_PER_EXCERPT, count - begin))
         wrong, samples, inputs = wrong + more[0], samples + more[1], inputs + more[2]
-    told = f"{count} inputs: {wrong} of {samples} samples are not what was sent, in {inputs} inputs"
+    words = f"{count} inputs: {wrong} of {samples} samples differ from those sent, in {inputs} inputs"
     if subject.claims("checksum"):
-        need(inputs <= _UNSEEN_BY_CHANCE + _UNSEEN * count, f"{told}, and the driver claims a checksum")
-    return told
+        need(inputs <= _UNDETECTED_BY_CHANCE + _UNDETECTED_SHARE * count, f"{words}, but the driver claims a checksum")
+    return words
 
 
 def _some_wrong(subject: Subject, first: int, rng: np.random.Generator, count: int) -> tuple[int, int, int]:
-    """Samples of damaged copies of an excerpt that are not of the excerpt, all of them, and inputs with wrong ones."""
+    """Return wrong samples of damaged copies of an excerpt, all samples, and the number of inputs with wrong ones."""
     excerpt = subject.tape.reads[first : first + _READS]
     clean, _ = subject.decode(excerpt)
     sent = {topic: _rows(subject, clean, topic) for topic in subject.channels}
@@ -57,7 +57,7 @@ def _some_wrong(subject: Subject, first: int, rng: np.random.Generator, count: i
         need(seconds < _SLOW_S, f"an input of {sum(len(r[1]) for r in damaged)} bytes took {seconds:.0f} s")
         if number == 0:
             size = size_of(pipeline)
-            need(size < _MOST_BYTES, f"it holds {size / 1e3:.0f} kB after three damaged reads")
+            need(size < _MOST_BYTES, f"it uses {size / 1e3:.0f} kB after three damaged reads")
         before = wrong
         for topic, rows in sent.items():
             found = _rows(subject, items, topic)
@@ -68,14 +68,14 @@ def _some_wrong(subject: Subject, first: int, rng: np.random.Generator, count: i
 
 
 def _rows(subject: Subject, items: Items, topic: str) -> set[bytes]:
-    """What was measured, sample for sample; what is marked as no reading left out."""
+    """Return the measured values, sample for sample, without samples marked as not readings."""
     rows = subject.rows(items, topic)
     rows = np.ascontiguousarray(rows[np.all(np.isfinite(rows), axis=1)])
     return set(rows.view(f"V{8 * rows.shape[1]}").ravel().tolist()) if rows.size else set()
 
 
 def mutated(data: bytes, rng: np.random.Generator) -> bytes:
-    """A copy of bytes with up to three kinds of damage in it."""
+    """Return a copy of bytes with up to three damages."""
     out = bytearray(data)
     for _ in range(int(rng.integers(0, 4))):
         if not out:

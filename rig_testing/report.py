@@ -1,5 +1,5 @@
 # pyright: strict
-"""What came of examining a driver."""
+"""Outcomes of the tests of a driver."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 
 class Failed(AssertionError):
-    """A driver does not keep what its contract promises; the text says what was expected and what came."""
+    """A driver violates its contract; the text contains what was expected and what was found."""
 
 
 class NotTried(Exception):
-    """A test that says nothing of this driver; the text says why."""
+    """A test that does not apply to this driver; the text contains the reason."""
 
 
 @dataclass(frozen=True)
@@ -20,10 +20,10 @@ class Outcome:
 
     Attributes:
         name: of the test.
-        passed: the verdict; true for what was not tried.
-        why: why it failed or was not tried; of a passed one, what was measured. May be empty.
-        seconds: wall time it took.
-        tried: whether it was.
+        passed: the verdict; true for a test that was not tried.
+        why: reason of a failure or of a test not tried; of a passed one, what was measured. May be empty.
+        seconds: wall time.
+        tried: whether the test applies to the driver.
     """
 
     name: str
@@ -62,10 +62,10 @@ class Report:
 
 
 def need(holds: bool, otherwise: str) -> None:
-    """What must hold.
+    """Check a condition.
 
     Raises:
-        Failed: it does not.
+        Failed: it does not hold.
     """
     if not holds:
         raise Failed(otherwise)

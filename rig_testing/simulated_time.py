@@ -1,13 +1,13 @@
 # pyright: strict
-"""Time that passes only while somebody waits for it.
+"""Time that passes only while a thread waits.
 
-Drivers wait: for an answer, for a quiet line, for a rotor that stands; some have a thread that sends a heartbeat. Under
-`SimulatedTime` every such wait lets the simulated rig move on and costs no more than the rig's arithmetic. One thread
-runs at a time, each until it waits again, so that two runs give the same bytes.
+Drivers wait: for an answer, for a quiet line, for a rotor at rest; some have a thread that sends a heartbeat. Under
+`SimulatedTime` every such wait advances the simulated rig and takes only the time of its computation. One thread runs
+at a time, each until it waits again, so that two runs give the same bytes.
 
 Simulated are `time.sleep`, `time.monotonic` and `time.monotonic_ns` called through the module, `threading.Event.wait`,
 `threading.Thread.start` and `.join`, and `queue.Queue.get`; for the thread that entered and for those that it starts.
-Whatever else waits (a `Condition`, a `SimpleQueue`, a name imported out of `time`) waits as it always does.
+Other waits (a `Condition`, a `SimpleQueue`, a name imported from `time`) are not simulated.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from collections.abc import Callable, Generator
 from typing import Any, cast
 
 STEP_S = 0.01
-_LOOK_S = 1e-4  # what one look at the clock costs: a loop around it alone comes to an end too
-_FOREVER_S = 120.0  # who waits for longer, without a time-out, waits in vain
-_WALL_S = 2.0  # of a thread that does not come to its next wait
+_LOOK_S = 1e-4  # simulated time of one reading of the clock, so that a loop around it ends
+_FOREVER_S = 120.0  # simulated time after which a wait without a timeout is an error
+_WALL_S = 2.0  # longest wall time to the next wait of a thread
 
 _real_start, _real_join = threading.Thread.start, threading.Thread.join
 _real_wait = threading.Event.wait
-_real_get = cast("Callable[..., Any]", queue.Queue.get)  # pyright: ignore[reportUnknownMemberType]
+_real_get = cast("Callable[..., Any]", queue.Queue.get)  # pyright: ignore[reportUnknownMemberType]  # generic
 _real_sleep, _real_monotonic, _real_monotonic_ns = time.sleep, time.monotonic, time.monotonic_ns
 
 
 class WaitedInVain(RuntimeError):
-    """Something waits without a time-out for what never comes."""
+    """A thread waits without a timeout for an event that does not occur."""
 
 
 class SimulatedTime:
-    """See the module.
+    """Simulated time of a thread and those it starts, see the module.
 
     Args:
         moved: called with the new time, s, in the thread that entered, whenever time has passed.
 
     Attributes:
-        now_s: time since the beginning, s.
+        now_s: time since the start, s.
     """
 
     def __init__(self, moved: Callable[[float], None]) -> None:
@@ -56,9 +56,9 @@ class SimulatedTime:
         self._over = self._starting = False
 
     def pass_time(self, seconds: float) -> None:
-        """Let time pass, in steps; threads that waited for it run."""
+        """Advance the time in steps; threads whose wait has ended run."""
         until = self.now_s + seconds
-        if self._moving:  # somebody waits inside of what moves the rig
+        if self._moving:  # the function that moves the rig waits itself
             self.now_s = until
             return
         while self.now_s < until - 1e-12:
@@ -76,9 +76,9 @@ class SimulatedTime:
             with self._turn:
                 self._parked.pop(thread, None)
                 self._turn.notify_all()
-            self._let_run(thread)
+            self._run_until_wait(thread)
 
-    def _let_run(self, thread: threading.Thread) -> None:
+    def _run_until_wait(self, thread: threading.Thread) -> None:
         """Wait until a thread waits again, or has ended."""
         deadline = _real_monotonic() + _WALL_S
         with self._turn:
@@ -88,7 +88,7 @@ class SimulatedTime:
                 self._turn.wait(0.002)
 
     def _park(self, until_s: float) -> None:
-        """Wait, in a thread that was started meanwhile, until time has passed."""
+        """Wait, in a thread that was started in the context, until time has passed."""
         me = threading.current_thread()
         with self._turn:
             if self._over:
@@ -99,12 +99,14 @@ class SimulatedTime:
                 self._turn.wait(0.5)
 
     def _wait(self, ready: Callable[[], bool], seconds: float | None) -> bool:
-        """Wait for something, by the simulated time; whether it came."""
+        """Wait on simulated time for a condition; return whether it became true."""
         due = self.now_s + (_FOREVER_S if seconds is None else max(0.0, seconds))
         while not ready():
             if self.now_s >= due - 1e-12:
                 if seconds is None:
-                    raise WaitedInVain(f"waited {_FOREVER_S:g} s of simulated time, without a time-out, for nothing")
+                    raise WaitedInVain(
+                        f"waited {_FOREVER_S:g} s of simulated time without a timeout, and nothing happened"
+                    )
                 return False
             if threading.current_thread() is self._owner:
                 self.pass_time(min(STEP_S, due - self.now_s))
@@ -118,7 +120,7 @@ class SimulatedTime:
         me = threading.current_thread()
         return not self._over and (me is self._owner or me in self._ours)
 
-    # --- what stands in for the real ones ------------------------------------------------------------------------
+    # --- replacements of the real functions -----------------------------------------------------------------------
 
     def _sleep(self, seconds: float) -> None:
         if not self._is_ours():
@@ -142,13 +144,13 @@ class SimulatedTime:
         ours = self._is_ours()
         if ours:
             self._ours.append(thread)
-        self._starting = True  # what it waits for is the system
+        self._starting = True  # the wait inside is for the operating system
         try:
             _real_start(thread)
         finally:
             self._starting = False
         if ours:
-            self._let_run(thread)
+            self._run_until_wait(thread)
 
     def _join(self, thread: threading.Thread, timeout: float | None = None) -> None:
         if threading.current_thread() is self._owner and thread in self._ours and not self._over:
@@ -182,7 +184,7 @@ class SimulatedTime:
 
     @contextlib.contextmanager
     def running(self) -> Generator[None]:
-        """Simulated time for this thread and those it starts, inside of this context."""
+        """Simulate time for this thread and those it starts, inside of this context."""
         self._owner, self._over = threading.current_thread(), False
 
         def start(thread: threading.Thread) -> None:  # functions, so that they become methods
@@ -197,7 +199,7 @@ class SimulatedTime:
         def get(waited: queue.Queue[Any], block: bool = True, timeout: float | None = None) -> Any:
             return self._get(waited, block, timeout)
 
-        stand_ins: list[tuple[object, str, Callable[..., Any]]] = [
+        replacements: list[tuple[object, str, Callable[..., Any]]] = [
             (time, "sleep", self._sleep),
             (time, "monotonic", self._monotonic),
             (time, "monotonic_ns", self._monotonic_ns),
@@ -206,10 +208,10 @@ class SimulatedTime:
             (threading.Event, "wait", wait),
             (queue.Queue, "get", get),
         ]
-        real = [(owner, name, getattr(owner, name)) for owner, name, _ in stand_ins]
+        real = [(owner, name, getattr(owner, name)) for owner, name, _ in replacements]
         try:
-            for owner, name, stand_in in stand_ins:
-                setattr(owner, name, stand_in)
+            for owner, name, replacement in replacements:
+                setattr(owner, name, replacement)
             yield
         finally:
             for owner, name, was in real:

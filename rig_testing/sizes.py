@@ -1,5 +1,5 @@
 # pyright: strict
-"""How much memory an object holds on to."""
+"""Memory of an object and of all that it refers to."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SHARED = (type, ModuleType, FunctionType)
 
 
 def size_of(thing: object) -> int:
-    """Bytes of an object and of all that hangs on it: attributes, items, arrays; classes and modules left out."""
+    """Return the bytes of an object and of all objects that it refers to, without classes and modules."""
     seen: set[int] = set()
     waiting, total = [thing], 0
     while waiting:

@@ -1,7 +1,7 @@
 # pyright: strict
-"""Where a schedule of faults is played: on simulated time in one thread, or in real time on ptys.
+"""Execution of a schedule of faults: on simulated time in one thread, or in real time on ptys.
 
-Both keep the simulated rig's whole true motion, by which a log is judged afterwards.
+Both keep the whole true motion of the simulated rig, with which the log is compared.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from rig_configs.schema import Rig
 Array = NDArray[np.floating[Any]]
 
 AFTER_S = 15.0
-"""For so long the world goes on behind the session's end, or in real time until its rotor stands."""
+"""Duration of the simulation after the session's end; in real time it ends when the rotor is at rest."""
 _COARSE_S = (0.04, 0.06)
 _READY_S, _GONE_S = 60.0, 20.0
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What really happened.
+    """True motion of the simulated rig.
 
     Attributes:
         time_s: shape (n,), rig time.
         rows: shape (n, 10), see `daq.virtual_rig.motion.Trajectory`.
-        zero_ns: of the rig's time on the host's clock.
-        target_rad_s: what the drive was left with.
+        zero_ns: start of the rig's time on the host's clock.
+        target_rad_s: last target of the drive.
     """
 
     time_s: Array
@@ -61,12 +61,12 @@ class Stage(Protocol):
 
     @property
     def clock(self) -> HostClock:
-        """Of the session."""
+        """Clock of the session."""
         ...
 
     @property
     def edge(self) -> Edge:
-        """Of the session."""
+        """Edge of the session."""
         ...
 
     def port_settings(self) -> list[str]:
@@ -74,32 +74,32 @@ class Stage(Protocol):
         ...
 
     def after(self, seconds: float, do: Callable[[], object]) -> None:
-        """Have the world do something so long from now."""
+        """Call a function after so many seconds of the simulated rig's time."""
         ...
 
     def ask(self, do: str, **what: Any) -> object:
-        """See `daq.virtual_rig.control`.
+        """Send a request to the rig, see `daq.virtual_rig.control`.
 
         Raises:
-            ValueError: the rig refused.
+            ValueError: the rig rejected it.
         """
         ...
 
     def busy(self, seconds: float) -> None:
-        """The host does nothing of ours for so long."""
+        """Suspend the host for so long."""
         ...
 
     def end(self) -> Truth:
-        """Let the world go on for a while, and say what was."""
+        """Continue the simulation for a while and return the truth."""
         ...
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release all resources."""
         ...
 
 
 class _Kept:
-    """The whole motion of a simulated rig."""
+    """Keeps the whole motion of a simulated rig."""
 
     def __init__(self, motion: Motion) -> None:
         self._stretches: list[Trajectory] = []
@@ -114,7 +114,7 @@ class _Kept:
         motion.advance = kept
 
     def arrays(self) -> tuple[Array, Array]:
-        """Times and rows."""
+        """Return times and rows."""
         return (
             np.concatenate([stretch.time_s[1:] for stretch in self._stretches]),
             np.concatenate([stretch.rows[1:] for stretch in self._stretches]),
@@ -126,7 +126,7 @@ class LockstepStage:
 
     Args:
         rig: with a [virtual] table.
-        turn_s: at random between these the adapters hand over what has come, s.
+        turn_s: range of the random intervals at which the adapters deliver received data, s.
     """
 
     def __init__(self, rig: Rig, turn_s: tuple[float, float]) -> None:
@@ -166,14 +166,14 @@ class LockstepStage:
 class RealTimeStage:
     """See Stage: the simulated rig in a process of its own, on the wires of `rig virtual`.
 
-    A busy host is a process that is stopped.
+    A busy host is simulated by stopping this process.
 
     Args:
         rig: with a [virtual] table.
 
     Raises:
-        RuntimeError: the rig did not come up.
-        OSError: on a system whose processes cannot be stopped for a while.
+        RuntimeError: the rig did not start.
+        OSError: the system cannot stop and continue processes.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -187,14 +187,14 @@ class RealTimeStage:
         self._process.start()
         theirs.close()
         if not ours.poll(_READY_S):
-            raise RuntimeError(f"the simulated rig did not come up within {_READY_S:g} s")
+            raise RuntimeError(f"the simulated rig did not start within {_READY_S:g} s")
         self._ports, port, token = ours.recv()
         self._line = OperatorLine(port, token)
         self._timers: list[threading.Timer] = []
         self.clock, self.edge = HostClock(), Edge(real_edge().connect, self._places, real_edge().disk)
 
     def _places(self, port: str) -> tuple[str, ...]:
-        """Where a device is now that was at a port at first: what an adapter's serial number tells elsewhere."""
+        """Return the present port of a device by its first one, as an adapter's serial number does on real ports."""
         now: Mapping[str, Any] = self._line.ask("state")["devices"]
         return tuple(now[name]["port"] for name, first in self._ports.items() if first == port and now[name]["plugged"])
 
@@ -203,7 +203,7 @@ class RealTimeStage:
         return [f"devices.{name}.port={json.dumps(port)}" for name, port in self._ports.items()]
 
     def after(self, seconds: float, do: Callable[[], object]) -> None:
-        """See Stage; by a thread of the host, so later where that is stopped."""
+        """See Stage. The timer is a thread of the host: a stopped host delays it."""
         timer = threading.Timer(seconds, do)
         timer.daemon = True
         self._timers.append(timer)
@@ -214,7 +214,7 @@ class RealTimeStage:
         return self._line.ask(do, **what)
 
     def busy(self, seconds: float) -> None:
-        """See Stage: this process is stopped by another, which continues it."""
+        """See Stage: another process stops this one and continues it."""
         own = os.getpid()
         subprocess.run(["/bin/sh", "-c", f"kill -STOP {own}; sleep {seconds:.3f}; kill -CONT {own}"], check=True)
 
@@ -243,7 +243,7 @@ class RealTimeStage:
 
 
 def _serve(rig: Rig, path: Path, ready: Connection) -> None:  # pragma: no cover - in a process of its own
-    """Run a simulated rig until it is asked to quit, then leave its truth."""
+    """Run a simulated rig until the request to quit, then write its truth."""
     virtual = VirtualRig(rig, link="pty")
     kept = _Kept(virtual.rig.motion)
     ready.send((virtual.ports(), virtual.control.port, virtual.token))

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The driver under test: its settings, its roles, and a recording of it that the tests share."""
+"""The driver under test: its settings, its roles, and a recording that the tests share."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from rig_testing.report import Failed
 
 SPEED_RPM, RAMP_RPM_S = 200.0, 400.0
 _TAPE_S = 3.0
-_TOLD = ("gap", "damage", "restart", "rate", "words", "foreign", "fault", "emergency")
+_TROUBLE = ("gap", "damage", "restart", "rate", "words", "foreign", "fault", "emergency")
 
 Reads = Sequence[tuple[int, bytes, int]]
 
 
 class Subject:
-    """See the module.
+    """The driver under test, see the module.
 
     Args:
         thorough: whether the tests may take long.
@@ -44,23 +44,23 @@ class Subject:
 
     @cached_property
     def settings(self) -> DeviceSettings:
-        """Of the driver's example."""
+        """Settings of the driver's example."""
         return settings_for(self.driver)
 
     @cached_property
     def roles(self) -> tuple[Role, ...]:
-        """The device's."""
+        """Roles of the device."""
         return self.settings.roles(NAME)
 
     @cached_property
     def channels(self) -> dict[str, Channel]:
-        """All that the device may fill, by topic."""
+        """All channels that the device may fill, by topic."""
         driver, settings = self.driver, self.settings
         return {channel.topic: channel for channel in (*driver.channels(settings), *driver.occasional(settings))}
 
     @cached_property
     def constant(self) -> tuple[str, ...]:
-        """Topics of channels that it fills all the time."""
+        """Topics of channels that it fills continuously."""
         return tuple(channel.topic for channel in self.driver.channels(self.settings))
 
     @cached_property
@@ -69,11 +69,11 @@ class Subject:
         return self.driver.clocks(self.settings)
 
     def claims(self, word: str) -> bool:
-        """Whether the driver claims it."""
+        """Return whether the driver makes a claim."""
         return word in claims_of(self.driver)
 
     def measured(self) -> dict[str, tuple[str, ...]]:
-        """Fields that hold what was measured, by topic."""
+        """Return the fields of measured values, by topic."""
         out: dict[str, tuple[str, ...]] = {}
         for role in self.roles:
             if not isinstance(role, PendulumLocks):
@@ -82,7 +82,7 @@ class Subject:
 
     @cached_property
     def tape(self) -> Tape:
-        """Three seconds of the device before a rig that moves.
+        """Three seconds of the device on a moving rig.
 
         Raises:
             Failed: it cannot be opened.
@@ -95,10 +95,10 @@ class Subject:
         return self.record(_TAPE_S, seed=2)
 
     def record(self, seconds: float, seed: int = 1, clock_at_s: float | None = None) -> Tape:
-        """A recording; of a device that turns the rotor, one in which it does.
+        """Record the device; a device that turns the rotor turns it.
 
         Raises:
-            Failed: the device cannot be opened, or not be told to turn.
+            Failed: the device cannot be opened or does not accept commands.
         """
         bench = Bench(self.driver, seed, clock_at_s)
         with bench.running():
@@ -113,11 +113,11 @@ class Subject:
             return bench.cut_tape()
 
     def decode(self, reads: Reads) -> tuple[Items, Pipeline]:
-        """What a fresh pipeline makes of reads of the tape's device."""
+        """Decode reads of the tape's device by a fresh pipeline."""
         return decoded(self.driver, self.settings, self.tape.identity, reads)
 
     def rows(self, items: Iterable[Batch | Event], topic: str) -> NDArray[np.float64]:
-        """What was measured, shape (samples, fields)."""
+        """Return the measured values, shape (samples, fields)."""
         whole = together(items, topic)
         fields = self.measured().get(topic, ())
         if whole is None or not fields:
@@ -126,7 +126,7 @@ class Subject:
 
 
 def turn(bench: Bench) -> None:
-    """Have a speed source turn the rotor."""
+    """Command a speed source to turn the rotor."""
     assert bench.control is not None
     assert isinstance(bench.driver, TurnsRotor)
     bench.control.set_ramp(RAMP_RPM_S)
@@ -150,16 +150,16 @@ def _fields(role: Displacement | PendulumAngles | RotorPhase | SpeedSource | Oth
 
 
 def together(items: Iterable[Batch | Event], topic: str) -> Batch | None:
-    """All batches of a channel as one; None when there is none."""
+    """Return all batches of a channel as one; None without any."""
     batches = [item for item in items if isinstance(item, Batch) and item.channel.topic == topic]
     return joined([(batch, 0) for batch in batches])[0] if batches else None
 
 
 def events(items: Iterable[Batch | Event], *kinds: str) -> list[Event]:
-    """Events of some kinds; without any, all that tell of something wrong."""
-    return [item for item in items if isinstance(item, Event) and item.kind in (kinds or _TOLD)]
+    """Return events of the given kinds; without kinds, all that report trouble."""
+    return [item for item in items if isinstance(item, Event) and item.kind in (kinds or _TROUBLE)]
 
 
 def lost(before: dict[str, int], after: dict[str, int]) -> dict[str, int]:
-    """Losses that were counted in the meantime, by kind."""
+    """Return the losses counted in the meantime, by kind."""
     return {kind: count - before.get(kind, 0) for kind, count in after.items() if count != before.get(kind, 0)}

@@ -1,4 +1,4 @@
-"""Nothing above the transports can tell a simulated rig from a real one.
+"""Nothing above the transports distinguishes a simulated rig from a real one.
 
 Read from the code: no module there, but the simulated far ends of devices and the rig in lockstep, imports the virtual
 rig, reads a rig's [virtual] table or its truth, looks at what kind of link it holds, or names a kind of port. Seen in
@@ -41,8 +41,8 @@ def strings_outside_docstrings(tree: ast.AST) -> list[str]:
     ]
 
 
-def tells(source: str) -> list[str]:
-    """What in a module could tell the rigs apart."""
+def differences(source: str) -> list[str]:
+    """Return what in a module could distinguish the rigs."""
     tree = ast.parse(source)
     found = []
     for node in ast.walk(tree):
@@ -58,8 +58,8 @@ def tells(source: str) -> list[str]:
 
 
 @pytest.mark.parametrize("path", ABOVE, ids=lambda p: str(p.relative_to(ROOT)))
-def test_module_cannot_tell(path: Path) -> None:
-    assert tells(path.read_text(encoding="utf-8")) == []
+def test_module_does_not_distinguish(path: Path) -> None:
+    assert differences(path.read_text(encoding="utf-8")) == []
 
 
 @pytest.mark.parametrize(
@@ -75,4 +75,4 @@ def test_module_cannot_tell(path: Path) -> None:
     ],
 )
 def test_the_check_sees_a_module_that_can(source: str) -> None:
-    assert tells(source)
+    assert differences(source)

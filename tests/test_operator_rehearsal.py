@@ -1,6 +1,6 @@
 """The operator's how-to, word by word: the commands of its rehearsal run as processes, on ports of the system.
 
-The indented commands of a guided test are the second person's: each is given when the test asks for a hand.
+The indented commands of a guided test are the second person's: each is given when the test prompts for it.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Terminal:
     """A command in a terminal of its own, what it writes on standard error read as it comes.
 
     Attributes:
-        result: the first line of its standard output, where that was asked for; all of it is shown when it ends amiss.
+        result: the first line of its standard output, if requested; all of it is shown after a wrong end.
     """
 
     def __init__(self, folder: Path, words: list[str], answers: bool = False) -> None:
@@ -78,7 +78,7 @@ class Terminal:
         )
         self.watchdog = threading.Timer(PATIENCE_S, self.process.kill)
         self.watchdog.start()
-        self.said: list[str] = []
+        self.lines: list[str] = []
         self.result = ""
         if self.process.stdout is not None:
             with self.process.stdout:
@@ -88,7 +88,7 @@ class Terminal:
         """Each prompt for a hand when it comes; ends with the command."""
         assert self.process.stderr is not None
         for line in self.process.stderr:
-            self.said.append(line)
+            self.lines.append(line)
             if line.startswith(">>>"):
                 yield line
 
@@ -98,9 +98,9 @@ class Terminal:
         return self.process.wait()
 
     def shown(self) -> str:
-        """What the second person saw on the screen."""
+        """Return the screen of the second terminal."""
         self.written.seek(0)
-        return f"{self.written.read()}{''.join(self.said)}"
+        return f"{self.written.read()}{''.join(self.lines)}"
 
     def __enter__(self) -> Terminal:
         return self
@@ -115,7 +115,7 @@ class Terminal:
 
 
 def carried_out(folder: Path, line: Line) -> None:
-    """One command, with the second person at hand; it ends as the page says."""
+    """One command, with the second person at hand; it ends as the page states."""
     opens = line.words[0] in OPENS_PORTS
     hands = iter(line.hands)
     with Terminal(folder, [*line.words, *(["--time-scale", TIME_SCALE] if opens else [])]) as terminal:
@@ -125,7 +125,7 @@ def carried_out(folder: Path, line: Line) -> None:
             carried_out(folder, Line(words, 0))
         code = terminal.end()
         assert code == line.code, f"rig {' '.join(line.words)}: exit {code}\n{terminal.shown()}"
-    assert list(hands) == [], f"{' '.join(line.words)}: not every hand was asked for"
+    assert list(hands) == [], f"{' '.join(line.words)}: not every manual action was prompted for"
 
 
 def test_the_page_has_its_rehearsals() -> None:

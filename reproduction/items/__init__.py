@@ -1,1 +1,1 @@
-"""Functions that make the items, by subject."""
+"""Functions that reproduce the items, by subject."""

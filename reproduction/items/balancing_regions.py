@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Section 3.1: which pendulum sets balance which imbalance, each region checked by releases."""
+"""Section 3.1: which pendulum sets balance which imbalance, each region tested by releases."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ Array = NDArray[np.float64]
 
 RATIO = 2.5
 GRID = 12  # sets along each axis of the plane
-STEP = 0.15  # of S_P, between them; the first half a step from 0, so that none lies on a border
-_BESIDE = 0.03  # of S_P: how near the borders sets are released on both sides
+STEP = 0.15  # of S_P, between sets; the first is half a step from 0, so that none is on a border
+_DISTANCE = 0.03  # of S_P, of the sets on both sides of a border
 _SECONDS = 250.0
 _ZERO_M = 1e-6
 _LOOKS = {"I": ("o", GOOD), "II": ("^", MODEL), "III": ("s", MEASURED)}
 
 
 def _released(work: Workspace, rigs: list[RotorParameters]) -> ReleaseEnds:
-    return release_ends(rigs, [p.speed_rad_s(RATIO) for p in rigs], FROM_RAD, _SECONDS, progress=work.tell)
+    return release_ends(rigs, [p.speed_rad_s(RATIO) for p in rigs], FROM_RAD, _SECONDS, progress=work.progress)
 
 
 def _expected(a: float, b: float, s: float) -> str:
-    """Type that (3-4) to (3-6) and Table 3.4 say a set above resonance reaches."""
+    """Return the type that a set above resonance reaches by (3-4) to (3-6) and Table 3.4."""
     region = balancing_region(a, b, s)
     return "I" if region == PROPERLY_OVERSIZED else "III" if region == UNDERSIZED else "II"
 
 
 def _sets() -> Array:
-    """Pairs S_A/S_P, S_B/S_P: a grid, and pairs on both sides of each border, shape (n, 2)."""
+    """Return pairs S_A/S_P, S_B/S_P: a grid, and pairs on both sides of each border, shape (n, 2)."""
     along = STEP * (np.arange(GRID, dtype=np.float64) + 0.5)
     grid = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
     share = np.array([0.3, 0.5, 0.7])
-    border = np.array([(f * s, (1 - f) * s) for f in share for s in (1 - _BESIDE, 1 + _BESIDE)])
-    right = np.array([(b + d, b) for b in (0.35, 0.55, 0.75) for d in (1 - _BESIDE, 1 + _BESIDE)])
+    border = np.array([(f * s, (1 - f) * s) for f in share for s in (1 - _DISTANCE, 1 + _DISTANCE)])
+    right = np.array([(b + d, b) for b in (0.35, 0.55, 0.75) for d in (1 - _DISTANCE, 1 + _DISTANCE)])
     return np.asarray(np.concatenate([grid, border, right, right[:, ::-1]]), np.float64)
 
 
 def regions_3_2(work: Workspace) -> Reproduced:
-    """Figure 3.2: regions for one imbalance, with where releases of sets in all of them end."""
+    """Reproduce Figure 3.2: regions for one imbalance, and the ends of releases of sets in all of them."""
     p = isotropic_rig(work)
     s, pairs = p.imbalance_moment_kg_m, _sets()
     rigs = [with_moments(p, float(a) * s, float(b) * s) for a, b in pairs]
@@ -70,7 +70,7 @@ def regions_3_2(work: Workspace) -> Reproduced:
         name_corners(axes, s, upto)
     table = Table(
         "releases",
-        "Sets of pendulums, what (3-4) says of them, and where a release ends",
+        "Sets of pendulums, their type by (3-4), and where a release ends",
         {
             "S_A_g_m": 1e3 * s * pairs[:, 0],
             "S_B_g_m": 1e3 * s * pairs[:, 1],
@@ -102,10 +102,10 @@ def regions_3_2(work: Workspace) -> Reproduced:
 
 
 def _claims_3_2(pairs: Array, ends: ReleaseEnds, expected: NDArray[np.str_]) -> tuple[Claim, ...]:
-    balanced, beside = ends.name == "I", slice(GRID * GRID, None)
+    balanced, border = ends.name == "I", slice(GRID * GRID, None)
     inside, wrong = expected == "I", ends.name != expected
     residual = np.where(balanced, 0.0, ends.amplitude_m)
-    said = f"{len(pairs)} sets released"
+    text = f"{len(pairs)} sets released"
     agree = bool(np.array_equal(balanced, inside))
     elsewhere = [
         f"; S_A = {a:.2f}, S_B = {b:.2f} of S_P: {name}"
@@ -116,15 +116,15 @@ def _claims_3_2(pairs: Array, ends: ReleaseEnds, expected: NDArray[np.str_]) -> 
             "(3-4), Figure 3.2",
             "A set balances all of the imbalance exactly where S_A + S_B ≥ S_P and |S_A − S_B| ≤ S_P.",
             agree,
-            f"{said}, {int(inside.sum())} of them inside: {int((balanced & inside).sum())} inside and "
+            f"{text}, {int(inside.sum())} of them inside: {int((balanced & inside).sum())} inside and "
             f"{int((balanced & ~inside).sum())} outside end balanced",
         ),
         Claim.judged(
             "Figure 3.2",
-            "The borders are lines: sets just beside them differ.",
-            bool(np.array_equal(balanced[beside], inside[beside])),
-            f"{len(pairs[beside])} sets {100 * _BESIDE:g} % of S_P beside AB, AD and BC: "
-            f"{int(np.sum(balanced[beside] == inside[beside]))} end as the side says",
+            "The borders are lines: sets close to them on both sides differ.",
+            bool(np.array_equal(balanced[border], inside[border])),
+            f"{len(pairs[border])} sets {100 * _DISTANCE:g} % of S_P off AB, AD and BC: "
+            f"{int(np.sum(balanced[border] == inside[border]))} end as their side requires",
         ),
         Claim.judged(
             "3.1",
@@ -136,7 +136,7 @@ def _claims_3_2(pairs: Array, ends: ReleaseEnds, expected: NDArray[np.str_]) -> 
             "3.1, Table 3.4",
             "Above resonance undersized pendulums end together (III), improperly oversized ones opposed (II).",
             not wrong.any(),
-            f"{said}, {int(wrong.sum())} end elsewhere" + "".join(elsewhere[:4]),
+            f"{text}, {int(wrong.sum())} end elsewhere" + "".join(elsewhere[:4]),
         ),
     )
 
@@ -147,7 +147,7 @@ _SHADES = ("#3b528b", "#21918c", "#5ec962", "#b8a000")
 
 
 def series_3_3(work: Workspace) -> Reproduced:
-    """Figure 3.3: borders for a series of imbalances; equal pendulums released against each."""
+    """Reproduce Figure 3.3: borders for a series of imbalances, with releases of equal pendulums at each."""
     p = isotropic_rig(work)
     whole = p.imbalance_moment_kg_m
     cases = [(share * whole, equal * SERIES[-1] * whole) for share in SERIES for equal in EQUAL]
@@ -180,7 +180,7 @@ def series_3_3(work: Workspace) -> Reproduced:
                 "imbalance, never improperly.",
                 fits,
                 f"{len(cases)} releases of equal pendulums against {len(SERIES)} imbalances: {reached.count('I')} end "
-                f"in I, {reached.count('III')} in III, {len(cases) - right} elsewhere than the region says",
+                f"in I, {reached.count('III')} in III, {len(cases) - right} elsewhere than the region requires",
             ),
         ),
     )

@@ -33,7 +33,7 @@ def _family(work: Workspace, settings: Sequence[Sequence[str]]) -> list[Borders]
     found = list[Borders]()
     for each in settings:
         found.append(borders_of_plane(work.physics(VIRTUAL, each)))
-        work.tell(0.7 * len(found) / len(settings))
+        work.progress(0.7 * len(found) / len(settings))
     return found
 
 
@@ -77,7 +77,7 @@ def _c34(value: float) -> list[str]:
 
 
 def family_over_zeta_4_5(work: Workspace) -> Reproduced:
-    """Figure 4.5: borders for five damping ratios of the suspension, and the ratio with the greatest stable area."""
+    """Reproduce Figure 4.5: borders for five damping ratios of the suspension; the ratio of the largest stable area."""
     members = _family(work, [_zeta(value) for value in _FAMILY_ZETA])
     p = work.physics()
     names = [f"ζ = {value:g}" for value in _FAMILY_ZETA]
@@ -92,7 +92,7 @@ def family_over_zeta_4_5(work: Workspace) -> Reproduced:
         share,
         lambda value: 1e-4,
         SearchRange(("suspension.zeta1",), 0.005, 2.0, True),
-        lambda done: work.tell(0.7 + 0.3 * done),
+        lambda done: work.progress(0.7 + 0.3 * done),
     )
     shares = ", ".join(
         f"{100 * borders.stable_share:.1f} % at {value:g}" for value, borders in zip(_FAMILY_ZETA, members, strict=True)
@@ -137,7 +137,7 @@ def family_over_zeta_4_5(work: Workspace) -> Reproduced:
 
 
 def family_over_c34_4_6(work: Workspace) -> Reproduced:
-    """Figure 4.6: borders for five dampings of the pendulums."""
+    """Reproduce Figure 4.6: borders for five dampings of the pendulums."""
     members = _family(work, [_c34(value) for value in _FAMILY_C34])
     p = work.physics()
     names = [f"c34 = {value:g} N m s/rad" for value in _FAMILY_C34]

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Figures 4.1 and 4.2: where the balanced state is stable over speed ratio and stiffness ratio."""
+"""Figures 4.1 and 4.2: stability of the balanced state over speed ratio and stiffness ratio."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
+from scipy.integrate import solve_ivp  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]  # no stubs
 
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.stability_map import draw_borders, set_plane
@@ -37,7 +37,7 @@ _PLANE = "The range Ω = 0.3 … 7, K = 1 … 16, and ζ = 0.02, c34 = 0.001 N m
 
 
 def _stable_spans(p: RotorParameters, stiffness_ratio: float, top: float = X_RANGE[1]) -> list[tuple[float, float]]:
-    """Speed ratios between which Type I is stable at one stiffness ratio."""
+    """Return the ranges of speed ratio in which Type I is stable at one stiffness ratio."""
     ratios = np.linspace(X_RANGE[0], top, 4001)
     found = stability_map(p, ratios, np.array([stiffness_ratio]), 1e-8).multiplier_max[0] < 1
     edges = np.flatnonzero(np.diff(np.concatenate([[False], found, [False]]).astype(int)))
@@ -49,7 +49,7 @@ def _words(spans: Sequence[tuple[float, float]]) -> str:
 
 
 def coarse_map_4_1(work: Workspace) -> Reproduced:
-    """Figure 4.1: stable and unstable points of a coarse grid, by the source's two schemes and by ours."""
+    """Reproduce Figure 4.1: stable and unstable points of a coarse grid, by the source's two schemes and by ours."""
     p = work.physics()
     x, y = np.linspace(*X_RANGE, _COARSE[0]), np.linspace(*Y_RANGE, _COARSE[1])
     ours: Array = np.asarray(stability_map(p, x, y, 1e-8).multiplier_max, np.float64)
@@ -63,7 +63,7 @@ def coarse_map_4_1(work: Workspace) -> Reproduced:
                 half: Array = method.monodromy(matrix, steps).astype(np.float64)
                 values: NDArray[np.complex128] = np.linalg.eigvals(half).astype(np.complex128)
                 into[row, column] = float(np.max(np.abs(values))) ** 2
-        work.tell((row + 1) / len(y))
+        work.progress((row + 1) / len(y))
     with sheet(WIDTH_IN, 4.4, "4.1: coarse stability map of the balanced state") as figure:
         axes: Axes = figure.subplots()
         axes.grid(False)
@@ -110,7 +110,7 @@ _PIECES, _TOLERANCE = 100, 1e-8
 
 
 def _less_work(p: RotorParameters, error: float) -> Claim:
-    """Evaluations of [A] that each of the source's schemes needs: what an interpreted program pays for."""
+    """Count the evaluations of [A] that each of the source's schemes needs, the cost of an interpreted program."""
     evaluations = list[int]()
     for ratio in load_rig(VIRTUAL).points.values():
         matrix = type_one(p, *balanced_angles(p)[0], p.speed_rad_s(ratio.speed_ratio))
@@ -135,7 +135,7 @@ def _less_work(p: RotorParameters, error: float) -> Claim:
 
 
 def fine_map_4_2(work: Workspace) -> Reproduced:
-    """Figure 4.2: borders of the stable areas, both resonances, the points A to E."""
+    """Reproduce Figure 4.2: borders of the stable areas, both resonances, the points A to E."""
     p = work.physics()
     found = borders_of_plane(p)
     frame = frame_of_rig(p)
@@ -147,7 +147,7 @@ def fine_map_4_2(work: Workspace) -> Reproduced:
         set_plane(axes, (np.array(X_RANGE), np.array(Y_RANGE)), frame)
     at = {point.name: point.speed_ratio for point in frame.points}
     moduli = stability_map(p, np.array(list(at.values())), np.array([ON_LINE]), 1e-9).multiplier_max[0]
-    said = {"A": False, "B": True, "C": True, "D": False, "E": True}
+    stable = {"A": False, "B": True, "C": True, "D": False, "E": True}
     firsts = {k: _stable_spans(p, k)[0] for k in (4.0, 9.0, ON_LINE)}
     widths = [high - low for low, high in firsts.values()]
     above = _stable_spans(p, ON_LINE, 12.0)[-1]
@@ -168,7 +168,7 @@ def fine_map_4_2(work: Workspace) -> Reproduced:
             Claim.judged(
                 "4.1.4",
                 "A and D are unstable, B, C and E are stable.",
-                all((v < 1) == said[n] for n, v in zip(at, moduli.tolist(), strict=True)),
+                all((v < 1) == stable[n] for n, v in zip(at, moduli.tolist(), strict=True)),
                 f"largest multipliers over a revolution: {points}",
             ),
             Claim.judged(

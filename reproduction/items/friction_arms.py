@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Figures 3.28 and 3.31: what holds a ball beside its balance, what holds a pendulum, and how far start-ups scatter."""
+"""Figures 3.28 and 3.31: friction that holds a ball or a pendulum off its balance, and scatter of start-ups."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ CLAIMED_M = 16e-6
 _RAMP_S = SPEED_RPM / 120.0
 _DAMPED_NMS = 5e-4
 _FLOOR_DEG = 1e-3
-_BEARING = (0.0015 * 3e-3, 0.003 * 5e-3)  # μ times radius of a pin: small ball bearings
-_BUSHING = (0.1 * 3e-3, 0.2 * 5e-3)  # the same of dry plain bushings
+_BEARING = (0.0015 * 3e-3, 0.003 * 5e-3)  # friction coefficient times pin radius of small ball bearings, m
+_BUSHING = (0.1 * 3e-3, 0.2 * 5e-3)  # of dry plain bushings, m
 _G, _SLIP = 9.81, 0.2
 
 
 def arms_3_28(work: Workspace) -> Reproduced:
-    """Contact of the ball, friction arms of both balancers, and scatter over assumed friction."""
+    """Reproduce Figure 3.28: contact of the ball, friction arms of both balancers, scatter over assumed friction."""
     p = work.physics(BALLS)
     pendulum = work.physics(ISOTROPIC, [each for each in PENDULUMS if not each.startswith(("virtual", "limits"))])
     damped = replace(
@@ -62,7 +62,7 @@ def arms_3_28(work: Workspace) -> Reproduced:
     sweeps = dict[str, FrictionSweep]()
     for i, (name, rig) in enumerate(rigs.items()):
         sweeps[name] = scatter_over_friction(rig, ARMS_M, SPEED, _RAMP_S, random_starts(COUNT, 328))
-        work.tell((i + 1) / len(rigs))
+        work.progress((i + 1) / len(rigs))
     resistance = {"elastic, 2 % lost": hysteresis_resistance(contact, 0.02), "assumed in 3.27": 1e-5, "soft wall": 5e-5}
     arms = {name: rolling_arm(b, p.a.length_m, p.a.ball_radius_m) for name, b in resistance.items()}
     return Reproduced(
@@ -166,7 +166,7 @@ def _stops_before(balls: FrictionSweep) -> Claim:
 
 
 def _levers(arms: dict[str, float]) -> Claim:
-    """Rolling resistance on a lever R/r against friction at a pin."""
+    """Compare rolling resistance on a lever R/r with friction at a pin."""
     least, most = min(arms.values()), max(arms.values())
     better, worse = least / _BEARING[1] > 1, most / _BEARING[0] > 1
     bushing = arms["assumed in 3.27"] > _BUSHING[1]

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Section 3.1: where pendulum sets can put the centre of gravity, and what opposed ones are worth."""
+"""Section 3.1: reach of the centre of gravity by pendulum sets, and the effect of opposed ones."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from reproduction.items.pendulum_sets import FROM_RAD, isotropic_rig, with_momen
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import Workspace, numbers_of
 
-_RING_SCALE = 0.055  # of the plane's units
+_RING_SCALE = 0.055  # in units of the plane
 _RINGS_AT = 0.2 + 0.45 * np.arange(5)  # of S_P; none on a border
-_COMPARED = (1.2, 1.6, 2.5, 6.0, 20.0)  # speed ratios at which opposed pendulums are held against none
+_COMPARED = (1.2, 1.6, 2.5, 6.0, 20.0)  # speed ratios of the comparison of opposed pendulums with none
 
 
 def gravity_circles_3_4(work: Workspace) -> Reproduced:
-    """Figure 3.4: the ring that the centre of gravity can reach, at places of the plane."""
+    """Reproduce Figure 3.4: the ring that the centre of gravity can reach, at places of the plane."""
     p = isotropic_rig(work)
     s = p.imbalance_moment_kg_m
     pairs = [(float(a) * s, float(b) * s) for a in _RINGS_AT for b in _RINGS_AT]
@@ -69,14 +69,14 @@ def gravity_circles_3_4(work: Workspace) -> Reproduced:
 
 
 def _ring_claims(p: RotorParameters, pairs: list[tuple[float, float]], inner: list[float]) -> tuple[Claim, ...]:
-    """Rings against poses of both pendulums all around."""
+    """Compare the rings with poses of both pendulums in all directions."""
     s, turn = p.imbalance_moment_kg_m, np.exp(1j * np.linspace(0, 2 * math.pi, 721))
     reach = [np.abs(a * turn[:, None] + b * turn[None, :-1]) for a, b in pairs]
     hole = [float(r.min()) for r in reach]
     equal = [i for i, (a, b) in enumerate(pairs) if a == b]
     others = min(h for i, h in enumerate(hole) if i not in equal)
-    step = [(a + b) * math.pi / 720 for a, b in pairs]  # how far poses between those tried can be
-    apart = max(abs(found - said) / wide for found, said, wide in zip(hole, inner, step, strict=True))
+    step = [(a + b) * math.pi / 720 for a, b in pairs]  # largest distance of a pose from the nearest tested one
+    apart = max(abs(found - computed) / wide for found, computed, wide in zip(hole, inner, step, strict=True))
     nearest = [float(np.abs(s + a * turn[:, None] + b * turn[None, :-1]).min()) for a, b in pairs]
     inside = [balancing_region(a, b, s) == PROPERLY_OVERSIZED for a, b in pairs]
     agree = all((near < wide) == own for near, wide, own in zip(nearest, step, inside, strict=True))
@@ -106,7 +106,7 @@ def _ring_claims(p: RotorParameters, pairs: list[tuple[float, float]], inner: li
 
 
 def _opposed(p: RotorParameters, share: float, ratio: float) -> float:
-    """Amplitude of the lesser Type II against none, with |S_A − S_B| = share S_P; nan where II is lost."""
+    """Return the amplitude of the smaller Type II over that without, at |S_A − S_B| = share S_P; NaN if II is lost."""
     s = p.imbalance_moment_kg_m
     own = with_moments(p, (share + 0.5) * s, 0.5 * s)
     speed = own.speed_rad_s(ratio)
@@ -116,7 +116,7 @@ def _opposed(p: RotorParameters, share: float, ratio: float) -> float:
 
 
 def _opposed_against_none(p: RotorParameters) -> tuple[Claim, Table]:
-    """(3-7): for which differences opposed pendulums reduce the amplitude."""
+    """Return for which differences opposed pendulums reduce the amplitude, (3-7)."""
     shares = np.linspace(1.02, 2.6, 80)
     curves = {ratio: np.array([_opposed(p, float(x), ratio) for x in shares]) for ratio in _COMPARED}
     border = {

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Figures 3.16 and 3.17: equal pendulums over the imbalance, and which of them takes which place."""
+"""Figures 3.16 and 3.17: equal pendulums over the imbalance, and which pendulum takes which place."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _title(what: str) -> str:
 
 
 def amplitude_3_16(work: Workspace) -> Reproduced:
-    """Figure 3.16: amplitude, and what imperfect balancers leave in either position."""
+    """Reproduce Figure 3.16: amplitude, and what imperfect balancers leave in either position."""
     p, rows = SERIES.physics(work), compared(SERIES.recordings(work))
     found = SERIES.as_turned(rows).curves(work)
     imperfect, imperfections = imperfect_curves(p, SERIES.speed_ratio), rows_of(p, SERIES.speed_ratio)
@@ -107,7 +107,7 @@ def amplitude_3_16(work: Workspace) -> Reproduced:
 
 
 def positions_3_17(work: Workspace) -> Reproduced:
-    """Figure 3.17: pendulum angles, and which start angles lead to which side."""
+    """Reproduce Figure 3.17: pendulum angles, and which start angles lead to which side."""
     p, rows = SERIES.physics(work), compared(SERIES.recordings(work))
     found = SERIES.as_turned(rows).curves(work)
     one = next(b for b in found.stable_branches() if b.type == "I")
@@ -163,7 +163,7 @@ def positions_3_17(work: Workspace) -> Reproduced:
 
 
 def _released(p: RotorParameters, moment: float, starts: Array) -> Array:
-    """Angles θ3, θ4 after a release from offsets (n, 2) in degrees from 0° and 180°, shape (n, 2)."""
+    """Return θ3, θ4 after a release from offsets (n, 2) in degrees from 0° and 180°, shape (n, 2)."""
     own = p.with_values(SP_kg_m=moment)
     speed = own.speed_rad_s(SERIES.speed_ratio)
     history = SpeedHistory.constant(speed)
@@ -176,7 +176,7 @@ def _released(p: RotorParameters, moment: float, starts: Array) -> Array:
 
 
 def _sides_by_start(p: RotorParameters, moment: float) -> list[tuple[float, float, bool]]:
-    """Start offsets of A and B in degrees, and whether A ends between 180° and 360°."""
+    """Return start offsets of A and B in degrees, and whether A ends between 180° and 360°."""
     line = np.linspace(-REACH_DEG, REACH_DEG, GRID)
     starts = np.array([(a, b) for a in line for b in line])
     ends = _released(p, moment, starts)
@@ -184,7 +184,7 @@ def _sides_by_start(p: RotorParameters, moment: float) -> list[tuple[float, floa
 
 
 def _random_starts(p: RotorParameters, moment: float) -> tuple[int, int, int]:
-    """How many of the releases from any angles end with A below 180°, above it, and together with B."""
+    """Return how many releases from random angles end with A below 180°, above it, and together with B."""
     ends = _released(p, moment, np.random.default_rng(17).uniform(-180, 180, (_STARTS, 2)))
     together = np.abs(np.sin(0.5 * (ends[:, 0] - ends[:, 1]))) < 0.02
     high = (np.sin(ends[:, 0]) < 0) & ~together
@@ -227,13 +227,13 @@ def _start_figure(sides: dict[float, list[tuple[float, float, bool]]], rows: Seq
 
 
 def _started(row: Compared) -> tuple[float, float]:
-    """How far from 0° and 180° the locks held A and B, °, as the encoders show it."""
+    """Return the offsets of the locked A and B from 0° and 180°, °, as measured by the encoders."""
     a, b = row.recorded.measured.locked_rad.tolist()
     return math.degrees(math.remainder(a, 2 * math.pi)), math.degrees(math.remainder(b - math.pi, 2 * math.pi))
 
 
 def _switching(rows: Sequence[Compared], p: RotorParameters) -> Claim:
-    """Recorded sides against those that the model gives for the measured start angles."""
+    """Compare recorded sides with those of the model for the measured start angles."""
     own = [row for row in rows if row.state.type == "I"]
     ends = [_released(p, row.moment_kg_m, np.array([_started(row)]))[0] for row in own]
     expected = [bool(np.sin(end[0]) < 0) for end in ends]
@@ -245,8 +245,8 @@ def _switching(rows: Sequence[Compared], p: RotorParameters) -> Claim:
         "The pendulums change places from start-up to start-up by their initial conditions.",
         0 < high < len(own) and right >= 0.9 * len(own),
         f"{len(own) - high} of {len(own)} recorded start-ups below the border end with A below 180°, {high} above; "
-        f"the model, released from the measured angles, has the side of {right}. The unstable rest stands {lag:.2f}° "
-        "beside 0° and 180°: only a play larger than that lets both sides occur",
+        f"the model, released from the measured angles, has the side of {right}. The unstable equilibrium is "
+        f"{lag:.2f}° off 0° and 180°: only a play larger than that lets both sides occur",
     )
 
 

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Chapter 3.2: amplitude and pendulum angles over the imbalance, by the model and recorded: what its figures share."""
+"""Chapter 3.2: amplitude and pendulum angles over the imbalance, modelled and recorded: parts of its figures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]  # no stubs
 
 from analysis.figures.branches import A_COLOUR, B_COLOUR, draw_amplitudes, draw_angles, mark_borders
 from analysis.figures.sheet import WIDTH_IN, sheet
@@ -25,19 +25,19 @@ Array = NDArray[np.float64]
 
 MOMENT = "first moment of the imbalance S_P, g m"
 LEAST_P = 0.01
-"""A χ² that chance exceeds in fewer cases refutes."""
-_MOST_Z = 4.0
-_FOOT = "Error bars: ± 2 standard deviations, smaller than the symbol where none is seen. "
+"""p-value of χ² below which a claim is rejected."""
+_MAX_Z = 4.0  # ratio of amplitude to noise above which a rotor is not at rest
+_FOOT = "Error bars: ± 2 standard deviations, smaller than the symbol where none is visible. "
 
 
 @dataclass(frozen=True)
 class Series:
-    """What is varied and recorded.
+    """Settings of a series of recordings.
 
     Attributes:
         point: of the shipped rig, "below" or "above" resonance.
         speed_ratio: its speed.
-        settings: laid over the shipped rig.
+        settings: "key=value" over the shipped rig.
         up_to_kg_m: end of the curves.
         recorded_kg_m: S_P of the recordings.
         count: start-ups at each.
@@ -51,17 +51,17 @@ class Series:
     count: int = 1
 
     def physics(self, work: Workspace, more: Sequence[str] = ()) -> RotorParameters:
-        """The rig."""
+        """Return the rig's parameters."""
         return work.physics(ISOTROPIC, [*self.settings, *more])
 
     def curves(self, work: Workspace, more: Sequence[str] = ()) -> SteadyBranches:
-        """Steady states over S_P in kg m, at one speed ratio."""
+        """Return the steady states over S_P in kg m, at one speed ratio."""
         p = self.physics(work, more)
         values = np.linspace(0.0, self.up_to_kg_m, 121)
         return steady_branches(lambda s: (p.with_values(SP_kg_m=s), p.speed_rad_s(self.speed_ratio)), values)
 
     def as_turned(self, rows: Sequence[Compared]) -> Series:
-        """The same at the speed that the recordings had, a little below the one asked for."""
+        """Return the series at the mean speed of the recordings, slightly below the commanded one."""
         ratios = [
             row.recorded.measured.speed_rad_s.value / row.recorded.rig.physics.natural_frequencies_rad_s[0]
             for row in rows
@@ -69,7 +69,7 @@ class Series:
         return replace(self, speed_ratio=float(np.mean(ratios)))
 
     def recordings(self, work: Workspace) -> list[tuple[float, Recorded]]:
-        """(S_P in kg m, start-up), each S_P by a rig with its own draw of sensors and clocks."""
+        """Return (S_P in kg m, start-up); each S_P is a rig with its own random sensors and clocks."""
         found = list[tuple[float, Recorded]]()
         for i, moment in enumerate(self.recorded_kg_m):
             radius = moment / self.physics(work).imbalance_mass_kg
@@ -82,13 +82,13 @@ class Series:
             place = work.recordings(f"{1e3 * moment:g}-g-m")
             each = recorded_points(place, ISOTROPIC, as_stated(ISOTROPIC, settings), self.count, self.point)
             found += [(moment, one) for one in each]
-            work.tell((i + 1) / len(self.recorded_kg_m))
+            work.progress((i + 1) / len(self.recorded_kg_m))
         return found
 
 
 @dataclass(frozen=True)
 class Compared:
-    """A recorded start-up beside the model's stable state at the measured speed.
+    """A recorded start-up and the model's stable state at the measured speed.
 
     Attributes:
         moment_kg_m: S_P.
@@ -111,7 +111,7 @@ class Compared:
 
     @property
     def amplitude_z(self) -> float:
-        """The same of the amplitude; of a rotor at rest it is measured over what noise alone shows."""
+        """The same of the amplitude. For a rotor at rest it is the measured amplitude over the noise floor."""
         measured = self.recorded.measured
         if self.state.amplitude_m < 1e-9:
             return measured.amplitude_m.value / measured.noise_floor_m
@@ -119,12 +119,12 @@ class Compared:
 
     @property
     def mirrored(self) -> bool:
-        """Whether A stands between 180° and 360°."""
+        """Whether A is between 180° and 360°."""
         return self.recorded.measured.theta_rad[0].value % (2 * math.pi) > math.pi
 
 
 def compared(found: Sequence[tuple[float, Recorded]]) -> list[Compared]:
-    """Each start-up beside the model."""
+    """Compare each start-up with the model."""
     out = list[Compared]()
     for moment, one in found:
         near = np.exp(1j * np.array([theta.value for theta in one.measured.theta_rad]))
@@ -135,7 +135,7 @@ def compared(found: Sequence[tuple[float, Recorded]]) -> list[Compared]:
 
 
 def table_of(rows: Sequence[Compared]) -> Table:
-    """What was recorded."""
+    """Return the table of the recordings."""
     measured = [row.recorded.measured for row in rows]
     return Table(
         "recorded",
@@ -160,7 +160,7 @@ def table_of(rows: Sequence[Compared]) -> Table:
 
 
 def curve_table(found: SteadyBranches, name: str = "curves", title: str = "Stable states by the model") -> Table:
-    """The stable branches as rows."""
+    """Return the stable branches as rows."""
     parts = found.stable_branches()
     stacked = [
         np.column_stack([b.values, np.degrees(b.theta_rad) % 360, b.amplitude_m, b.multiplier_max]) for b in parts
@@ -188,7 +188,7 @@ def amplitude_figure(
     thin: Sequence[tuple[str, SteadyBranches]] = (),
     foot: str = "",
 ) -> Figure:
-    """Amplitude over S_P."""
+    """Draw the amplitude over S_P."""
     with sheet(WIDTH_IN, 3.6, title, [_FOOT + foot]) as figure:
         axes: Axes = figure.subplots()
         for (name, other), style in zip(thin, ((0, (6, 2)), (0, (2, 2)), (0, (6, 2, 1, 2))), strict=False):
@@ -210,7 +210,7 @@ def amplitude_figure(
 
 
 def points_of_amplitude(axes: Axes, rows: Sequence[Compared]) -> None:
-    """Recorded amplitudes in mm with error bars."""
+    """Draw recorded amplitudes in mm with error bars."""
     measured = [row.recorded.measured.amplitude_m for row in rows]
     axes.errorbar(
         [1e3 * row.moment_kg_m for row in rows],
@@ -227,7 +227,7 @@ def points_of_amplitude(axes: Axes, rows: Sequence[Compared]) -> None:
 
 
 def angle_figure(title: str, found: SteadyBranches, rows: Sequence[Compared], foot: str = "") -> Figure:
-    """Pendulum angles over S_P: A by circles, B by crosses."""
+    """Draw pendulum angles over S_P: A as circles, B as crosses."""
     with sheet(WIDTH_IN, 3.8, title, [_FOOT + foot]) as figure:
         axes: Axes = figure.subplots()
         draw_angles(axes, found, 1e3)
@@ -239,7 +239,7 @@ def angle_figure(title: str, found: SteadyBranches, rows: Sequence[Compared], fo
 
 
 def points_of_angles(axes: Axes, rows: Sequence[Compared]) -> None:
-    """Recorded angles in degrees with error bars."""
+    """Draw recorded angles in degrees with error bars."""
     moments = [1e3 * row.moment_kg_m for row in rows]
     for i, (which, sign, colour, size) in enumerate((("A", "o", A_COLOUR, 8), ("B", "x", B_COLOUR, 6))):
         measured = [row.recorded.measured.theta_rad[i] for row in rows]
@@ -259,26 +259,26 @@ def points_of_angles(axes: Axes, rows: Sequence[Compared]) -> None:
 
 
 def amplitude_claim(place: str, rows: Sequence[Compared]) -> Claim:
-    """Recorded amplitudes against the model: χ² of the rotors that whirl, noise of those that rest."""
+    """Compare recorded amplitudes with the model: χ² of whirling rotors, noise of those at rest."""
     whirling = [row for row in rows if row.state.amplitude_m >= 1e-9]
     resting = [row for row in rows if row.state.amplitude_m < 1e-9]
     chi2 = sum(row.amplitude_z**2 for row in whirling)
     p = float(gammaincc(0.5 * len(whirling), 0.5 * chi2)) if whirling else 1.0
     largest = max((row.amplitude_z for row in resting), default=0.0)
-    said = f"{len(whirling)} whirling: χ² {chi2:.1f} on {len(whirling)}, p = {p:.2f}"
+    text = f"{len(whirling)} whirling: χ² {chi2:.1f} on {len(whirling)}, p = {p:.2f}"
     if resting:
         micro = 1e6 * max(row.recorded.measured.amplitude_m.value for row in resting)
-        said += f"; {len(resting)} balanced: {micro:.2f} µm at most, {largest:.1f} times what noise alone shows"
+        text += f"; {len(resting)} balanced: {micro:.2f} µm at most, {largest:.1f} times what noise alone shows"
     return Claim.judged(
         place,
         "Measured amplitudes lie on the computed curve.",
-        p > LEAST_P and largest < _MOST_Z and _settled(rows),
-        said,
+        p > LEAST_P and largest < _MAX_Z and _settled(rows),
+        text,
     )
 
 
 def angle_claim(place: str, rows: Sequence[Compared]) -> Claim:
-    """Recorded angles against the model: χ² of both pendulums."""
+    """Compare recorded angles with the model: χ² of both pendulums."""
     z = np.array([row.angle_z for row in rows])
     chi2, count = float(np.sum(z**2)), z.size
     p = float(gammaincc(0.5 * count, 0.5 * chi2))
@@ -292,5 +292,5 @@ def angle_claim(place: str, rows: Sequence[Compared]) -> Claim:
 
 
 def _settled(rows: Sequence[Compared]) -> bool:
-    """Whether all recordings came to a steady state; which one it is, the angles tell."""
+    """Return whether all recordings reached a steady state; the angles show which one."""
     return all(row.recorded.measured.settling.settled for row in rows)

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Figures 3.6 and 3.7: where singular points are lost over damping and speed, and what the pendulums do there."""
+"""Figures 3.6 and 3.7: loss of singular points over damping and speed, and motion of the pendulums there."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from dynamics.equations.balancing import IMPROPERLY_OVERSIZED, PROPERLY_OVERSIZE
 from dynamics.steady.point_loss import point_losses, speeds_at_loss
 from dynamics.steady.singular_points import singular_points
 from reproduction.items.point_sweeps import CASES, Bench, stable_types
-from reproduction.items.slips import Ends, draw_ends, ends_counted, rates_said, released, slip_verdict, turning
+from reproduction.items.slips import Ends, draw_ends, ends_counted, released, slip_rates_text, slip_verdict, turning
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import Workspace, numbers_of
 
 Array = NDArray[np.float64]
 
 LIGHT, HEAVY = 1e-3, 0.1
-"""Pendulum damping, N m s/rad: the rig's, and so much that Type I is stable right above resonance."""
+"""Pendulum damping, N m s/rad: the rig's, and one at which Type I is stable directly above resonance."""
 ZETAS: Array = np.linspace(0.01, 0.5, 36)
 RATIOS: Array = np.linspace(0.4, 2.0, 49)
 RELEASED = (7, 11)
-"""Releases over damping and over speed."""
+"""Number of releases over damping and over speed."""
 NAMES = ("I", "II", "III", "none")
 COLOURS = ("#8fd1b8", "#f0b48a", "#8fbbe0", "#4d4d4d")
 
 
 @dataclass(frozen=True)
 class _Map:
-    """Which type is stable over damping and speed: index into NAMES, shape (RATIOS, ZETAS)."""
+    """The stable type over damping and speed: index into NAMES, shape (RATIOS, ZETAS)."""
 
     c34: float
     stable: NDArray[np.int64]
@@ -51,17 +51,17 @@ def _mapped(work: Workspace, bench: Bench, c34: float, done: float) -> _Map:
             types = stable_types(p, float(ratio))
             several += len(types) > 1
             found[i, j] = NAMES.index(types[0]) if types else NAMES.index("none")
-        work.tell(done + 0.25 * (j + 1) / len(ZETAS))
+        work.progress(done + 0.25 * (j + 1) / len(ZETAS))
     return _Map(c34, found, several)
 
 
 def loss_3_6(work: Workspace) -> Reproduced:
-    """Figure 3.6: properly oversized."""
+    """Reproduce Figure 3.6: properly oversized."""
     return _made(work, PROPERLY_OVERSIZED, "3.6")
 
 
 def loss_3_7(work: Workspace) -> Reproduced:
-    """Figure 3.7: improperly oversized."""
+    """Reproduce Figure 3.7: improperly oversized."""
     return _made(work, IMPROPERLY_OVERSIZED, "3.7")
 
 
@@ -147,17 +147,17 @@ def _draw(axes: Axes, bench: Bench, found: _Map) -> None:
 
 
 def _releases(work: Workspace, bench: Bench) -> tuple[Array, Ends]:
-    """Damping and speed of releases, shape (n, 2), and their ends; pendulum damping LIGHT."""
+    """Return damping and speed of releases, shape (n, 2), and their ends; pendulum damping LIGHT."""
     zetas: Array = np.linspace(float(ZETAS[0]), float(ZETAS[-1]), RELEASED[0] + 2)[1:-1]
     ratios: Array = np.linspace(float(RATIOS[0]), float(RATIOS[-1]), RELEASED[1] + 2)[1:-1]
     at = np.array([(z, r) for z in zetas.tolist() for r in ratios.tolist()], np.float64)
     rigs = [bench.damped(z, LIGHT) for z, _ in at.tolist()]
     speeds = [p.speed_rad_s(r) for p, (_, r) in zip(rigs, at.tolist(), strict=True)]
-    return at, released(rigs, speeds, lambda share: work.tell(0.5 + 0.5 * share))
+    return at, released(rigs, speeds, lambda share: work.progress(0.5 + 0.5 * share))
 
 
 def _border(bench: Bench, kind: str, zeta: float, below: bool) -> float:
-    """Speed ratio at which points of a type end, found from the points themselves by halving."""
+    """Return the speed ratio at which points of a type end, by bisection on the points themselves."""
     p = bench.damped(zeta, LIGHT)
     there, gone = (0.01, 1.0) if below else (100.0, 1.0)
     for _ in range(60):
@@ -168,17 +168,17 @@ def _border(bench: Bench, kind: str, zeta: float, below: bool) -> float:
 
 
 def _border_claims(bench: Bench, region: str, number: str) -> tuple[Claim, ...]:
-    """The closed form against the points, and how the border goes with damping."""
+    """Compare the closed form with the points, and the border over damping with the claim."""
     kinds = [loss for loss in point_losses(bench.damped(0.1, LIGHT)) if loss.speed_ratios]
     tried = (0.02, 0.1, 0.3, 0.5)
     worst, lower = 0.0, dict[str, list[float]]()
     for loss in kinds:
         share = bench.rig.imbalance_moment_kg_m / loss.moment_kg_m
-        said = speeds_at_loss(share, np.array(tried))
-        for edge, below in zip(said, (True, False), strict=True):
+        edges = speeds_at_loss(share, np.array(tried))
+        for edge, below in zip(edges, (True, False), strict=True):
             found = [_border(bench, loss.type, zeta, below) for zeta in tried]
             worst = max(worst, float(np.max(np.abs(np.array(found) / edge - 1))))
-        lower[loss.type] = [float(x) for x in said[0]]
+        lower[loss.type] = [float(x) for x in edges[0]]
     three = lower["III"]
     return (
         Claim.judged(
@@ -194,7 +194,7 @@ def _border_claims(bench: Bench, region: str, number: str) -> tuple[Claim, ...]:
 
 
 def _first_stable(bench: Bench, zeta: float, c34: float, kind: str) -> float:
-    """Lowest speed ratio from which a type is stable up to Ω = 2.5, on a grid of 0.5 %; nan where it never is."""
+    """Return the lowest speed ratio from which a type is stable up to Ω = 2.5, on a grid of 0.5 %; NaN if never."""
     p = bench.damped(zeta, c34)
     first = math.nan
     for ratio in np.geomspace(2.5, 0.97, 190):
@@ -209,9 +209,9 @@ def _proper_claims(work: Workspace, bench: Bench, maps: list[_Map]) -> tuple[Cla
     tried = (0.02, 0.1, 0.3, 0.5)
     first = {c34: [_first_stable(bench, z, c34, "I") for z in tried] for c34 in (1.0, HEAVY, 1e-2, LIGHT)}
     flat = {c34: max(abs(x - 1) for x in values) < 0.02 for c34, values in first.items()}
-    said = "; ".join(f"c34 = {c34:g}: " + ", ".join(f"{x:.2f}" for x in values) for c34, values in first.items())
+    shown = "; ".join(f"c34 = {c34:g}: " + ", ".join(f"{x:.2f}" for x in values) for c34, values in first.items())
     text = "The area ends upwards at the critical speed, at any damping: above it Type I is stable."
-    computed = f"Type I stable from Ω = (at ζ = {', '.join(f'{z:g}' for z in tried)}) {said} N m s/rad"
+    computed = f"Type I stable from Ω = (at ζ = {', '.join(f'{z:g}' for z in tried)}) {shown} N m s/rad"
     verdict = "holds" if all(flat.values()) else "holds in part" if any(flat.values()) else "does not hold"
     return (Claim("Figure 3.6", text, verdict, computed), _one_type(maps))
 
@@ -257,7 +257,7 @@ def _one_type(maps: list[_Map]) -> Claim:
 
 
 def _slip_claims(bench: Bench, at: Array, ends: Ends, number: str) -> tuple[Claim, Claim]:
-    """What the pendulums do where no point is stable, and whether they reach one that is."""
+    """Return claims on the motion where no point is stable, and on releases where one is."""
     types = [stable_types(bench.damped(z, LIGHT), r) for z, r in at.tolist()]
     bare, slips = np.array([not own for own in types]), turning(ends)
     reach = np.array([name in own for name, own in zip(ends.name.tolist(), types, strict=True)])
@@ -266,13 +266,13 @@ def _slip_claims(bench: Bench, at: Array, ends: Ends, number: str) -> tuple[Clai
             f"Figure {number}, open",
             "Where no singular point is stable the pendulums slip on the rotor for ever.",
             slip_verdict(ends, bare),
-            f"c34 = {LIGHT:g} N m s/rad: {ends_counted(ends, bare)}; {rates_said(ends, bare, at[:, 1])}",
+            f"c34 = {LIGHT:g} N m s/rad: {ends_counted(ends, bare)}; {slip_rates_text(ends, bare, at[:, 1])}",
         ),
         Claim.judged(
             "3.1, open",
             f"Where a singular point is stable a release from 0° and 180° ends in it ({bench.case.region}).",
             bool(np.all(reach[~bare])),
             f"of {int((~bare).sum())} releases {int(reach.sum())} do, {int((slips & ~bare).sum())} slip all the same"
-            + (f": {rates_said(ends, ~bare, at[:, 1])}" if np.any(slips & ~bare) else ""),
+            + (f": {slip_rates_text(ends, ~bare, at[:, 1])}" if np.any(slips & ~bare) else ""),
         ),
     )

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d.axes3d import Axes3D  # pyright: ignore[reportMissingTypeStubs]
+from mpl_toolkits.mplot3d.axes3d import Axes3D  # pyright: ignore[reportMissingTypeStubs]  # no stubs
 from numpy.typing import NDArray
 
 from analysis.figures.sheet import WIDTH_IN, sheet

@@ -35,11 +35,11 @@ ABOVE = Series(
 )
 _CHOSEN = (
     f"M_A = 0.075 kg and M_B = {MAIN_KG:g} kg of the source's 0.019, 0.037 and 0.055 kg: its figure shows three "
-    "regions and its text does not say with which pendulums.",
-    "Ω = 0.8 below and 2.5 above resonance were asked of the drive, which turns a little slower; curves are for the "
+    "regions and its text does not state with which pendulums.",
+    "Ω = 0.8 below and 2.5 above resonance were commanded; the drive turns a little slower; curves are for the "
     "speed measured. ζ = 0.05, k1 = k2. The source's text gives no speeds.",
     "The virtual rig's masses, springs and dampings are those of the model; sensors, clocks, locks and drive have "
-    "errors of their own, drawn anew for each value of S_P. Each recording is a guided test with a release at speed.",
+    "errors of their own, drawn again for each value of S_P. Each recording is a guided test with a release at speed.",
 )
 _SLIP_S = 150.0
 
@@ -60,7 +60,7 @@ def _tables(found: SteadyBranches, rows: list[Compared], others: list[tuple[str,
 
 
 def amplitude_below_3_11(work: Workspace) -> Reproduced:
-    """Figure 3.11: amplitude below resonance."""
+    """Reproduce Figure 3.11: amplitude below resonance."""
     p, rows = BELOW.physics(work), compared(BELOW.recordings(work))
     turned = BELOW.as_turned(rows)
     found, others = turned.curves(work), _others(turned, work)
@@ -115,7 +115,7 @@ def _only_type_iii(work: Workspace, others: list[tuple[str, SteadyBranches]], fo
             regions |= {balancing_region(a, b, value) for value in branch.values.tolist()}
     return Claim.judged(
         "3.2.2",
-        "Below resonance only Type III is stable, whatever the balancing area.",
+        "Below resonance only Type III is stable, for any balancing area.",
         types == {"III"} and len(regions) == 3,
         f"stable with M_B = 0.019, 0.037, 0.055 kg over S_P = 0 … {1e3 * BELOW.up_to_kg_m:g} g m: "
         f"{', '.join(sorted(types))}; areas met: {', '.join(sorted(regions))}",
@@ -142,13 +142,13 @@ def _whirl_without_imbalance(
 
 
 def _lag(p: RotorParameters, ratio: float) -> float:
-    """φ_H of H = 1/(k − M ω² + iωc), from stiffness and damping."""
+    """Return φ_H of H = 1/(k − M ω² + iωc), from stiffness and damping."""
     speed = p.speed_rad_s(ratio)
     return math.atan2(speed * p.damping_Ns_per_m[0], p.k1_N_per_m - p.total_mass_kg * speed**2)
 
 
 def _without_steady_state(p: RotorParameters, moment: float, ratio: float) -> tuple[float, float, float]:
-    """S_P, mean radius and rate of slip once both pendulums whirl together, integrated."""
+    """Return S_P, mean radius and slip rate when both pendulums whirl together, by integration."""
     own = p.with_values(SP_kg_m=moment)
     speed = own.speed_rad_s(ratio)
     start = locked_state(own, speed, 0.0, 0.0, 0.1)
@@ -162,7 +162,7 @@ def _without_steady_state(p: RotorParameters, moment: float, ratio: float) -> tu
 
 
 def positions_below_3_12(work: Workspace) -> Reproduced:
-    """Figure 3.12: pendulum angles below resonance."""
+    """Reproduce Figure 3.12: pendulum angles below resonance."""
     p, rows = BELOW.physics(work), compared(BELOW.recordings(work))
     turned = BELOW.as_turned(rows)
     found = turned.curves(work)
@@ -193,13 +193,13 @@ def positions_below_3_12(work: Workspace) -> Reproduced:
 
 
 def _apart(row: Compared) -> tuple[float, float]:
-    """θ3 − θ4 and its standard deviation, rad."""
+    """Return θ3 − θ4 and its standard deviation, rad."""
     a, b = row.recorded.measured.theta_rad
     return math.remainder(a.value - b.value, 2 * math.pi), math.hypot(a.std, b.std)
 
 
 def _closed_form(p: RotorParameters, found: SteadyBranches, ratio: float) -> Claim:
-    """The angle of Type III against sin(θ + φ_H) = −(S_T/S_P) sin φ_H."""
+    """Compare the angle of Type III with sin(θ + φ_H) = −(S_T/S_P) sin φ_H."""
     lag, total = _lag(p, ratio), p.a.first_moment_kg_m + p.b.first_moment_kg_m
     (branch,) = found.stable_branches()
     off = np.sin(branch.theta_rad[:, 0] + lag) + total / branch.values * math.sin(lag)
@@ -213,7 +213,7 @@ def _closed_form(p: RotorParameters, found: SteadyBranches, ratio: float) -> Cla
 
 
 def amplitude_above_3_13(work: Workspace) -> Reproduced:
-    """Figure 3.13: amplitude above resonance."""
+    """Reproduce Figure 3.13: amplitude above resonance."""
     p, rows = ABOVE.physics(work), compared(ABOVE.recordings(work))
     turned = ABOVE.as_turned(rows)
     found, others = turned.curves(work), _others(turned, work)
@@ -245,7 +245,7 @@ def amplitude_above_3_13(work: Workspace) -> Reproduced:
 
 
 def _worst_border(work: Workspace, each: list[tuple[float, SteadyBranches]]) -> float:
-    """Largest relative distance of found borders from sum and difference."""
+    """Return the largest relative distance of the borders from sum and difference."""
     worst = 0.0
     for mass, found in each:
         p = ABOVE.physics(work, [f"pendulums.b.mass_kg={mass}"])
@@ -271,7 +271,7 @@ def _down_zero_up(found: SteadyBranches) -> Claim:
 
 
 def positions_above_3_14(work: Workspace) -> Reproduced:
-    """Figure 3.14: pendulum angles above resonance."""
+    """Reproduce Figure 3.14: pendulum angles above resonance."""
     p, rows = ABOVE.physics(work), compared(ABOVE.recordings(work))
     turned = ABOVE.as_turned(rows)
     found = turned.curves(work)

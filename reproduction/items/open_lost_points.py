@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""What happens where singular points are lost, on two different stiffnesses: the source leaves it open."""
+"""Open question of the source: motion where singular points are lost, with two different stiffnesses."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dynamics import steady_states
 from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import DynamicsError
 from dynamics.steady.point_loss import point_losses
-from reproduction.items.slips import Ends, draw_ends, ends_counted, rates_said, released, slip_verdict, turning
+from reproduction.items.slips import Ends, draw_ends, ends_counted, released, slip_rates_text, slip_verdict, turning
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 ZETAS: Array = np.exp(np.linspace(math.log(0.005), math.log(0.3), 22))
 RATIOS: Array = np.linspace(0.4, 6.0, 57)
 RELEASED = (5, 12)
-"""Releases over damping and over speed."""
+"""Number of releases over damping and over speed."""
 _ACCURACY = 1e-6
 _SETS = ("none", "I", "II", "III", "I, III", "refused")
 _COLOURS = ("#4d4d4d", "#8fd1b8", "#f0b48a", "#8fbbe0", "#d9c4e8", "#ffffff")
@@ -40,7 +40,7 @@ def _damped(p: RotorParameters, zeta: float) -> RotorParameters:
 
 @dataclass(frozen=True)
 class _Here:
-    """At one point: types that are stable, by name of _SETS, and whether a steady state of Type III exists."""
+    """Return the stable types at one point, by name of _SETS, and whether a steady state of Type III exists."""
 
     stable: str
     three: bool
@@ -56,7 +56,7 @@ def _here(p: RotorParameters, ratio: float) -> _Here:
 
 
 def open_lost_points(work: Workspace) -> Reproduced:
-    """Where no steady state of any type is stable with K = 14.9, and what a release does there."""
+    """Find where no steady state of any type is stable with K = 14.9, and the ends of releases there."""
     p = work.physics(VIRTUAL)
     places: list[tuple[float, float]] = [(z, r) for z in ZETAS.tolist() for r in RATIOS.tolist()]
     found = list[_Here]()
@@ -67,7 +67,7 @@ def open_lost_points(work: Workspace) -> Reproduced:
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         for here in pool.map(at_place, places):
             found.append(here)
-            work.tell(0.6 * len(found) / len(places))
+            work.progress(0.6 * len(found) / len(places))
     names = [here.stable for here in found]
     grid = np.array(names).reshape(len(ZETAS), len(RATIOS))
     three = np.array([here.three for here in found]).reshape(grid.shape)
@@ -125,7 +125,7 @@ def _releases(work: Workspace, p: RotorParameters) -> tuple[Array, Ends, list[st
     at = np.array([(z, r) for z in zetas.tolist() for r in ratios.tolist()], np.float64)
     rigs = [_damped(p, z) for z, _ in at.tolist()]
     speeds = [p.speed_rad_s(r) for _, r in at.tolist()]
-    ends = released(rigs, speeds, lambda share: work.tell(0.6 + 0.4 * share))
+    ends = released(rigs, speeds, lambda share: work.progress(0.6 + 0.4 * share))
     return at, ends, [_here(rig, r).stable for rig, (_, r) in zip(rigs, at.tolist(), strict=True)]
 
 
@@ -163,7 +163,7 @@ def _draw(axes: Axes, p: RotorParameters, grid: NDArray[np.str_]) -> None:
 
 
 def _bands(free: NDArray[np.bool_]) -> str:
-    """Speed ratios at which a row of the map has nothing stable."""
+    """Return the speed ratios at which a row of the map has no stable state."""
     found, begun, last = list[str](), None, 0.0
     for ratio, bare in zip([*RATIOS.tolist(), math.inf], [*free.tolist(), False], strict=True):
         if bare and begun is None:
@@ -197,7 +197,7 @@ def _claims(
             "open",
             "Where nothing is stable the pendulums slip on the rotor for ever.",
             slip_verdict(ends, bare),
-            f"{ends_counted(ends, bare)}; {rates_said(ends, bare, at[:, 1])} (ω_n of the softer direction)",
+            f"{ends_counted(ends, bare)}; {slip_rates_text(ends, bare, at[:, 1])} (ω_n of the softer direction)",
         ),
         _mean_torque_claim(p, three),
         Claim.judged(
@@ -210,14 +210,16 @@ def _claims(
 
 
 def _mean_torque_claim(p: RotorParameters, three: NDArray[np.bool_]) -> Claim:
-    """The closed condition of the mean torque against the orbits themselves."""
-    said = np.array([[not point_losses(_damped(p, z))[1].holds(r) for r in RATIOS.tolist()] for z in ZETAS.tolist()])
-    agree = np.count_nonzero(said == three) / three.size
+    """Compare the closed condition of the mean torque with the orbits themselves."""
+    expected = np.array(
+        [[not point_losses(_damped(p, z))[1].holds(r) for r in RATIOS.tolist()] for z in ZETAS.tolist()]
+    )
+    agree = np.count_nonzero(expected == three) / three.size
     return Claim.judged(
         "3.1, for k2 ≠ k1",
-        "The closed condition of loss, with the mean of 1/D over both directions, tells where "
+        "The closed condition of loss, with the mean of 1/D over both directions, predicts where "
         "orbits of Type III exist.",
         agree > 0.98,
-        f"the search finds them, and finds none, as the condition says at {100 * agree:.1f} % of {three.size} points; "
-        f"of the others {int(np.sum(three & ~said))} have one that it denies",
+        f"the search finds them, and finds none, as the condition predicts at {100 * agree:.1f} % of {three.size} "
+        f"points; of the others {int(np.sum(three & ~expected))} have one that it denies",
     )

@@ -1,14 +1,16 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Chapter 5: what the source leaves for future work, computed."""
+"""Chapter 5: computations on the source's questions for future work."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from analysis.figures.sheet import WIDTH_IN, sheet
@@ -42,7 +44,7 @@ def _with_c34(p: RotorParameters, c34: float) -> RotorParameters:
 
 
 def _stable(p: RotorParameters, speed_ratio: float) -> list[SteadyState]:
-    """Stable states; none where none can be found."""
+    """Return the stable states; an empty list if none can be found."""
     try:
         return [state for state in steady_states(p, p.speed_rad_s(speed_ratio), 1e-6) if state.stable]
     except DynamicsError:
@@ -52,23 +54,15 @@ def _stable(p: RotorParameters, speed_ratio: float) -> list[SteadyState]:
 _GRAVITY_RATIOS = np.round(np.linspace(1.2, 8.0, 69), 3)
 
 
-def gravity(work: Workspace) -> Reproduced:
-    """A horizontal shaft: which states are stable, what vibration and what swing of the pendulums are left."""
-    p = work.physics()
-    heavy = replace(p, gravity_m_per_s2=_G)
-    rows = list[tuple[float, str, float, float]]()
-    for i, ratio in enumerate(_GRAVITY_RATIOS.tolist()):
-        states = _stable(heavy, ratio)
-        if states:
-            swing = float(np.degrees(np.ptp(states[0].states[:, 2])) / 2)
-            rows.append((ratio, states[0].type, 1e6 * states[0].amplitude_m, swing))
-        else:
-            rows.append((ratio, "none", math.nan, math.nan))
-        work.tell((i + 1) / len(_GRAVITY_RATIOS))
-    kinds = np.array([kind for _, kind, _, _ in rows])
-    left, swing = np.array([row[2] for row in rows]), np.array([row[3] for row in rows])
-    first = [p.speed_rad_s(ratio) for ratio in _GRAVITY_RATIOS.tolist()]
-    weak = np.degrees(_G / (p.a.length_m * np.array(first) ** 2))
+def _state_at(p: RotorParameters, name: str, states: Sequence[SteadyState]) -> str:
+    """Return speed, type and amplitude of a point's stable state."""
+    rpm = p.speed_rad_s(_ratio(name)) * 30 / math.pi
+    state = f"{states[0].type}, {1e6 * states[0].amplitude_m:.1f} µm" if states else "no stable state"
+    return f"{name} ({rpm:.0f} rpm) {state}"
+
+
+def _draw_gravity(kinds: NDArray[np.str_], left: Array, swing: Array, weak: Array) -> Figure:
+    """Draw vibration and swing over speed ratio, by the kind of the stable state."""
     with sheet(WIDTH_IN, 4.6, "Gravity: a horizontal shaft, vibration and swing that are left") as figure:
         axes: list[Axes] = figure.subplots(2, 1, sharex=True).tolist()
         for kind, colour in (("I", MEASURED), ("III", MODEL)):
@@ -86,13 +80,30 @@ def gravity(work: Workspace) -> Reproduced:
                 one.axvspan(here - 0.05, here + 0.05, color="#e8e8e8", lw=0)
         label(axes[0], None, "rms vibration, µm")
         label(axes[1], "speed ratio Ω", "swing of θ3, ± °")
+    return figure
+
+
+def gravity(work: Workspace) -> Reproduced:
+    """A horizontal shaft: stable states, remaining vibration and swing of the pendulums."""
+    p = work.physics()
+    heavy = replace(p, gravity_m_per_s2=_G)
+    rows = list[tuple[float, str, float, float]]()
+    for i, ratio in enumerate(_GRAVITY_RATIOS.tolist()):
+        states = _stable(heavy, ratio)
+        if states:
+            swing = float(np.degrees(np.ptp(states[0].states[:, 2])) / 2)
+            rows.append((ratio, states[0].type, 1e6 * states[0].amplitude_m, swing))
+        else:
+            rows.append((ratio, "none", math.nan, math.nan))
+        work.progress((i + 1) / len(_GRAVITY_RATIOS))
+    kinds = np.array([kind for _, kind, _, _ in rows])
+    left, swing = np.array([row[2] for row in rows]), np.array([row[3] for row in rows])
+    first = [p.speed_rad_s(ratio) for ratio in _GRAVITY_RATIOS.tolist()]
+    weak = np.degrees(_G / (p.a.length_m * np.array(first) ** 2))
+    figure = _draw_gravity(kinds, left, swing, weak)
     flat = {name: _stable(p, _ratio(name)) for name in _BALANCED}
     weighed = {name: _stable(heavy, _ratio(name)) for name in _BALANCED}
-    words = ", ".join(
-        f"{name} ({p.speed_rad_s(_ratio(name)) * 30 / math.pi:.0f} rpm) "
-        + (f"{states[0].type}, {1e6 * states[0].amplitude_m:.1f} µm" if states else "no stable state")
-        for name, states in weighed.items()
-    )
+    words = ", ".join(_state_at(p, name, states) for name, states in weighed.items())
     lost = {name: _gravity_limit(p, _ratio(name)) for name in ("B", "C")}
     works = [name for name, states in weighed.items() if states and states[0].type == flat[name][0].type]
     least = [row[0] for row in rows if row[1] == "I"]
@@ -112,7 +123,7 @@ def gravity(work: Workspace) -> Reproduced:
             ),
         ),
         numbers_of(p) | {"gravity_m_per_s2": _G},
-        ("The nominal rig laid on its side, gravity along −y; its sag M_S g/k2 is no vibration.",),
+        ("The nominal rig laid on its side, gravity along −y; its sag M_S g/k2 is not a vibration.",),
         (
             Claim(
                 _CHAPTER,
@@ -135,7 +146,7 @@ def gravity(work: Workspace) -> Reproduced:
 
 
 def _gravity_limit(p: RotorParameters, speed_ratio: float) -> tuple[float, bool, float]:
-    """Gravity up to which Type I is a stable state, m/s²; whether a release at 9.81 m/s² slips; g/(R ω²) there, °."""
+    """Return the gravity up to which Type I is stable, m/s²; whether a release at 9.81 m/s² slips; g/(R ω²), °."""
     low, high = 0.0, _G
     while high - low > 0.01:
         middle = 0.5 * (low + high)
@@ -149,8 +160,20 @@ def _gravity_limit(p: RotorParameters, speed_ratio: float) -> tuple[float, bool,
 _C34 = np.geomspace(1e-4, 0.1, 25)
 
 
+def _draw_damping(constants: dict[str, Array], wide: Array, shares: Array) -> Figure:
+    """Draw time constants and stable share over the pendulums' damping."""
+    with sheet(WIDTH_IN, 4.6, "Damping of the pendulums: time constant against stable area") as figure:
+        axes: list[Axes] = figure.subplots(2, 1, sharex=True).tolist()
+        for name, (colour, dashes) in _LOOKS.items():
+            axes[0].loglog(_C34, constants[name], color=colour, ls=dashes, label=f"point {name}")
+        axes[1].semilogx(wide, 100 * shares, "o-", color="black", ms=3)
+        label(axes[0], None, "slowest time constant, s")
+        label(axes[1], "c34, N m s/rad", "stable share of the plane, %")
+    return figure
+
+
 def pendulum_damping(work: Workspace) -> Reproduced:
-    """The best damping of the pendulums: how fast deviations die out, and how large the stable area is."""
+    """The best damping of the pendulums: decay rate of deviations, and size of the stable area."""
     p = work.physics()
     constants = {name: np.empty(len(_C34)) for name in _BALANCED}
     for i, value in enumerate(_C34.tolist()):
@@ -166,17 +189,11 @@ def pendulum_damping(work: Workspace) -> Reproduced:
         q = _with_c34(p, value)
         plane = SpeedStiffnessPlane(q, balanced_angles(q)[0])
         shares[i] = stability_borders(plane, (0.3, 7.0), (1.0, 16.0), first=(64, 48), spacing=0.01).stable_share
-        work.tell((i + 1) / len(wide))
-    with sheet(WIDTH_IN, 4.6, "Damping of the pendulums: time constant against stable area") as figure:
-        axes: list[Axes] = figure.subplots(2, 1, sharex=True).tolist()
-        for name, (colour, dashes) in _LOOKS.items():
-            axes[0].loglog(_C34, constants[name], color=colour, ls=dashes, label=f"point {name}")
-        axes[1].semilogx(wide, 100 * shares, "o-", color="black", ms=3)
-        label(axes[0], None, "slowest time constant, s")
-        label(axes[1], "c34, N m s/rad", "stable share of the plane, %")
+        work.progress((i + 1) / len(wide))
+    figure = _draw_damping(constants, wide, shares)
     best = {name: int(np.nanargmin(values)) for name, values in constants.items()}
     inner = [name for name, i in best.items() if 0 < i < len(_C34) - 1]
-    told = "; ".join(
+    shown = "; ".join(
         f"{name}: {constants[name][i]:.2f} s at c34 = {_C34[i]:.2g} ({constants[name][-1]:.0f} s at 0.1)"
         for name, i in best.items()
     )
@@ -202,7 +219,7 @@ def pendulum_damping(work: Workspace) -> Reproduced:
         ("Best is what dies out fastest: the slowest time constant, by the largest multiplier.",),
         (
             Claim.judged(
-                _CHAPTER, "(Question) There is a best damping of the pendulums.", len(inner) == len(best), told
+                _CHAPTER, "(Question) There is a best damping of the pendulums.", len(inner) == len(best), shown
             ),
             Claim.judged(
                 _CHAPTER,
@@ -221,7 +238,7 @@ _CLASS_COLOURS = ("#f2f2f2", "#9ecae1", "#fdbf6f", "#b2df8a")
 
 
 def type_three(work: Workspace) -> Reproduced:
-    """Type III on anisotropic suspensions: where it is stable, against Type I."""
+    """Type III on anisotropic suspensions: where it is stable, compared with Type I."""
     p = work.physics()
     x, y = np.linspace(0.4, 7.0, _GRID[0]), np.linspace(1.5, 16.0, _GRID[1])
     found = {zeta: _classes(work, zeta, x, y) for zeta in (0.02, 0.05)}
@@ -282,7 +299,7 @@ def type_three(work: Workspace) -> Reproduced:
 
 
 def _classes(work: Workspace, zeta: float, x: Array, y: Array) -> NDArray[np.intp]:
-    """Indices into _CLASSES, shape (m, n)."""
+    """Return indices into _CLASSES, shape (m, n)."""
     p = work.physics(VIRTUAL, [f"suspension.zeta1={zeta}", f"suspension.zeta2={zeta}"])
     found = np.zeros((len(y), len(x)), np.intp)
     for row, ratio in enumerate(y.tolist()):
@@ -290,7 +307,7 @@ def _classes(work: Workspace, zeta: float, x: Array, y: Array) -> NDArray[np.int
         for column, speed_ratio in enumerate(x.tolist()):
             types = {state.type for state in _stable(q, speed_ratio)}
             found[row, column] = ("I" in types) + 2 * ("III" in types)
-        work.tell((row + 1) / len(y) * (0.5 if zeta < 0.03 else 1.0))
+        work.progress((row + 1) / len(y) * (0.5 if zeta < 0.03 else 1.0))
     return found
 
 
@@ -302,7 +319,7 @@ def imbalance_step(work: Workspace) -> Reproduced:
     """A sudden change of the imbalance: reaction time over the pendulums' damping."""
     p = work.physics()
     found = {name: [_stepped(p, name, value) for value in _STEP_C34.tolist()] for name in _BALANCED}
-    work.tell(0.7)
+    work.progress(0.7)
     nominal = {name: _stepped(p, name, 1e-3) for name in _BALANCED}
     with sheet(WIDTH_IN, 4.8, f"Sudden change of the imbalance by {100 * (_STEP - 1):.0f} %") as figure:
         axes: list[Axes] = figure.subplots(2, 1).tolist()
@@ -316,7 +333,7 @@ def imbalance_step(work: Workspace) -> Reproduced:
     times = {name: np.array([each.reaction_s for each in rows]) for name, rows in found.items()}
     back = all(each.after is not None and each.after.type == "I" for rows in found.values() for each in rows)
     best = {name: int(np.nanargmin(values)) for name, values in times.items()}
-    told = "; ".join(
+    shown = "; ".join(
         f"{name}: {times[name][i]:.1f} s at c34 = {_STEP_C34[i]:.2g}, {times[name][-1]:.1f} s at "
         f"{_STEP_C34[-1]:.2g}, peak at 0.001 {1e3 * nominal[name].peak_m:.3f} mm"
         for name, i in best.items()
@@ -338,7 +355,7 @@ def imbalance_step(work: Workspace) -> Reproduced:
             "The reaction is over when the vibration stays within 5 % of its largest deviation from its end.",
         ),
         (
-            Claim.judged(_CHAPTER, "(Question) The pendulums balance the changed rotor again.", back, told),
+            Claim.judged(_CHAPTER, "(Question) The pendulums balance the changed rotor again.", back, shown),
             Claim(
                 "chapter 5",
                 "(Question) One damping of the pendulums gives the fastest reaction.",

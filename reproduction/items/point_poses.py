@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Figure 3.5: the three types of singular points, drawn from numbers, and what they have to satisfy."""
+"""Figure 3.5: the three types of singular points, drawn to scale, and their conditions."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ A_COLOUR, B_COLOUR = "#0072B2", "#56B4E9"
 
 
 def draw_pose(axes: Axes, p: RotorParameters, point: SingularPoint, title: str, whirl: float = 0.4) -> None:
-    """A rotor seen from above in its own frame: O where it rests, C its centre, imbalance and pendulums about C.
+    """Draw a rotor from above in its own frame: O its rest position, C its centre, imbalance and pendulums about C.
 
     Args:
-        whirl: length that C is drawn away from O, in radii of the disk; 0 where it rests at O.
+        whirl: drawn distance of C from O, in radii of the disk; 0 if it rests at O.
     """
     centre = np.array([0.0, 0.0])
     if abs(point.z_m) > 0:
@@ -65,10 +65,10 @@ def draw_pose(axes: Axes, p: RotorParameters, point: SingularPoint, title: str, 
 
 
 def stable_first(p: RotorParameters, ratio: float, kind: str) -> SingularPoint:
-    """A type's point that is stable, else its last one.
+    """Return a stable point of a type, or else its last one.
 
     Raises:
-        StopIteration: no point of this type.
+        StopIteration: no point of this type exists.
     """
     points = [point for point in singular_points(p, p.speed_rad_s(ratio)) if point.type == kind]
     stable = stability_of(point_eigenvalues(p, p.speed_rad_s(ratio), points)) if points else np.zeros(0)
@@ -83,7 +83,7 @@ def _light_b(p: RotorParameters) -> RotorParameters:
 
 
 def types_3_5(work: Workspace) -> Reproduced:
-    """Figure 3.5: a stable point of each type."""
+    """Reproduce Figure 3.5: a stable point of each type."""
     p = isotropic_rig(work, _ZETA)
     cases = [("I", p, 2.5), ("II", _light_b(p), 2.5), ("III", p, 0.8)]
     points = [stable_first(rig, ratio, kind) for kind, rig, ratio in cases]
@@ -113,7 +113,7 @@ def types_3_5(work: Workspace) -> Reproduced:
             Panel(
                 "types",
                 "Disk, imbalance on the right and pendulums in the rotor's frame: C is at O in Type I; in II and III "
-                "it whirls about O, drawn at one length whatever its radius.",
+                "it whirls about O, drawn at one length for any radius.",
                 figure,
             ),
         ),
@@ -128,7 +128,7 @@ def types_3_5(work: Workspace) -> Reproduced:
 
 
 def _closed_form(p: RotorParameters) -> Claim:
-    """(3-21), (3-22) as printed against the triangle of moments, for random properly oversized sets."""
+    """Compare (3-21), (3-22) as printed with the triangle of moments, for random properly oversized sets."""
     rng, worst, s = np.random.default_rng(35), 0.0, p.imbalance_moment_kg_m
     for _ in range(_SETS):
         a = s * rng.uniform(0.1, 2.0)
@@ -141,7 +141,7 @@ def _closed_form(p: RotorParameters) -> Claim:
             math.atan2(root / (s * b), (a * a - b * b - s * s) / (s * b)),
         )
         away = [
-            max(abs(np.exp(1j * own) - np.exp(1j * said)) for own, said in zip(pair, printed, strict=True))
+            max(abs(np.exp(1j * own) - np.exp(1j * given)) for own, given in zip(pair, printed, strict=True))
             for pair in balanced_angles(with_moments(p, a, b))
         ]
         worst = max(worst, float(min(away)))
@@ -154,7 +154,7 @@ def _closed_form(p: RotorParameters) -> Claim:
 
 
 def _equations(cases: list[tuple[str, RotorParameters, float]]) -> Claim:
-    """All points of all cases put into (3-17) to (3-20) as printed."""
+    """Insert all points of all cases into (3-17) to (3-20) as printed."""
     lacking = turning = with_imbalance = 0.0
     count = 0
     for _, p, ratio in cases:
@@ -179,9 +179,9 @@ def _equations(cases: list[tuple[str, RotorParameters, float]]) -> Claim:
 
 
 def _stay(cases: list[tuple[str, RotorParameters, float]], points: list[SingularPoint]) -> tuple[Claim, ...]:
-    """Integrated from each point by the whole equations of motion."""
+    """Integrate the whole equations of motion from each point."""
     claims = list[Claim]()
-    said = {
+    statements = {
         "I": "Type I: the disk rests and stays there.",
         "II": "Type II: the disk whirls in a circle, pendulums opposed.",
         "III": "Type III: the disk whirls in a circle, pendulums together.",
@@ -197,7 +197,7 @@ def _stay(cases: list[tuple[str, RotorParameters, float]], points: list[Singular
         claims.append(
             Claim.judged(
                 "Figure 3.5",
-                said[kind],
+                statements[kind],
                 moved < 1e-6 and wander < 1e-8 and (abs(point.z_m) > 0) == (kind != "I"),
                 f"radius {1e3 * abs(point.z_m):.4f} mm; integrated for {_REVOLUTIONS} revolutions: angles move by "
                 f"{moved:.0e} rad, the radius by {wander:.0e} m",

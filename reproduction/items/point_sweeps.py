@@ -1,5 +1,5 @@
 # pyright: strict
-"""Eigenvalues of singular points over speed and both dampings: what Tables 3.1 to 3.4 rest on."""
+"""Eigenvalues of singular points over speed and both dampings, the data of Tables 3.1 to 3.4."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ C34 = tuple(float(c) for c in np.logspace(-5, 0, 21))
 SHOWN_SPEED = {SUB: 0.8, SUPER: 2.5}
 SHOWN_ZETA, SHOWN_C34 = 0.05, 1e-3
 ABSENT = 2
-"""In place of a stability where there is no such point."""
+"""Stability of a point that does not exist."""
 
 
 @dataclass(frozen=True)
@@ -40,20 +40,20 @@ CASES = (Case(PROPERLY_OVERSIZED, 1.1, 0.7), Case(UNDERSIZED, 0.5, 0.3), Case(IM
 
 @dataclass(frozen=True)
 class Bench:
-    """A region's rig, whose dampings can be set."""
+    """The rig of a region, with adjustable dampings."""
 
     case: Case
     rig: RotorParameters
 
     @classmethod
     def of(cls, work: Workspace, case: Case) -> Bench:
-        """The isotropic rig with a case's pendulums."""
+        """Return the isotropic rig with a case's pendulums."""
         p = isotropic_rig(work)
         s = p.imbalance_moment_kg_m
         return cls(case, with_moments(p, case.a * s, case.b * s))
 
     def damped(self, zeta: float, c34: float) -> RotorParameters:
-        """With these damping ratios and pendulum dampings, N m s/rad."""
+        """Return the rig with these damping ratios and pendulum dampings, N m s/rad."""
         a, b = (replace(q, damping_Nms_per_rad=c34) for q in (self.rig.a, self.rig.b))
         return replace(self.rig, zeta1=zeta, zeta2=zeta, a=a, b=b)
 
@@ -63,8 +63,8 @@ class Swept:
     """Both points of a type over a sweep.
 
     Attributes:
-        stable: as stability_of gives it, or ABSENT; shape (sets, speeds, ZETAS, C34): sets I and II of the type, set
-            II the point whose whirl lies further along the pendulums' moment; of Type I two mirror images.
+        stable: as from stability_of, or ABSENT; shape (sets, speeds, ZETAS, C34): sets I and II of the type, set II
+            the point whose whirl is further along the pendulums' moment; for Type I two mirror images.
         speeds: speed ratios.
     """
 
@@ -72,18 +72,18 @@ class Swept:
     speeds: tuple[float, ...]
 
     def at(self, ratio: float, zeta: float, c34: float) -> NDArray[np.int64]:
-        """Of both sets at one place of the sweep, shape (2,)."""
+        """Return the stability of both sets at one place of the sweep, shape (2,)."""
         nearest = int(np.argmin(np.abs(np.log(np.array(C34) / c34))))
         return self.stable[:, self.speeds.index(ratio), ZETAS.index(zeta), nearest]
 
 
 def points_of(p: RotorParameters, ratio: float, kind: str) -> list[SingularPoint]:
-    """Singular points of a type at a speed ratio: set I, then set II."""
+    """Return the singular points of a type at a speed ratio: set I, then set II."""
     return [point for point in singular_points(p, p.speed_rad_s(ratio)) if point.type == kind][::-1]
 
 
 def swept(bench: Bench, operation: str, kind: str) -> Swept:
-    """Stability of a type's points over SPEEDS, ZETAS and C34."""
+    """Compute the stability of a type's points over SPEEDS, ZETAS and C34."""
     speeds = SPEEDS[operation]
     stable = np.full((2, len(speeds), len(ZETAS), len(C34)), ABSENT, np.int64)
     for i, ratio in enumerate(speeds):
@@ -97,7 +97,7 @@ def swept(bench: Bench, operation: str, kind: str) -> Swept:
 
 
 def real_parts(bench: Bench, operation: str, kind: str, c34: Sequence[float]) -> list[NDArray[np.float64]]:
-    """Real parts of both sets' eigenvalues over c34 at SHOWN_SPEED and SHOWN_ZETA, each of shape (c34, 8), 1/s."""
+    """Return real parts of both sets' eigenvalues over c34 at SHOWN_SPEED and SHOWN_ZETA, shape (c34, 8) each, 1/s."""
     ratio = SHOWN_SPEED[operation]
     points = points_of(bench.damped(SHOWN_ZETA, c34[0]), ratio, kind)
     speed = bench.rig.speed_rad_s(ratio)
@@ -106,7 +106,7 @@ def real_parts(bench: Bench, operation: str, kind: str, c34: Sequence[float]) ->
 
 
 def stable_types(p: RotorParameters, ratio: float) -> list[str]:
-    """Types with a stable singular point at a speed ratio, each once."""
+    """Return the types with a stable singular point at a speed ratio, each once."""
     points = singular_points(p, p.speed_rad_s(ratio))
     stable = stability_of(point_eigenvalues(p, p.speed_rad_s(ratio), points)) if points else np.zeros(0, np.int64)
     return sorted({point.type for point, own in zip(points, stable.tolist(), strict=True) if own == 1})

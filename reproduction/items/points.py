@@ -60,7 +60,7 @@ def point_e_4_14(work: Workspace) -> Reproduced:
 
 def _point(work: Workspace, name: str) -> Reproduced:
     known = _known(work.folder.parent / "points" / "recordings")
-    work.tell(0.5)
+    work.progress(0.5)
     run, judged = recorded_point(known, name, work.recordings("point"))
     physics = known.parameters.applied_to(known.rig.physics)
     angle = math.radians(known_axis_angle(known.parameters, known.rig)[0])
@@ -68,23 +68,23 @@ def _point(work: Workspace, name: str) -> Reproduced:
     assert measured is not None, judged.why
     simulated = simulate_release(run, measured, physics, angle)
     figure = point_figure(run, measured, judged.prediction, simulated)
-    state, said = _EXPECTED[name]
-    seen = (
+    state, statement = _EXPECTED[name]
+    description = (
         f"Point {name}: displacements and both pendulums' angles, recorded on the virtual rig and simulated with the "
         "parameters identified from its logs."
     )
     return Reproduced(
-        (Panel("point", seen, figure),),
+        (Panel("point", description, figure),),
         (_scores(judged),),
         numbers_of(RigModel.of(known.rig, known.parameters).physics) | {"virtual.seed": 410},
         (
             "The recording is one of the virtual rig through drivers, wire bytes and a log: the source's are lost.",
-            f"Ω = {known.rig.points[name].speed_ratio:g} of {name}: it stands only in a figure of the source.",
+            f"Ω = {known.rig.points[name].speed_ratio:g} of {name}: the source has it only in a figure.",
         ),
         (
             Claim.judged(
                 "4.3, 4.4",
-                said,
+                statement,
                 judged.state == state,
                 f"recorded: {judged.state}, θ3 = {math.degrees(measured.theta_rad[0].value):.2f}°, θ4 = "
                 f"{math.degrees(measured.theta_rad[1].value):.2f}°, amplitude "
@@ -103,11 +103,11 @@ def _point(work: Workspace, name: str) -> Reproduced:
 
 
 def _scores(judged: PointResult) -> Table:
-    """Measured and predicted steady values with their standard deviations."""
-    told = judged.to_json()
-    names = [name for name in told["measured"] if name in told["predicted"] and told["measured"][name] is not None]
+    """Return measured and predicted steady values with their standard deviations."""
+    values = judged.to_json()
+    names = [n for n in values["measured"] if n in values["predicted"] and values["measured"][n] is not None]
     columns = {
-        key: np.array([math.nan if told[key][n] is None else told[key][n] for n in names])
+        key: np.array([math.nan if values[key][n] is None else values[key][n] for n in names])
         for key in ("measured", "measured_std", "predicted", "predicted_std")
     }
     return Table("steady", "Steady values, measured and predicted", {"quantity": names, **columns}, shown=True)

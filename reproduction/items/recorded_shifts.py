@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Figures 3.23 and 3.24: a shifted pivot on the virtual rig, and what dry friction does near ρ_C = 1."""
+"""Figures 3.23 and 3.24: a shifted pivot on the virtual rig, and the effect of dry friction near ρ_C = 1."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]  # no stubs
 
 from analysis.figures.branches import A_COLOUR, B_COLOUR
 from analysis.figures.style import GREY, MEASURED
@@ -83,7 +83,7 @@ def _recordings(work: Workspace) -> list[_Row]:
         place = work.recordings(f"rho-{shift:g}")
         (one,) = recorded_points(place, ISOTROPIC, as_stated(ISOTROPIC, own))
         found.append(_row(shift, one))
-        work.tell((i + 1) / len(RECORDED))
+        work.progress((i + 1) / len(RECORDED))
     return found
 
 
@@ -119,7 +119,7 @@ def _row(shift: float, one: Recorded) -> _Row:
 
 
 def _range_deg(one: Recorded) -> Array:
-    """Half the range of both angles in the last 30 s, °."""
+    """Return half the range of both angles in the last 30 s, °."""
     run, end = one.run, one.measured.to_s
     late = (run.angle_time_s > end - 30) & (run.angle_time_s <= end) & np.isfinite(run.angle_rad).all(axis=1)
     return 0.5 * np.degrees(np.ptp(run.angle_rad[late], axis=0))
@@ -146,7 +146,7 @@ def _row_table(rows: list[_Row]) -> Table:
 
 
 def vibration_3_23(work: Workspace) -> Reproduced:
-    """Figure 3.23: released over locked amplitude, recorded."""
+    """Reproduce Figure 3.23: released over locked amplitude, recorded."""
     rows = _recordings(work)
     p, found = computed(work, _mean_ratio(rows))
     title = "3.23: vibration with a shifted pivot, recorded"
@@ -186,7 +186,7 @@ def _mean_ratio(rows: list[_Row]) -> float:
 
 
 def positions_3_24(work: Workspace) -> Reproduced:
-    """Figure 3.24: absolute and relative positions, recorded."""
+    """Reproduce Figure 3.24: absolute and relative positions, recorded."""
     rows = _recordings(work)
     p, found = computed(work, _mean_ratio(rows))
     friction = _with_friction(p, found.eccentricity_m)
@@ -227,7 +227,7 @@ def positions_3_24(work: Workspace) -> Reproduced:
 
 
 def _with_friction(p: RotorParameters, e: float) -> dict[float, Array]:
-    """ρ_C ↦ angles (n, 2) at which releases from random angles end with dry friction."""
+    """Return ρ_C → angles (n, 2) at which releases from random angles end with dry friction."""
     found: dict[float, Array] = {}
     for shift in _FRICTION_AT:
         own = replace(
@@ -239,7 +239,7 @@ def _with_friction(p: RotorParameters, e: float) -> dict[float, Array]:
 
 
 def _scatter(p: RotorParameters, found: ShiftedPivot, friction: dict[float, Array]) -> list[tuple[float, float, float]]:
-    """ρ_C, largest distance of the pair's angles from computed, and of the angle between, °."""
+    """Return ρ_C → largest distance of the pair's angles from the computed ones, and of the angle between, °."""
     out = list[tuple[float, float, float]]()
     for shift, ends in friction.items():
         own = replace(p, pivot_shift_m=shift * found.eccentricity_m)

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Figures 3.15 and 3.18: what happens after a release, recorded and simulated."""
+"""Figures 3.15 and 3.18: motion after a release, recorded and simulated."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ Array = NDArray[np.float64]
 
 BEFORE_S, AFTER_S = 3.0, 17.0
 _MOMENT = 0.12 * 0.02117
-_MOST_ANGLE_DEG, _MOST_SHARE = 2.0, 0.03
-_MOST_DELAY_S = 4e-3
-_BINS = 130  # of an envelope: none shorter than a turn
+_MAX_ANGLE_DEG, _MAX_SHARE = 2.0, 0.03
+_MAX_DELAY_S = 4e-3
+_BINS = 130  # of an envelope: each at least as long as a revolution
 
 
 def _series(mass_b: float) -> Series:
@@ -36,18 +36,18 @@ def _series(mass_b: float) -> Series:
 
 
 def release_of_different_3_15(work: Workspace) -> Reproduced:
-    """Figure 3.15: non-identical pendulums."""
+    """Reproduce Figure 3.15: non-identical pendulums."""
     return _release(work, "3.15", 0.037)
 
 
 def release_of_equal_3_18(work: Workspace) -> Reproduced:
-    """Figure 3.18: identical pendulums."""
+    """Reproduce Figure 3.18: identical pendulums."""
     return _release(work, "3.18", 0.075)
 
 
 @dataclass(frozen=True)
 class _Pair:
-    """Recorded signals and the simulated ones at their times, counted from the release; degrees and mm."""
+    """Return recorded signals and the simulated ones at their times, from the release on; degrees and mm."""
 
     time_s: Array
     angle_deg: Array
@@ -68,9 +68,11 @@ def _release(work: Workspace, number: str, mass_b: float) -> Reproduced:
     p = recorded.rig.physics
     kind = "equal" if mass_b == p.a.mass_kg else "different"
     title = f"{number}: release of {kind} pendulums, Ω = {series.speed_ratio:g}, M_A = 0.075 kg, M_B = {mass_b:g} kg"
-    said = "Displacements of both lasers and both pendulum angles from 3 s before the release, recorded and simulated."
+    description = (
+        "Displacements of both lasers and both pendulum angles from 3 s before the release, recorded and simulated."
+    )
     return Reproduced(
-        (Panel("release", said, _figure(title, recorded, simulated)),),
+        (Panel("release", description, _figure(title, recorded, simulated)),),
         (
             Table(
                 "angles",
@@ -140,8 +142,8 @@ def _at(time: Array, of_time: Array, values: Array) -> Array:
 
 
 def _delay_s(time: Array, shown: Array, model_time: Array, model: Array) -> float:
-    """How much later a laser shows the locked orbit than the model has it: least squares over delays."""
-    tried = np.linspace(-_MOST_DELAY_S, _MOST_DELAY_S, 401)
+    """Return the delay of a laser's locked orbit against the model's, by least squares over delays."""
+    tried = np.linspace(-_MAX_DELAY_S, _MAX_DELAY_S, 401)
     left = [float(np.mean((shown - _at(time - delay, model_time, model)) ** 2)) for delay in tried.tolist()]
     return float(tried[int(np.argmin(left))])
 
@@ -166,7 +168,7 @@ def _figure(title: str, recorded: Recorded, simulated: SimulatedRun) -> Figure:
 
 
 def _before(recorded: Recorded, p: RotorParameters) -> list[Claim]:
-    """What the locked pendulums do to the imbalance."""
+    """Return the effect of the locked pendulums on the imbalance."""
     speed = recorded.measured.speed_rad_s.value
     gain = speed**2 / abs(complex(p.k1_N_per_m - p.total_mass_kg * speed**2, speed * p.damping_Ns_per_m[0]))
     difference = p.a.first_moment_kg_m - p.b.first_moment_kg_m
@@ -178,10 +180,10 @@ def _before(recorded: Recorded, p: RotorParameters) -> list[Claim]:
         f"{1e3 * gain * moment:.4f} mm ({100 * off:+.2f} %); by S_P alone {1e3 * gain * p.imbalance_moment_kg_m:.4f} mm"
     )
     if difference > 0:
-        said = "Locked at 0° the heavier pendulum adds to the imbalance and the rotor vibrates more."
-        return [Claim.judged("3.2.3", said, abs(off) < 0.005 and moment > 1.1 * p.imbalance_moment_kg_m, shown)]
-    said = "Equal pendulums locked at 0° and 180° leave the level of imbalance as it is."
-    return [Claim.judged("3.2.3", said, abs(off) < 0.005, shown)]
+        statement = "Locked at 0° the heavier pendulum adds to the imbalance and the rotor vibrates more."
+        return [Claim.judged("3.2.3", statement, abs(off) < 0.005 and moment > 1.1 * p.imbalance_moment_kg_m, shown)]
+    statement = "Equal pendulums locked at 0° and 180° leave the level of imbalance as it is."
+    return [Claim.judged("3.2.3", statement, abs(off) < 0.005, shown)]
 
 
 def _alike(pair: _Pair) -> Claim:
@@ -191,10 +193,10 @@ def _alike(pair: _Pair) -> Claim:
     return Claim.judged(
         "3.2.3",
         "Simulation and measurement respond alike to the release.",
-        bool(np.all(angle < _MOST_ANGLE_DEG) and np.all(shown < _MOST_SHARE * size)),
+        bool(np.all(angle < _MAX_ANGLE_DEG) and np.all(shown < _MAX_SHARE * size)),
         f"over {BEFORE_S:g} s before and {pair.time_s[-1]:.0f} s after the release, rms of recorded minus simulated: "
-        f"θ3 {angle[0]:.2f}°, θ4 {angle[1]:.2f}°, x {1e3 * shown[0]:.1f} µm, y {1e3 * shown[1]:.1f} µm, beside "
-        f"{1e3 * size[0]:.0f} µm rms of the locked rotor; lasers {1e3 * pair.delay_s[0]:.2f} and "
+        f"θ3 {angle[0]:.2f}°, θ4 {angle[1]:.2f}°, x {1e3 * shown[0]:.1f} µm, y {1e3 * shown[1]:.1f} µm, compared "
+        f"with {1e3 * size[0]:.0f} µm rms of the locked rotor; lasers {1e3 * pair.delay_s[0]:.2f} and "
         f"{1e3 * pair.delay_s[1]:.2f} ms late",
     )
 

@@ -24,13 +24,13 @@ _SPEEDS = np.linspace(0.0, 4.0, 801)
 
 
 def _rotor(work: Workspace, zeta: float) -> RotorParameters:
-    """The isotropic rig without pendulums."""
+    """Return the isotropic rig without pendulums."""
     p = work.physics(ISOTROPIC, [f"suspension.zeta1={zeta}", f"suspension.zeta2={zeta}"])
     return replace(p, a=Pendulum.absent(), b=Pendulum.absent())
 
 
 def frequency_response_2_2(work: Workspace) -> Reproduced:
-    """Figure 2.2: amplification and phase lag over the speed ratio, for several damping ratios."""
+    """Reproduce Figure 2.2: amplification and phase lag over the speed ratio, for several damping ratios."""
     rigs = {zeta: _rotor(work, zeta) for zeta in _DAMPINGS}
     found = {zeta: frequency_response(p, _SPEEDS) for zeta, p in rigs.items()}
     with sheet(WIDTH_IN, 5.2, "2.2: amplification and phase lag of the rotor alone") as figure:
@@ -64,7 +64,7 @@ def frequency_response_2_2(work: Workspace) -> Reproduced:
             ),
             Claim.judged(
                 "chapter 2",
-                "At resonance the lag is 90°, whatever the damping.",
+                "At resonance the lag is 90°, for any damping.",
                 max(abs(lag - 90) for lag in resonance) < 1e-9,
                 f"off 90° by {max(abs(lag - 90) for lag in resonance):.0e}° at most",
             ),
@@ -75,7 +75,7 @@ def frequency_response_2_2(work: Workspace) -> Reproduced:
 
 
 def _simulated(p: RotorParameters) -> Claim:
-    """(2-6), (2-10) against an integration of the equations of motion."""
+    """Compare (2-6), (2-10) with an integration of the equations of motion."""
     worst = 0.0
     for ratio in (0.6, 1.0, 2.5):
         speed = p.speed_rad_s(ratio)
@@ -95,7 +95,7 @@ def _simulated(p: RotorParameters) -> Claim:
 
 
 def _one_argument(p: RotorParameters) -> Claim:
-    """(2-9): an arc tangent of a quotient."""
+    """Test (2-9), an arc tangent of a quotient."""
     ratio = 1.5
     speed = p.speed_rad_s(ratio)
     quotient = speed * p.damping_Ns_per_m[0] / (p.k1_N_per_m - p.total_mass_kg * speed**2)
@@ -119,7 +119,7 @@ _ARROW = {"arrowstyle": "-|>", "color": MODEL, "lw": 1.2, "shrinkA": 0, "shrinkB
 
 
 def forces_2_3(work: Workspace) -> Reproduced:
-    """Figure 2.3: what the centrifugal field does to a light pendulum at three speeds."""
+    """Reproduce Figure 2.3: the effect of the centrifugal field on a light pendulum at three speeds."""
     p = _rotor(work, _ZETA)
     lags = frequency_response(p, np.array([ratio for _, _, ratio in _CASES])).lag_rad[0]
     angles = np.linspace(-math.pi, math.pi, 361)
@@ -174,7 +174,7 @@ def _draw_forces(axes: Axes, lag: float, title: str) -> None:
 
 
 def _draw_three_forces(axes: Axes, centre: NDArray[np.float64], angle: float) -> None:
-    """Centrifugal force, constraint, and their sum along the path, at one place of the pendulum."""
+    """Return centrifugal force, constraint, and their sum along the path, at one place of the pendulum."""
     out = np.array([math.cos(angle), math.sin(angle)])
     place = centre + out
     field = 0.8 * place
@@ -187,7 +187,7 @@ def _draw_three_forces(axes: Axes, centre: NDArray[np.float64], angle: float) ->
 
 
 def _light_pendulum(p: RotorParameters, ratio: float, lag: float, name: str) -> Claim:
-    """Where a light pendulum rests by the whole equations, and what it does to the whirl."""
+    """Return the rest position of a light pendulum by the whole equations, and its effect on the whirl."""
     one = replace(p, a=Pendulum(_LIGHT_KG, 0.054, 1e-4))
     speed = p.speed_rad_s(ratio)
     stable = [state for state in steady_states(one, speed, 1e-8) if state.stable]
@@ -199,7 +199,7 @@ def _light_pendulum(p: RotorParameters, ratio: float, lag: float, name: str) -> 
         "at resonance": abs(behind - 90) < 0.5,
         "above resonance": 90 < behind < 180,
     }[name]
-    said = {
+    statements = {
         "below resonance": "Below resonance the pendulum rests 0° to 90° behind the imbalance and adds to it.",
         "at resonance": "At resonance it rests 90° behind and still adds, less than below.",
         "above resonance": "Above resonance it rests 90° to 180° behind and balances a part.",
@@ -207,7 +207,7 @@ def _light_pendulum(p: RotorParameters, ratio: float, lag: float, name: str) -> 
     worse = change < 0 if name == "above resonance" else change > 0
     return Claim.judged(
         "Figure 2.3",
-        said,
+        statements,
         len(stable) == 1 and inside and worse and abs(behind - math.degrees(lag)) < 0.5,
         f"a pendulum of {1e3 * _LIGHT_KG:g} g at Ω = {ratio:g}, ζ = {_ZETA:g}: one stable angle, {behind:.2f}° behind "
         f"(lag {math.degrees(lag):.2f}°), amplitude changed by {1e6 * change:+.1f} millionths",

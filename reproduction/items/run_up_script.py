@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""The source's run-up program: its numbers with its own faulty equations and with the right ones, side by side."""
+"""The source's run-up program: its results with its own faulty equations and with the right ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _BEFORE_S, _SHOWN_S = 3.0, 10.0
 
 
 def run_up_script(work: Workspace) -> Reproduced:
-    """What the program plots: Θ1, Θ2 in the turning frame and the pendulums, from 3 s before the release."""
+    """Plot as the program does: Θ1, Θ2 in the turning frame and the pendulums, from 3 s before the release."""
     p = script_rig()
     right = release(p, SCRIPT_SPEED_RAD_S, Faults(), free_s=30.0)
     faulty = release(p, SCRIPT_SPEED_RAD_S, Faults(no_push_back=True, speed_runs_on=True), free_s=30.0)
@@ -51,7 +51,7 @@ def run_up_script(work: Workspace) -> Reproduced:
         numbers_of(p) | {"speed_rad_s": SCRIPT_SPEED_RAD_S},
         (
             "The program's locks: 0° and 180° + 0.001 rad, 12 s of full speed before the release.",
-            "What stops the program (misprints.md, programs) is mended in both runs.",
+            "What stops the program (misprints.md, programs) is corrected in both runs.",
         ),
         _claims(right, faulty),
     )
@@ -70,7 +70,7 @@ def _claims(right: Release, faulty: Release) -> tuple[Claim, ...]:
             "appendix B, run-up program",
             "A locked pendulum is at rest when it is released.",
             max(map(abs, speeds)) < 0.01,
-            f"its speed state has run on to {speeds[0]:.1f} and {speeds[1]:.1f} °/s for A and B",
+            f"its speed state has increased to {speeds[0]:.1f} and {speeds[1]:.1f} °/s for A and B",
         ),
         Claim.judged(
             "appendix B, run-up program",
@@ -95,14 +95,14 @@ def _claims(right: Release, faulty: Release) -> tuple[Claim, ...]:
 
 
 def _part(run: Release) -> tuple[np.ndarray, np.ndarray]:
-    """Times from 3 s before the release and the states then."""
+    """Return the times from 3 s before the release, and the states at these times."""
     time = run.time_s - run.time_s[run.released] + _BEFORE_S
     inside = (time >= 0) & (time <= _SHOWN_S)
     return time[inside], run.state[inside]
 
 
 def _shown(run: Release) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Times, and the disk's centre in the turning frame along the imbalance and across it, m."""
+    """Return times, and the disk's centre in the turning frame along the imbalance and across it, m."""
     time, state = _part(run)
     start = run.time_s[run.released] - _BEFORE_S
     turned = (state[:, 0] + 1j * state[:, 1]) * np.exp(-1j * SCRIPT_SPEED_RAD_S * (time + start))

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Figures 3.21 and 3.22: a balancer whose pivot stands beside the rotor's axis, computed."""
+"""Figures 3.21 and 3.22: a balancer whose pivot is off the rotor's axis, computed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _SHIFTS = np.linspace(0.0, 3.0, 301)
 _RHO = "relative shift of the pivot ρ_C = R_C/e"
 _BREAK = 0.02
 CHOSEN = (
-    "S_P = 0.995 (S_A + S_B), ζ = 0.02: the source says slightly below the limit, and small damping.",
+    "S_P = 0.995 (S_A + S_B), ζ = 0.02: the source states slightly below the limit, and small damping.",
     "f_n = 1 Hz instead of 3 Hz: with 3 Hz its 1200 rpm are Ω = 6.7, not almost 20.",
     "The shift's own imbalance is balanced away, as its procedure has it. e = S_P/M_S.",
 )
@@ -50,7 +50,7 @@ def computed(work: Workspace, ratio: float = SPEED_RATIO) -> tuple[RotorParamete
 
 
 def curve_table(found: ShiftedPivot) -> Table:
-    """The stable state as rows."""
+    """Return the stable state as rows."""
     shift, alpha = found.ratio
     return Table(
         "curve",
@@ -66,7 +66,7 @@ def curve_table(found: ShiftedPivot) -> Table:
 
 
 def vibration_3_21(work: Workspace) -> Reproduced:
-    """Figure 3.21: released over locked amplitude, computed."""
+    """Reproduce Figure 3.21: released over locked amplitude, computed."""
     p, found = computed(work)
     printed_e = p.imbalance_moment_kg_m / (p.rotor_mass_kg + p.imbalance_mass_kg)
     printed = shifted_pivot(p, p.speed_rad_s(SPEED_RATIO), _SHIFTS, printed_e)
@@ -116,13 +116,13 @@ def vibration_3_21(work: Workspace) -> Reproduced:
 
 
 Draw = Callable[[list[Axes]], None]
-"""Draws what was recorded onto a figure's plots."""
+"""Draws recorded values onto a figure's plots."""
 
 
 def alpha_figure(
     title: str, found: ShiftedPivot, printed: ShiftedPivot | None = None, more: Draw | None = None, foot: str = ""
 ) -> Figure:
-    """α over ρ_C."""
+    """Draw α over ρ_C."""
     with sheet(WIDTH_IN, 3.6, title, [foot] if foot else []) as figure:
         axes: Axes = figure.subplots()
         axes.plot(*found.ratio, color="black", lw=1.5, label="model, e = S_P/M_S")
@@ -143,7 +143,7 @@ def _breaks(rows: list[Axes], found: ShiftedPivot) -> None:
 
 
 def _integrated(p: RotorParameters, found: ShiftedPivot) -> Claim:
-    """α at three shifts by integration of the equations of motion."""
+    """Return α at three shifts by integration of the equations of motion."""
     worst = 0.0
     for shift in (0.5, 1.5, 2.5):
         own = replace(p, pivot_shift_m=shift * found.eccentricity_m)
@@ -160,7 +160,7 @@ def _integrated(p: RotorParameters, found: ShiftedPivot) -> Claim:
 
 
 def released(p: RotorParameters, starts_deg: Array, end_s: float) -> Array:
-    """Last states of releases from (n, 2) angles, shape (n, 8)."""
+    """Return the last states of releases from (n, 2) angles, shape (n, 8)."""
     speed = p.speed_rad_s(SPEED_RATIO)
     history = SpeedHistory.constant(speed)
     scenes = [
@@ -172,7 +172,7 @@ def released(p: RotorParameters, starts_deg: Array, end_s: float) -> Array:
 
 
 def positions_3_22(work: Workspace) -> Reproduced:
-    """Figure 3.22: absolute and relative positions, computed."""
+    """Reproduce Figure 3.22: absolute and relative positions, computed."""
     p, found = computed(work)
     figure = position_figure("3.22: pendulum positions with a shifted pivot, computed", found)
     start = np.degrees(found.theta_rad[0]) % 360
@@ -208,7 +208,7 @@ def positions_3_22(work: Workspace) -> Reproduced:
 
 
 def position_figure(title: str, found: ShiftedPivot, more: Draw | None = None, foot: str = "") -> Figure:
-    """Both angles above, the angle between them below."""
+    """Draw both angles above, the angle between them below."""
     shift = found.ratio[0]
     with sheet(WIDTH_IN, 5.4, title, [foot] if foot else []) as figure:
         panels: list[Axes] = figure.subplots(2, 1, sharex=True).tolist()
@@ -227,12 +227,12 @@ def position_figure(title: str, found: ShiftedPivot, more: Draw | None = None, f
 
 
 def one_side(theta_rad: Array) -> tuple[Array, Array]:
-    """Both angles (n,) of (n, 2), mirrored at the imbalance's line where A stands behind B."""
+    """Return both angles (n,) of (n, 2), mirrored at the imbalance's line if A is behind B."""
     swapped = np.sin(theta_rad[:, 1] - theta_rad[:, 0]) < 0
     sign = np.where(swapped, -1.0, 1.0)
     return sign * theta_rad[:, 0], sign * theta_rad[:, 1]
 
 
 def apart_deg(theta_rad: Array) -> Array:
-    """The smaller angle between the pendulums, (n,) of (n, 2), °."""
+    """Return the smaller angle between the pendulums, (n,) of (n, 2), °."""
     return np.degrees(np.abs(np.angle(np.exp(1j * (theta_rad[:, 0] - theta_rad[:, 1])))))

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Where releases end, many at once, and how fast pendulums that lock nowhere turn against the rotor."""
+"""Ends of many releases, and slip rates of pendulums that do not settle."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 SLIPPING, TURNING, SWINGING = "slipping", "turning, no regular slip", "swinging"
 MOST_REVOLUTIONS = 8000
-_TURNED = 6.0  # turns against the rotor, from which on pendulums that settle nowhere count as turning
+_TURNED = 6.0  # turns against the rotor from which unsettled pendulums count as turning
 MARKS = {
     "I": ("o", "#00604a", 4.0),
     "II": ("^", "#8a3b00", 4.0),
@@ -38,8 +38,8 @@ class Ends:
     """Ends of releases.
 
     Attributes:
-        name: type reached, SLIPPING (a stable slipping motion), TURNING (turns on and is nothing of these) or
-            SWINGING (with no stable state to go to) or "not settled"; shape (n,).
+        name: type reached, SLIPPING (a stable slipping motion), TURNING (continues to turn without a regular slip),
+            SWINGING (if no state is stable) or "not settled"; shape (n,).
         turns: of A and B against the rotor, per revolution, shape (n, 2).
     """
 
@@ -48,7 +48,7 @@ class Ends:
 
 
 def released(rigs: Sequence[RotorParameters], speeds_rad_s: Sequence[float], progress: Callable[[float], None]) -> Ends:
-    """Releases from 0° and 180° within the play, followed until they reach something or for MOST_REVOLUTIONS."""
+    """Follow releases from 0° and 180° within the play until their end is known or for MOST_REVOLUTIONS."""
 
     def one(i: int) -> tuple[ReleaseOutcome, bool]:
         states = steady_states(rigs[i], speeds_rad_s[i], 1e-6)
@@ -57,9 +57,9 @@ def released(rigs: Sequence[RotorParameters], speeds_rad_s: Sequence[float], pro
 
     found, names = list[ReleaseOutcome](), list[str]()
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        for outcome, somewhere in pool.map(one, range(len(rigs))):
+        for outcome, has_stable_state in pool.map(one, range(len(rigs))):
             found.append(outcome)
-            names.append(_name(outcome, somewhere))
+            names.append(_name(outcome, has_stable_state))
             progress(len(found) / len(rigs))
     turns = np.array(
         [o.slipping.turns_per_revolution if o.slipping else np.array(o.slip_turns) / o.revolutions for o in found],
@@ -68,30 +68,30 @@ def released(rigs: Sequence[RotorParameters], speeds_rad_s: Sequence[float], pro
     return Ends(np.array(names), turns)
 
 
-def _name(outcome: ReleaseOutcome, somewhere: bool) -> str:
+def _name(outcome: ReleaseOutcome, has_stable_state: bool) -> str:
     if outcome.state != "not settled":
         return outcome.state
     if max(abs(turns) for turns in outcome.slip_turns) > _TURNED:
         return TURNING
-    return outcome.state if somewhere else SWINGING
+    return outcome.state if has_stable_state else SWINGING
 
 
 def slip_verdict(ends: Ends, bare: NDArray[np.bool_]) -> Verdict:
-    """Whether all releases without a stable state slip: in part where the others swing."""
+    """Return whether all releases without a stable state slip: in part if the others swing."""
     rest = bare & ~turning(ends)
     return "holds" if not rest.any() else "holds in part" if np.all(ends.name[rest] == SWINGING) else "does not hold"
 
 
 def ends_counted(ends: Ends, bare: NDArray[np.bool_]) -> str:
-    """How releases without a stable state go on, in words."""
+    """Return the ends of releases without a stable state as text."""
     slip, turn, swing = (int(np.sum(bare & (ends.name == name))) for name in (SLIPPING, TURNING, SWINGING))
-    said = f"{slip} of {int(bare.sum())} releases there come to a stable slipping motion"
-    said += f", {turn} turn on without a regular slip" if turn else ""
-    return said + (f", {swing} go on swinging, for {MOST_REVOLUTIONS} revolutions at least" if swing else "")
+    text = f"{slip} of {int(bare.sum())} releases there come to a stable slipping motion"
+    text += f", {turn} turn on without a regular slip" if turn else ""
+    return text + (f", {swing} go on swinging, for {MOST_REVOLUTIONS} revolutions at least" if swing else "")
 
 
 def draw_ends(axes: Axes, x: Array, y: Array, ends: Ends) -> None:
-    """A mark for each release."""
+    """Draw a mark for each release."""
     for name, (marker, colour, size) in MARKS.items():
         own = ends.name == name
         if own.any():
@@ -109,12 +109,12 @@ def draw_ends(axes: Axes, x: Array, y: Array, ends: Ends) -> None:
 
 
 def turning(ends: Ends) -> NDArray[np.bool_]:
-    """Which releases lock nowhere."""
+    """Return which releases end without settling at a place."""
     return (ends.name == SLIPPING) | (ends.name == TURNING)
 
 
-def rates_said(ends: Ends, among: NDArray[np.bool_], speed_ratio: Array) -> str:
-    """Slip rates of some releases in words."""
+def slip_rates_text(ends: Ends, among: NDArray[np.bool_], speed_ratio: Array) -> str:
+    """Return the slip rates of some releases as text."""
     own = among & turning(ends)
     if not own.any():
         return "none slips"

@@ -16,12 +16,12 @@ ON_LINE = 14.9
 
 
 def frame_of_rig(p: RotorParameters) -> MapFrame:
-    """The shipped rig's points, and a rig's own stiffness ratio."""
+    """Return the shipped rig's points, and a rig's own stiffness ratio."""
     rig = load_rig(VIRTUAL)
     points = [MapPoint(name, point.speed_ratio, point.expected) for name, point in rig.points.items()]
     return MapFrame(points=points, own=p.k2_N_per_m / p.k1_N_per_m)
 
 
 def borders_of_plane(p: RotorParameters) -> Borders:
-    """Every border of the balanced state in the range."""
+    """Return every border of the balanced state in the range."""
     return stability_borders(SpeedStiffnessPlane(p, balanced_angles(p)[0]), X_RANGE, Y_RANGE, spacing=1 / 800)

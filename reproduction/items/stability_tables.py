@@ -38,24 +38,24 @@ from reproduction.results import Claim, Panel, Reproduced, Table, Verdict
 from reproduction.workspace import Workspace, numbers_of
 
 _CURVES_C34 = tuple(float(c) for c in np.logspace(-5, 0, 61))
-_LINEAR_1_PER_S = 0.01  # about zero the axis of real parts is linear
+_LINEAR_1_PER_S = 0.01  # limit of the linear part of the axis of real parts
 _ROMAN = {"I": ("mirror image 1", "mirror image 2"), "II": ("set I", "set II"), "III": ("set I", "set II")}
 
-Said = dict[tuple[str, str], tuple[bool, bool]]
-"""(operation, region) to what the source says of sets I and II: stable or not."""
+Cells = dict[tuple[str, str], tuple[bool, bool]]
+"""(operation, region) → the source's verdicts on sets I and II: stable or not."""
 
 _NEVER = (False, False)
-_TABLE_3_1: Said = {(SUB, PROPERLY_OVERSIZED): _NEVER, (SUPER, PROPERLY_OVERSIZED): (True, True)}
-_TABLE_3_2: Said = {(op, case.region): _NEVER for op in (SUB, SUPER) for case in CASES}
+_TABLE_3_1: Cells = {(SUB, PROPERLY_OVERSIZED): _NEVER, (SUPER, PROPERLY_OVERSIZED): (True, True)}
+_TABLE_3_2: Cells = {(op, case.region): _NEVER for op in (SUB, SUPER) for case in CASES}
 _TABLE_3_2[SUPER, IMPROPERLY_OVERSIZED] = (False, True)
-_TABLE_3_3: Said = {(op, case.region): _NEVER for op in (SUB, SUPER) for case in CASES}
+_TABLE_3_3: Cells = {(op, case.region): _NEVER for op in (SUB, SUPER) for case in CASES}
 for _region in (PROPERLY_OVERSIZED, UNDERSIZED, IMPROPERLY_OVERSIZED):
     _TABLE_3_3[SUB, _region] = (False, True)
 _TABLE_3_3[SUPER, UNDERSIZED] = (False, True)
 
 
 def table_3_1(work: Workspace) -> Reproduced:
-    """Table 3.1: Type I."""
+    """Reproduce Table 3.1: Type I."""
     made = _made(work, "I", "3.1", _TABLE_3_1)
     outside = [swept(Bench.of(work, case), op, "I") for case in CASES[1:] for op in (SUB, SUPER)]
     met = sum(int(np.sum(one.stable != ABSENT)) for one in outside)
@@ -70,7 +70,7 @@ def table_3_1(work: Workspace) -> Reproduced:
 
 
 def _grown(bench: Bench) -> Claim:
-    """An unstable Type I above resonance, integrated from beside it: does it grow as its eigenvalue says?"""
+    """Compare the growth of an unstable Type I above resonance, integrated from near it, with its eigenvalue."""
     ratio = 1.1
     p = bench.damped(SHOWN_ZETA, SHOWN_C34)
     point, speed = points_of(p, ratio, "I")[0], p.speed_rad_s(ratio)
@@ -86,40 +86,40 @@ def _grown(bench: Bench) -> Claim:
     rate = math.log(last / first) / (windows * period)
     return Claim.judged(
         "(3-26) to (3-32)",
-        "Eigenvalues of the linearised equations tell how a deviation grows.",
+        "Eigenvalues of the linearised equations describe how a deviation grows.",
         abs(rate / largest.real - 1) < 0.02,
         f"Type I at Ω = {ratio:g}, ζ = {SHOWN_ZETA:g}, c34 = {SHOWN_C34:g} N m s/rad: Re λ = {largest.real:+.4f} 1/s "
-        f"(unstable above resonance); integrated from 1e-5 rad beside it {rate:+.4f} 1/s",
+        f"(unstable above resonance); integrated from 1e-5 rad off it {rate:+.4f} 1/s",
     )
 
 
 def table_3_2(work: Workspace) -> Reproduced:
-    """Table 3.2: Type II, both sets."""
+    """Reproduce Table 3.2: Type II, both sets."""
     return _made(work, "II", "3.2", _TABLE_3_2)
 
 
 def table_3_3(work: Workspace) -> Reproduced:
-    """Table 3.3: Type III, both sets."""
+    """Reproduce Table 3.3: Type III, both sets."""
     return _made(work, "III", "3.3", _TABLE_3_3)
 
 
-def _made(work: Workspace, kind: str, number: str, said: Said) -> Reproduced:
+def _made(work: Workspace, kind: str, number: str, cells: Cells) -> Reproduced:
     benches = {case.region: Bench.of(work, case) for case in CASES}
     found = dict[tuple[str, str], Swept]()
     curves = dict[tuple[str, str], list[NDArray[np.float64]]]()
-    for i, (operation, region) in enumerate(said):
+    for i, (operation, region) in enumerate(cells):
         found[operation, region] = swept(benches[region], operation, kind)
         curves[operation, region] = real_parts(benches[region], operation, kind, _CURVES_C34)
-        work.tell((i + 1) / len(said))
+        work.progress((i + 1) / len(cells))
     panel = Panel(
         "real-parts",
         f"Each row a cell of Table {number}: the set's place in the plane, and the real parts of the eigenvalues of "
         "its two points over pendulum damping; the largest in colour.",
-        _drawn(benches, curves, said, kind, number),
+        _drawn(benches, curves, cells, kind, number),
     )
     return Reproduced(
         (panel,),
-        (_cells(found, said, kind), _curve_table(curves, kind)),
+        (_cells(found, cells, kind), _curve_table(curves, kind)),
         numbers_of(benches[PROPERLY_OVERSIZED].rig)
         | {"c34_Nms_per_rad": "1e-5 … 1", "zeta1": "0.005 … 0.3", "zeta2": "0.005 … 0.3"},
         (
@@ -127,34 +127,36 @@ def _made(work: Workspace, kind: str, number: str, said: Said) -> Reproduced:
             f"Curves at Ω = {SHOWN_SPEED[SUB]:g} and {SHOWN_SPEED[SUPER]:g}, ζ = {SHOWN_ZETA:g}; verdicts from "
             f"Ω = {', '.join(f'{r:g}' for r in SPEEDS[SUB] + SPEEDS[SUPER])}, "
             f"ζ = {', '.join(f'{z:g}' for z in ZETAS)} and {len(C34)} values of c34 from 1e-5 to 1 N m s/rad.",
-            "The source does not say which of a type's two solutions its sets are: set II is the one whose whirl lies "
-            "further along the pendulums' moment.",
+            "The source does not state which of a type's two solutions its sets are: set II is the one whose whirl "
+            "lies further along the pendulums' moment.",
             "A cell holds where every point of the sweep agrees, in part where Ω = 0.8 or 2.5, ζ = 0.05 and c34 = "
             "0.001 N m s/rad agree.",
         ),
-        tuple(_judged(found[cell], cell, says, kind, number) for cell, says in said.items()),
+        tuple(_judged(found[cell], cell, claimed, kind, number) for cell, claimed in cells.items()),
     )
 
 
-def _judged(found: Swept, cell: tuple[str, str], says: tuple[bool, bool], kind: str, number: str) -> Claim:
-    """One cell: what is claimed of both sets against the sweep."""
+def _judged(found: Swept, cell: tuple[str, str], claimed: tuple[bool, bool], kind: str, number: str) -> Claim:
+    """Return one cell: the claim on both sets compared with the sweep."""
     operation, region = cell
-    agree = [(own == (1 if said else -1)) | (own == ABSENT) for own, said in zip(found.stable, says, strict=True)]
+    agree = [
+        (own == (1 if expected else -1)) | (own == ABSENT) for own, expected in zip(found.stable, claimed, strict=True)
+    ]
     at = found.at(SHOWN_SPEED[operation], SHOWN_ZETA, SHOWN_C34)
-    shown = all(own == (1 if said else -1) for own, said in zip(at.tolist(), says, strict=True))
+    shown = all(own == (1 if expected else -1) for own, expected in zip(at.tolist(), claimed, strict=True))
     verdict: Verdict = "holds" if all(a.all() for a in agree) else "holds in part" if shown else "does not hold"
     words = (
         "both sets are unstable"
-        if not any(says)
-        else ("both mirror images are stable" if all(says) else "set II is stable, set I unstable")
+        if not any(claimed)
+        else ("both mirror images are stable" if all(claimed) else "set II is stable, set I unstable")
     )
     if kind == "I":
-        words = "it is stable" if all(says) else "it is unstable"
+        words = "it is stable" if all(claimed) else "it is unstable"
     parts = [f"{name} {_counted(own)}" for name, own in zip(_ROMAN[kind], found.stable, strict=True)]
     off = [
         _needed(own, found.speeds)
-        for own, said, a in zip(found.stable, says, agree, strict=True)
-        if said and not a.all()
+        for own, expected, a in zip(found.stable, claimed, agree, strict=True)
+        if expected and not a.all()
     ]
     return Claim(
         f"Table {number}", f"Type {kind}, {operation}, {region}: {words}.", verdict, "; ".join([*parts, *off[:1]])
@@ -168,7 +170,7 @@ def _counted(own: NDArray[np.int64]) -> str:
 
 
 def _needed(own: NDArray[np.int64], speeds: tuple[float, ...]) -> str:
-    """The pendulum damping above which all is stable, by speed."""
+    """Return the pendulum damping above which all is stable, by speed."""
     words: list[str] = []
     for ratio, plane in zip(speeds, own, strict=True):
         bad = np.any((plane != 1) & (plane != ABSENT), axis=0)
@@ -183,10 +185,10 @@ def _some(zetas: list[float]) -> str:
     return "all" if len(zetas) == len(ZETAS) else ", ".join(f"{z:g}" for z in zetas)
 
 
-def _cells(found: dict[tuple[str, str], Swept], said: Said, kind: str) -> Table:
+def _cells(found: dict[tuple[str, str], Swept], cells: Cells, kind: str) -> Table:
     rows = [
-        (operation, region, name, "stable" if says[i] else "unstable", own)
-        for (operation, region), says in said.items()
+        (operation, region, name, "stable" if claimed[i] else "unstable", own)
+        for (operation, region), claimed in cells.items()
         for i, (name, own) in enumerate(zip(_ROMAN[kind], found[operation, region].stable, strict=True))
     ]
     return Table(
@@ -217,14 +219,14 @@ def _curve_table(curves: dict[tuple[str, str], list[NDArray[np.float64]]], kind:
 def _drawn(
     benches: dict[str, Bench],
     curves: dict[tuple[str, str], list[NDArray[np.float64]]],
-    said: Said,
+    cells: Cells,
     kind: str,
     number: str,
 ) -> Figure:
     title = f"Table {number}: Type {kind}, real parts of the eigenvalues over pendulum damping"
-    with sheet(WIDTH_IN, 1.75 * len(said) + 0.3, title) as figure:
-        grid = figure.add_gridspec(len(said), 3, width_ratios=(0.62, 1, 1))
-        for i, (operation, region) in enumerate(said):
+    with sheet(WIDTH_IN, 1.75 * len(cells) + 0.3, title) as figure:
+        grid = figure.add_gridspec(len(cells), 3, width_ratios=(0.62, 1, 1))
+        for i, (operation, region) in enumerate(cells):
             _place(figure.add_subplot(grid[i, 0]), benches[region], operation)
             both = curves[operation, region]
             for j, name in enumerate(_ROMAN[kind]):
@@ -232,7 +234,7 @@ def _drawn(
                 _curves(axes, both[j] if j < len(both) else None, name)
                 if j == 0:
                     label(axes, None, "Re λ, 1/s")
-                if i == len(said) - 1:
+                if i == len(cells) - 1:
                     label(axes, "c34, N m s/rad")
     return figure
 

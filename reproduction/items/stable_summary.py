@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Table 3.4: which type is stable in six cases, how far that depends on damping, and what the text says."""
+"""Table 3.4: the stable type in six cases, its dependence on damping, and the claims of the text."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _SAID = {
     (SUPER, UNDERSIZED): ("III", False),
     (SUPER, IMPROPERLY_OVERSIZED): ("II", True),
 }
-"""What the source's table has: the stable type, and whether it is a function of rotor damping."""
+"""The source's table: the stable type, and whether it depends on rotor damping."""
 _DAMPED = 0.3
 
 Cell = tuple[str, str]
@@ -48,19 +48,19 @@ Sweeps = dict[Cell, dict[str, Swept]]
 
 
 def table_3_4(work: Workspace) -> Reproduced:
-    """Table 3.4, and the summary of section 3.1."""
+    """Reproduce Table 3.4, and the summary of section 3.1."""
     benches = {case.region: Bench.of(work, case) for case in CASES}
     sweeps = Sweeps()
     for i, (operation, region) in enumerate(_SAID):
         sweeps[operation, region] = {kind: swept(benches[region], operation, kind) for kind in _KINDS}
-        work.tell((i + 1) / len(_SAID))
+        work.progress((i + 1) / len(_SAID))
     stable = {cell: {kind: _any_stable(one) for kind, one in kinds.items()} for cell, kinds in sweeps.items()}
     return Reproduced(
         (
             Panel(
                 "poses",
                 f"The stable point of each of the six cases at ζ = {SHOWN_ZETA:g}, Ω = {SHOWN_SPEED[SUB]:g} and "
-                f"{SHOWN_SPEED[SUPER]:g}, seen on the rotor; C drawn at one distance from O whatever the amplitude.",
+                f"{SHOWN_SPEED[SUPER]:g}, seen on the rotor; C drawn at one distance from O for any amplitude.",
                 _drawn(benches),
             ),
         ),
@@ -78,7 +78,7 @@ def table_3_4(work: Workspace) -> Reproduced:
 
 
 def _any_stable(one: Swept) -> NDArray[np.bool_]:
-    """Where a type has a stable point, shape (speeds, ZETAS, C34)."""
+    """Return where a type has a stable point, shape (speeds, ZETAS, C34)."""
     return np.any(one.stable == 1, axis=0)
 
 
@@ -108,7 +108,7 @@ def _cell(cell: Cell, sweeps: Sweeps, stable: dict[Cell, dict[str, NDArray[np.bo
 
 
 def _where(places: NDArray[np.bool_], operation: str) -> str:
-    """Ranges of a set of places of the sweep."""
+    """Return the ranges of a set of places of the sweep."""
     speeds, zetas, dampings = (np.flatnonzero(np.any(places, axis=axes)) for axes in ((1, 2), (0, 2), (0, 1)))
     return (
         f"Ω = {SPEEDS[operation][speeds[0]]:g} … {SPEEDS[operation][speeds[-1]]:g}, ζ = {ZETAS[zetas[0]]:g} … "
@@ -117,7 +117,7 @@ def _where(places: NDArray[np.bool_], operation: str) -> str:
 
 
 def _summary(benches: dict[str, Bench], stable: dict[Cell, dict[str, NDArray[np.bool_]]]) -> tuple[Claim, ...]:
-    """What the text says of its own tables."""
+    """Return the text's claims on its own tables."""
     counts = {cell: sum(own.astype(int) for own in kinds.values()) for cell, kinds in stable.items()}
     most = max(int(np.max(count)) for count in counts.values())
     none = sum(int(np.sum(count == 0)) for count in counts.values())

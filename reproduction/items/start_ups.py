@@ -23,7 +23,7 @@ from studies.runs import load_runs
 Array = NDArray[np.float64]
 
 COUNT = 12
-"""Start-ups of the balls; of the pendulums half as many in each of two series."""
+"""Start-ups of the balls; for the pendulums half as many in each of two series."""
 BALLS = "ball_balancer"
 SPEED_RPM = 1500.0
 SPEED = SPEED_RPM * math.pi / 30
@@ -38,7 +38,7 @@ PENDULUMS = (
     f"pendulums.a.friction_arm_m={PIN_ARM_M}",
     f"pendulums.b.friction_arm_m={PIN_ARM_M}",
 )
-"""Over the isotropic rig: an imbalance that whirls by 1.75 mm peak to peak while the pendulums are locked apart."""
+"""Settings of the isotropic rig: an imbalance that whirls by 1.75 mm peak to peak with pendulums locked apart."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class _Series:
 
     @property
     def std(self) -> tuple[Array, Array]:
-        """Standard uncertainties of places and amplitudes, rad (n, 2) and m (n,)."""
+        """Return standard uncertainties of places and amplitudes, rad (n, 2) and m (n,)."""
         return (
             np.array([[angle.std for angle in end.theta_rad] for end in self.ends]),
             np.array([end.amplitude_x_m.std for end in self.ends]),
@@ -65,17 +65,17 @@ class _Series:
 
     @property
     def own_rad(self) -> float:
-        """What the measurements alone would scatter: without what all start-ups share, as the zero of an encoder."""
+        """Return the scatter of the measurements alone, without common errors of all start-ups as encoder zeros."""
         return math.sqrt(float(np.mean([np.diag(end.own)[:2] for end in self.ends])))
 
     @property
     def lower(self) -> list[str]:
-        """Which of the two stands at the lower angle: mirror images have other errors of the encoders' zeros."""
+        """Return which of the two is at the lower angle: mirror images have different errors of the encoder zeros."""
         turned = [[math.remainder(angle.value - math.pi, 2 * math.pi) for angle in end.theta_rad] for end in self.ends]
         return ["A" if a < b else "B" for a, b in turned]
 
     def table(self, name: str, title: str) -> Table:
-        """Every start-up."""
+        """Return every start-up."""
         places, (angle_std, amplitude_std) = np.degrees(self.scatter.places_rad), self.std
         return Table(
             name,
@@ -94,18 +94,18 @@ class _Series:
 
 
 def _recorded(work: Workspace, rig: str, settings: tuple[str, ...], count: int, seed: int) -> _Series:
-    """Start-ups from rest, and one released at speed, whose locked orbit is the level without a balancer."""
-    ends, said = list[SteadyMeasurement](), 0
+    """Record start-ups from rest, and one release at speed, whose locked orbit is the level without a balancer."""
+    ends, recorded = list[SteadyMeasurement](), 0
     with Rehearsal(rig, work.recordings(f"{rig}-{seed}"), [*settings, f"virtual.seed={seed}"]) as far:
         (locked,) = load_runs([far.record("start-ups", speed_rpm=SPEED_RPM, count=1).runs[0].log])
         for _ in range(count):
             log = far.record("start-ups", speed_rpm=SPEED_RPM, count=1, from_rest=1).runs[0].log
             (run,) = load_runs([log])
             ends.append(measure(run, far.rig))
-            if said:
-                log.unlink()  # a dozen megabytes each, all alike: the first is kept
-            said += 1
-            work.tell(said / (count + 1))
+            if recorded:
+                log.unlink()  # twelve megabytes each, all similar: only the first is kept
+            recorded += 1
+            work.progress(recorded / (count + 1))
         physics = far.rig.physics
     theta = np.array([[angle.value for angle in end.theta_rad] for end in ends])
     found = settled_scatter(theta, np.array([end.amplitude_x_m.value for end in ends]), balance_of(physics))
@@ -113,12 +113,12 @@ def _recorded(work: Workspace, rig: str, settings: tuple[str, ...], count: int, 
 
 
 def without(p: RotorParameters) -> RotorParameters:
-    """The rig without its balancer."""
+    """Return the rig without its balancer."""
     return replace(p, a=Pendulum.absent(), b=Pendulum.absent())
 
 
 def level(p: RotorParameters, theta: tuple[float, float] = (0.0, math.pi)) -> float:
-    """Amplitude of x at 1500 rpm with the pendulums held, m."""
+    """Return the amplitude of x at 1500 rpm with the pendulums held, m."""
     return abs(locked_orbit(p, SPEED, *theta)[0])
 
 
@@ -128,7 +128,7 @@ def _degrees(rad: float) -> str:
 
 
 def balls_3_27(work: Workspace) -> Reproduced:
-    """Figure 3.27: where the balls settle, start-up by start-up, and what vibration is left."""
+    """Reproduce Figure 3.27: final positions of the balls, start-up by start-up, and remaining vibration."""
     p = work.physics(BALLS)
     series = _recorded(work, BALLS, (), COUNT, 327)
     bare, balance = level(without(p)), balance_of(p)
@@ -142,7 +142,6 @@ def balls_3_27(work: Workspace) -> Reproduced:
         ("Amplitudes are drawn peak to peak: only so do the source's levels fit its masses.",),
         series.std,
     )
-    left = series.scatter.amplitude_m
     return Reproduced(
         (
             Panel(
@@ -164,49 +163,59 @@ def balls_3_27(work: Workspace) -> Reproduced:
         (
             "Rolling resistance of 10 µm (a length): the source gives none; item 3.28 sweeps it. Viscous damping of "
             "0.0001 N m s/rad: none is given either.",
-            "114 mm is the radius of the circle of the balls' centres: with it the level without balls asks for a "
-            "rotor near the 7 kg of the pendulum rig; as the radius of the channel's wall it would ask for less.",
+            "114 mm is the radius of the circle of the balls' centres: with it the level without balls requires a "
+            "rotor near the 7 kg of the pendulum rig; as the radius of the channel's wall it would require less.",
             "The imbalance is that of two balls locked at ±30° from its far side, 2 m R cos 30°. The virtual rig's "
             "locks stand at 0° and 180°; ±30° is computed.",
             "Balls are pushed by hand before each start, so that they begin elsewhere; angles are measured by the "
             "virtual rig's encoders, where the source read a dial.",
         ),
-        (
-            _mass_of_the_level(p),
-            Claim.judged(
-                "section 3.3.2",
-                "Vibration is largest without balls: every start-up with balls has less.",
-                bool(np.all(left < bare)),
-                f"without {2e3 * bare:.3f} mm peak to peak (balls locked apart, measured "
-                f"{2e3 * series.locked_m:.3f} mm); with balls {2e3 * left.min():.3f} to {2e3 * left.max():.3f} mm, "
-                f"in the mean {2e3 * left.mean():.3f} mm",
-            ),
-            Claim.judged(
-                "section 3.3.2",
-                "It is smallest with the balls locked at ±30°.",
-                bool(np.all(left > best)),
-                f"locked there {2e6 * best:.2g} µm by the model, least of the start-ups {2e6 * left.min():.0f} µm",
-            ),
-            Claim.judged(
-                "Figure 3.27",
-                "The balls settle at other places each time, widely scattered.",
-                series.scatter.scatter_rad > 10 * series.own_rad and series.scatter.scatter_rad > math.radians(5),
-                f"standard deviation of a place {_degrees(series.scatter.scatter_rad)} ± "
-                f"{_degrees(series.scatter.scatter_std_rad)}, of the amplitude "
-                f"{2e3 * series.scatter.amplitude_scatter_m:.3f} mm peak to peak; the measurements alone "
-                f"{_degrees(series.own_rad)}",
-            ),
+        _ball_claims(p, series, bare, best),
+    )
+
+
+def _ball_claims(p: RotorParameters, series: _Series, bare: float, best: float) -> tuple[Claim, ...]:
+    """Return the claims of Figure 3.27.
+
+    Args:
+        bare, best: amplitude of x without balls and with balls locked in balance, m.
+    """
+    left = series.scatter.amplitude_m
+    return (
+        _mass_of_the_level(p),
+        Claim.judged(
+            "section 3.3.2",
+            "Vibration is largest without balls: every start-up with balls has less.",
+            bool(np.all(left < bare)),
+            f"without {2e3 * bare:.3f} mm peak to peak (balls locked apart, measured "
+            f"{2e3 * series.locked_m:.3f} mm); with balls {2e3 * left.min():.3f} to {2e3 * left.max():.3f} mm, "
+            f"in the mean {2e3 * left.mean():.3f} mm",
+        ),
+        Claim.judged(
+            "section 3.3.2",
+            "It is smallest with the balls locked at ±30°.",
+            bool(np.all(left > best)),
+            f"locked there {2e6 * best:.2g} µm by the model, least of the start-ups {2e6 * left.min():.0f} µm",
+        ),
+        Claim.judged(
+            "Figure 3.27",
+            "The balls settle at other places each time, widely scattered.",
+            series.scatter.scatter_rad > 10 * series.own_rad and series.scatter.scatter_rad > math.radians(5),
+            f"standard deviation of a place {_degrees(series.scatter.scatter_rad)} ± "
+            f"{_degrees(series.scatter.scatter_std_rad)}, of the amplitude "
+            f"{2e3 * series.scatter.amplitude_scatter_m:.3f} mm peak to peak; the measurements alone "
+            f"{_degrees(series.own_rad)}",
         ),
     )
 
 
 def _mass_of_the_level(p: RotorParameters) -> Claim:
-    """0.80475 mm without balls, against the mass of the disk."""
+    """Compare 0.80475 mm without balls with the mass of the disk."""
     bare = without(p)
     mass = dict[str, float]()
     for name, amplitude in (("half of a whole swing", WITHOUT_PP_M / 2), ("0–peak", WITHOUT_PP_M)):
         rotor = 7.0
-        for _ in range(60):  # the springs stay; the amplification depends a little on the mass
+        for _ in range(60):  # with constant springs the amplification depends slightly on the mass
             found = replace(bare, rotor_mass_kg=rotor)
             rotor = (rotor + found.imbalance_mass_kg) * level(found) / amplitude - found.imbalance_mass_kg
         mass[name] = rotor
@@ -216,7 +225,7 @@ def _mass_of_the_level(p: RotorParameters) -> Claim:
         "section 3.3.2",
         "Without balls the amplitude is 0.80475 mm.",
         verdict,
-        f"with 2 m R cos 30° = {p.imbalance_moment_kg_m:.4g} kg m it asks for a rotor of {zero:.2f} kg as an amplitude "
+        f"with 2 m R cos 30° = {p.imbalance_moment_kg_m:.4g} kg m it requires a rotor of {zero:.2f} kg as an amplitude "
         f"(0–peak) and of {swing:.2f} kg peak to peak; the pendulum rig's has 7 kg: taken as peak to peak",
     )
 
@@ -236,7 +245,7 @@ _ASSUMED = (
 
 
 def pendulums_3_29(work: Workspace) -> Reproduced:
-    """Figure 3.29: where the pendulums settle, beside the level with both locked."""
+    """Reproduce Figure 3.29: final positions of the pendulums, and the level with both locked."""
     p, series = _pendulums(work, 329)
     locked = level(p)
     figure = draw_start_ups(
@@ -292,7 +301,7 @@ def pendulums_3_29(work: Workspace) -> Reproduced:
 
 
 def zoomed_3_30(work: Workspace) -> Reproduced:
-    """Figure 3.30: the same closer, another series, and how it compares with the balls."""
+    """Reproduce Figure 3.30: the same enlarged, another series, and a comparison with the balls."""
     p, series = _pendulums(work, 330)
     figure = draw_start_ups(
         series.scatter,
@@ -326,12 +335,12 @@ def zoomed_3_30(work: Workspace) -> Reproduced:
                 f"standard deviation of a place {_degrees(series.scatter.scatter_rad)} against "
                 f"{_degrees(balls.scatter_rad)}, {ratio:.3g} times; of the amplitude {amplitudes:.3g} times; "
                 f"equal ones would differ so much with a probability of {chance:.1g}. For friction arms of "
-                f"{1e6 * PIN_ARM_M:g} and {1e6 * work.physics(BALLS).a.friction_arm_m:.0f} µm; item 3.28 says over "
-                "which range of assumed friction",
+                f"{1e6 * PIN_ARM_M:g} and {1e6 * work.physics(BALLS).a.friction_arm_m:.0f} µm; item 3.28 has "
+                "the dependence on assumed friction",
             ),
             Claim.judged(
                 "Figure 3.30",
-                "They come to rest beside the exact balance, always alike.",
+                "They come to rest off the exact balance, always at the same places.",
                 series.scatter.off_rad > 3 * series.scatter.scatter_rad,
                 f"{_degrees(series.scatter.off_rad)} (rms) off, scattered by {_degrees(series.scatter.scatter_rad)}: "
                 "consistent is not exact",
@@ -341,7 +350,7 @@ def zoomed_3_30(work: Workspace) -> Reproduced:
 
 
 def simulated_balls(work: Workspace, count: int = 24) -> SettledScatter:
-    """Start-ups of the ball balancer by the model, from random places."""
+    """Return start-ups of the ball balancer by the model, from random places."""
     from dynamics.motions.start_ups import random_starts, start_ups_from_rest  # noqa: PLC0415 (compiles)
 
     p = work.physics(BALLS)

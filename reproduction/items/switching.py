@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""What imperfections leave of the vibration in either of the two balanced positions."""
+"""Remaining vibration in either of the two balanced positions, by imperfection."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _SAME_M = 1e-11
 
 @dataclass(frozen=True)
 class Row:
-    """One imperfection: what is left in either position, in `unit`."""
+    """One imperfection: remaining value in either position, in `unit`."""
 
     name: str
     first: float
@@ -48,7 +48,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Curve:
-    """Radii left over S_P."""
+    """Remaining radii over S_P."""
 
     name: str
     moment_kg_m: Array
@@ -57,7 +57,7 @@ class Curve:
 
     @property
     def table(self) -> Table:
-        """As columns."""
+        """Return the table's columns."""
         return Table(
             "left-" + "".join(c if c.isalnum() else "-" for c in self.name),
             f"Left in both positions: {self.name}",
@@ -74,7 +74,7 @@ _CURVES: tuple[tuple[str, Imperfections], ...] = (
 
 
 def imperfect_curves(p: RotorParameters, speed_ratio: float) -> list[Curve]:
-    """Radii left in both positions over S_P, for four imperfections."""
+    """Return the remaining radii in both positions over S_P, for four imperfections."""
     moments = np.linspace(0.0002, 0.00805, 158)
     found = list[Curve]()
     for name, each in _CURVES:
@@ -83,7 +83,7 @@ def imperfect_curves(p: RotorParameters, speed_ratio: float) -> list[Curve]:
             own = p.with_values(SP_kg_m=moment)
             try:
                 pair = mirrored_positions(own, own.speed_rad_s(speed_ratio), each)
-            except DynamicsError:  # too large an imperfection so near a border: no such position
+            except DynamicsError:  # the imperfection is too large this near to a border: the position does not exist
                 if np.isfinite(radii[:i]).any():
                     break
                 continue
@@ -93,8 +93,8 @@ def imperfect_curves(p: RotorParameters, speed_ratio: float) -> list[Curve]:
 
 
 def positions_figure(curves: Sequence[Curve], title: str) -> Figure:
-    """Both radii over S_P, a plot an imperfection."""
-    foot = "Pivots in the rotor's frame; along: towards the imbalance, oblique: 45° beside it. Gaps: no such position."
+    """Draw both radii over S_P, one plot for each imperfection."""
+    foot = "Pivots in the rotor's frame; along: towards the imbalance, oblique: 45° off it. Gaps: no such position."
     with sheet(WIDTH_IN, 4.6, title, [foot]) as figure:
         grid: NDArray[np.object_] = figure.subplots(2, 2, sharex=True, sharey=True)
         panels: list[Axes] = grid.ravel().tolist()
@@ -113,7 +113,7 @@ def positions_figure(curves: Sequence[Curve], title: str) -> Figure:
 
 
 def rows_of(p: RotorParameters, speed_ratio: float) -> list[Row]:
-    """All imperfections looked at, with S_P of 3 g m."""
+    """Return all imperfections, at S_P of 3 g m."""
     own = p.with_values(SP_kg_m=_AT_KG_M)
     speed = own.speed_rad_s(speed_ratio)
     heavy = replace(own, b=replace(own.b, mass_kg=_HEAVIER * own.b.mass_kg))
@@ -149,7 +149,7 @@ def _solved(name: str, p: RotorParameters, speed: float, each: Imperfections) ->
 
 
 def _steady(name: str, p: RotorParameters, speed: float) -> Row:
-    """By the steady states near the two balanced positions."""
+    """Return the remaining values of the steady states near the two balanced positions."""
     radii = list[float]()
     for pair in balanced_angles(p):
         near = np.exp(1j * np.array(pair))
@@ -160,7 +160,7 @@ def _steady(name: str, p: RotorParameters, speed: float) -> Row:
 
 
 def _seen(p: RotorParameters, speed: float) -> list[Row]:
-    """What a sensor or a second plane sees of positions that balance alike."""
+    """Return what a sensor or a second plane measures of positions with equal balance."""
     still = mirrored_positions(p, speed, Imperfections())
     torn = mirrored_positions(p, speed, Imperfections(torque_a_Nm=_TORQUE_NM))
     moment = p.a.first_moment_kg_m
@@ -176,7 +176,7 @@ def _seen(p: RotorParameters, speed: float) -> list[Row]:
 
 
 def _friction(p: RotorParameters, speed: float) -> Row:
-    """Dry friction: mean radius left on either side by releases from random angles; whether by more than chance."""
+    """Return the mean radius on either side of releases with dry friction from random angles, and its significance."""
 
     def rubbing(q: Pendulum) -> Pendulum:
         return replace(q, friction_arm_m=_FRICTION_ARM_M)
@@ -198,7 +198,7 @@ def _friction(p: RotorParameters, speed: float) -> Row:
 
 
 def positions_table(rows: Sequence[Row]) -> Table:
-    """All imperfections as a table."""
+    """Return all imperfections as a table."""
     return Table(
         "imperfections",
         "What is left with A below and above 180°, S_P = 3 g m",
@@ -214,19 +214,19 @@ def positions_table(rows: Sequence[Row]) -> Table:
 
 
 def positions_claim(rows: Sequence[Row], recorded_m: Sequence[Sequence[float]]) -> Claim:
-    """Which imperfections make the two positions differ."""
+    """Return the claim on which imperfections make the two positions differ."""
     mass = rows[0]
     different = [row for row in rows if row.differs]
     alike = [row for row in rows if not row.differs]
     verdict = "holds" if mass.differs else "holds in part" if different else "does not hold"
     largest = max(max(each, default=0.0) for each in recorded_m)
-    said = "; ".join(f"{row.name}: {row.first:.3g} and {row.second:.3g} {row.unit}" for row in different)
+    shown = "; ".join(f"{row.name}: {row.first:.3g} and {row.second:.3g} {row.unit}" for row in different)
     return Claim(
         "3.2.3",
         "Small differences of the pendulums make the two positions leave different vibration.",
         verdict,
         f"not their masses: 0.5 % leaves {mass.first:.1g} and {mass.second:.1g} µm, either position balances (recorded "
-        f"equal pendulums: {1e6 * largest:.2f} µm at most). Different: {said}. The same in both: "
+        f"equal pendulums: {1e6 * largest:.2f} µm at most). Different: {shown}. The same in both: "
         f"{'; '.join(row.name for row in alike)}. A reflection at the imbalance's line carries one position into the "
-        "other; only what lacks that line, or a pivot for each, tells them apart",
+        "other; only an imperfection without that line, or a pivot for each, makes them differ",
     )

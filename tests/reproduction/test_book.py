@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from rig_cli.main import run
 from reproduction.book import write_book, write_docs
 from reproduction.catalogue import ITEMS, chosen
 from reproduction.errors import UnknownItem
 from reproduction.items import rotor_alone
 from reproduction.running import reproduce
+from rig_cli.main import run
 
 
 def test_numbers_choose_items() -> None:
@@ -64,7 +64,7 @@ def test_an_item_that_fails_leaves_the_others(
 
     monkeypatch.setattr(rotor_alone, "forces_2_3", broken)
     assert run(["reproduce", "2", "-o", str(tmp_path), "--jobs", "1"]) == 3
-    assert "2.3 could not be made: ZeroDivisionError: no such speed" in capsys.readouterr().err
+    assert "2.3 could not be reproduced: ZeroDivisionError: no such speed" in capsys.readouterr().err
     text = (tmp_path / "book.html").read_text(encoding="utf-8")
     assert text.count("<svg") == 1
     assert "not made</span> ZeroDivisionError: no such speed" in text

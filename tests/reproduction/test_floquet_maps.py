@@ -18,10 +18,10 @@ from tests.reproduction.judged import column, made, verdicts
 def test_the_coarse_map_by_the_source_s_schemes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(floquet_maps, "_COARSE", (21, 9))
     found = made("4.1", tmp_path)
-    said = verdicts(found)
-    assert said["Piecewise scheme and single pass give alike maps."] == "holds"
-    assert said["The piecewise scheme needs much less processor time."] == "holds"
-    assert said["There are two stable areas with an unstable zone between them."] == "holds"
+    verdict_of = verdicts(found)
+    assert verdict_of["Piecewise scheme and single pass give alike maps."] == "holds"
+    assert verdict_of["The piecewise scheme needs much less processor time."] == "holds"
+    assert verdict_of["There are two stable areas with an unstable zone between them."] == "holds"
     assert np.max(np.abs(column(found, "map", "multiplier") - column(found, "map", "multiplier_single_pass"))) < 1e-8
 
 
@@ -37,8 +37,8 @@ def test_borders_and_points(tmp_path: Path) -> None:
 
 
 def test_multipliers_along_the_line(tmp_path: Path) -> None:
-    said = verdicts(made("4.3", tmp_path))
-    assert said["The largest multipliers are a complex conjugate pair."] == "does not hold"
+    verdict_of = verdicts(made("4.3", tmp_path))
+    assert verdict_of["The largest multipliers are a complex conjugate pair."] == "does not hold"
     views = made("4.4", tmp_path)
     assert set(verdicts(views).values()) == {"holds"}
     parts = [[column(views, "multipliers", f"{part}_{i}") for i in range(1, 9)] for part in ("real", "imaginary")]

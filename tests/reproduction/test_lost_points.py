@@ -55,10 +55,10 @@ def test_a_rig_that_slips_is_no_rig_that_locks() -> None:
     assert slips.slip_verdict(ends, bare) == "holds in part"
     assert slips.slip_verdict(ends, np.array([False, True, False])) == "holds"
     assert slips.slip_verdict(ends, np.array([True, True, False])) == "does not hold"
-    said = slips.rates_said(ends, bare, np.array([1.0, 2.0, 3.0]))
-    assert "0.1000 … 0.100 turns" in said
-    assert "1.80 … 1.80 ω_n" in said
-    assert slips.rates_said(ends, np.array([True, False, False]), np.ones(3)) == "none slips"
+    text = slips.slip_rates_text(ends, bare, np.array([1.0, 2.0, 3.0]))
+    assert "0.1000 … 0.100 turns" in text
+    assert "1.80 … 1.80 ω_n" in text
+    assert slips.slip_rates_text(ends, np.array([True, False, False]), np.ones(3)) == "none slips"
 
 
 def test_two_stiffnesses(tmp_path: Path) -> None:

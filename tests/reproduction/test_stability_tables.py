@@ -27,7 +27,7 @@ def test_type_one(tmp_path: Path) -> None:
         "Type I, subcritical, properly oversized: it is unstable.": "holds",
         "Type I, supercritical, properly oversized: it is stable.": "holds in part",
         "Outside ABCD Type I does not exist.": "holds",
-        "Eigenvalues of the linearised equations tell how a deviation grows.": "holds",
+        "Eigenvalues of the linearised equations describe how a deviation grows.": "holds",
     }
     assert np.array_equal(column(found, "cells", "stable")[:2], [0, 0])
     images = column(found, "cells", "stable")[2:]

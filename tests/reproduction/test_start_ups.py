@@ -14,10 +14,10 @@ from tests.reproduction.judged import column, made, verdicts
 def test_balls_scatter_and_reduce(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(start_ups, "COUNT", 3)
     found = made("3.27", tmp_path)
-    told = verdicts(found)
-    assert told["Without balls the amplitude is 0.80475 mm."] == "holds in part"
-    assert [verdict for statement, verdict in told.items() if "0.80475" not in statement] == ["holds"] * 3
-    assert "asks for a rotor of 3.37 kg as an amplitude (0–peak) and of 6.76 kg" in found.claims[0]["computed"]
+    verdict_of = verdicts(found)
+    assert verdict_of["Without balls the amplitude is 0.80475 mm."] == "holds in part"
+    assert [verdict for statement, verdict in verdict_of.items() if "0.80475" not in statement] == ["holds"] * 3
+    assert "requires a rotor of 3.37 kg as an amplitude (0–peak) and of 6.76 kg" in found.claims[0]["computed"]
     assert column(found, "start-ups", "amplitude_pp_mm").max() < 0.80475
     places = column(found, "start-ups", "higher_deg") - column(found, "start-ups", "lower_deg")
     assert np.all(places > 0)
@@ -27,9 +27,9 @@ def test_balls_scatter_and_reduce(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_pendulums_settle_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(start_ups, "COUNT", 4)
     found = made("3.29", tmp_path)
-    told = verdicts(found)
-    assert told["With the pendulums locked at 0° and 180° the amplitude is 1.75 mm."] == "holds in part"
-    assert list(told.values())[1:] == ["holds", "holds"]
+    verdict_of = verdicts(found)
+    assert verdict_of["With the pendulums locked at 0° and 180° the amplitude is 1.75 mm."] == "holds in part"
+    assert list(verdict_of.values())[1:] == ["holds", "holds"]
     assert np.ptp(column(found, "start-ups", "lower_deg")) < 0.3
     assert column(found, "start-ups", "amplitude_pp_mm").max() < 0.02
     closer = made("3.30", tmp_path)
@@ -39,12 +39,12 @@ def test_pendulums_settle_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_contact_and_arms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(friction_arms, "COUNT", 6)
     found = made("3.28", tmp_path)
-    told = verdicts(found)
-    assert told["Ball and channel come together by 16 µm at 1500 rpm."] == "does not hold"
-    assert told["A chrome-steel ball of 15 mm weighs 13.8 g."] == "holds"
-    assert told["Friction holds a ball on a longer lever than it holds a pendulum."] == "holds in part"
-    assert told["Pendulum balancers are less susceptible to friction than ball balancers."] == "holds in part"
-    assert told["Rolling resistance stops the balls before they balance, and that leaves a vibration."] == "holds"
+    verdict_of = verdicts(found)
+    assert verdict_of["Ball and channel come together by 16 µm at 1500 rpm."] == "does not hold"
+    assert verdict_of["A chrome-steel ball of 15 mm weighs 13.8 g."] == "holds"
+    assert verdict_of["Friction holds a ball on a longer lever than it holds a pendulum."] == "holds in part"
+    assert verdict_of["Pendulum balancers are less susceptible to friction than ball balancers."] == "holds in part"
+    assert verdict_of["Rolling resistance stops the balls before they balance, and that leaves a vibration."] == "holds"
     arms = column(found, "arms", "friction_arm_um")
     assert arms[1] == pytest.approx(152, abs=0.1)
     balls, pendulums = (column(found, f"scatter-{n}", "scatter_deg") for n in (1, 3))

@@ -12,7 +12,7 @@ from rig_cli.main import run
 from rig_configs import IdentifiedParameters
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+def run_rig(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
     code = run(["basins", "virtual", *arguments])
     captured = capsys.readouterr()
     return code, captured.out, captured.err
@@ -21,7 +21,7 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
 def test_a_map_with_its_files_and_probabilities(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arrays, figure, parameters = tmp_path / "basins.npz", tmp_path / "basins.svg", tmp_path / "parameters.toml"
     IdentifiedParameters({"zeta1": 0.021}, np.array([[1e-10]])).save(parameters)
-    code, out, _ = said(
+    code, out, _ = run_rig(
         capsys,
         "--point",
         "E",
@@ -58,9 +58,9 @@ def test_a_map_with_its_files_and_probabilities(capsys: pytest.CaptureFixture[st
         assert words in text
 
 
-def test_slipping_is_told_with_its_rates(capsys: pytest.CaptureFixture[str]) -> None:
+def test_slipping_is_reported_with_its_rates(capsys: pytest.CaptureFixture[str]) -> None:
     strong = ("--set", "suspension.zeta1=0.05", "--set", "suspension.zeta2=0.05")
-    code, out, _ = said(capsys, "--point", "D", "--grid", "2x2", *strong)
+    code, out, _ = run_rig(capsys, "--point", "D", "--grid", "2x2", *strong)
     assert code == 0
     assert "100.0 %  slipping, A -0.046273 and B -0.046273 turns per revolution" in out
     assert "what if suspension.zeta1=0.05" in out
@@ -79,6 +79,6 @@ def test_slipping_is_told_with_its_rates(capsys: pytest.CaptureFixture[str]) -> 
     ],
 )
 def test_what_is_refused(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], words: str) -> None:
-    code, _, error = said(capsys, *arguments)
+    code, _, error = run_rig(capsys, *arguments)
     assert code == 2
     assert words in error

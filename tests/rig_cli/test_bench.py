@@ -1,4 +1,4 @@
-"""The benchmark: what it measures is right, whatever the time it took."""
+"""The benchmark: its results are right, independent of the time it took."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pytest
 
 from analysis.figures.style import to_svg
 from analysis.figures.work_precision import draw_work_precision
-from rig_cli.main import run
 from dynamics.bench import fresh_process, heyoka_runs, tables
 from dynamics.bench.records import Measurement, Target, compared, over_points, worth_showing
+from rig_cli.main import run
 
 
 def row(method: str, seconds: float, error: float | None, peer: bool = False, case: str = "c") -> Measurement:
@@ -43,8 +43,8 @@ def test_quick_run_gives_keys_figures_and_small_true_errors(capsys: pytest.Captu
     assert {r["service"] for r in chosen} == {r["service"] for r in rows}
     for r in chosen:  # the services keep their word
         assert r["true_error"] <= r["error_estimate"]
-        asked = [float(part.split()[1]) for part in r["setting"].split(",") if part.startswith("accuracy")]
-        assert r["error_estimate"] <= asked[0]
+        accuracies = [float(part.split()[1]) for part in r["setting"].split(",") if part.startswith("accuracy")]
+        assert r["error_estimate"] <= accuracies[0]
     methods = {r["method"] for r in rows if r["service"] == "multipliers" and (r["true_error"] or 0) < 1e-6}
     assert methods >= {"explicit", "magnus", "implicit", "chebyshev", "heyoka (variational)"}
     assert all(t["got"] > 0 and math.isfinite(t["got"]) for t in result["targets"])
@@ -109,7 +109,7 @@ def test_identification_writes_every_service_beside_peers(
     assert "| fit_ring_down | balanced |" in (tmp_path / "identification_precision.md").read_text(encoding="utf-8")
 
 
-def test_the_reference_knows_the_printed_multipliers() -> None:
+def test_the_reference_has_the_printed_multipliers() -> None:
     pytest.importorskip("heyoka")
     from rig_configs import load_rig
 
@@ -182,7 +182,7 @@ def test_durations_carry_their_unit(seconds: float, text: str) -> None:
     assert tables.duration(seconds) == text
 
 
-def test_the_figure_says_so_when_nothing_is_known() -> None:
+def test_the_figure_states_so_when_nothing_is_known() -> None:
     rows = compared([row("m", 1.0, None)])
     assert "no reference ran" in to_svg(draw_work_precision(rows, "all", "c"), "w", "work and precision")
 

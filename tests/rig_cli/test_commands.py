@@ -15,7 +15,7 @@ from rig_cli.main import run
 from tests.daq.small_log import write_small_log
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+def run_rig(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
     code = run(list(arguments))
     captured = capsys.readouterr()
     return code, captured.out, captured.err
@@ -23,7 +23,7 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
 
 def test_predict_gives_the_contract_keys_and_the_expected_states(capsys: pytest.CaptureFixture[str]) -> None:
     for point, kind in (("A", "III"), ("B", "I")):
-        code, out, _ = said(capsys, "predict", "virtual", "--point", point, "--json")
+        code, out, _ = run_rig(capsys, "predict", "virtual", "--point", point, "--json")
         result = json.loads(out)
         assert code == 0
         assert set(result) >= {"model", "why", "speed_ratio", "speed_rpm", "steady_states", "release"}
@@ -41,28 +41,28 @@ def test_predict_gives_the_contract_keys_and_the_expected_states(capsys: pytest.
         assert result["release"]["reaches"] == kind
 
 
-def test_predict_says_which_model_and_why(capsys: pytest.CaptureFixture[str]) -> None:
+def test_predict_states_which_model_and_why(capsys: pytest.CaptureFixture[str]) -> None:
     for rig, words in (("virtual", "k1 ≠ k2"), ("isotropic", "isotropic suspension")):
-        code, out, _ = said(capsys, "predict", rig, "--speed-ratio", "1.6")
+        code, out, _ = run_rig(capsys, "predict", rig, "--speed-ratio", "1.6")
         assert code == 0
         assert f"why: {words}" in out or words in out.splitlines()[1]
-    code, out, _ = said(capsys, "predict", "virtual", "--point", "B", "--set", "suspension.gravity_m_per_s2=9.81")
+    code, out, _ = run_rig(capsys, "predict", "virtual", "--point", "B", "--set", "suspension.gravity_m_per_s2=9.81")
     assert "gravity" in out.splitlines()[1]
 
 
 @pytest.mark.parametrize("suffix", ["svg", "png", "pdf"])
 def test_predict_draws(capsys: pytest.CaptureFixture[str], tmp_path: Path, suffix: str) -> None:
     figure = tmp_path / f"b.{suffix}"
-    assert said(capsys, "predict", "virtual", "--point", "B", "--plot", str(figure))[0] == 0
+    assert run_rig(capsys, "predict", "virtual", "--point", "B", "--plot", str(figure))[0] == 0
     assert figure.stat().st_size > 5000
-    code, _, err = said(capsys, "predict", "virtual", "--point", "B", "--plot", str(tmp_path / "b.doc"))
+    code, _, err = run_rig(capsys, "predict", "virtual", "--point", "B", "--plot", str(tmp_path / "b.doc"))
     assert code == 2
     assert ".svg, .png or .pdf" in err
 
 
 def test_map_writes_arrays_and_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arrays, figure = tmp_path / "map.npz", tmp_path / "map.png"
-    code, out, _ = said(
+    code, out, _ = run_rig(
         capsys,
         "map",
         "virtual",
@@ -88,8 +88,8 @@ def test_map_writes_arrays_and_figure(capsys: pytest.CaptureFixture[str], tmp_pa
 
 
 def test_set_changes_the_prediction(capsys: pytest.CaptureFixture[str]) -> None:
-    _, before, _ = said(capsys, "predict", "virtual", "--point", "D", "--json")
-    _, after, _ = said(capsys, "predict", "virtual", "--point", "D", "--json", "--set", "suspension.k2_N_per_m=+5%")
+    _, before, _ = run_rig(capsys, "predict", "virtual", "--point", "D", "--json")
+    _, after, _ = run_rig(capsys, "predict", "virtual", "--point", "D", "--json", "--set", "suspension.k2_N_per_m=+5%")
     amplitude = [json.loads(x)["steady_states"][0]["amplitude_mm"] for x in (before, after)]
     assert amplitude[1] < 0.95 * amplitude[0]
 
@@ -112,26 +112,26 @@ def test_set_changes_the_prediction(capsys: pytest.CaptureFixture[str]) -> None:
     ],
 )
 def test_bad_use_is_explained(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, words: str) -> None:
-    found, out, err = said(capsys, *arguments)
+    found, out, err = run_rig(capsys, *arguments)
     assert found == code
     assert words in " ".join((out + err).split())
 
 
 def test_log_and_replay_of_a_small_log(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = write_small_log(tmp_path / "small.mcap")
-    code, out, _ = said(capsys, "log", str(path), "--json")
+    code, out, _ = run_rig(capsys, "log", str(path), "--json")
     facts = json.loads(out)
     assert code == 0
     assert facts["complete"] is True
     assert facts["channels"]["laser/x"]["samples"] == 400
-    code, out, _ = said(capsys, "replay", str(path), "--check", "--json")
+    code, out, _ = run_rig(capsys, "replay", str(path), "--check", "--json")
     assert code == 0
     assert json.loads(out)["identical"] is True
 
 
 def test_replay_notices_a_changed_sample(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = write_small_log(tmp_path / "small.mcap", falsify=True)
-    code, out, _ = said(capsys, "replay", str(path), "--check")
+    code, out, _ = run_rig(capsys, "replay", str(path), "--check")
     assert code == 1
     assert "differ in displacement_m" in out
 
@@ -167,16 +167,18 @@ def test_a_map_of_one_row_is_a_curve_and_bad_places_are_refused_first(
 ) -> None:
     figure = tmp_path / "row.svg"
     axes = ["--x", "speed_ratio=1:2:5", "--y"]
-    assert said(capsys, "map", "virtual", *axes, "stiffness_ratio=2:2:1", "--plot", str(figure))[0] == 0
+    assert run_rig(capsys, "map", "virtual", *axes, "stiffness_ratio=2:2:1", "--plot", str(figure))[0] == 0
     assert "largest |multiplier| at K = 2" in figure.read_text(encoding="utf-8")
     for option, word in (
         (["-o", str(tmp_path / "a.csv")], ".npz"),
-        (["--plot", str(tmp_path / "no" / "a.svg")], "no folder"),
+        (["--plot", str(tmp_path / "no" / "a.svg")], "does not exist"),
     ):
-        code, _, err = said(capsys, "map", "virtual", *axes, "stiffness_ratio=2:3:2", *option)
+        code, _, err = run_rig(capsys, "map", "virtual", *axes, "stiffness_ratio=2:3:2", *option)
         assert code == 2
         assert word in err
-    code, _, err = said(capsys, "map", "virtual", "--x", "speed_ratio=1:2:100000", "--y", "stiffness_ratio=1:2:100000")
+    code, _, err = run_rig(
+        capsys, "map", "virtual", "--x", "speed_ratio=1:2:100000", "--y", "stiffness_ratio=1:2:100000"
+    )
     assert code == 2
     assert "at most" in err
 
@@ -186,12 +188,12 @@ def test_every_command_has_its_line_in_the_overview(capsys: pytest.CaptureFixtur
 
     assert run(["--help"]) == 0
     shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    listed, asked = commands(), commands({name for name in commands() if not name.startswith("-")})
+    listed, loaded = commands(), commands({name for name in commands() if not name.startswith("-")})
     for name in listed:
         if not name.startswith("-"):
             line = listed[name].help
-            assert line == asked[name].help.partition("\n")[0], (
-                f"{name}: its line is not what the command says of itself"
+            assert line == loaded[name].help.partition("\n")[0], (
+                f"{name}: its line differs from the summary of the command"
             )
             assert line in shown
     assert run(["export", "--help"]) == 0

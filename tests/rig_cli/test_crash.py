@@ -1,4 +1,4 @@
-"""An error that nobody foresaw: an exit code, one line, a file with what to send; no secrets, no second error."""
+"""An unexpected error: an exit code, one line, a file with what to send; no secrets, no second error."""
 
 from __future__ import annotations
 
@@ -103,14 +103,14 @@ def test_an_unforeseen_error_is_one_json_object_too(
 ) -> None:
     monkeypatch.setattr("rig_cli.model.load_rig", fails)
     assert main.run(["predict", "virtual?token=abc123", "--json"]) == 70
-    told = json.loads(capsys.readouterr().out)
+    answer = json.loads(capsys.readouterr().out)
     (report,) = temporary.iterdir()
-    assert told["exit_code"] == 70
-    assert "ZeroDivisionError: float division by zero" in told["error"]
-    assert str(report) in told["error"]
+    assert answer["exit_code"] == 70
+    assert "ZeroDivisionError: float division by zero" in answer["error"]
+    assert str(report) in answer["error"]
     monkeypatch.setattr(crash, "_page", fails)
     assert main.run(["predict", "virtual", "--json"]) == 70
-    assert json.loads(capsys.readouterr().out) == {"error": "unforeseen error: ZeroDivisionError", "exit_code": 70}
+    assert json.loads(capsys.readouterr().out) == {"error": "unexpected error: ZeroDivisionError", "exit_code": 70}
 
 
 @pytest.mark.parametrize("when", ["before the result", "after the result", "without a result"])
@@ -132,18 +132,18 @@ def test_a_thread_that_dies_leaves_one_json_object(
 
     monkeypatch.setattr(main, "_carried_out", starts_a_thread)
     code = main.run(["--json"])
-    told = json.loads(capsys.readouterr().out)
+    answer = json.loads(capsys.readouterr().out)
     if when == "after the result":
-        assert (code, told) == (1, {"verdict": "fail"})
+        assert (code, answer) == (1, {"verdict": "fail"})
     else:
-        assert code == told["exit_code"] == 70
-        assert "ZeroDivisionError" in told["error"]
+        assert code == answer["exit_code"] == 70
+        assert "ZeroDivisionError" in answer["error"]
 
 
 def test_the_command_itself_exits_70(tmp_path: Path) -> None:
     broken = tmp_path / "cli_broken.py"
     broken.write_text(
-        "import sys\nimport rig_cli.model\ncli.model.need_place = 1\nfrom rig_cli.entry import main\nmain()\n"
+        "import sys\nimport rig_cli.model\nrig_cli.model.check_outputs = 1\nfrom rig_cli.entry import main\nmain()\n"
     )
     done = subprocess.run(
         [sys.executable, str(broken), "predict", "virtual", "--json"],

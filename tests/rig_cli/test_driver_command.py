@@ -8,8 +8,8 @@ from types import ModuleType
 
 import pytest
 
-from rig_cli.main import run
 from daq.drivers.vesc.driver import DRIVER, VescDriver
+from rig_cli.main import run
 from rig_configs.drivers import installed
 from rig_testing import examination, mutations
 from rig_testing.report import Failed
@@ -36,14 +36,14 @@ def stranger(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "strangers_driver", module)
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+def run_rig(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
     code = run(["driver", *arguments])
     captured = capsys.readouterr()
     return code, captured.out, captured.err
 
 
 def test_drivers_are_listed_with_package_and_roles(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = said(capsys, "list", "--json")
+    code, out, _ = run_rig(capsys, "list", "--json")
     drivers = {facts["name"]: facts for facts in json.loads(out)["drivers"]}
     assert code == 0
     assert list(drivers) == list(installed())
@@ -54,7 +54,7 @@ def test_drivers_are_listed_with_package_and_roles(capsys: pytest.CaptureFixture
         "verified": False,
     }
     assert drivers["rotorlink"]["roles"] == ["pendulum angles", "pendulum locks", "rotor phase"]
-    code, out, _ = said(capsys, "list")
+    code, out, _ = run_rig(capsys, "list")
     assert code == 0
     assert "displacement" in out
 
@@ -62,24 +62,24 @@ def test_drivers_are_listed_with_package_and_roles(capsys: pytest.CaptureFixture
 @pytest.mark.usefixtures("few_tests")
 @pytest.mark.parametrize("name", ["vesc", "pendulum-balancer-rig:vesc", "pendulum_balancer_rig:vesc", "daq:vesc"])
 def test_a_sound_driver_passes(capsys: pytest.CaptureFixture[str], name: str) -> None:
-    code, out, err = said(capsys, "check", name, "--json")
+    code, out, err = run_rig(capsys, "check", name, "--json")
     assert (code, json.loads(out)) == (0, {"driver": "vesc", "passed": True, "failed": []})
     assert "opening dialogue" in err
 
 
 @pytest.mark.usefixtures("few_tests", "stranger")
 def test_a_driver_of_a_module_that_fails_exits_1(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, _ = said(capsys, "check", "strangers_driver:BROKEN", "--json")
+    code, out, _ = run_rig(capsys, "check", "strangers_driver:BROKEN", "--json")
     result = json.loads(out)
     assert (code, result["driver"], result["passed"]) == (1, "vesc", False)
     assert [failed["test"] for failed in result["failed"]] == ["stop"]
     assert "RuntimeError: no such command" in result["failed"][0]["why"]
-    code, out, _ = said(capsys, "check", "strangers_driver:BROKEN")
+    code, out, _ = run_rig(capsys, "check", "strangers_driver:BROKEN")
     assert code == 1
     assert "✗" in out
     assert "1 FAILED" in out
     assert "it measures no displacement" in out
-    assert said(capsys, "check", "strangers_driver:SOUND")[0] == 0
+    assert run_rig(capsys, "check", "strangers_driver:SOUND")[0] == 0
 
 
 @pytest.mark.usefixtures("stranger")
@@ -89,13 +89,13 @@ def test_a_driver_of_a_module_that_fails_exits_1(capsys: pytest.CaptureFixture[s
         ("optoncd", "Did you mean 'optoncdt'?"),
         ("nothing:vesc", "No module named 'nothing'"),
         ("strangers_driver:OTHER", "no attribute 'OTHER'"),
-        ("strangers_driver:NONE", "is no driver"),
+        ("strangers_driver:NONE", "is not a driver"),
         (":", "no driver"),
         ("pendulum-balancer-rig", "expected pendulum-balancer-rig:NAME with one of cia402, optoncdt"),
     ],
 )
 def test_no_such_driver_is_bad_use(capsys: pytest.CaptureFixture[str], name: str, words: str) -> None:
-    code, _, err = said(capsys, "check", name)
+    code, _, err = run_rig(capsys, "check", name)
     assert code == 2
     assert words in err
 
@@ -103,10 +103,10 @@ def test_no_such_driver_is_bad_use(capsys: pytest.CaptureFixture[str], name: str
 def test_thorough_asks_for_a_million_inputs(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def only_says(subject: object) -> str:
+    def only_returns(subject: object) -> str:
         raise Failed(f"thorough {subject.thorough}, {mutations.THOROUGH} against {mutations.QUICK}")  # type: ignore[attr-defined]
 
-    monkeypatch.setattr(examination, "CHECKS", {"mutations": only_says})
-    code, out, _ = said(capsys, "check", "vesc", "--thorough", "--json")
+    monkeypatch.setattr(examination, "CHECKS", {"mutations": only_returns})
+    code, out, _ = run_rig(capsys, "check", "vesc", "--thorough", "--json")
     assert code == 1
     assert json.loads(out)["failed"][0]["why"] == "thorough True, 1000000 against 10000"

@@ -12,16 +12,16 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
-from rig_cli.main import run
 from dynamics import Scene, SpeedHistory, simulate
 from dynamics.motions.integrate import locked_state
+from rig_cli.main import run
 from rig_configs import load_rig
 from tests.daq.small_log import write_small_log
 
 RIG = load_rig("virtual")
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+def run_rig(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
     code = run([str(argument) for argument in arguments])
     captured = capsys.readouterr()
     return code, captured.out, captured.err
@@ -29,9 +29,9 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, s
 
 def imported(capsys: pytest.CaptureFixture[str], file: Path, *options: object) -> Path:
     out = file.with_suffix(".mcap")
-    code, told, err = said(capsys, "import", file, "--rig", "virtual", "-o", out, "--json", *options)
+    code, answer, err = run_rig(capsys, "import", file, "--rig", "virtual", "-o", out, "--json", *options)
     assert code == 0, err
-    assert json.loads(told)["log"] == str(out)
+    assert json.loads(answer)["log"] == str(out)
     return out
 
 
@@ -90,7 +90,7 @@ def test_ring_downs_of_another_laboratory_are_identified(capsys: pytest.CaptureF
             "3",
         ),
     ]
-    code, out, err = said(capsys, "identify", *logs, "--rig", "virtual", "-o", tmp_path / "p.toml", "--json")
+    code, out, err = run_rig(capsys, "identify", *logs, "--rig", "virtual", "-o", tmp_path / "p.toml", "--json")
     assert code == 0, err
     found = json.loads(out)["parameters"]
     for name, true in (("k1_N_per_m", K1), ("k2_N_per_m", K2), ("zeta1", ZETA1), ("zeta2", ZETA2)):
@@ -106,7 +106,7 @@ def test_one_laser_gives_one_direction(capsys: pytest.CaptureFixture[str], tmp_p
         pq.write_table(pa.table({"d": signal * 1e3}), tmp_path / f"{axis}.parquet")
         options = ["--test", f"ring-down-{axis}", "--rate", 1000, f"--{axis}", "d:mm"]
         logs.append(imported(capsys, tmp_path / f"{axis}.parquet", *options))
-    code, out, _ = said(capsys, "identify", *logs, "--rig", "virtual", "-o", tmp_path / "p.toml", "--json")
+    code, out, _ = run_rig(capsys, "identify", *logs, "--rig", "virtual", "-o", tmp_path / "p.toml", "--json")
     assert code == 0
     found = json.loads(out)["parameters"]
     assert list(found) == ["k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2"]
@@ -115,7 +115,7 @@ def test_one_laser_gives_one_direction(capsys: pytest.CaptureFixture[str], tmp_p
 
 
 def balanced_point(path: Path, rate: float = 1000.0) -> Path:
-    """A point at which the pendulums, let go at 5 s, go to where they balance: the model's motion with noise."""
+    """A point at which the pendulums, released at 5 s, move to balance: the model's motion with noise."""
     rng, physics = np.random.default_rng(5), RIG.physics
     t = np.arange(0, 60, 1 / rate)
     speed = 0.998 * physics.speed_rad_s(RIG.points["B"].speed_ratio)
@@ -167,7 +167,7 @@ def test_a_point_of_another_laboratory_is_validated(capsys: pytest.CaptureFixtur
         "5.0",
     )
     known(toml)
-    code, out, err = said(capsys, "validate", "virtual", log, x_only, "--parameters", toml, "--json")
+    code, out, err = run_rig(capsys, "validate", "virtual", log, x_only, "--parameters", toml, "--json")
     assert code in (0, 1), err
     points = json.loads(out)["points"]
     assert points["B"]["state"] == "I", points["B"]["why"]
@@ -192,20 +192,22 @@ def known(toml: Path) -> None:
     IdentifiedParameters(ordered, np.diag(std**2), {"method": "given", "tests": []}).save(toml)
 
 
-def test_export_says_what_it_wrote(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_export_states_what_it_wrote(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     log, out = write_small_log(tmp_path / "small.mcap"), tmp_path / "x.csv"
-    code, told, _ = said(capsys, "export", log, "-o", out, "--channels", "laser/x", "--json")
-    result = json.loads(told)
+    code, answer, _ = run_rig(capsys, "export", log, "-o", out, "--channels", "laser/x", "--json")
+    result = json.loads(answer)
     assert code == 0
     assert result["files"] == [str(out), f"{out}.json"]
     assert result["rows"] == {"laser/x": 400}
     assert result["missing"] == []
-    code, _, err = said(capsys, "export", log, "-o", out, "--channels", "laser/x")
+    code, _, err = run_rig(capsys, "export", log, "-o", out, "--channels", "laser/x")
     assert code == 2
     assert "--force" in err
-    code, told, err = said(capsys, "export", log, "-o", tmp_path / "s.h5", "--signals", "--from", "0.0", "--to", "2")
+    code, answer, err = run_rig(
+        capsys, "export", log, "-o", tmp_path / "s.h5", "--signals", "--from", "0.0", "--to", "2"
+    )
     assert code == 0
-    assert "marks" in told
+    assert "marks" in answer
     assert "written to" in err
 
 
@@ -223,7 +225,7 @@ def test_bad_use_is_explained(
 ) -> None:
     file = tmp_path / "a.csv"
     file.write_text("t,d\n" + "".join(f"{i * 0.001!r},{i * 0.1!r}\n" for i in range(50)))
-    code, _, err = said(
+    code, _, err = run_rig(
         capsys,
         "import",
         file,

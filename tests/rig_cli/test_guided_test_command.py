@@ -15,10 +15,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from rig_cli.guided_test_page import TestPage, readings
-from rig_cli.keyboard import Keys
-from rig_cli.main import run
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.recorder import Recorder
 from daq.acquisition.session import Session
 from daq.guided_tests.controls import Controls
@@ -29,6 +25,10 @@ from daq.log import open_log
 from daq.log.outcome import ending, not_reached_of
 from daq.transports import HostClock
 from daq.virtual_rig.simulated_operator import SimulatedOperator
+from rig_cli.guided_test_page import TestPage, readings
+from rig_cli.keyboard import Keys
+from rig_cli.main import run
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import RigFileError, load_rig
 from rig_configs.schema import Rig
 from tests.conftest import LATE_BEATS, TIME_SCALE
@@ -41,7 +41,7 @@ def no_device(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Session, "open", lambda session: pytest.fail("a device was opened"))
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+def run_rig(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
     code = run(list(arguments))
     captured = capsys.readouterr()
     return code, captured.out, " ".join(captured.err.split())
@@ -55,7 +55,7 @@ def test_a_plan_gives_states_times_speeds_and_who_acts_without_a_device(
     words = (
         ["start-ups", "B", "--count", "3"] if test == "start-ups" else test.split("-") if "point" in test else [test]
     )
-    code, out, _ = said(capsys, "test", "virtual", *words, "--plan", "--json")
+    code, out, _ = run_rig(capsys, "test", "virtual", *words, "--plan", "--json")
     plan = json.loads(out)
     assert code == 0
     assert plan["test"] == test
@@ -63,7 +63,7 @@ def test_a_plan_gives_states_times_speeds_and_who_acts_without_a_device(
     assert plan["usual_s"] == pytest.approx(plan["repeats"] * sum(s["usual_s"] for s in plan["states"]))
     assert plan["top_rpm"] <= plan["limit_rpm"] == 1200
     assert {state["who"] for state in plan["states"]} <= {"program", "operator", "drive", "encoder"}
-    code, shown, _ = said(capsys, "test", "virtual", *words, "--plan")
+    code, shown, _ = run_rig(capsys, "test", "virtual", *words, "--plan")
     assert code == 0
     assert all(state["name"] in shown for state in plan["states"])
 
@@ -72,7 +72,7 @@ def test_a_plan_gives_states_times_speeds_and_who_acts_without_a_device(
 def test_a_plan_gives_what_this_rig_s_sensors_can_show(capsys: pytest.CaptureFixture[str]) -> None:
     gives = {}
     for rig in ("virtual", "one_laser"):
-        _, out, _ = said(capsys, "test", rig, "ring-down-x", "--plan", "--json")
+        _, out, _ = run_rig(capsys, "test", rig, "ring-down-x", "--plan", "--json")
         gives[rig] = json.loads(out)["gives"]
     assert gives == {
         "virtual": ["k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2"],
@@ -86,7 +86,7 @@ def test_a_plan_gives_what_this_rig_s_sensors_can_show(capsys: pytest.CaptureFix
 )
 def test_two_devices_on_one_port_are_both_named(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     ports = [f"--set=devices.{name}.port=/dev/one" for name in ("laser_x", "laser_y")]
-    code, _, err = said(capsys, *words.split(), *ports)
+    code, _, err = run_rig(capsys, *words.split(), *ports)
     assert code == 2
     assert "devices.laser_x.port and devices.laser_y.port are both '/dev/one'" in err
 
@@ -104,7 +104,7 @@ def test_a_slip_of_a_unit_warns_before_a_device_is_opened(
     words: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     slips = ["--set", "pendulums.a.mass_kg=75", "--set", "devices.laser_x.port=/dev/ttyUSB?"]
-    found, _, err = said(capsys, *words.split(), *slips)
+    found, _, err = run_rig(capsys, *words.split(), *slips)
     assert found == code
     assert "warning: pendulums.a.mass_kg is 75 kg: grams?" in err
     assert "warning: devices.laser_x.port is '/dev/ttyUSB?': a placeholder?" in err
@@ -123,10 +123,10 @@ def test_a_slip_of_a_unit_warns_before_a_device_is_opened(
     ],
 )
 def test_an_error_is_one_json_object_too(words: str, code: int, why: str, capsys: pytest.CaptureFixture[str]) -> None:
-    found, out, err = said(capsys, *words.split(), "--json")
-    told = json.loads(out)
-    assert found == told["exit_code"] == code
-    assert why in told["error"]
+    found, out, err = run_rig(capsys, *words.split(), "--json")
+    answer = json.loads(out)
+    assert found == answer["exit_code"] == code
+    assert why in answer["error"]
     assert why in err
 
 
@@ -137,9 +137,9 @@ def test_an_interrupted_command_is_one_json_object_too(
         raise KeyboardInterrupt("SIGTERM")
 
     monkeypatch.setattr("rig_cli.guided_test.load_rig", interrupted)
-    code, out, _ = said(capsys, "test", "virtual", "--json")
+    code, out, _ = run_rig(capsys, "test", "virtual", "--json")
     assert (code, json.loads(out)) == (130, {"error": "interrupted by SIGTERM", "exit_code": 130})
-    assert said(capsys, "test", "virtual")[:2] == (130, "")
+    assert run_rig(capsys, "test", "virtual")[:2] == (130, "")
 
 
 def test_a_bar_ends_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,12 +159,12 @@ def test_a_bar_ends_its_line(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_plan_names_what_the_operator_of_a_rig_without_a_drive_will_be_asked(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    _, out, _ = said(capsys, "test", "by_hand", "point", "B", "--plan", "--json")
+    _, out, _ = run_rig(capsys, "test", "by_hand", "point", "B", "--plan", "--json")
     plan = json.loads(out)
     assert not any(state["who"] == "drive" for state in plan["states"])
     assert any(prompt.startswith("turn the rotor to 2") for prompt in plan["prompts"])
     assert "release both pendulums at the same time" in plan["prompts"]
-    _, out, _ = said(capsys, "test", "virtual", "point", "B", "--plan", "--json")
+    _, out, _ = run_rig(capsys, "test", "virtual", "point", "B", "--plan", "--json")
     assert json.loads(out)["prompts"] == []
 
 
@@ -188,7 +188,7 @@ def test_a_plan_names_what_the_operator_of_a_rig_without_a_drive_will_be_asked(
 def test_what_cannot_be_run_is_refused_before_a_device_is_opened_also_its_plan(
     words: str, why: str, plan: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, _, err = said(capsys, "test", "virtual", *words.split(), *(["--plan"] if plan else []))
+    code, _, err = run_rig(capsys, "test", "virtual", *words.split(), *(["--plan"] if plan else []))
     assert code == 2
     assert why in err
 
@@ -205,13 +205,13 @@ def test_an_interrupted_campaign_shows_which_tests_are_missing(
     ):
         recorder = Recorder(tmp_path / f"01-{name}.mcap", HostClock(), {"test": name, "rig": rig}, {}, ())
         recorder.close(ending(missed))
-    code, out, err = said(capsys, "test", "virtual", "--out", str(tmp_path), "--json")
+    code, out, err = run_rig(capsys, "test", "virtual", "--out", str(tmp_path), "--json")
     states = {row["test"]: row["state"] for row in json.loads(out)["tests"]}
     assert code == 0
     assert (states["ring-down-x"], states["run-up"], states["spin-down"]) == ("done", "not reached", "missing")
     assert states["point-A"] == "missing"
-    assert "03-bad.mcap is passed over" in err
-    _, out, _ = said(capsys, "test", "one_laser", "--json", "--out", str(tmp_path))
+    assert "03-bad.mcap is skipped" in err
+    _, out, _ = run_rig(capsys, "test", "one_laser", "--json", "--out", str(tmp_path))
     assert {row["state"] for row in json.loads(out)["tests"]} == {"missing", "refused"}
 
 
@@ -220,8 +220,8 @@ def test_keys_pause_resume_abort_note_and_confirm() -> None:
     keys = Keys(controls)
     for key in "pxrn p\x7fqä\nn\nnlost\x1b\na":
         keys.press(key)
-    asked = [(request.verb, request.text) for request in controls.take()]
-    assert asked == [("pause", ""), ("resume", ""), ("note", "qä"), ("abort", "by the key a")]
+    requests = [(request.verb, request.text) for request in controls.take()]
+    assert requests == [("pause", ""), ("resume", ""), ("note", "qä"), ("abort", "by the key a")]
     assert keys.confirmed.is_set()  # by the Enter after Esc
 
 
@@ -269,7 +269,7 @@ def test_start_ups_are_recorded_one_by_one_and_classed(
         "--time-scale",
         f"{TIME_SCALE:g}",
     ]
-    code, out, _ = said(capsys, *words, "--json", *ports)
+    code, out, _ = run_rig(capsys, *words, "--json", *ports)
     result = json.loads(out)
     assert (code, result["warnings"]) == (0, [])
     assert result["classes"] == {"balanced": 2, "slipping": 0, "other": 0}

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from daq.log.file import LogFile
 from rig_cli import console
-from rig_cli.console import StepProgress, harmless, say
+from rig_cli.console import StepProgress, harmless, notify
 from rig_cli.main import run
 from rig_cli.share_progress import share_progress
-from daq.log.file import LogFile
 from tests.daq.small_log import write_small_log
 
 COMMANDS = (
@@ -46,10 +46,10 @@ def test_what_is_no_file_is_refused_without_waiting_for_it(
 ) -> None:
     names = {"log": folder / "good.mcap", "out": tmp_path / "out.mcap"}
     assert run([part.format(folder / name, **names) for part in command]) == 2
-    said = capfd.readouterr().err
-    assert said.startswith("rig: ")
-    assert "Traceback" not in said
-    assert name in said
+    text = capfd.readouterr().err
+    assert text.startswith("rig: ")
+    assert "Traceback" not in text
+    assert name in text
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
@@ -91,11 +91,11 @@ def test_text_of_any_origin_is_shown_as_text(
     terminal.print(f"laser_x  name {HOSTILE}")
     with StepProgress({HOSTILE: 1.0}) as progress:
         progress.step(HOSTILE)
-        progress.tell(HOSTILE)
-        progress.say(HOSTILE)
-    with share_progress(HOSTILE) as told:
-        told(0.5)
-    say(HOSTILE)
+        progress.update(HOSTILE)
+        progress.notify(HOSTILE)
+    with share_progress(HOSTILE) as answer:
+        answer(0.5)
+    notify(HOSTILE)
     for text in (shown.getvalue(), capsys.readouterr().err):
         assert "[/red] [bold]x[/] :smile:" in text
         assert not set("\x1b\x07\r\u202e\x9b") & set(text)

@@ -12,13 +12,13 @@ import pytest
 from cyclopts import App
 from rich.console import Console
 
+from daq.catalogue import Entry
+from daq.log.file import LogFile
+from daq.log.verdicts import Verdict, digest_of, keep_verdict
 from rig_cli import log_table
 from rig_cli.log_table import print_logs
 from rig_cli.logs import log, logs
 from rig_cli.words import length, printable, size
-from daq.catalogue import Entry
-from daq.log.file import LogFile
-from daq.log.verdicts import Verdict, digest_of, keep_verdict
 from rig_configs import load_rig
 from tests.daq.small_log import write_small_log
 from tests.daq.test_catalogue import make_log
@@ -29,7 +29,7 @@ app.command(log)
 
 
 @pytest.fixture
-def said(capsys: pytest.CaptureFixture[str]) -> Any:
+def run_rig(capsys: pytest.CaptureFixture[str]) -> Any:
     def run(*arguments: object) -> tuple[int, str, str]:
         code = app([str(a) for a in arguments], exit_on_error=False, print_error=True, result_action="return_value")
         captured = capsys.readouterr()
@@ -51,8 +51,8 @@ def shelf(tmp_path: Path) -> Path:
 # --- rig logs ----------------------------------------------------------------------------------------------------
 
 
-def test_logs_as_json(said: Any, shelf: Path) -> None:
-    code, out, _ = said("logs", shelf, "--json")
+def test_logs_as_json(run_rig: Any, shelf: Path) -> None:
+    code, out, _ = run_rig("logs", shelf, "--json")
     found = json.loads(out)
     assert (code, found["folder"], found["files"]) == (0, str(shelf), 4)
     assert [entry["path"] for entry in found["logs"]] == ["c.mcap.part", "b.mcap", "a.mcap", "junk.mcap"]
@@ -82,13 +82,13 @@ def test_logs_as_json(said: Any, shelf: Path) -> None:
         (["--parameters", "sha256"], []),
     ],
 )
-def test_logs_are_searched(said: Any, shelf: Path, options: list[str], paths: list[str]) -> None:
-    code, out, _ = said("logs", shelf, *options, "--json")
+def test_logs_are_searched(run_rig: Any, shelf: Path, options: list[str], paths: list[str]) -> None:
+    code, out, _ = run_rig("logs", shelf, *options, "--json")
     assert (code, [entry["path"] for entry in json.loads(out)["logs"]]) == (0, paths)
 
 
-def test_the_table_tells_what_stands_out(said: Any, shelf: Path) -> None:
-    code, out, err = said("logs", shelf)
+def test_the_table_shows_losses_and_damage(run_rig: Any, shelf: Path) -> None:
+    code, out, err = run_rig("logs", shelf)
     head, _, *rows = out.rstrip().splitlines()
     assert code == 0
     assert head.split() == [
@@ -111,12 +111,12 @@ def test_the_table_tells_what_stands_out(said: Any, shelf: Path) -> None:
     assert "4 logs, 2 not whole, 1 with losses" in err
 
 
-def test_nothing_found_is_said(said: Any, shelf: Path, tmp_path: Path) -> None:
-    code, out, err = said("logs", shelf, "no such note")
+def test_nothing_found_is_reported(run_rig: Any, shelf: Path, tmp_path: Path) -> None:
+    code, out, err = run_rig("logs", shelf, "no such note")
     assert (code, out) == (0, "")
     assert "none of 4 logs" in err
     (tmp_path / "empty").mkdir()
-    code, out, err = said("logs", tmp_path / "empty")
+    code, out, err = run_rig("logs", tmp_path / "empty")
     assert (code, out) == (0, "")
     assert "no logs" in err
 
@@ -125,13 +125,13 @@ def test_nothing_found_is_said(said: Any, shelf: Path, tmp_path: Path) -> None:
     ("options", "words"),
     [(["--since", "teatime"], "expected a date like"), (["--complete", "--incomplete"], "expected one of")],
 )
-def test_bad_use_of_logs_is_explained(said: Any, tmp_path: Path, options: list[str], words: str) -> None:
-    code, out, err = said("logs", tmp_path, *options)
+def test_bad_use_of_logs_is_explained(run_rig: Any, tmp_path: Path, options: list[str], words: str) -> None:
+    code, out, err = run_rig("logs", tmp_path, *options)
     assert (code, out) == (2, "")
     assert words in err
 
 
-def test_a_folder_that_may_not_be_read_is_said(said: Any, shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_may_not_be_read_is_reported(run_rig: Any, shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (shelf / "locked").mkdir()
     scandir = os.scandir
 
@@ -141,15 +141,15 @@ def test_a_folder_that_may_not_be_read_is_said(said: Any, shelf: Path, monkeypat
         return scandir(path)
 
     monkeypatch.setattr(os, "scandir", refused)
-    code, out, err = said("logs", shelf, "--json")
+    code, out, err = run_rig("logs", shelf, "--json")
     assert code == 0
     assert len(json.loads(out)["unread_folders"]) == 1
     assert "locked: cannot be read (Permission denied), its logs are not listed" in err
 
 
-def test_a_folder_that_keeps_nothing_is_said_once(said: Any, shelf: Path) -> None:
+def test_a_folder_that_keeps_nothing_is_reported_once(run_rig: Any, shelf: Path) -> None:
     (shelf / ".rig-logs.sqlite").mkdir()
-    code, _, err = said("logs", shelf)
+    code, _, err = run_rig("logs", shelf)
     assert code == 0
     assert err.count("cannot be cached") == 1
 
@@ -181,10 +181,10 @@ def test_the_table_fits(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 # --- rig log -----------------------------------------------------------------------------------------------------
 
 
-def test_a_log_as_json(said: Any, tmp_path: Path) -> None:
+def test_a_log_as_json(run_rig: Any, tmp_path: Path) -> None:
     path = write_small_log(tmp_path / "small.mcap", steps=60, opened_at=30, reported=(0, 1))
     keep_verdict(path, Verdict(verdict="pass", judged_at="now", digest="sha256:" + "0" * 64))
-    code, out, _ = said("log", path, "--json")
+    code, out, _ = run_rig("log", path, "--json")
     found = json.loads(out)
     assert code == 0
     assert set(found) >= {"log", "complete", "missing", "run", "summary", "channels", "events"}
@@ -206,15 +206,15 @@ def test_a_log_as_json(said: Any, tmp_path: Path) -> None:
     assert set(found["attachments_bytes"]) == {"rig.json", "identities.json", "roles.json"}
     assert found["verdict"]["stale"] is True
     assert found["unreadable"] == []
-    _, out, _ = said("log", path, "--events", "--json", "--no-verify")
+    _, out, _ = run_rig("log", path, "--events", "--json", "--no-verify")
     everything = json.loads(out)
     assert len(everything["all_events"]) == sum(everything["events"].values())
     assert everything["verified"] is False
 
 
-def test_a_log_in_words(said: Any, tmp_path: Path) -> None:
+def test_a_log_in_words(run_rig: Any, tmp_path: Path) -> None:
     path = write_small_log(tmp_path / "small.mcap", steps=60, opened_at=30, reported=(0, 1))
-    code, out, _ = said("log", path)
+    code, out, _ = run_rig("log", path)
     assert code == 0
     for words in (
         "finished, every byte checked",
@@ -224,13 +224,13 @@ def test_a_log_in_words(said: Any, tmp_path: Path) -> None:
         "rotor.mass_kg 7",
     ):
         assert words in out
-    _, out, _ = said("log", path, "--no-verify")
+    _, out, _ = run_rig("log", path, "--no-verify")
     assert "finished, not verified" in out
-    _, out, _ = said("log", path, "--events")
+    _, out, _ = run_rig("log", path, "--events")
     assert sum(line.startswith("event") for line in out.splitlines()) >= 2
 
 
-def test_gaps_are_told_with_number_and_span(said: Any, tmp_path: Path) -> None:
+def test_gaps_are_listed_with_number_and_span(run_rig: Any, tmp_path: Path) -> None:
     from daq.drivers.items import Event
 
     with LogFile(tmp_path / "run.mcap", {}, {}, (), 10**18) as file:
@@ -238,35 +238,35 @@ def test_gaps_are_told_with_number_and_span(said: Any, tmp_path: Path) -> None:
             gap = Event("gap", "laser_x", f"{second} samples lost", {"samples": second, "span_s": 0.5})
             file.event(gap, 10**18 + second * 10**9)
         path = file.finish({"losses": {"laser_x": {"samples": 3}}})
-    _, out, _ = said("log", path)
+    _, out, _ = run_rig("log", path)
     assert "laser_x 3 samples" in out
     assert "gap 3 times, 1.5 s" in out
     assert "3 like it until 2.000 s" in out
 
 
-def test_damage_is_exit_1_and_said(said: Any, tmp_path: Path) -> None:
+def test_damage_is_exit_1_and_reported(run_rig: Any, tmp_path: Path) -> None:
     path = write_small_log(tmp_path / "small.mcap")
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1  # samples: opening the log does not read them
     path.write_bytes(data)
-    code, out, _ = said("log", path)
+    code, out, _ = run_rig("log", path)
     assert code == 1
     assert "not whole" in out
     assert "missing" in out
-    code, _, _ = said("log", path, "--no-verify")
+    code, _, _ = run_rig("log", path, "--no-verify")
     assert code == 0
 
 
-def test_a_cut_log_is_exit_1_and_shows_what_is_there(said: Any, tmp_path: Path) -> None:
+def test_a_cut_log_is_exit_1_and_shows_what_is_there(run_rig: Any, tmp_path: Path) -> None:
     path = make_log(tmp_path / "run.mcap", cut=True, rig="bench", note="evil\x1b[2J\nnote")
-    code, out, _ = said("log", path)
+    code, out, _ = run_rig("log", path)
     assert code == 1
     assert "cut, or still being recorded, not whole" in out
     assert "\x1b" not in out
     assert "3 samples" in out
 
 
-def test_content_that_is_not_its_schemas_is_told_and_the_rest_shown(said: Any, tmp_path: Path) -> None:
+def test_content_that_is_not_its_schemas_is_reported_and_the_rest_shown(run_rig: Any, tmp_path: Path) -> None:
     from daq.channels import TACHO
     from daq.mcap.writer import BlockWriter
 
@@ -281,12 +281,12 @@ def test_content_that_is_not_its_schemas_is_told_and_the_rest_shown(said: Any, t
         writer.add_attachment("rig.json", "application/json", b"[]", 5)
         writer.add_attachment("identities.json", "application/json", b"{", 5)
         writer.finish()
-    code, out, _ = said("log", path, "--json")
+    code, out, _ = run_rig("log", path, "--json")
     found = json.loads(out)
     assert code == 1
     assert len(found["unreadable"]) == 5
     assert found["channels"] == {"tacho": None}
-    code, out, _ = said("log", path)
+    code, out, _ = run_rig("log", path)
     assert out.count("unreadable") >= 5
 
 
@@ -294,7 +294,7 @@ ODD = [None, [], {}, "text", float("nan"), 10**400, -1, True]
 
 
 @pytest.mark.parametrize("odd", ODD, ids=lambda odd: repr(odd)[:9])
-def test_hostile_content_is_shown_and_harms_nobody(said: Any, tmp_path: Path, odd: Any) -> None:
+def test_hostile_content_is_shown_and_is_harmless(run_rig: Any, tmp_path: Path, odd: Any) -> None:
     from daq.mcap.writer import BlockWriter
 
     path, figure = tmp_path / "odd.mcap", tmp_path / "figure.svg"
@@ -313,45 +313,45 @@ def test_hostile_content_is_shown_and_harms_nobody(said: Any, tmp_path: Path, od
             writer.add_attachment(name, "application/json", json.dumps({"rotor": odd, "name": odd}).encode(), 5)
         writer.finish()
     for options in ((), ("--events",), ("--json", "--events"), ("--plot", figure), ("--snapshot",)):
-        code, out, _ = said("log", path, *options)
+        code, out, _ = run_rig("log", path, *options)
         readable = isinstance(odd, dict) or "--snapshot" in options  # an identity is a table
         assert code == (0 if readable else 1)
         assert out or "--snapshot" in options
         assert "\x1b" not in out
-    assert said("logs", tmp_path)[0] == 0
+    assert run_rig("logs", tmp_path)[0] == 0
 
 
-def test_the_snapshot_is_a_rig_file(said: Any, tmp_path: Path) -> None:
+def test_the_snapshot_is_a_rig_file(run_rig: Any, tmp_path: Path) -> None:
     path = write_small_log(tmp_path / "small.mcap")
-    code, out, _ = said("log", path, "--snapshot")
+    code, out, _ = run_rig("log", path, "--snapshot")
     rig = tmp_path / "as-it-was.toml"
     rig.write_text(out, encoding="utf-8")
     assert code == 0
     assert tomllib.loads(out)["rotor"]["mass_kg"] == 7
     assert load_rig(str(rig)).physics == load_rig("virtual").physics
-    _, out, _ = said("log", path, "--snapshot", "--json")
+    _, out, _ = run_rig("log", path, "--snapshot", "--json")
     assert json.loads(out)["rotor"]["mass_kg"] == 7
 
 
 @pytest.mark.parametrize("suffix", ["svg", "png", "pdf"])
-def test_a_log_is_drawn(said: Any, tmp_path: Path, suffix: str) -> None:
+def test_a_log_is_drawn(run_rig: Any, tmp_path: Path, suffix: str) -> None:
     path = write_small_log(tmp_path / "small.mcap")
     figure = tmp_path / f"figure.{suffix}"
-    code, _, err = said("log", path, "--plot", figure)
+    code, _, err = run_rig("log", path, "--plot", figure)
     assert code == 0
     assert figure.stat().st_size > 5000
     assert f"drawn: {figure}" in err
 
 
 @pytest.mark.parametrize("keep", [200, 2000])
-def test_a_log_cut_to_nothing_does_not_say_that_nothing_was_lost(said: Any, tmp_path: Path, keep: int) -> None:
+def test_a_log_cut_to_nothing_does_not_claim_that_nothing_was_lost(run_rig: Any, tmp_path: Path, keep: int) -> None:
     path = tmp_path / "cut.mcap.part"
     path.write_bytes(write_small_log(tmp_path / "small.mcap").read_bytes()[:keep])
-    code, out, _ = said("log", path)
+    code, out, _ = run_rig("log", path)
     assert code == 1
     assert "unknown: it counts none" in out
     assert "nothing lost" not in out
-    code, out, _ = said("logs", tmp_path, "--json")
+    code, out, _ = run_rig("logs", tmp_path, "--json")
     (entry,) = [entry for entry in json.loads(out)["logs"] if entry["path"] == path.name]
     assert (entry["lost"], entry["losses_from"]) == (None, "")
 

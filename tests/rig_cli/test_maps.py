@@ -14,17 +14,17 @@ from analysis.maps.axes import MapAxis
 from analysis.maps.families import Family
 from analysis.maps.files import load_map
 from analysis.maps.planes import plane_over
-from rig_cli.main import run
-from rig_cli.map_axes import read_axis
 from dynamics import balanced_angles
 from dynamics.stability.borders import stability_borders
 from dynamics.stability.map_plane import Plane, RigPlane, SpeedStiffnessPlane
+from rig_cli.main import run
+from rig_cli.map_axes import read_axis
 from rig_configs import RigFileError, load_rig
 
 DAMPING = "pendulums.a.damping_Nms_per_rad+pendulums.b.damping_Nms_per_rad=1e-4:1e-2:12:log"
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+def run_rig(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
     code = run(list(arguments))
     captured = capsys.readouterr()
     return code, captured.out, captured.err
@@ -32,7 +32,7 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str,
 
 def test_any_two_numbers_with_borders(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arrays, figure = tmp_path / "map.npz", tmp_path / "map.svg"
-    code, out, _ = said(
+    code, out, _ = run_rig(
         capsys,
         "map",
         "virtual",
@@ -82,18 +82,18 @@ def test_a_store_is_replaced(capsys: pytest.CaptureFixture[str], tmp_path: Path)
             "-o",
             str(tmp_path / "m.zarr"),
         ]
-        assert said(capsys, "map", "virtual", *arguments)[0] == 0
+        assert run_rig(capsys, "map", "virtual", *arguments)[0] == 0
         assert load_map(tmp_path / "m.zarr").grid["multiplier_max"].shape == (2, points)
     assert [path.name for path in tmp_path.iterdir()] == ["m.zarr"]
 
 
 def test_words_say_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = said(
+    code, out, err = run_rig(
         capsys, "map", "virtual", "--x", "imbalance.radius_m=0.06:0.075:12", "--y", DAMPING, "--speed-ratio", "1.6"
     )
     assert code == 0
     assert "no balanced state exists on 50.0 %" in out
-    assert "nothing kept" in err
+    assert "no file written" in err
 
 
 @pytest.mark.parametrize(
@@ -126,11 +126,11 @@ def test_words_say_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
         (["--x", "suspension.gravity_m_per_s2=0:9:4"], "gravity"),
     ],
 )
-def test_what_is_refused_says_why(capsys: pytest.CaptureFixture[str], arguments: list[str], words: str) -> None:
+def test_what_is_refused_states_why(capsys: pytest.CaptureFixture[str], arguments: list[str], words: str) -> None:
     y = ["--y", "speed_ratio=1:2:3"] if arguments[0] == "--x" and "speed" not in arguments[1] else []
     if "--y" in arguments:
         y = []
-    code, _, err = said(capsys, "map", "virtual", *arguments, *y)
+    code, _, err = run_rig(capsys, "map", "virtual", *arguments, *y)
     assert code in (1, 2)
     assert words in err
 
@@ -163,7 +163,7 @@ def test_a_speed_beside_the_axes_is_taken() -> None:
 def test_a_family_and_the_best_value(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     zetas = "suspension.zeta1+suspension.zeta2"
     file, page = tmp_path / "map.parquet", tmp_path / "map.html"
-    code, out, _ = said(
+    code, out, _ = run_rig(
         capsys,
         "map",
         "virtual",
@@ -205,14 +205,14 @@ def test_a_family_and_the_best_value(capsys: pytest.CaptureFixture[str], tmp_pat
     assert json.loads(readout[1])["layers"][0]["name"].startswith("|multiplier|")
 
 
-def test_stopped_it_says_what_is_lost(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stopped_it_states_what_is_lost(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def stopped(*arguments: object) -> None:
         raise KeyboardInterrupt
 
     compile_first = ["map", "virtual", "--x", "speed_ratio=2:6:2", "--y", "stiffness_ratio=4:12:2"]
-    said(capsys, *compile_first)
+    run_rig(capsys, *compile_first)
     monkeypatch.setattr("analysis.maps.answers._full", stopped)
-    code, out, err = said(capsys, *compile_first, "--json")
+    code, out, err = run_rig(capsys, *compile_first, "--json")
     assert code == 130
-    assert "what was computed is lost" in err
+    assert "the computed part is lost" in err
     assert json.loads(out)["error"]

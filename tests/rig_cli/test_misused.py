@@ -1,5 +1,5 @@
 # pyright: strict
-"""What is said of options that are not there: in a terminal and in JSON."""
+"""What is expected of options that are not there: in a terminal and in JSON."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig_cli.main import run
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         (["test", "virtual", "-o", "logs"], "Unknown option: -o. Did you mean --out?"),
         (["test", "virtual", "--outt", "logs"], "Did you mean --out?"),
@@ -20,11 +20,11 @@ from rig_cli.main import run
     ],
 )
 def test_an_option_that_is_not_there_names_the_likely_one(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(words) == 2
     shown = capsys.readouterr()
-    assert said in " ".join(shown.err.replace("│", " ").split())
-    assert ("Did you mean" in shown.err) == ("Did you mean" in said)
+    assert expected in " ".join(shown.err.replace("│", " ").split())
+    assert ("Did you mean" in shown.err) == ("Did you mean" in expected)
     assert run([*words, "--json"]) == 2
-    assert said in json.loads(capsys.readouterr().out)["error"]
+    assert expected in json.loads(capsys.readouterr().out)["error"]

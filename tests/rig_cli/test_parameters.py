@@ -17,7 +17,7 @@ VALUES = {"k1_N_per_m": 2600.0, "k2_N_per_m": 38000.0, "zeta1": 0.02}
 STD = {"k1_N_per_m": 0.5, "k2_N_per_m": 8.0, "zeta1": 2e-5}
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+def run_rig(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
     code = run(list(arguments))
     captured = capsys.readouterr()
     return code, captured.out, captured.err
@@ -50,16 +50,16 @@ def kept(
     return path
 
 
-def test_show_tells_values_limits_and_correlations(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_show_shows_values_limits_and_correlations(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = kept(tmp_path / "p.toml")
-    code, out, _ = said(capsys, "parameters", "show", str(path))
+    code, out, _ = run_rig(capsys, "parameters", "show", str(path))
     assert code == 0
     assert "2600.00" in out
     assert "noise 55 %, clock 26 %, model 18 %" in out
     assert "from" in out
     assert "ring-down" in out
     assert "correlated   zeta1 and k1 +0.60" in out
-    code, out, _ = said(capsys, "parameters", "show", str(path), "--json")
+    code, out, _ = run_rig(capsys, "parameters", "show", str(path), "--json")
     (facts,) = json.loads(out)["files"]
     k1 = facts["parameters"]["k1_N_per_m"]
     assert k1["unit"] == "N/m"
@@ -71,34 +71,34 @@ def test_show_tells_values_limits_and_correlations(capsys: pytest.CaptureFixture
 
 def test_show_with_masses_and_without_kept_tests(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = kept(tmp_path / "p.toml")
-    _, out, _ = said(capsys, "parameters", "show", str(path), "--mass-std", "0.1%", "--json")
-    told = json.loads(out)["files"][0]["parameters"]
-    assert told["k1_N_per_m"]["limited_by"]["main"] == "mass"
-    assert told["k1_N_per_m"]["relative_std"] == pytest.approx(1e-3, rel=0.05)
-    assert told["zeta1"]["limited_by"]["shares"]["mass"] == 0
+    _, out, _ = run_rig(capsys, "parameters", "show", str(path), "--mass-std", "0.1%", "--json")
+    answer = json.loads(out)["files"][0]["parameters"]
+    assert answer["k1_N_per_m"]["limited_by"]["main"] == "mass"
+    assert answer["k1_N_per_m"]["relative_std"] == pytest.approx(1e-3, rel=0.05)
+    assert answer["zeta1"]["limited_by"]["shares"]["mass"] == 0
     bare = tmp_path / "bare.toml"
     IdentifiedParameters(VALUES, np.diag([s**2 for s in STD.values()])).save(bare)
-    code, out, _ = said(capsys, "parameters", "show", str(bare), str(path))
+    code, out, _ = run_rig(capsys, "parameters", "show", str(bare), str(path))
     assert code == 0
-    assert "keeps too little" in out
+    assert "has too little" in out
 
 
-def test_diff_says_what_changed_in_words(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_diff_states_what_changed_in_words(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     old, new = kept(tmp_path / "old.toml"), kept(tmp_path / "new.toml", {"k2_N_per_m": 1.05}, day=2)
-    code, out, _ = said(capsys, "parameters", "diff", str(old), str(new))
+    code, out, _ = run_rig(capsys, "parameters", "diff", str(old), str(new))
     assert code == 0
     assert out.startswith("k2 grew by 5.000 ± 0.030 %; nothing else changed significantly\n")
     assert "at 0.1 %" in out
     assert "N/m" in out
-    code, out, _ = said(capsys, "parameters", "diff", str(old), str(new), "--json")
-    told = json.loads(out)
-    assert told["words"].startswith("k2 grew")
-    change = told["changes"]["k2_N_per_m"]
+    code, out, _ = run_rig(capsys, "parameters", "diff", str(old), str(new), "--json")
+    answer = json.loads(out)
+    assert answer["words"].startswith("k2 grew")
+    change = answer["changes"]["k2_N_per_m"]
     assert change["relative_change"] == pytest.approx(0.05)
     assert change["significant_at"] == 0.001
-    assert told["changes"]["zeta1"]["significant_at"] is None
-    assert told["overall"]["p"] < 1e-10
-    _, out, _ = said(capsys, "parameters", "diff", str(old), str(old))
+    assert answer["changes"]["zeta1"]["significant_at"] is None
+    assert answer["overall"]["p"] < 1e-10
+    _, out, _ = run_rig(capsys, "parameters", "diff", str(old), str(old))
     assert out.startswith("nothing changed significantly\n")
 
 
@@ -106,7 +106,7 @@ def test_history_marks_the_change_and_draws(capsys: pytest.CaptureFixture[str], 
     for day, factor in ((1, 1.0), (2, 1.00001), (3, 1.03)):
         kept(tmp_path / f"day{day}.toml", {"k1_N_per_m": factor}, day)
     figure = tmp_path / "history.svg"
-    code, out, err = said(capsys, "parameters", "history", str(tmp_path), "--plot", str(figure))
+    code, out, err = run_rig(capsys, "parameters", "history", str(tmp_path), "--plot", str(figure))
     assert code == 0
     assert "▲" in next(line for line in out.splitlines() if "day3.toml" in line)
     assert "▲" not in next(line for line in out.splitlines() if "day2.toml" in line)
@@ -115,15 +115,15 @@ def test_history_marks_the_change_and_draws(capsys: pytest.CaptureFixture[str], 
     text = figure.read_text(encoding="utf-8")
     assert "+3 %" in text
     assert "joint estimate" in text
-    code, out, _ = said(capsys, "parameters", "history", str(tmp_path), "--json")
-    told = json.loads(out)
-    assert [i["time"][:10] for i in told["instants"]] == ["2026-03-01", "2026-03-02", "2026-03-03"]
-    assert told["instants"][2]["change"]["changes"]["k1_N_per_m"]["significant_at"] == 0.001
+    code, out, _ = run_rig(capsys, "parameters", "history", str(tmp_path), "--json")
+    answer = json.loads(out)
+    assert [i["time"][:10] for i in answer["instants"]] == ["2026-03-01", "2026-03-02", "2026-03-03"]
+    assert answer["instants"][2]["change"]["changes"]["k1_N_per_m"]["significant_at"] == 0.001
 
 
-def test_a_test_left_out_is_told(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_test_left_out_is_reported(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = kept(tmp_path / "p.toml", left_out="stands apart")
-    _, out, _ = said(capsys, "parameters", "show", str(path))
+    _, out, _ = run_rig(capsys, "parameters", "show", str(path))
     assert "left out     ring-down (p.mcap) stands apart" in out
 
 
@@ -137,11 +137,11 @@ def with_slopes(path: Path) -> Path:
 
 def test_budget_of_parameters_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = kept(tmp_path / "p.toml")
-    code, out, _ = said(capsys, "parameters", "budget", str(path), "k1", "--json")
+    code, out, _ = run_rig(capsys, "parameters", "budget", str(path), "k1", "--json")
     assert code == 0
-    told = json.loads(out)
-    assert list(told["parameters"]) == ["k1_N_per_m"]
-    k1 = told["parameters"]["k1_N_per_m"]
+    answer = json.loads(out)
+    assert list(answer["parameters"]) == ["k1_N_per_m"]
+    k1 = answer["parameters"]["k1_N_per_m"]
     assert k1["u"] == pytest.approx(np.hypot(0.5, 0.3))
     assert sum(row["contribution"] ** 2 for row in k1["budget"]) == pytest.approx(k1["u"] ** 2)
     assert [row["source"] for row in k1["budget"]] == [
@@ -152,8 +152,8 @@ def test_budget_of_parameters_alone(capsys: pytest.CaptureFixture[str], tmp_path
     assert set(k1["budget"][0]) >= {"source", "type", "distribution", "u", "sensitivity", "contribution", "nu"}
     assert k1["nu_eff"] is None
     assert k1["U95"] == pytest.approx(1.96 * k1["u"], rel=1e-4)
-    assert told["correlation"] == {"order": ["k1_N_per_m"], "matrix": [[1.0]]}
-    code, out, _ = said(capsys, "parameters", "budget", str(path), "--level", "0.99", "--monte-carlo")
+    assert answer["correlation"] == {"order": ["k1_N_per_m"], "matrix": [[1.0]]}
+    code, out, _ = run_rig(capsys, "parameters", "budget", str(path), "--level", "0.99", "--monte-carlo")
     assert code == 0
     assert "U (99 %)" in out
     assert "own: ring-down (p.mcap)" in out
@@ -166,28 +166,28 @@ def test_budget_with_a_rig_shows_masses_points_and_what_is_exact(
 ) -> None:
     path = with_slopes(kept(tmp_path / "p.toml"))
     arguments = ("parameters", "budget", str(path), "k1", "D.theta3_deg", "--rig", "virtual")
-    code, out, _ = said(capsys, *arguments, "--set", "rotor.mass_std_kg=0.01", "--json")
+    code, out, _ = run_rig(capsys, *arguments, "--set", "rotor.mass_std_kg=0.01", "--json")
     assert code == 0
-    told = json.loads(out)
-    main = told["parameters"]["k1_N_per_m"]["budget"][0]
+    answer = json.loads(out)
+    main = answer["parameters"]["k1_N_per_m"]["budget"][0]
     assert main["source"] == "known rotor.mass_kg"
     assert main["sensitivity"] == pytest.approx(2600 / 7.27)
-    assert list(told["predicted"]) == ["D.theta3_deg"]
-    assert "known rotor.mass_kg" in [row["source"] for row in told["predicted"]["D.theta3_deg"]["budget"]]
-    assert told["taken_as_exact"] == {}  # of the numbers that are exact this file has no derivatives
-    assert told["what_if"] == ["rotor.mass_std_kg=0.01"]
-    code, out, _ = said(capsys, *arguments, "B", "--json", "--monte-carlo", "--trials", "200")
-    told = json.loads(out)
-    assert list(told["predicted"]) == ["D.theta3_deg", "B.theta3_deg", "B.theta4_deg"]
-    exact = told["taken_as_exact"]["rotor.mass_kg"]["k1_N_per_m"]
+    assert list(answer["predicted"]) == ["D.theta3_deg"]
+    assert "known rotor.mass_kg" in [row["source"] for row in answer["predicted"]["D.theta3_deg"]["budget"]]
+    assert answer["taken_as_exact"] == {}  # of the numbers that are exact this file has no derivatives
+    assert answer["what_if"] == ["rotor.mass_std_kg=0.01"]
+    code, out, _ = run_rig(capsys, *arguments, "B", "--json", "--monte-carlo", "--trials", "200")
+    answer = json.loads(out)
+    assert list(answer["predicted"]) == ["D.theta3_deg", "B.theta3_deg", "B.theta4_deg"]
+    exact = answer["taken_as_exact"]["rotor.mass_kg"]["k1_N_per_m"]
     assert exact["percent"] == pytest.approx(0.1 * 7.0 / 7.27)
     assert exact["standard_uncertainties"] == pytest.approx(7e-3 * 2600 / 7.27 / np.hypot(0.5, 0.3))
-    assert told["without_budget"]["B.amplitude_mm"] == "it is 0 whatever the parameters are"
-    sampled = told["predicted"]["D.theta3_deg"]["monte_carlo"]
+    assert answer["without_budget"]["B.amplitude_mm"] == "it is 0 for all values of the parameters"
+    sampled = answer["predicted"]["D.theta3_deg"]["monte_carlo"]
     assert sampled["trials"] == 200
     assert set(sampled["checks"]["shortest"]) >= {"d_low", "d_high", "tolerance", "verdict"}
-    code, out, _ = said(capsys, *arguments)
-    assert "taken as exact: what 0.1 % of each number would change" in out
+    code, out, _ = run_rig(capsys, *arguments)
+    assert "taken as exact: effect of 0.1 % of each number" in out
     assert "rotor.mass_kg" in out
 
 
@@ -208,14 +208,14 @@ def test_budget_with_a_rig_shows_masses_points_and_what_is_exact(
         (["budget", "{p}", "--trials", "1"], "expected a number from 100"),
         (["history", "{p}", "--rig", "other"], "no file is of rig 'other'"),
         (["history", "{p}", "--plot", "a.doc"], ".svg, .png or .pdf"),
-        (["history", "{p}", "--plot", "nowhere/a.svg"], "there is no folder nowhere"),
+        (["history", "{p}", "--plot", "nowhere/a.svg"], "the folder nowhere does not exist"),
     ],
 )
 def test_bad_use_is_explained(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], words: str
 ) -> None:
     path = kept(tmp_path / "p.toml")
-    code, out, err = said(capsys, "parameters", *(a.format(p=path) for a in arguments))
+    code, out, err = run_rig(capsys, "parameters", *(a.format(p=path) for a in arguments))
     assert code == 2
     assert words in " ".join((out + err).split())
 
@@ -250,7 +250,7 @@ def test_values_are_rounded_to_two_digits_of_their_uncertainty(
 def test_a_place_that_cannot_be_written_is_refused_before_the_work(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, command: list[str], option: str
 ) -> None:
-    for place, why in (("nowhere/p.svg", "there is no folder nowhere"), (str(tmp_path), "this is a folder")):
+    for place, why in (("nowhere/p.svg", "the folder nowhere does not exist"), (str(tmp_path), "this is a folder")):
         assert run([*command, place]) == 2
         words = " ".join(capsys.readouterr().err.split())
         assert f"{option} {place}" in words

@@ -51,12 +51,12 @@ def test_a_figure_in_each_format(
     suffix: str, log: Path, known: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / f"bode{suffix}"
-    told = plotted(capsys, "bode", log, "--model", known, "-o", out)
-    assert told["figures"][0]["file"] == str(out)
-    assert told["figures"][0]["beside"] == "parameters.toml"
+    answer = plotted(capsys, "bode", log, "--model", known, "-o", out)
+    assert answer["figures"][0]["file"] == str(out)
+    assert answer["figures"][0]["beside"] == "parameters.toml"
     begins = {".svg": b"<?xml", ".png": b"\x89PNG", ".pdf": b"%PDF", ".html": b"<!doctype html>"}
     assert out.read_bytes().startswith(begins[suffix])
-    assert list(tmp_path.iterdir()) == [out]  # nothing beside it
+    assert list(tmp_path.iterdir()) == [out]  # no other file
 
 
 def test_a_page_needs_no_network(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -71,9 +71,9 @@ def test_a_page_needs_no_network(log: Path, tmp_path: Path, capsys: pytest.Captu
 def test_every_figure_of_a_run_up_is_named_after_its_log(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = plotted(capsys, "orbit", log, "-o", tmp_path / "figures")
-    assert [figure["file"] for figure in told["figures"]] == [str(tmp_path / "figures" / "up.orbit.svg")]
-    assert told["figures"][0]["test"] == "run-up"
+    answer = plotted(capsys, "orbit", log, "-o", tmp_path / "figures")
+    assert [figure["file"] for figure in answer["figures"]] == [str(tmp_path / "figures" / "up.orbit.svg")]
+    assert answer["figures"][0]["test"] == "run-up"
 
 
 def test_health_of_a_recorded_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,9 +106,9 @@ def test_of_a_folder_those_logs_are_drawn_that_can_be(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = folder_of(tmp_path, write_small_log(tmp_path / "a-small.mcap"), log)
-    told = plotted(capsys, "bode", folder, "-o", tmp_path / "out")
-    assert [Path(figure["file"]).name for figure in told["figures"]] == ["up.bode.svg"]
-    (left,) = told["not_drawn"]
+    answer = plotted(capsys, "bode", folder, "-o", tmp_path / "out")
+    assert [Path(figure["file"]).name for figure in answer["figures"]] == ["up.bode.svg"]
+    (left,) = answer["not_drawn"]
     assert left["log"] == str(folder / "a-small.mcap")
     assert "expected a run through speeds" in left["reason"]
     capsys.readouterr()
@@ -120,9 +120,9 @@ def test_a_log_that_was_named_and_is_not_drawn_is_bad_input(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     small = write_small_log(tmp_path / "a-small.mcap")
-    told = plotted(capsys, "bode", small, log, "-o", tmp_path / "out", code=2)
-    assert [Path(figure["file"]).name for figure in told["figures"]] == ["up.bode.svg"]
-    assert told["not_drawn"][0]["log"] == str(small)
+    answer = plotted(capsys, "bode", small, log, "-o", tmp_path / "out", code=2)
+    assert [Path(figure["file"]).name for figure in answer["figures"]] == ["up.bode.svg"]
+    assert answer["not_drawn"][0]["log"] == str(small)
 
 
 def test_an_unreadable_log_of_a_folder_keeps_no_other_from_being_drawn(
@@ -130,22 +130,22 @@ def test_an_unreadable_log_of_a_folder_keeps_no_other_from_being_drawn(
 ) -> None:
     folder = folder_of(tmp_path, log)
     (folder / "a-broken.mcap").write_bytes(b"no log")
-    told = plotted(capsys, "bode", folder, "-o", tmp_path / "out", code=2)
-    assert len(told["figures"]) == 1
-    assert "a-broken.mcap" in told["not_drawn"][0]["reason"]
+    answer = plotted(capsys, "bode", folder, "-o", tmp_path / "out", code=2)
+    assert len(answer["figures"]) == 1
+    assert "a-broken.mcap" in answer["not_drawn"][0]["reason"]
 
 
 def test_a_folder_without_a_figure_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     small = write_small_log(tmp_path / "a-small.mcap")
     folder = folder_of(tmp_path, small)
     shutil.copy(small, folder / "b-small.mcap")
-    told = plotted(capsys, "bode", folder, "-o", tmp_path / "out", code=2)
-    assert told["figures"] == []
-    assert len(told["not_drawn"]) == 2
+    answer = plotted(capsys, "bode", folder, "-o", tmp_path / "out", code=2)
+    assert answer["figures"] == []
+    assert len(answer["not_drawn"]) == 2
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         (["bode"], "no log given"),
         (["bode", "."], "found none"),
@@ -158,15 +158,15 @@ def test_a_folder_without_a_figure_is_bad_input(tmp_path: Path, capsys: pytest.C
 )
 def test_what_is_refused(
     words: list[str],
-    said: str,
+    expected: str,
     log: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    told = plotted(capsys, *[str(log) if word == "LOG" else word for word in words], code=2)
-    assert said in told["error"]
+    answer = plotted(capsys, *[str(log) if word == "LOG" else word for word in words], code=2)
+    assert expected in answer["error"]
     assert list(tmp_path.iterdir()) == []
 
 

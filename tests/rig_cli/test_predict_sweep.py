@@ -32,11 +32,11 @@ def test_break_points_and_figure(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert "imbalance.radius_m" in text
 
 
-def test_said_to_people(capsys: pytest.CaptureFixture[str]) -> None:
+def test_printed_as_text(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(_SWEEP) == 0
-    said = capsys.readouterr().out
-    assert "stable before II, after I\n" in said
-    assert "what if pendulums.b.mass_kg=0.037" in said
+    text = capsys.readouterr().out
+    assert "stable before II, after I\n" in text
+    assert "what if pendulums.b.mass_kg=0.037" in text
 
 
 def test_over_the_speed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -46,7 +46,7 @@ def test_over_the_speed(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "text"),
     [
         (["--sweep", "imbalance.radius_m=0:0.1", "--speed-ratio", "2"], "rig predict: --sweep expected KEY=A:B:N"),
         (["--sweep", "imbalance.radius_m=0:0.1:9"], "--sweep needs one of --point, --speed-rpm, --speed-ratio"),
@@ -58,6 +58,6 @@ def test_over_the_speed(capsys: pytest.CaptureFixture[str]) -> None:
         (["--sweep", "imbalance.radius_m=0:0.1:9", "--point", "Z"], "no point 'Z'"),
     ],
 )
-def test_refused(capsys: pytest.CaptureFixture[str], more: list[str], said: str) -> None:
+def test_refused(capsys: pytest.CaptureFixture[str], more: list[str], text: str) -> None:
     assert run(["predict", "isotropic", *more]) == 2
-    assert said in capsys.readouterr().err
+    assert text in capsys.readouterr().err

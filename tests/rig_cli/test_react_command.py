@@ -1,4 +1,4 @@
-"""`rig react`: what it says, draws and refuses."""
+"""`rig react`: output, figure, rejected arguments."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rig_cli.main import run
 CHANGE = ["react", "virtual", "--point", "E", "--change", "imbalance.radius_m=+20%"]
 
 
-def test_it_says_when_it_is_balanced_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_states_when_it_is_balanced_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plot = tmp_path / "reaction.svg"
     assert run([*CHANGE, "--plot", str(plot), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)

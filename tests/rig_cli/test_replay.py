@@ -13,19 +13,19 @@ import numpy as np
 import pytest
 from cyclopts import App
 
-from rig_cli import replay_view
-from rig_cli.replay import replay
 from daq.drivers.items import Batch, Event
 from daq.errors import LogError
 from daq.log import open_log
 from daq.log.samples import Samples
 from daq.replay import check
 from daq.transports import open_link
+from rig_cli import replay_view
+from rig_cli.replay import replay
 from rig_configs.errors import RigFileError
 from tests.daq.replayed_log import IDENTITIES, write_log
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+def run_rig(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
     """Exit code, standard output and standard error of one `rig replay`."""
     app = App()
     app.default(replay)
@@ -55,10 +55,10 @@ def falsified(tmp_path: Path) -> Path:
 
 
 def test_a_true_log_is_identical(capsys: pytest.CaptureFixture[str], log: Path) -> None:
-    code, out, _ = said(capsys, str(log), "--check")
+    code, out, _ = run_rig(capsys, str(log), "--check")
     assert code == 0
     assert out.count("identical") == 6
-    code, out, _ = said(capsys, str(log), "--check", "--json")
+    code, out, _ = run_rig(capsys, str(log), "--check", "--json")
     found = json.loads(out)
     assert (code, found["identical"], found["until_ns"]) == (0, True, None)
     assert found["channels"][0] == {
@@ -76,7 +76,7 @@ def test_a_true_log_is_identical(capsys: pytest.CaptureFixture[str], log: Path) 
 
 
 def test_where_it_differs_stands_in_a_table(capsys: pytest.CaptureFixture[str], falsified: Path) -> None:
-    code, out, _ = said(capsys, str(falsified), "--check")
+    code, out, _ = run_rig(capsys, str(falsified), "--check")
     assert code == 1
     with open_log(falsified) as opened:
         speeds, times = opened["motor"].speed_rpm, opened["motor"].time_ns
@@ -93,7 +93,7 @@ def test_where_it_differs_stands_in_a_table(capsys: pytest.CaptureFixture[str], 
         str(speeds[wrong[0]]),
         str(speeds[wrong[0]] - 0.5),
     ]
-    code, out, _ = said(capsys, str(falsified), "--json")
+    code, out, _ = run_rig(capsys, str(falsified), "--json")
     assert code == 0  # only --check makes it a verdict
     motor = next(row for row in json.loads(out)["channels"] if row["topic"] == "motor")
     assert motor["first"]["stored"] == speeds[wrong[0]]
@@ -104,9 +104,9 @@ def test_where_it_differs_stands_in_a_table(capsys: pytest.CaptureFixture[str], 
     }
 
 
-def test_a_damaged_log_says_how_far_it_was_compared(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_damaged_log_states_how_far_it_was_compared(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     part = write_log(tmp_path / "c.mcap", finish=False, unwritten_from=200)
-    code, out, _ = said(capsys, str(part), "--check")
+    code, out, _ = run_rig(capsys, str(part), "--check")
     assert code == 0
     assert "note: the log is cut" in out
     for line in out.splitlines():
@@ -118,13 +118,13 @@ def test_a_damaged_log_says_how_far_it_was_compared(capsys: pytest.CaptureFixtur
 def test_a_new_log_with_corrected_calibration(capsys: pytest.CaptureFixture[str], log: Path, tmp_path: Path) -> None:
     (tmp_path / "better.toml").write_text("[devices.laser_x]\nrange_m = 0.0251\n")
     new = tmp_path / "new.mcap"
-    code, out, _ = said(capsys, str(log), "--calibration", str(tmp_path / "better.toml"), "-o", str(new))
+    code, out, _ = run_rig(capsys, str(log), "--calibration", str(tmp_path / "better.toml"), "-o", str(new))
     assert code == 0
     assert "laser/x    displacement_m   2400 of 2400 moved" in out
     assert "laser/y    2400 samples, all as they were" in out
-    code, out, _ = said(capsys, str(new), "--check")
+    code, out, _ = run_rig(capsys, str(new), "--check")
     assert code == 0
-    code, out, _ = said(capsys, str(log), "-o", str(tmp_path / "third.mcap"), "--json")
+    code, out, _ = run_rig(capsys, str(log), "-o", str(tmp_path / "third.mcap"), "--json")
     assert json.loads(out)["channels"]["laser/x"] == {"origin": 2400, "anew": 2400, "moved": {}}
 
 
@@ -132,7 +132,7 @@ def test_watched_at_its_pace_without_a_terminal(
     capsys: pytest.CaptureFixture[str], log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replay_view, "_PLAIN_S", 0.0)
-    code, out, err = said(capsys, str(log), "--speed", "max", "--json")
+    code, out, err = run_rig(capsys, str(log), "--speed", "max", "--json")
     found = json.loads(out)
     assert code == 0
     assert found["samples"] == {"laser/x": 2400, "laser/y": 2400, "pendulums": 600, "tacho": 60, "motor": 60}
@@ -153,7 +153,7 @@ def test_ctrl_c_ends_watching_cleanly(
             raise KeyboardInterrupt
 
     monkeypatch.setattr(replay_view.ReplayView, "add", interrupted)
-    code, out, _ = said(capsys, str(log), "--speed", "max", "--json")
+    code, out, _ = run_rig(capsys, str(log), "--speed", "max", "--json")
     assert code == 0
     assert json.loads(out)["ended"] == "Ctrl-C"
 
@@ -175,7 +175,7 @@ def test_what_does_not_go_together_is_explained(
     capsys: pytest.CaptureFixture[str], log: Path, arguments: list[str], words: str
 ) -> None:
     with pytest.raises((LogError, RigFileError), match=words):
-        said(capsys, str(log), *arguments)
+        run_rig(capsys, str(log), *arguments)
 
 
 # --- played to other programs ------------------------------------------------------------------------------------
@@ -189,7 +189,7 @@ class Player:
 
     Attributes:
         ports: of each device.
-        code, result, said: how it ended; known at the end of the with block.
+        code, result, text: how it ended; known at the end of the with block.
     """
 
     def __init__(self, log: Path, kind: str, speed: str) -> None:
@@ -204,7 +204,7 @@ class Player:
         self.ports: dict[str, str] = json.loads(self._out.readline())["ports"]
         self.result: dict = {}
         self.code: int | None = None
-        self.said = ""
+        self.text = ""
 
     def __enter__(self) -> Player:
         return self
@@ -216,7 +216,7 @@ class Player:
             self.result = json.loads(self._out.readline() or "{}")
         self.code = self._process.wait(timeout=60)
         self._listener.join()
-        self.said = "".join(self._words)
+        self.text = "".join(self._words)
         self._out.close()
         assert self._process.stderr is not None
         self._process.stderr.close()
@@ -257,9 +257,9 @@ def test_played_to_another_program_from_start_to_end(log: Path, kind: str) -> No
     assert player.result["delivered_bytes"] == got
     assert not any(player.result["undelivered_bytes"].values())
     assert not player.result["configured"]
-    assert "rig record" in player.said
-    assert "--listen" in player.said
-    assert "every port is open" in player.said
+    assert "rig record" in player.text
+    assert "--listen" in player.text
+    assert "every port is open" in player.text
 
 
 @pytest.fixture(scope="module")
@@ -280,13 +280,13 @@ def test_a_check_shows_the_devices_of_the_log(long_log: Path) -> None:
         if one["verdict"] == "fail"
     }
     assert host.returncode == 1, host.stderr
-    # the rotor of the log turns, its counts go on in closed locks, its node never told its status
+    # the rotor of the log turns, its counts go on in closed locks, its node never answer its status
     assert failed - {"laser_y lost_samples"} == {"drive speed_rpm", "encoder locked_A_deg", "encoder status"}
     for name in ("laser_x", "laser_y"):
         assert found["identities"][name] == {**IDENTITIES[name], "scaling": "ILD1420"}
     assert found["rates_Hz"]["laser/x"] == pytest.approx(4000, rel=0.2)
     assert (player.code, player.result["configured"]) == (0, True)
-    assert "to be started yet: drive (the network's start), laser_x (OUTPUT RS422), laser_y" in player.said
+    assert "not started: drive (the network's start), laser_x (OUTPUT RS422), laser_y" in player.text
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -299,8 +299,8 @@ def test_a_host_that_configures_records_again_what_the_log_holds(long_log: Path,
     assert player.result["ended"] == "the host, which stopped its devices and left"
     assert 3.0 < player.result["played_s"] <= 14.01
     with open_log(long_log) as one, open_log(again) as two:
-        said = json.loads(two.attachments["identities.json"])
-        assert said["laser_x"] == {**IDENTITIES["laser_x"], "scaling": "ILD1420"}
+        identities = json.loads(two.attachments["identities.json"])
+        assert identities["laser_x"] == {**IDENTITIES["laser_x"], "scaling": "ILD1420"}
         assert check(again).identical
         for topic, key in (
             ("laser/x", "counter"),
@@ -323,13 +323,13 @@ def _same_stretch(one: Samples, two: Samples, key: str) -> None:
     assert np.array_equal(one.sequence[stretch], two.sequence)
     for name in one.columns:
         known = slice(None)
-        if name == "target_rpm":  # what the host of the log said before is not on the bus any more
+        if name == "target_rpm":  # what the host of the log sent before is not on the bus any more
             known = slice(int(np.argmax(two[name] != 0)), None)
             assert known.start <= 8
         assert one[name][stretch][known].tobytes() == two[name][known].tobytes()
 
 
-def test_a_host_that_gives_up_is_told_what_it_did_not_do(log: Path) -> None:
+def test_a_host_that_gives_up_is_reported_what_it_did_not_do(log: Path) -> None:
     with Player(log, "tcp", "1") as player:
         links = {device: open_link(port, 921_600) for device, port in player.ports.items()}
         links["laser_x"].write(b"GETINFO\n")
@@ -340,4 +340,4 @@ def test_a_host_that_gives_up_is_told_what_it_did_not_do(log: Path) -> None:
             link.close()
     assert b"Name: ILD1420" in heard
     assert player.code == 3
-    assert "closed its ports before it had set up its devices; still expected" in player.said
+    assert "closed its ports before it had set up its devices; still expected" in player.text

@@ -8,21 +8,21 @@ from pathlib import Path
 import pytest
 from cyclopts import App
 
-from rig_cli.log_facts import log_facts
-from rig_cli.log_page import print_log
-from rig_cli.replay import replay
-from rig_cli.trip_page import sparkline, trip_lines
 from daq.acquisition.interlock_table import INTERLOCKS
 from daq.drivers.items import Event
 from daq.errors import LogError
 from daq.log import open_log
 from daq.log.file import LogFile
+from rig_cli.log_facts import log_facts
+from rig_cli.log_page import print_log
+from rig_cli.replay import replay
+from rig_cli.trip_page import sparkline, trip_lines
 from rig_configs.errors import RigFileError
 from tests.daq.far_ends import START_NS
 from tests.daq.recorded_bench import RecordedBench
 
 
-def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+def run_rig(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
     app = App()
     app.default(replay)
     code = app([*arguments, "--interlocks"], exit_on_error=False, result_action="return_value")
@@ -50,7 +50,7 @@ def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_sound_log_shows_every_row_and_ends_with_0(capsys: pytest.CaptureFixture[str], sound: Path) -> None:
-    code, out, err = said(capsys, str(sound))
+    code, out, err = run_rig(capsys, str(sound))
     assert code == 0
     assert "nothing would have tripped" in err
     lines = out.splitlines()
@@ -65,22 +65,22 @@ def test_a_sound_log_shows_every_row_and_ends_with_0(capsys: pytest.CaptureFixtu
 def test_a_trip_is_shown_with_its_reason_and_values_and_ends_with_1(
     capsys: pytest.CaptureFixture[str], blind: Path
 ) -> None:
-    code, out, err = said(capsys, str(blind))
+    code, out, err = run_rig(capsys, str(blind))
     assert code == 1
     assert "would have tripped at 3.1" in err
     assert "blind sensor: laser/x: most samples" in out
-    assert "told 600 rpm; newest: " in out
+    assert "commanded 600 rpm; newest: " in out
     assert "the session itself stopped at 3.5" in out
     assert [line for line in out.splitlines() if line.startswith("blind sensor") and "trips at 3.1" in line]
 
 
 def test_json_has_it_all(capsys: pytest.CaptureFixture[str], blind: Path) -> None:
-    code, out, _ = said(capsys, str(blind), "--json")
+    code, out, _ = run_rig(capsys, str(blind), "--json")
     found = json.loads(out)
     (trip,) = found["trips"]
     assert (code, found["tripped"], trip["interlock"], trip["cause"]) == (1, True, "blind sensor", "device")
     assert trip["time_s"] == pytest.approx(3.14, abs=0.05)
-    assert trip["newest"]["laser/x"]["displacement_m"] is None  # NaN is no JSON
+    assert trip["newest"]["laser/x"]["displacement_m"] is None  # JSON has no NaN
     assert trip["told_rpm"] == 600
     states = {row["name"]: row["in_this_log"] for row in found["interlocks"]}
     assert len(states) == len(INTERLOCKS)
@@ -91,12 +91,12 @@ def test_json_has_it_all(capsys: pytest.CaptureFixture[str], blind: Path) -> Non
 
 
 def test_other_limits_and_all_trips(capsys: pytest.CaptureFixture[str], sound: Path) -> None:
-    code, out, err = said(capsys, str(sound), "--set", "limits.amplitude_m=0.0001", "--set", "limits.speed_rpm=500")
+    code, out, err = run_rig(capsys, str(sound), "--set", "limits.amplitude_m=0.0001", "--set", "limits.speed_rpm=500")
     assert code == 1
     assert "what if limits.amplitude_m=0.0001, limits.speed_rpm=500" in err
     assert "0.1 mm, by two" in out
     assert "overspeed: the drive reports" not in out
-    code, out, _ = said(
+    code, out, _ = run_rig(
         capsys, str(sound), "--set", "limits.amplitude_m=0.0001", "--set", "limits.speed_rpm=500", "--all"
     )
     assert code == 1
@@ -108,7 +108,7 @@ def test_a_narrow_terminal_gets_the_columns_that_fit(
     capsys: pytest.CaptureFixture[str], sound: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rig_cli.replay_interlocks.stdout_console", lambda: type("Narrow", (), {"width": 60}))
-    _, out, _ = said(capsys, str(sound))
+    _, out, _ = run_rig(capsys, str(sound))
     *_, left_out = [line for line in out.splitlines() if line.startswith("left out")]
     assert "threshold" in left_out
     assert max(len(line) for line in out.splitlines() if line != left_out) <= 60
@@ -130,7 +130,7 @@ def test_what_does_not_go_together_is_explained(
     capsys: pytest.CaptureFixture[str], sound: Path, arguments: list[str], words: str
 ) -> None:
     with pytest.raises((LogError, RigFileError), match=words):
-        said(capsys, str(sound), *arguments)
+        run_rig(capsys, str(sound), *arguments)
 
 
 @pytest.mark.parametrize("alone", [["--all"], ["--set", "limits.amplitude_m=0.004"]])

@@ -29,8 +29,8 @@ def test_a_folder_gives_the_report_that_the_demo_gave(
     capsys: pytest.CaptureFixture[str], logs: Path, tmp_path: Path
 ) -> None:
     page = tmp_path / "again.html"
-    code, told = answered(capsys, logs, "-o", page)
-    assert (code, told["passed"], told["points"]) == (0, True, {})
+    code, answer = answered(capsys, logs, "-o", page)
+    assert (code, answer["passed"], answer["points"]) == (0, True, {})
     numbers = json.loads(page.with_suffix(".json").read_text(encoding="utf-8"))
     first = json.loads((logs / "report.json").read_text(encoding="utf-8"))
     assert numbers["parameters"] == first["parameters"]
@@ -68,26 +68,26 @@ def test_points_alone_need_parameters(capsys: pytest.CaptureFixture[str], tmp_pa
         "5.0",
     ]
     assert run(["import", str(table), "--rig", "virtual", "--point", "B", "-o", str(log), *columns]) == 0
-    code, told = answered(capsys, log, "-o", tmp_path / "r.html")
+    code, answer = answered(capsys, log, "-o", tmp_path / "r.html")
     assert code == 2
-    assert "expected tests to identify from" in told["error"]
-    code, told = answered(capsys, log, "-o", tmp_path / "r.html", "--parameters", known(tmp_path / "p.toml"))
-    assert (code, told["points"]) == (0, {"B": "pass"})
+    assert "expected tests to identify from" in answer["error"]
+    code, answer = answered(capsys, log, "-o", tmp_path / "r.html", "--parameters", known(tmp_path / "p.toml"))
+    assert (code, answer["points"]) == (0, {"B": "pass"})
 
 
 @pytest.mark.parametrize(
     ("words", "part"),
     [
         ([], "usage: rig report DIR|LOG"),
-        (["nowhere"], "there is nothing of this name"),
+        (["nowhere"], "found no file of this name"),
         (["{empty}"], "expected logs (*.mcap) in this folder"),
         (["{logs}", "-o", "{empty}/r.txt"], "expected a name ending in .html"),
-        (["{logs}"], "is there already; give --force"),
+        (["{logs}"], "exists; give --force"),
     ],
 )
 def test_wrong_uses_are_refused_before_the_work(
     capsys: pytest.CaptureFixture[str], logs: Path, tmp_path: Path, words: list[str], part: str
 ) -> None:
-    code, told = answered(capsys, *(word.format(logs=logs, empty=tmp_path) for word in words))
+    code, answer = answered(capsys, *(word.format(logs=logs, empty=tmp_path) for word in words))
     assert code == 2
-    assert part in told["error"]
+    assert part in answer["error"]

@@ -1,4 +1,4 @@
-"""What help texts say of settings is what docs/benchmarks.md says, from one table."""
+"""Help texts of settings and docs/benchmarks.md agree: both come from one table."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def test_the_page_holds_the_table_the_help_is_made_of() -> None:
 @pytest.mark.parametrize(
     ("command", "figures"), [("identify", ["0.036 to 1.2", "1.7 to 65"]), ("track", ["8 ms", "69"])]
 )
-def test_help_says_cost_and_gain(capsys: pytest.CaptureFixture[str], command: str, figures: list[str]) -> None:
+def test_help_states_cost_and_gain(capsys: pytest.CaptureFixture[str], command: str, figures: list[str]) -> None:
     assert run([command, "--help"]) == 0
-    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
     for figure in figures:
-        assert f"{figure} " in said
-    assert "docs/benchmarks.md" in said
+        assert f"{figure} " in text
+    assert "docs/benchmarks.md" in text

@@ -24,21 +24,21 @@ def test_rate_and_time_left(share: float, elapsed_s: float, count: float | None,
     assert pace_words(share, elapsed_s, count, "points") == words
 
 
-def test_without_a_terminal_a_line_says_rate_and_time_left(
+def test_without_a_terminal_a_line_states_rate_and_time_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [100.0]
     monkeypatch.setattr("rig_cli.share_progress.time.monotonic", lambda: now[0])
-    with share_progress("80 points", 80, "points") as told:
+    with share_progress("80 points", 80, "points") as answer:
         for share in (0.1, 0.3, 0.5):
             now[0] += 6.0
-            told(share)
+            answer(share)
     assert capsys.readouterr().err == "80 points: 30 %, 2 points/s, 28 s left\n"
 
 
-def test_stopped_work_says_how_far_it_was(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(KeyboardInterrupt), share_progress("80 points") as told:  # noqa: PT012
-        told(0.42)
+def test_stopped_work_states_how_far_it_was(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(KeyboardInterrupt), share_progress("80 points") as answer:  # noqa: PT012
+        answer(0.42)
         raise KeyboardInterrupt
     assert capsys.readouterr().err == "stopped: 80 points, 42 % done\n"
 
@@ -46,7 +46,7 @@ def test_stopped_work_says_how_far_it_was(capsys: pytest.CaptureFixture[str]) ->
 def test_a_terminal_shows_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = console.Console(force_terminal=True, width=160, record=True)
     monkeypatch.setattr(console, "STDERR", terminal)
-    with share_progress("80 points", 80, "points") as told:
-        told(0.5)
+    with share_progress("80 points", 80, "points") as answer:
+        answer(0.5)
         terminal.print("a line")
     assert "points/s" in terminal.export_text()

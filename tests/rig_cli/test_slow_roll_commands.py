@@ -1,4 +1,4 @@
-"""Commands that ask the model with a parameters file that holds run-out and a bow."""
+"""Predictions with a parameters file that contains run-out and a bow."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def bent(rig: Rig) -> IdentifiedParameters:
     return IdentifiedParameters(values, covariance, axis_angle_deg=(1.0, 0.05), slow_roll=roll)
 
 
-def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+def answer_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     assert run(list(arguments)) == 0
     return capsys.readouterr().out
 
@@ -42,7 +42,7 @@ def test_predict_with_a_bow_and_run_out(
 ) -> None:
     bent.save(tmp_path / "p.toml")
     command = ("predict", "virtual", "--point", point, "--parameters", str(tmp_path / "p.toml"), "--no-release")
-    found = json.loads(asked(capsys, *command, "--json"))
+    found = json.loads(answer_of(capsys, *command, "--json"))
     state = found["steady_states"][0]
     near = np.radians([state["theta3_deg"], state["theta4_deg"]]).tolist()
     expected = predict_point(rig, bent, rig.physics.speed_rad_s(rig.points[point].speed_ratio), near_rad=near)
@@ -53,20 +53,20 @@ def test_predict_with_a_bow_and_run_out(
     assert state["amplitude_mm"] == pytest.approx(1e3 * expected.state.amplitude_m, rel=1e-4)
     assert abs(sensors["amplitude_x_mm"] - sensors["of_motion_x_mm"]) > 1e-3
     assert found["slow_roll"]["bow"]["real_m"] == pytest.approx(BOW.real)
-    text = asked(capsys, *command)
+    text = answer_of(capsys, *command)
     assert "with run-out the sensors show x" in text
     assert "100 ± 0.1 µm at 114.6°, turning with the shaft" in text
 
 
-def test_predict_of_a_straight_rotor_says_nothing_of_it(
+def test_predict_of_a_straight_rotor_states_nothing_of_it(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, bent: IdentifiedParameters
 ) -> None:
     replace(bent, slow_roll=None).save(tmp_path / "p.toml")
     command = ("predict", "virtual", "--point", "B", "--parameters", str(tmp_path / "p.toml"), "--no-release")
-    found = json.loads(asked(capsys, *command, "--json"))
+    found = json.loads(answer_of(capsys, *command, "--json"))
     assert found["slow_roll"] is None
     assert "sensors" not in found["steady_states"][0]
-    assert "run-out" not in asked(capsys, *command)
+    assert "run-out" not in answer_of(capsys, *command)
 
 
 def test_the_region_is_that_of_imbalance_and_bow(
@@ -76,7 +76,7 @@ def test_the_region_is_that_of_imbalance_and_bow(
     roll = SlowRoll(0j, 0j, 6e-3 + 0j, np.zeros((6, 6)))
     replace(bent, slow_roll=roll).save(tmp_path / "p.toml")
     command = ("predict", "virtual", "--point", "C", "--parameters", str(tmp_path / "p.toml"), "--no-release", "--json")
-    assert json.loads(asked(capsys, *command))["balancing_region"] == "undersized"
+    assert json.loads(answer_of(capsys, *command))["balancing_region"] == "undersized"
 
 
 def test_budget_has_the_bow_and_the_map_leaves_it_out(
@@ -84,7 +84,7 @@ def test_budget_has_the_bow_and_the_map_leaves_it_out(
 ) -> None:
     bent.save(tmp_path / "p.toml")
     found = json.loads(
-        asked(capsys, "parameters", "budget", str(tmp_path / "p.toml"), "B", "--rig", "virtual", "--json")
+        answer_of(capsys, "parameters", "budget", str(tmp_path / "p.toml"), "B", "--rig", "virtual", "--json")
     )
     sources = [row["source"] for row in found["predicted"]["B.amplitude_x_mm"]["budget"]]
     assert any("bow" in source for source in sources)
@@ -117,7 +117,7 @@ def test_predict_with_a_suspension_that_depends_on_the_motion(
     known = IdentifiedParameters(values, np.diag([(1e-4 * v) ** 2 for v in values.values()]), terms=terms)
     known.save(tmp_path / "p.toml")
     command = ("predict", "virtual", "--point", "D", "--parameters", str(tmp_path / "p.toml"), "--no-release", "--json")
-    state = json.loads(asked(capsys, *command))["steady_states"][0]
+    state = json.loads(answer_of(capsys, *command))["steady_states"][0]
     expected = predict_point(rig, known, rig.physics.speed_rad_s(3.3), (0.0, 0.0)).state
     assert (state["type"], state["stable"]) == ("III", True)
     assert state["theta3_deg"] == pytest.approx(np.degrees(expected.theta_rad[0]), abs=1e-3)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from benchmarks.worlds import Effects, World, draw_world, record
-from rig_cli.main import run
-from rig_cli.tracking import LiveTracking
 from daq.acquisition.session import Session
 from daq.lockstep.rig import LockstepRig
+from rig_cli.main import run
+from rig_cli.tracking import LiveTracking
 from rig_configs import IdentifiedParameters, load_rig
 from rig_configs.slow_roll import SlowRoll
 

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig_cli.main import run
-from rig_cli.simulated import VirtualRigProcess
-from rig_cli.tracking import LiveTracking, compile_tracker, imbalance_std
 from daq.acquisition.session import Session
 from daq.errors import LinkLost
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from identification.tracking.tracker import Tracker
+from rig_cli.main import run
+from rig_cli.simulated import VirtualRigProcess
+from rig_cli.tracking import LiveTracking, compile_tracker, imbalance_std
 from rig_configs import IdentifiedParameters, load_rig
 
 WRONG = ["pendulums.a.damping_Nms_per_rad=*2", "pendulums.b.damping_Nms_per_rad=*0.5"]
@@ -60,7 +60,7 @@ def test_what_goes_wrong_in_the_tracker_does_not_end_the_test(monkeypatch: pytes
     assert not following.facts()["trusted"]
 
 
-def test_an_identified_imbalance_is_trusted_as_far_as_its_file_says(tmp_path: Path) -> None:
+def test_an_identified_imbalance_is_trusted_as_far_as_its_file_states(tmp_path: Path) -> None:
     path = tmp_path / "parameters.toml"
     IdentifiedParameters({"SP_kg_m": 2e-3}, np.array([[4e-12]])).save(path)
     assert imbalance_std(path) == pytest.approx(1e-3)

@@ -1,4 +1,4 @@
-"""`rig validate`: what-ifs change what is said and nothing that is kept; z can be worked out from its row."""
+"""`rig validate`: what-ifs change the output and no stored verdict; z can be computed from its row."""
 
 from __future__ import annotations
 
@@ -67,16 +67,17 @@ def test_a_what_if_lies_over_the_parameters_and_keeps_nothing(
     official = verdict.read_bytes()
     report = tmp_path / "what-if.html"
     setting = "imbalance.radius_m=+5%"
-    code, asked = validated(capsys, log, toml, "--set", setting, "--report", report)
-    assert (code, asked["passed"], asked["what_if"]) == (1, False, [setting])
-    moved = asked["points"]["B"]["predicted"]["theta3_deg"] - plain["points"]["B"]["predicted"]["theta3_deg"]
+    code, changed = validated(capsys, log, toml, "--set", setting, "--report", report)
+    assert (code, changed["passed"], changed["what_if"]) == (1, False, [setting])
+    moved = changed["points"]["B"]["predicted"]["theta3_deg"] - plain["points"]["B"]["predicted"]["theta3_deg"]
     moment, pendulum = RIG.physics.imbalance_moment_kg_m, RIG.physics.a.first_moment_kg_m
     rest = [math.degrees(math.acos(-share * moment / (2 * pendulum))) for share in (1.0, 1.05)]
     side = 1 if plain["points"]["B"]["predicted"]["theta3_deg"] < 180 else -1  # of two mirror images
     assert moved == pytest.approx(side * (rest[1] - rest[0]), abs=1e-4)
     # what is set is taken as exact: S_P's own uncertainty has gone from the prediction
     assert (
-        asked["points"]["B"]["predicted_std"]["theta3_deg"] < 0.1 * plain["points"]["B"]["predicted_std"]["theta3_deg"]
+        changed["points"]["B"]["predicted_std"]["theta3_deg"]
+        < 0.1 * plain["points"]["B"]["predicted_std"]["theta3_deg"]
     )
     assert verdict.read_bytes() == official
     page = report.read_text(encoding="utf-8")
@@ -107,14 +108,14 @@ def test_z_follows_from_its_row(capsys: pytest.CaptureFixture[str], tmp_path: Pa
         assert found["points"]["B"]["z_scores"][name] == row["z"]
 
 
-def test_the_axis_angle_is_the_identified_one_and_otherwise_said(
+def test_the_axis_angle_is_the_identified_one_and_otherwise_reported(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, log: Path
 ) -> None:
     _, with_angle = validated(capsys, log, known(tmp_path / "p.toml"))
     assert not [w for w in with_angle["warnings"] if "sensor and stiffness axes" in w]
     older = known(tmp_path / "older.toml", axis_angle_deg=None)
     _, without = validated(capsys, log, older)
-    assert [w for w in without["warnings"] if "0 ± 1° is taken" in w]
+    assert [w for w in without["warnings"] if "0 ± 1° is assumed" in w]
     _, given = validated(capsys, log, older, "--axis-angle-deg", 1.0, "--axis-angle-std-deg", 0.01)
     assert not [w for w in given["warnings"] if "axes" in w]
     assert given["what_if"] == []
@@ -125,12 +126,12 @@ def test_the_axis_angle_is_the_identified_one_and_otherwise_said(
 
 def test_predict_marks_a_what_if(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     toml = known(tmp_path / "p.toml")
-    asked = ["predict", "virtual", "--point", "D", "--parameters", str(toml), "--no-release"]
-    assert run([*asked, "--json"]) == 0
+    command = ["predict", "virtual", "--point", "D", "--parameters", str(toml), "--no-release"]
+    assert run([*command, "--json"]) == 0
     plain = json.loads(capsys.readouterr().out)
-    assert run([*asked, "--json", "--set", "suspension.k2_N_per_m=+5%"]) == 0
+    assert run([*command, "--json", "--set", "suspension.k2_N_per_m=+5%"]) == 0
     changed = json.loads(capsys.readouterr().out)
     assert (plain["what_if"], changed["what_if"]) == ([], ["suspension.k2_N_per_m=+5%"])
     assert plain["steady_states"][0]["amplitude_mm"] != changed["steady_states"][0]["amplitude_mm"]
-    assert run([*asked, "--set", "suspension.k2_N_per_m=+5%"]) == 0
+    assert run([*command, "--set", "suspension.k2_N_per_m=+5%"]) == 0
     assert "what if suspension.k2_N_per_m=+5%" in capsys.readouterr().out

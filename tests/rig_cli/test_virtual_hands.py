@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 
-from rig_cli.main import run
 from daq.errors import DeviceError
 from daq.transports import open_link
 from daq.virtual_rig.run import VirtualRig, serve
 from daq.virtual_rig.running import Running, leave_note, notes_folder, reach, read_note
+from rig_cli.main import run
 from rig_configs import RigConfigError, load_rig
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="modes of files are POSIX")
@@ -60,7 +60,7 @@ def by_hand(runtime: Path) -> Iterator[Served]:
     served.end()
 
 
-def asked(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
+def answer_of(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, Any]:
     capsys.readouterr()
     assert run(["virtual", *words, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
@@ -75,21 +75,21 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
 def test_hands_do_what_a_person_does_and_an_onlooker_sees_it(
     by_hand: Served, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert asked(capsys, "state")["pendulums_held"] == [True, True]
-    assert asked(capsys, "clamp", "--release") == {"done": True}
-    asked(capsys, "flick")
-    asked(capsys, "turn", "120", "--ramp", "1000")
-    seen = asked(capsys, "state")
+    assert answer_of(capsys, "state")["pendulums_held"] == [True, True]
+    assert answer_of(capsys, "clamp", "--release") == {"done": True}
+    answer_of(capsys, "flick")
+    answer_of(capsys, "turn", "120", "--ramp", "1000")
+    seen = answer_of(capsys, "state")
     assert seen["pendulums_held"] == [False, False]
     assert seen["speed_rpm"] > 1
-    asked(capsys, "turn", "0", "--ramp", "1000")
-    asked(capsys, "clamp")
-    assert asked(capsys, "state")["pendulums_held"] == [True, True]
-    asked(capsys, "pluck", "y", "--mm", "12")
-    by_hand.virtual.rig.do({"do": "pluck", "x_mm": 0, "y_mm": 0, "hold_s": 0}, 0.0)  # it would be let go
-    asked(capsys, "set", "suspension.k1_N_per_m=3000")
+    answer_of(capsys, "turn", "0", "--ramp", "1000")
+    answer_of(capsys, "clamp")
+    assert answer_of(capsys, "state")["pendulums_held"] == [True, True]
+    answer_of(capsys, "pluck", "y", "--mm", "12")
+    by_hand.virtual.rig.do({"do": "pluck", "x_mm": 0, "y_mm": 0, "hold_s": 0}, 0.0)  # it would be released
+    answer_of(capsys, "set", "suspension.k1_N_per_m=3000")
     assert by_hand.virtual.rig.motion.physics.identified()["k1_N_per_m"] == 3000
-    assert set(asked(capsys, "state")) == {
+    assert set(answer_of(capsys, "state")) == {
         "time_s",
         "speed_rpm",
         "displacement_mm",
@@ -102,14 +102,14 @@ def test_hands_do_what_a_person_does_and_an_onlooker_sees_it(
 def test_faults_are_placed_by_their_words_on_the_one_device_that_can_have_them(
     by_hand: Served, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    kinds = asked(capsys, "fault", "--list")["devices"]
+    kinds = answer_of(capsys, "fault", "--list")["devices"]
     assert "marks lost" in kinds["encoder"]
-    assert asked(capsys, "fault", "marks-lost")["device"] == "encoder"
-    asked(capsys, "fault", "garbage", "laser_y", "--value", "50")
-    devices = asked(capsys, "state")["devices"]
+    assert answer_of(capsys, "fault", "marks-lost")["device"] == "encoder"
+    answer_of(capsys, "fault", "garbage", "laser_y", "--value", "50")
+    devices = answer_of(capsys, "state")["devices"]
     assert (devices["encoder"]["faults"], devices["laser_y"]["faults"]) == ({"marks lost": 1}, {"garbage": 50.0})
-    asked(capsys, "fault", "marks lost", "encoder", "--end")
-    assert asked(capsys, "state")["devices"]["encoder"]["faults"] == {}
+    answer_of(capsys, "fault", "marks lost", "encoder", "--end")
+    assert answer_of(capsys, "state")["devices"]["encoder"]["faults"] == {}
     assert run(["virtual", "fault", "--list"]) == 0
     page = capsys.readouterr().out
     assert page.count("garbage") == 1
@@ -119,7 +119,7 @@ def test_faults_are_placed_by_their_words_on_the_one_device_that_can_have_them(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         (["flick"], "pendulum A is held: release it first"),
         (["fault"], "expected a fault; `rig virtual fault --list`"),
@@ -136,22 +136,22 @@ def test_faults_are_placed_by_their_words_on_the_one_device_that_can_have_them(
         (["turn", "1e8"], "at most 20000 rpm"),
     ],
 )
-def test_what_a_hand_cannot_do_is_bad_use_and_says_what_it_can(
-    by_hand: Served, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+def test_what_a_hand_cannot_do_is_bad_use_and_states_what_it_can(
+    by_hand: Served, capsys: pytest.CaptureFixture[str], words: list[str], expected: str
 ) -> None:
     code, err = refused(capsys, *words)
     assert code == 2
-    assert said in err
+    assert expected in err
 
 
-def test_a_device_that_is_plugged_in_again_speaks_at_the_port_that_is_told(
+def test_a_device_that_is_plugged_in_again_speaks_at_the_port_that_is_reported(
     by_hand: Served, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = read_note(by_hand.note).ports["laser_x"]
-    host = open_link(before, 921600)  # that has not let go when the device is plugged in again: its name is taken
-    asked(capsys, "unplug", "laser_x")
-    assert asked(capsys, "state")["devices"]["laser_x"]["plugged"] is False
-    port = asked(capsys, "plug", "laser_x")["port"]
+    host = open_link(before, 921600)  # still open when the device is plugged in again: its name is in use
+    answer_of(capsys, "unplug", "laser_x")
+    assert answer_of(capsys, "state")["devices"]["laser_x"]["plugged"] is False
+    port = answer_of(capsys, "plug", "laser_x")["port"]
     host.close()
     assert port != before
     assert read_note(by_hand.note).ports["laser_x"] == port
@@ -169,7 +169,7 @@ def test_a_device_that_is_plugged_in_again_speaks_at_the_port_that_is_told(
 
 def test_a_hand_stops_the_rig_and_its_note_goes_with_it(by_hand: Served, capsys: pytest.CaptureFixture[str]) -> None:
     assert by_hand.note.exists()
-    assert asked(capsys, "stop") == {"done": True}
+    assert answer_of(capsys, "stop") == {"done": True}
     by_hand.thread.join()
     assert not by_hand.note.exists()
     code, err = refused(capsys, "pluck", "x")
@@ -185,8 +185,8 @@ def test_of_several_rigs_one_is_chosen(by_hand: Served, tmp_path: Path, capsys: 
         assert code == 2
         assert "2 virtual rigs run; choose one:" in err
         assert f"--control {other.note}   (one_laser)" in err
-        assert list(asked(capsys, "state", "--control", str(other.note))["devices"]) == ["probe"]
-        assert list(asked(capsys, "state", "--control", str(chosen.note))["devices"]) == ["probe"]
+        assert list(answer_of(capsys, "state", "--control", str(other.note))["devices"]) == ["probe"]
+        assert list(answer_of(capsys, "state", "--control", str(chosen.note))["devices"]) == ["probe"]
     finally:
         other.end()
         chosen.end()
@@ -194,13 +194,13 @@ def test_of_several_rigs_one_is_chosen(by_hand: Served, tmp_path: Path, capsys: 
     assert (code, "no virtual rig runs there" in err) == (3, True)
 
 
-def test_nobody_gets_in_without_the_token(by_hand: Served, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_access_needs_the_token(by_hand: Served, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     true = read_note(by_hand.note)
     forged = leave_note(Running(true.rig, true.pid, true.control_port, "guessed", 1.0, true.ports), tmp_path / "f.json")
-    before = asked(capsys, "state")["pendulums_held"]
+    before = answer_of(capsys, "state")["pendulums_held"]
     code, err = refused(capsys, "clamp", "--release", "--control", str(forged))
     assert (code, "expected the token" in err) == (2, True)
-    assert asked(capsys, "state")["pendulums_held"] == before
+    assert answer_of(capsys, "state")["pendulums_held"] == before
     with pytest.raises(RigConfigError, match="expected the note of a virtual rig"):
         reach(Path(__file__))
 
@@ -250,5 +250,5 @@ def test_the_rig_file_is_the_operators_own(runtime: Path, capsys: pytest.Capture
     need_free(mine)
     mine.write_text("# mine\n")
     code, err = refused(capsys, "-o", str(mine))
-    assert (code, "there is a file of this name" in err) == (2, True)
+    assert (code, "a file of this name exists" in err) == (2, True)
     assert mine.read_text() == "# mine\n"

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from identification.rungs import RUNGS
 from rig_cli.offline import identify
 from rig_cli.setting_costs import WITHOUT_HELP
-from identification.rungs import RUNGS
 from rig_configs import RigFileError
 
 HOW_TO = Path(__file__).parents[2] / "docs" / "how-to" / "experimenter.md"

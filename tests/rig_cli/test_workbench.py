@@ -50,6 +50,6 @@ def test_a_command_that_is_interrupted_does_not_wait_for_its_worker(monkeypatch:
     worker = next(iter(bench._pool._processes.values()))
     closing = threading.Thread(target=bench.close, daemon=True)
     closing.start()
-    closing.join(20)  # it waits for the worker's end, and alone: of two that wait for a process only one learns of it
+    closing.join(20)  # the only waiter for the worker's end: of two waiters for a process one misses it
     assert not closing.is_alive()
     assert worker.exitcode is not None

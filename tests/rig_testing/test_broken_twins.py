@@ -104,7 +104,7 @@ class IdentityOfTuples(RotorLink):
 
 class WaitsForever(RotorLink):
     def open(self, device: str, settings: Any, talk: Any) -> dict[str, Any]:
-        return {"said": talk.replies.get()}
+        return {"reply": talk.replies.get()}
 
 
 class StopRaises(RotorLink):
@@ -127,7 +127,7 @@ class StopOfALostLinkRaises(OptoNcdt):
 
 
 class TakesSilenceForOff(VescDriver):
-    """Told to let go, it does not look whether the controller answers."""
+    """`disable` does not check that the controller answers."""
 
     def speed_source(self, settings: Any, send: Any, clock: Any, guard: RotorGuard) -> Any:
         control = super().speed_source(settings, send, clock, guard)
@@ -135,7 +135,7 @@ class TakesSilenceForOff(VescDriver):
         return control
 
 
-class AsksNobody(Cia402):
+class RequestsNoPermission(Cia402):
     def speed_source(self, settings: Any, send: Any, clock: Any, guard: RotorGuard) -> Any:
         return super().speed_source(settings, send, clock, replace(guard, permit=lambda rpm: None))
 
@@ -145,7 +145,7 @@ class NoTimeout(VescDriver):
         return SimulatedVesc(settings, world.motion, timeout_s=1e9)
 
 
-class LocksOnlySayThatTheyDid(RotorLink):
+class LocksOnlyAcknowledge(RotorLink):
     def locks(self, settings: Any, send: Any, clock: Any) -> Any:
         class Idle(NodeLocks):
             def command(self, action: str, check: Callable[[], None]) -> None:
@@ -183,7 +183,7 @@ def drops_a_sample(batch: Batch) -> Batch:
     )
 
 
-def forgets_short_reads(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+def drops_short_reads(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
     return given(direction, data, host_ns) if direction != RX or len(data) > 2 else []
 
 
@@ -205,7 +205,7 @@ def crashes_on_damage(pipeline: Any, given: Any, direction: int, data: bytes, ho
     return out
 
 
-def forgets_losses(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
+def drops_losses(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
     out = given(direction, data, host_ns)
     pipeline.losses = dict.fromkeys(pipeline.losses, 0)
     return out
@@ -236,7 +236,7 @@ def restarts_at_a_wrap(pipeline: Any, given: Any, direction: int, data: bytes, h
         if isinstance(item, Batch):
             last, pipeline.newest = getattr(pipeline, "newest", 0), int(item.sequence[-1])
             if pipeline.newest < last:
-                out.append(Event("restart", "device", "its counter began anew"))
+                out.append(Event("restart", "device", "its counter restarted"))
     return out
 
 
@@ -246,14 +246,14 @@ def hoards(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int)
 
 
 BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
-    "an example that is none": ("settings", WrongExample, "timeout_s"),
+    "an invalid example": ("settings", WrongExample, "timeout_s"),
     "settings that take any key": ("settings", TakesAnything, "unknown key"),
-    "a claim nobody knows": ("settings", UnknownClaim, "never wrong"),
+    "an unknown claim": ("settings", UnknownClaim, "never wrong"),
     "a channel without a role": ("roles", ChannelWithoutRole, "expected the same"),
     "a role of another device": ("roles", RoleOfAnother, "'encoder', expected 'device'"),
-    "an identity of arrays": ("opening dialogue", IdentityOfArrays, "no JSON"),
+    "an identity of arrays": ("opening dialogue", IdentityOfArrays, "not JSON"),
     "an identity that JSON changes": ("opening dialogue", IdentityOfTuples, "through JSON"),
-    "a question without a time-out": ("silent device", WaitsForever, "without a time-out"),
+    "a wait without a timeout": ("silent device", WaitsForever, "without a timeout"),
     "a sample dropped in silence": (
         "stream",
         lambda: with_pipeline(RotorLink, on_batches(drops_a_sample)),
@@ -292,12 +292,12 @@ BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
         lambda: with_pipeline(RotorLink, shares_a_count([])),
         "differs in sequence",
     ),
-    "short reads forgotten": ("split", lambda: with_pipeline(RotorLink, forgets_short_reads), "reads of 1 bytes"),
+    "short reads dropped": ("split", lambda: with_pipeline(RotorLink, drops_short_reads), "reads of 1 bytes"),
     "a crash on garbage": ("garbage", lambda: with_pipeline(RotorLink, crashes_on_damage), "KeyError: 'unknown frame'"),
-    "losses forgotten": ("garbage", lambda: with_pipeline(RotorLink, forgets_losses), "no loss was counted"),
+    "losses dropped": ("garbage", lambda: with_pipeline(RotorLink, drops_losses), "no loss was counted"),
     "one loss too many": ("damage", lambda: with_pipeline(RotorLink, miscounts), "claims to count exactly"),
-    "lost bytes forgotten": ("damage", lambda: with_pipeline(Cia402, forgets_losses), "no loss was counted"),
-    "losses nobody hears of": ("lost reads", lambda: with_pipeline(RotorLink, keeps_quiet), "no event tells of it"),
+    "lost bytes dropped": ("damage", lambda: with_pipeline(Cia402, drops_losses), "no loss was counted"),
+    "losses without an event": ("lost reads", lambda: with_pipeline(RotorLink, keeps_quiet), "no event reports it"),
     "a claim that does not hold": ("lost reads", lambda: with_pipeline(OptoNcdt, miscounts), "claims to count exactly"),
     "deaf after a restart": (
         "restart",
@@ -310,7 +310,7 @@ BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
         lambda: with_pipeline(RotorLink, on_batches(column("node_time_us", lambda v: v % np.uint64(2**32)))),
         "node_time_us",
     ),
-    "all bytes kept": ("memory", lambda: with_pipeline(Cia402, hoards), "it holds"),
+    "all bytes kept": ("memory", lambda: with_pipeline(Cia402, hoards), "it uses"),
     "a crash on damage": ("mutations", lambda: with_pipeline(RotorLink, crashes_on_damage), "KeyError"),
     "a checksum there is not": (
         "mutations",
@@ -321,10 +321,10 @@ BROKEN: dict[str, tuple[str, Callable[[], Driver], str]] = {
     "a stop that stops nothing": ("stop", StopsNothing, "claims that it falls silent"),
     "a stop after which nothing opens": ("stop", CannotBeOpenedAgain, "LinkLost"),
     "another error than the contract's": ("link lost", StopOfALostLinkRaises, "got OSError"),
-    "permission not asked for": ("speed source", AsksNobody, "permit raises, it raised nothing"),
-    "silence taken for off": ("speed source", TakesSilenceForOff, "disable: the device says nothing"),
+    "permission not requested": ("speed source", RequestsNoPermission, "permit raises, it raised nothing"),
+    "silence taken for off": ("speed source", TakesSilenceForOff, "disable: the device does not answer"),
     "no time-out of its own": ("stops by itself", NoTimeout, "turns at"),
-    "locks that do nothing": ("locks", LocksOnlySayThatTheyDid, "the flags say"),
+    "locks that do nothing": ("locks", LocksOnlyAcknowledge, "the flags are"),
     "a stand-in without a word": ("played", StandInSaysNothing, "no answer"),
 }
 
@@ -342,7 +342,7 @@ def test_every_test_of_the_kit_has_been_seen_red() -> None:
     assert {name for name, _, _ in BROKEN.values()} == set(CHECKS)
 
 
-def test_what_does_not_apply_is_skipped_and_a_report_says_why() -> None:
+def test_what_does_not_apply_is_skipped_and_a_report_states_why() -> None:
     report = rig_testing.examine(StopRaises())
     assert [outcome.name for outcome in report.failed] == ["stop", "link lost"]
     assert not report.passed

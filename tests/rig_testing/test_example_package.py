@@ -1,6 +1,6 @@
 """The example driver from its wheel, in a fresh virtual environment: found, passed, recorded, replayed; a twin fails.
 
-The environment sees this one's libraries, so that nothing is downloaded; the driver itself is installed only there.
+The environment has this one's libraries, so that nothing is downloaded; the driver itself is installed only there.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rig_driver_tilt.driver import TiltDriver
 from rig_driver_tilt.pipeline import TiltPipeline
 
 class Unchecked(TiltPipeline):
-    """It takes whatever looks like a line."""
+    """It accepts anything that looks like a line."""
 
     def feed(self, direction, data, host_ns):
         sound, line.parse = line.parse, lambda text: sound_or_not(sound, text)
@@ -43,7 +43,7 @@ def sound_or_not(sound, text):
     return line.Sample(*map(int, found.groups())) if found else sound(text)
 
 class Forgetful(TiltPipeline):
-    """It knows nothing of samples that did not come."""
+    """It does not count missing samples."""
 
     def _gap(self, found):
         return []
@@ -95,8 +95,8 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> str:
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder / "venv")], check=True)
     scripts = "Scripts" if sys.platform == "win32" else "bin"
     found = str(folder / "venv" / scripts / Path(sys.executable).name)
-    ask = [found, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
-    site = Path(subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip())
+    command = [found, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
+    site = Path(subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip())
     install = [UV, "pip", "install", "--offline", "--no-index", "--no-deps", "--python", found, str(wheel)]
     subprocess.run(install, capture_output=True, check=True)
     ours = sysconfig.get_path("purelib")
