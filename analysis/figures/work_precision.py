@@ -1,4 +1,4 @@
-"""Work–precision: time against true error, one marker per method, the front of what nothing beats."""
+"""Work–precision: time over true error, one marker per method, with the front of the best methods."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from dynamics.bench.records import ROUNDING, Measurement
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#444444")
 _OWN_MARKERS, _PEER_MARKERS = "osD^vPXh", "1234"
-_LEAST = ROUNDING / 10  # errors below are drawn here: rounding, not method
+_MIN_ERROR = ROUNDING / 10  # smaller errors are due to rounding and are drawn here
 
 
 def draw_work_precision(
     rows: Sequence[Measurement], multipliers_case: str, motion_case: str, machine: str = ""
 ) -> Figure:
-    """Left: largest multiplier; right: motion. Times against true errors, both logarithmic.
+    """Draw times over true errors, both logarithmic. Left: largest multiplier; right: motion.
 
     Args:
-        rows: compared rows (dynamics.bench.records.compared); those without a true error are left out.
-        multipliers_case, motion_case: the case shown in each panel.
-        machine: a line under the figure.
+        rows: compared rows (dynamics.bench.records.compared); rows without a true error are left out.
+        multipliers_case, motion_case: case of each panel.
+        machine: line below the figure.
     """
     with drawing(10.4, 5.4) as figure:
         left, right = figure.subplots(1, 2)
@@ -76,10 +76,10 @@ def _panel(axes: Axes, rows: Sequence[Measurement], title: str, error: str, per:
 
 
 def _shown(row: Measurement) -> float:
-    return max(row.true_error or 0.0, _LEAST)
+    return max(row.true_error or 0.0, _MIN_ERROR)
 
 
 def draw_front(axes: Axes, points: Sequence[tuple[float, float]], dashes: str) -> None:
-    """The front as steps through (error, seconds): what the error costs at the least."""
+    """Draw the front as steps through (error, seconds): least time for each error."""
     front = sorted(points, key=lambda p: p[1])
     axes.step([p[0] for p in front], [p[1] for p in front], "k", ls=dashes, lw=1.2, where="pre", zorder=1)
