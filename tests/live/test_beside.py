@@ -18,7 +18,6 @@ import pytest
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.errors import OperatorStop, RigError
 from daq.guided_tests.controls import Controls
@@ -31,6 +30,7 @@ from live.beside import Asking, LivePage
 from live.model import Model
 from live.port import bound
 from live.serving import Serving
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 

@@ -16,7 +16,6 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.recent import Recent
 from daq.acquisition.session import Session
 from daq.channels import LASER_X, TACHO
@@ -31,6 +30,7 @@ from live.foxglove.protocol import SUBPROTOCOLS
 from live.foxglove.served import Packing, Refusals
 from live.newest import MOST_S, Newest
 from live.port import bound
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 

@@ -288,7 +288,7 @@ def test_the_clock_goes_back_only_when_somebody_sought(server: FoxgloveServer, p
         server.show(Turn([], start_ns + 10**9))
         late = played.turn(start_ns, start_ns + 10**8)
         server.show(Turn(late.blocks, start_ns + 10**9))
-        server.show(Turn(late.blocks, start_ns + 10**8, anew=True))
+        server.show(Turn(late.blocks, start_ns + 10**8, restarted=True))
         server.show(Turn([], start_ns + 2 * 10**9))
         came = _messages(line, start_ns + 2 * 10**9)
     half = len(came) // 2

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from playwright.sync_api import Page, expect
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.channels import TX
 from daq.log import open_log
+from rig_cli.simulated import VirtualRigProcess
 
 WITHIN_S = 0.2
 ATTEMPTS = 3  # a machine that is busy with something else may keep browser and rig waiting

@@ -160,7 +160,7 @@ def _asked(serving: Serving, path: str, body: Any) -> tuple[int, dict[str, Any]]
 
 
 def test_what_a_log_cannot_do_is_refused_with_a_reason(serving: Serving, replayed: Replayed) -> None:
-    assert _asked(serving, "/stop", {}) == (409, {"error": "stop: a log is played, no rig is here"})
+    assert _asked(serving, "/stop", {}) == (409, {"error": "stop: not possible for a log"})
     assert _asked(serving, "/act", {"verb": "speed", "speed": 1e9})[0] == 409
     assert _asked(serving, "/act", {"verb": "seek", "to_s": "there"})[0] == 409
     for body in ("", "[]", "{}", "null"):

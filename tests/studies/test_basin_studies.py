@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from analysis.maps.question import rig_source
-from rig_cli.main import run
 from dynamics.steady.basins.basin_map import BasinMap, basins
+from rig_cli.main import run
 from rig_configs import load_rig
 from studies import basins as kind
 from studies.basins import BasinQuestion, assembled, basin_study

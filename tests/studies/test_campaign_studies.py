@@ -10,8 +10,8 @@ import pytest
 import tomlkit
 
 from analysis.maps.question import rig_source
-from rig_cli.main import run
 from daq.lockstep.rehearsal import Rehearsal
+from rig_cli.main import run
 from studies.archive import Reidentified, archive_study, campaigns_in
 from studies.campaigns import CampaignResults, campaign_study
 from studies.engines.processes import Processes

@@ -13,8 +13,8 @@ import pytest
 from analysis.figures.state_maps import draw_states
 from analysis.maps import MapAxis, MapQuestion, load_map, rig_source
 from analysis.maps.states import ARRAYS, RELEASED_RAD, STATES, StateMap, refined_states
-from rig_cli.main import run
 from dynamics.steady.outcome import release_outcome
+from rig_cli.main import run
 from rig_configs import RigFileError
 from studies.engines.processes import Processes
 from studies.engines.threads import Threads
