@@ -37,8 +37,8 @@ def in_tiles(question: BasinQuestion, place: Path) -> BasinMap:
 
 @pytest.fixture(autouse=True)
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kind, "_MOST", 24)
-    monkeypatch.setattr(kind, "_WIDEST", 6)
+    monkeypatch.setattr(kind, "_MAX_RELEASES", 24)
+    monkeypatch.setattr(kind, "_MAX_COLUMNS", 6)
     kind._asked.cache_clear()
 
 

@@ -149,7 +149,7 @@ def test_a_log_that_another_host_has_otherwise_is_refused(archive: Path) -> None
     other = Study(study.kind, study.text.replace("sha256:", "sha256:0")[:-1] + "}", study.software)
     from studies.worker import answer_tile
 
-    with pytest.raises(StudyInputError, match="have all hosts see the same archive"):
+    with pytest.raises(StudyInputError, match="give all hosts access to the same archive"):
         answer_tile(other.kind, other.text, other.software, 0)
 
 
