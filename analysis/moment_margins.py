@@ -7,9 +7,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics.equations.balancing import IMPROPERLY_OVERSIZED, BalancingMargins, balancing_margins
 from rig_configs import IdentifiedParameters, Rig
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ def _sources(rig: Rig) -> list[dict[str, float]]:
     return [dict(source.effects) for source in rig.known.sources]
 
 
-def _change(rig: Rig, effects: dict[str, float], found: bool) -> np.ndarray:
+def _change(rig: Rig, effects: dict[str, float], found: bool) -> Array:
     """Return the change of S_A, S_B and S_P per standard deviation of a source, kg m; 0 for an identified S_P."""
     p = rig.physics
     pendulums = [

@@ -70,8 +70,8 @@ class Prediction:
 
     state: SteadyState
     speed_rad_s: float
-    values: np.ndarray
-    covariance: np.ndarray
+    values: Array
+    covariance: Array
     by_parameter: Array
     by_number: Mapping[str, Array]
     own: Array
@@ -94,7 +94,7 @@ class Prediction:
         return self.state.type == "I" and abs(self.orbit[0]) + abs(self.orbit[1]) < _AT_REST_M
 
     @property
-    def std(self) -> np.ndarray:
+    def std(self) -> Array:
         """Standard deviations of `values`, shape (5,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
@@ -294,10 +294,10 @@ def _along(
     pair: Sequence[RotorParameters],
     speeds: tuple[float, float],
     sensors: tuple[Sensors, Sensors],
-    start: np.ndarray,
-    inverse: np.ndarray,
+    start: Start,
+    inverse: Array,
     h: float,
-) -> np.ndarray:
+) -> Array:
     """Return the derivative of the observed values by a number, the steady state moving with it, shape (9,)."""
     up, down = (half_turn(p, w, start) for p, w in zip(pair, speeds, strict=True))
     moved = inverse @ (up - down) / 2  # of the state, for +h

@@ -141,7 +141,7 @@ def _noise_scores(measured: SteadyMeasurement, prediction: Prediction) -> dict[s
         "amplitude_y": ([y], [noise_y], y, noise_y),
         "amplitude": ([x, y], [noise_x, noise_y], rms.value, math.hypot(noise_x, noise_y)),
     }
-    scores = {}
+    scores: dict[str, Score] = {}
     for name, (amplitudes, noise, value, std) in looks.items():
         chi2 = _chi2(amplitudes, noise)
         p = math.exp(_log_p(chi2, len(noise)))

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.laser_remarks import laser_remarks
@@ -18,6 +19,9 @@ from daq.signals.state_type import state_type
 from dynamics import RotorParameters
 from dynamics.steady.singular_points import bow_moment
 from rig_configs import Rig
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 AVERAGE_S = 6.0  # averaged interval at the end of the plateau
 _LOCKED_S = 2.0  # interval before the release
@@ -67,7 +71,7 @@ class SteadyMeasurement:
 
     state: str
     locked: bool
-    locked_rad: np.ndarray
+    locked_rad: Array
     settling: Settling
     speed_rad_s: Interval
     theta_rad: tuple[Interval, Interval]
@@ -79,7 +83,7 @@ class SteadyMeasurement:
     noise_x_m: float
     noise_y_m: float
     to_come: ToCome
-    own: np.ndarray
+    own: Array
     release_s: float
     from_s: float
     to_s: float
@@ -171,7 +175,7 @@ def locked_radius_m(run: Run) -> float:
     return math.sqrt(0.5 * (abs(x[0]) ** 2 + abs(y[0]) ** 2))
 
 
-def _own(x: np.ndarray, y: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, float]:
+def _own(x: Complex, y: Complex, covariance: Array) -> tuple[Array, float]:
     """Return covariance (5, 5) of angles, amplitudes and rms radius from that of the complex amplitudes; the radius."""
     radius = math.sqrt(0.5 * float(np.sum(np.abs(x) ** 2 + np.abs(y) ** 2)))
     slope = np.zeros((5, 6))
@@ -182,12 +186,12 @@ def _own(x: np.ndarray, y: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarr
     return slope @ covariance @ slope.T, radius
 
 
-def _of_radius(x: np.ndarray, y: np.ndarray, radius: float, gain: tuple[float, float]) -> float:
+def _of_radius(x: Complex, y: Complex, radius: float, gain: tuple[float, float]) -> float:
     """Return the standard uncertainty of the rms radius due to the gains of x and y."""
     return math.hypot(gain[0] * abs(x[0]) ** 2, gain[1] * abs(y[0]) ** 2) / (2 * max(radius, 1e-300))
 
 
-def plateau_end(mark_time_s: np.ndarray, mark_phase_rad: np.ndarray, from_s: float) -> float:
+def plateau_end(mark_time_s: Array, mark_phase_rad: Array, from_s: float) -> float:
     """Return the time of the last mark at the plateau's speed, s; the stop follows."""
     after = mark_time_s >= from_s
     times, phases = mark_time_s[after], mark_phase_rad[after]
@@ -200,7 +204,7 @@ def plateau_end(mark_time_s: np.ndarray, mark_phase_rad: np.ndarray, from_s: flo
     return float(times[max(on[-1] - 1, 1)])  # margin of one revolution: the stop may have begun within the last one
 
 
-def plateau_start(mark_time_s: np.ndarray, mark_phase_rad: np.ndarray, from_s: float, end_s: float) -> float:
+def plateau_start(mark_time_s: Array, mark_phase_rad: Array, from_s: float, end_s: float) -> float:
     """Return the time of the first mark of the plateau before `end_s`, s."""
     inside = (mark_time_s >= from_s) & (mark_time_s <= end_s)
     times, phases = mark_time_s[inside], mark_phase_rad[inside]
@@ -228,14 +232,14 @@ def _span(run: Run) -> tuple[float, float, bool]:
     return release, end, stood
 
 
-def _between(time: np.ndarray, values: np.ndarray, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+def _between(time: Array, values: Array, start: float, end: float) -> tuple[Array, Array]:
     """Return the finite samples in an interval."""
     finite = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
     inside = (time >= start) & (time <= end) & finite
     return time[inside], values[inside]
 
 
-def _locked(run: Run) -> tuple[bool, np.ndarray]:
+def _locked(run: Run) -> tuple[bool, Array]:
     """Whether both pendulums stood at their locks before the first release, and their mean angles."""
     first = min(r.time_s for r in run.releases)
     _, before = _between(run.angle_time_s, run.angle_rad, first - 3.0, first - 0.02)
@@ -293,14 +297,15 @@ def _speed(run: Run, start: float, end: float) -> Interval:
     times, phases = run.mark_time_s[inside], run.mark_phase_rad[inside]
     if len(times) < 4:
         raise NotEnoughData(f"only {len(times)} tachometer marks in the last {end - start:.1f} s")
-    slope, offset = np.polyfit(times - times[0], phases - phases[0], 1)
+    line: Array = np.asarray(np.polyfit(times - times[0], phases - phases[0], 1), np.float64)
+    slope, offset = line.tolist()
     rest = phases - phases[0] - offset - slope * (times - times[0])
     spread = float(np.std(rest) / (np.std(times) * math.sqrt(len(times))))
     rate = run.clock_rate_std.get("phase", 0.0) * slope
-    return Interval(float(slope), math.hypot(spread, rate))
+    return Interval(slope, math.hypot(spread, rate))
 
 
-def _angles(run: Run, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+def _angles(run: Run, start: float, end: float) -> tuple[Array, Array]:
     """Return means over whole revolutions and their standard uncertainty without calibration, shape (2,) each."""
     time, angles = _between(run.angle_time_s, run.angle_rad, start, end)
     psi = np.interp(time, run.mark_time_s, run.mark_phase_rad)
@@ -314,15 +319,13 @@ def _angles(run: Run, start: float, end: float) -> tuple[np.ndarray, np.ndarray]
     return fit[-1], np.hypot(statistics, quantisation)
 
 
-def _quantisation(angle: np.ndarray, step: float) -> float:
+def _quantisation(angle: Array, step: float) -> float:
     """Return the standard error of the mean of a rounded code: step/√12 at rest, less if noise dithers it."""
     dither = max(0.0, float(np.var(angle)) / step**2 - 1 / 12)
     return step / math.sqrt(12) * math.exp(-2 * math.pi**2 * dither)
 
 
-def _orders(
-    run: Run, time: np.ndarray, values: np.ndarray, start: float, end: float, name: str
-) -> tuple[np.ndarray, float]:
+def _orders(run: Run, time: Array, values: Array, start: float, end: float, name: str) -> tuple[Complex, float]:
     """Return complex amplitudes of orders 1 to 3 in an interval, shape (3,), and the standard deviation of order 1."""
     inside = (time >= start) & (time <= end)
     psi = np.interp(time[inside], run.mark_time_s, run.mark_phase_rad)

@@ -58,7 +58,7 @@ class Validation:
             decided it.
     """
 
-    points: Mapping[str, PointResult] = field(default_factory=dict)
+    points: Mapping[str, PointResult] = field(default_factory=dict[str, PointResult])
     agreement: Agreement | None = None
     explanations: Explanations | None = None
     noticed: Sequence[Noticed] = ()

@@ -11,6 +11,7 @@ import threading
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.channels import LOCK_A_CLOSED, LOCK_B_CLOSED
 from identification.tracking.tracker import Sensors, Tracker
@@ -85,7 +86,7 @@ class Damping:
         if now.trusted and not all(self._closed) and (not self._rows or end_s - self._rows[-1][0] >= _ROW_S):
             self._rows.append((end_s, now.values[_C3], now.std[_C3], now.values[_C4], now.std[_C4]))
 
-    def _locks(self, times: Array, flags: np.ndarray) -> None:
+    def _locks(self, times: Array, flags: NDArray[np.int64]) -> None:
         for pendulum, flag in enumerate((LOCK_A_CLOSED, LOCK_B_CLOSED)):
             closed = (flags & flag) != 0
             before = self._closed[pendulum]
@@ -149,5 +150,5 @@ class Followers:
             self.damping.follow(until_s)
 
 
-def _ns(time_s: Array) -> np.ndarray:
+def _ns(time_s: Array) -> NDArray[np.int64]:
     return np.round(time_s * 1e9).astype(np.int64)

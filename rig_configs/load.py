@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
@@ -104,14 +104,15 @@ def with_truth(rig: Rig, key: str, value: Any) -> Rig:
     raw = rig.model_dump(exclude_none=True)
     if "virtual" not in raw:
         raise RigFileError(f"rig {rig.name} has no [virtual] table: it has no truth to change")
-    section = truth = raw["virtual"]["truth"]
+    truth: dict[str, Any] = raw["virtual"]["truth"]
+    section: dict[str, Any] | None = truth
     physical: Any = raw
     for part in key.split("."):
-        physical = physical.get(part) if isinstance(physical, dict) else None
+        physical = (_as_table(physical) or {}).get(part)
     *path, leaf = key.split(".")
     for part in path:
-        section = section.setdefault(part, {}) if isinstance(section, dict) else {}
-    if isinstance(section, dict) and leaf not in section and isinstance(physical, int | float):
+        section = _as_table(section.setdefault(part, {})) if section is not None else None
+    if section is not None and leaf not in section and isinstance(physical, int | float):
         section[leaf] = physical  # the change is relative to the rig file's value
     apply_setting(truth, key, value, "truth")
     return validate(raw, "virtual.truth")
@@ -166,6 +167,10 @@ def parse_setting(text: str) -> tuple[str, Any]:
     return key.strip(), found["v"] if len(found) == 1 else value
 
 
+def _as_table(value: object) -> dict[str, Any] | None:
+    return cast("dict[str, Any]", value) if isinstance(value, dict) else None
+
+
 def apply_setting(raw: dict[str, Any], key: str, value: Any, source: str = "--set") -> None:
     """Set one value in a raw table by its dotted key; "*1.05" and "+5%" are relative to the current value.
 
@@ -176,9 +181,10 @@ def apply_setting(raw: dict[str, Any], key: str, value: Any, source: str = "--se
     table = raw
     *path, last = key.split(".")
     for part in path:
-        table = table.setdefault(part, {})
-        if not isinstance(table, dict):
+        inner = _as_table(table.setdefault(part, {}))
+        if inner is None:
             raise RigFileError(f"{source}: {key}: {part} is a value, not a table")
+        table = inner
     if isinstance(value, str) and _means_relative(value):
         current = table.get(last)
         if isinstance(current, int | float) and not isinstance(current, bool):
@@ -249,8 +255,8 @@ _SETTINGS_OF = {name: {key} for name, key in _PLACES.items()} | {"SP_kg_m": {"im
 
 def _apply_imbalance(raw: dict[str, Any], moment_kg_m: float, source: str) -> None:
     """Set the radius of the file's imbalance mass from an identified S_P; an invalid mass is left to the schema."""
-    table = raw.get("imbalance")
-    mass = table.get("mass_kg") if isinstance(table, dict) else None
+    table = _as_table(raw.get("imbalance"))
+    mass = None if table is None else table.get("mass_kg")
     if isinstance(mass, bool) or not isinstance(mass, int | float) or not 0 <= mass < math.inf:
         return
     try:
@@ -294,7 +300,7 @@ def _shown(value: Any) -> str:
     """Format a value for a message; long values are shortened."""
     if isinstance(value, dict):
         return "a table"
-    text = repr(value[:_MAX_SHOWN] if isinstance(value, str | list) else value)
+    text = repr(cast("Sequence[Any]", value)[:_MAX_SHOWN] if isinstance(value, str | list) else value)
     return text if len(text) <= 2 * _MAX_SHOWN else f"{text[: 2 * _MAX_SHOWN]}…"
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import tomlkit
+from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from rig_configs.drag import Drag
@@ -19,6 +20,8 @@ from rig_configs.known import LABEL, Known, KnownSource
 from rig_configs.slow_roll import SlowRoll
 from rig_configs.suspension_terms import SuspensionTerms
 from rig_configs.toml_text import parse_toml, read_text
+
+Array = NDArray[np.float64]
 
 PARAMETER_UNITS: Mapping[str, str] = {
     "k1_N_per_m": "N/m",
@@ -55,11 +58,11 @@ class IdentifiedParameters:
     """
 
     values: dict[str, float]
-    covariance: np.ndarray
-    provenance: dict[str, Any] = field(default_factory=dict)
+    covariance: Array
+    provenance: dict[str, Any] = field(default_factory=dict[str, Any])
     axis_angle_deg: tuple[float, float] | None = None
-    shared: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
-    by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+    shared: Mapping[str, Array] = field(default_factory=dict[str, Array])
+    by_number: Mapping[str, Array] = field(default_factory=dict[str, Array])
     slow_roll: SlowRoll | None = None
     terms: SuspensionTerms | None = None
 
@@ -99,7 +102,7 @@ class IdentifiedParameters:
         return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
-    def correlation(self) -> np.ndarray:
+    def correlation(self) -> Array:
         """Correlation matrix, shape (n, n)."""
         s = np.sqrt(np.diag(self.covariance))
         unit = np.where(s > 0, s, 1.0)
@@ -143,7 +146,7 @@ class IdentifiedParameters:
         return replace(self, values=values, covariance=covariance, shared=shared, by_number=by_number)
 
     @property
-    def own_covariance(self) -> np.ndarray:
+    def own_covariance(self) -> Array:
         """Covariance without the shared errors, shape (n, n), positive semidefinite."""
         own = self.covariance - sum((np.outer(v, v) for v in self.shared.values()), np.zeros_like(self.covariance))
         std = np.sqrt(np.diag(self.covariance))
@@ -151,12 +154,12 @@ class IdentifiedParameters:
         sizes, turn = np.linalg.eigh(0.5 * (own + own.T) / np.outer(unit, unit))
         return (turn * np.maximum(sizes, 0.0)) @ turn.T * np.outer(unit, unit)
 
-    def shift_by(self, source: KnownSource) -> np.ndarray:
+    def shift_by(self, source: KnownSource) -> Array:
         """Return the shift of the values per standard deviation of a known number's source, shape (n,)."""
         parts = [self.by_number[number] * step for number, step in source.effects.items() if number in self.by_number]
         return np.sum([np.zeros(len(self.values)), *parts], axis=0)
 
-    def shared_with(self, known: Known) -> dict[str, np.ndarray]:
+    def shared_with(self, known: Known) -> dict[str, Array]:
         """Return the shared errors with the current uncertainties of the rig file's known numbers.
 
         Values without derivatives by these numbers keep the errors of their identification.
@@ -243,7 +246,7 @@ def _no_parameters(path: str | Path, error: RigFileError) -> ParametersFileError
     return ParametersFileError(f"{path}: this is a log; `rig identify` makes parameters of it" if log else str(error))
 
 
-def _vectors(table: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _vectors(table: Mapping[str, Any]) -> dict[str, Array]:
     return {str(label): np.array([_number(cell) for cell in cells]) for label, cells in table.items()}
 
 

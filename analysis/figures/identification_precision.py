@@ -1,3 +1,4 @@
+# pyright: strict, reportUnknownMemberType=false
 """Work–precision of the estimators: time over error in units of the bound, one panel per case."""
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ def _panel(axes: Axes, marks: Sequence[Mark], looks: dict[str, dict[str, Any]], 
     draw_front(axes, [(_shown(m), m.seconds) for m in marks if m.front], "-")
     draw_front(axes, [(_shown(m), m.seconds) for m in marks if m.front_of_all], ":")
     for mark in marks:
-        look = {**looks[_name(mark)], **({"mfc": "none"} if mark.fails else {})}
+        look: dict[str, Any] = {**looks[_name(mark)], **({"mfc": "none"} if mark.fails else {})}
         axes.plot([_shown(mark)], [mark.seconds], **look)
 
 

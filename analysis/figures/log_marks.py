@@ -1,3 +1,4 @@
+# pyright: strict, reportUnknownMemberType=false
 """Events of a log in its overview: losses shaded, locks, faults and restarts as dotted lines."""
 
 from __future__ import annotations
@@ -7,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.font_manager import findfont, get_font
+from matplotlib.font_manager import findfont, get_font  # pyright: ignore[reportUnknownVariableType]  # partly typed
 from numpy.typing import NDArray
 
 from analysis.figures.style import GREY

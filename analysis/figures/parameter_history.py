@@ -1,3 +1,4 @@
+# pyright: strict, reportUnknownMemberType=false
 """Parameters of a rig over time: one panel each, joint values with 95 % intervals, and values of single logs."""
 
 from __future__ import annotations
@@ -5,15 +6,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any, cast
 
 import numpy as np
+from matplotlib import dates
 from matplotlib.axes import Axes
-from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from analysis.figures.log_marks import drawable
 from analysis.figures.sheet import LEAST_FONT_PT
 from analysis.figures.style import GREY, MEASURED, MODEL, drawing, label
+
+Array = NDArray[np.float64]
 
 _TIMES = 1.96  # standard deviations of a 95 % interval
 _COLUMNS = 2
@@ -139,9 +145,9 @@ def _panel(
     axes.margins(x=0.04)
 
 
-def _days(values: Sequence[Value]) -> np.ndarray:
+def _days(values: Sequence[Value]) -> Array:
     """Return times in the units of matplotlib."""
-    return np.array([date2num(v.time) for v in values])
+    return np.array([float(cast("Any", dates).date2num(v.time)) for v in values])
 
 
 def _limits(axes: Axes, own: Sequence[Value], single: Sequence[Value]) -> None:

@@ -1,13 +1,16 @@
+# pyright: strict, reportUnknownMemberType=false
 """One point over time: displacements and pendulum angles, measured and simulated, with a close view of the end."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from analysis.figures.style import MEASURED, MODEL, band, bins_for, drawing, label, outline, pin, to_svg
 from analysis.prediction import Prediction
@@ -16,6 +19,8 @@ from daq.signals.run import Run
 from dynamics import RotorParameters, Scene, SpeedHistory, simulate
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import locked_state
+
+Array = NDArray[np.floating]
 
 _BEFORE_S = 3.0
 _SAMPLES_PER_TURN = 24
@@ -26,10 +31,10 @@ _TURNS_SHOWN = 4
 class Simulated:
     """Motion of the model after a release in sensor axes: shapes (n,), (n,), (n,), (n, 2); s, m, rad."""
 
-    time_s: np.ndarray
-    x_m: np.ndarray
-    y_m: np.ndarray
-    angle_rad: np.ndarray
+    time_s: Array
+    x_m: Array
+    y_m: Array
+    angle_rad: Array
 
 
 def simulate_release(
@@ -98,25 +103,25 @@ def point_figure(
 
 def _displacements(
     run: Run, measured: SteadyMeasurement, simulated: Simulated | None
-) -> list[tuple[np.ndarray, np.ndarray, np.ndarray | None, str]]:
+) -> list[tuple[Array, Array, Array | None, str]]:
     """Return times, mm about the mean, and simulated mm, for x and y."""
-    rows = []
+    rows: list[tuple[Array, Array, Array | None, str]] = []
     for time, values, model, text in (
         (run.x_time_s, run.x_m, simulated and simulated.x_m, "x, mm"),
         (run.y_time_s, run.y_m, simulated and simulated.y_m, "y, mm"),
     ):
         late = values[(time >= measured.from_s) & (time <= measured.to_s)]
-        shown = 1e3 * (values - np.nanmean(late))
+        shown: Array = 1e3 * (values - float(np.nanmean(late)))
         rows.append((time, shown, None if model is None else 1e3 * model, text))
     return rows
 
 
 def _pair(
     axes: Axes,
-    time: np.ndarray,
-    values: np.ndarray,
+    time: Array,
+    values: Array,
     simulated: Simulated | None,
-    model: np.ndarray | None,
+    model: Array | None,
     span: tuple[float, float],
     bins: int,
 ) -> None:
@@ -133,7 +138,7 @@ def _pair(
 
 
 def _angle_row(
-    axes: np.ndarray,
+    axes: NDArray[Any],
     run: Run,
     measured: SteadyMeasurement,
     prediction: Prediction | None,
@@ -147,11 +152,11 @@ def _angle_row(
     base = 2 * np.pi * np.floor(np.nanmean(settled) / (2 * np.pi))  # both end between 0 and 360°
     angle = np.degrees(run.angle_rad[:, j] - base)
     model = None if simulated is None else np.degrees(simulated.angle_rad[:, j] - base)
-    for axis, start in zip(axes, (zero - _BEFORE_S, close), strict=True):
+    for axis, start in zip(cast("list[Axes]", axes.tolist()), (zero - _BEFORE_S, close), strict=True):
         _pair(axis, run.angle_time_s - zero, angle, simulated, model, (start - zero, end - zero), 400)
     if prediction is None or measured.state not in ("I", "II", "III"):
         return
-    late = angle[(run.angle_time_s >= measured.from_s) & (run.angle_time_s <= end)]
+    late: Array = angle[(run.angle_time_s >= measured.from_s) & (run.angle_time_s <= end)]
     value = math.degrees(prediction.values[j])
     value += 360 * round((float(np.nanmean(late)) - value) / 360)
     std = math.degrees(prediction.std[j])

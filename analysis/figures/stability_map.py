@@ -1,3 +1,4 @@
+# pyright: strict, reportUnknownMemberType=false
 """Stability map of the balanced state, with the measured points."""
 
 from __future__ import annotations
@@ -9,12 +10,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
 
 from analysis.figures.sheet import LEAST_FONT_PT
 from analysis.figures.style import GREY, MODEL, drawing, label, to_svg
 from dynamics import RotorParameters
 from dynamics.stability.borders import Borders
 from dynamics.stability.stability_map import StabilityMap, stability_map
+
+Array = NDArray[np.floating]
 
 _LEVELS = (0.6, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.4, 1.8, 2.5)
 USUAL = ("speed ratio Ω = ω/ω_n1", "stiffness ratio K = k2/k1")
@@ -127,9 +131,9 @@ class MapGrid:
         is_rate: whether the values are decay rates, 1/s, instead of multipliers.
     """
 
-    x: np.ndarray
-    y: np.ndarray
-    values: np.ndarray
+    x: Array
+    y: Array
+    values: Array
     is_rate: bool = False
 
     @property
@@ -186,7 +190,7 @@ def draw_grid(axes: Axes, grid: MapGrid, frame: MapFrame, borders: Borders | Non
     bar.set_label("decay rate, 1/s" if grid.is_rate else "largest |multiplier| over one revolution")
 
 
-def set_plane(axes: Axes, grid: tuple[np.ndarray, np.ndarray], frame: MapFrame) -> None:
+def set_plane(axes: Axes, grid: tuple[Array, Array], frame: MapFrame) -> None:
     """Set ranges and names of a map's axes; over speed and stiffness ratio also draw resonances and the rig's line."""
     x, y = grid
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
@@ -234,7 +238,7 @@ def _one_line(axes: Axes, grid: MapGrid, frame: MapFrame) -> None:
     label(axes, name, f"{grid.name} at {_SHORT.get(other, other)} = {fixed:g}")
 
 
-def _resonances(axes: Axes, omega: np.ndarray, ratio: np.ndarray) -> None:
+def _resonances(axes: Axes, omega: Array, ratio: Array) -> None:
     """Draw Ω = 1 and Ω = √K."""
     if omega[0] <= 1 <= omega[-1]:
         axes.plot([1, 1], [ratio[0], ratio[-1]], color="#333333", ls="--", lw=1)

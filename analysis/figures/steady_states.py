@@ -1,3 +1,4 @@
+# pyright: strict, reportUnknownMemberType=false
 """Steady states at one speed: pendulum poses, orbits of the disk centre, multipliers on the unit circle."""
 
 from __future__ import annotations
@@ -9,10 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from numpy.typing import NDArray
 
 from analysis.figures.style import GOOD, GREY, MODEL, drawing, label
 from dynamics import RotorParameters, SteadyState
 from dynamics.steady.outcome import ReleaseOutcome
+
+Array = NDArray[np.floating]
 
 _STYLES = ("-", "--", ":", "-.")
 _COLOURS = {"stable": GOOD, "unstable": MODEL, "undecided": GREY}
@@ -96,7 +100,7 @@ def _pose(axes: Axes, physics: RotorParameters, state: SteadyState, *, reached: 
         axes.text(0, -1.45, "a release ends here", fontsize=8, ha="center", va="top", color=_COLOURS[state.stability])
 
 
-def _smooth(values: np.ndarray) -> np.ndarray:
+def _smooth(values: Array) -> Array:
     """Return the trigonometric interpolant of a closed curve at 361 phases."""
     n = len(values)
     spectrum = np.fft.rfft(values) / n

@@ -1,21 +1,25 @@
+# pyright: strict, reportUnknownMemberType=false
 """Common style of all figures: colours that colour-blind readers can distinguish, thin lines, light background."""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
+from numpy.typing import NDArray
 
 from analysis.errors import BadFigureName
+
+Array = NDArray[np.floating]
 
 MEASURED = "#0072B2"
 MODEL = "#D55E00"
@@ -50,7 +54,7 @@ _SETTINGS: dict[Any, Any] = {
 
 
 @contextmanager
-def drawing(width_in: float, height_in: float) -> Iterator[Figure]:
+def drawing(width_in: float, height_in: float) -> Generator[Figure]:
     """Create a figure in the report's style, without a window and without changes of global state."""
     with mpl.rc_context(_SETTINGS):
         yield Figure(figsize=(width_in, height_in))
@@ -104,12 +108,13 @@ def _attribute(text: str) -> str:
 
 def label(axes: Axes, x: str | None = None, y: str | None = None, title: str | None = None) -> None:
     """Set labels as plain text, so that a dollar sign in a name is not parsed."""
-    for text, put in ((x, axes.set_xlabel), (y, axes.set_ylabel), (title, axes.set_title)):
+    drawn = cast("Any", axes)
+    for text, put in ((x, drawn.set_xlabel), (y, drawn.set_ylabel), (title, drawn.set_title)):
         if text is not None:
             put(text, parse_math=False)
 
 
-def pin(figure: Figure, grid: np.ndarray, left: float, bottom: float) -> None:
+def pin(figure: Figure, grid: NDArray[Any], left: float, bottom: float) -> None:
     """Fix the labels of the first column and the last row in the figure, and titles on their axes.
 
     Otherwise each drawing searches positions that cover no tick, which takes a third of its time.
@@ -127,11 +132,11 @@ def pin(figure: Figure, grid: np.ndarray, left: float, bottom: float) -> None:
         axes.xaxis.set_label_coords(0.5, bottom, blended_transform_factory(axes.transAxes, figure.transFigure))
 
 
-def envelope(time: np.ndarray, values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def envelope(time: Array, values: Array, bins: int) -> tuple[Array, Array, Array]:
     """Return middle, least and largest value of each bin; empty bins are NaN."""
-    edges = np.linspace(time[0], time[-1], bins + 1)
+    edges = np.asarray(np.linspace(time[0], time[-1], bins + 1), np.float64)
     low, high = np.full(bins, np.nan), np.full(bins, np.nan)
-    where = np.searchsorted(time, edges[1:-1])
+    where: NDArray[np.intp] = np.searchsorted(time, edges[1:-1])
     for i, part in enumerate(np.split(values, where)):
         finite = part[np.isfinite(part)]
         if len(finite):
@@ -144,7 +149,7 @@ def bins_for(cycles: float, most: int = 400) -> int:
     return int(min(most, cycles)) if cycles > 60 else most
 
 
-def band(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: str, *, bins: int = 420) -> None:
+def band(axes: Axes, time: Array, values: Array, colour: str, name: str, *, bins: int = 420) -> None:
     """Draw measured samples: all of them if few, otherwise the band that they fill (see `bins_for`)."""
     if len(time) <= 2 * bins:
         axes.plot(time, values, color=colour, lw=2.6, alpha=0.55, label=name)
@@ -153,7 +158,7 @@ def band(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: st
     axes.fill_between(middle, low, high, color=colour, alpha=0.5, lw=2.0, label=name)
 
 
-def outline(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: str, *, bins: int = 420) -> None:
+def outline(axes: Axes, time: Array, values: Array, colour: str, name: str, *, bins: int = 420) -> None:
     """Draw a computed motion dashed over a measured band: its envelope as two lines, or the curve if it is short."""
     if len(time) <= 2 * bins:
         axes.plot(time, values, color=colour, ls=DASHES, lw=0.9, label=name)

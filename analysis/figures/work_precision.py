@@ -1,8 +1,10 @@
+# pyright: strict, reportUnknownMemberType=false
 """Work–precision: time over true error, one marker per method, with the front of the best methods."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -55,16 +57,21 @@ def _panel(axes: Axes, rows: Sequence[Measurement], title: str, error: str, per:
     methods = dict.fromkeys((r.method, r.peer) for r in known if not r.automatic)
     own = [m for m, peer in methods if not peer]
     peers = [m for m, peer in methods if peer]
-    handles = []
+    handles: list[Line2D] = []
     for names, markers, peer in ((own, _OWN_MARKERS, False), (peers, _PEER_MARKERS, True)):
         for i, name in enumerate(names):
             colour = GREY if peer else COLOURS[i % len(COLOURS)]
-            look = {"marker": markers[i % len(markers)], "ls": "", "color": colour, "ms": 9 if peer else 5}
+            look: dict[str, Any] = {
+                "marker": markers[i % len(markers)],
+                "ls": "",
+                "color": colour,
+                "ms": 9 if peer else 5,
+            }
             same = [r for r in known if r.method == name and not r.automatic]
             axes.plot([_shown(r) for r in same], [r.seconds for r in same], **look)
             handles.append(Line2D([], [], label=f"{name} (peer)" if peer else name, **look))
     chosen = [r for r in known if r.automatic]
-    star = {"marker": "*", "ls": "", "color": "black", "ms": 11, "mfc": "#F0E442"}
+    star: dict[str, Any] = {"marker": "*", "ls": "", "color": "black", "ms": 11, "mfc": "#F0E442"}
     axes.plot([_shown(r) for r in chosen], [r.seconds for r in chosen], **star)
     taken = ", ".join(dict.fromkeys(part for r in chosen for part in r.method.replace("automatic: ", "").split(", ")))
     handles += [

@@ -134,7 +134,7 @@ class Campaign:
     identification: Identification
     validation: Validation | None = None
     axis_angle_deg: tuple[float, float] | None = None
-    devices: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    devices: Mapping[str, Mapping[str, str]] = field(default_factory=dict[str, Mapping[str, str]])
     losses: Mapping[str, Mapping[str, int]] | None = None
     truth: Mapping[str, float] | None = None
     notes: Sequence[str] = ()

@@ -86,7 +86,7 @@ def parameter_rows(campaign: Campaign) -> list[dict[str, str]]:
     known = campaign.identification.parameters
     file = campaign.rig.physics.identified()
     changes = {c.name: c for c in campaign.changes.rows} if campaign.changes else {}
-    rows = []
+    rows: list[dict[str, str]] = []
     for name, value in known.values.items():
         std, unit = known.std[name], PARAMETER_UNITS[name]
         truth = (campaign.truth or {}).get(name)
@@ -128,7 +128,7 @@ def correlation_rows(campaign: Campaign) -> tuple[list[str], list[tuple[str, lis
 
 def estimate_rows(campaign: Campaign) -> list[dict[str, str]]:
     """Return every value estimated by every test alone."""
-    rows = []
+    rows: list[dict[str, str]] = []
     for estimate in campaign.identification.estimates:
         for name, value in estimate.values.items():
             unit = PARAMETER_UNITS.get(name, "")
@@ -206,7 +206,7 @@ def _size(size: float, one: Noticed) -> str:
 def exact_rows(campaign: Campaign) -> list[dict[str, str]]:
     """Return the exact numbers of the rig file, and the effect of 0.1 % of each on the identified parameters."""
     known, found = campaign.rig.known, campaign.identification.parameters
-    rows = []
+    rows: list[dict[str, str]] = []
     for number in known.exact:
         if number not in found.by_number:
             continue
@@ -225,7 +225,7 @@ def exact_rows(campaign: Campaign) -> list[dict[str, str]]:
 def quantity_rows(point: PointResult) -> list[dict[str, Any]]:
     """Return measured and predicted values by quantity, with the uncertainties behind z."""
     values = point.to_json()
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name, text, key, unit in _QUANTITIES:
         score = point.scores.get(name)
         value, std = values["measured"][key], values["measured_std"][key]

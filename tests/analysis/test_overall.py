@@ -75,7 +75,7 @@ def test_the_parameter_that_is_wrong_is_named_with_its_size(
     assert best.chi2 < 60 < found.agreement.together.chi2
     first = found.explanations.sentences[0]
     assert first.startswith(f"best explanation: {words} ")
-    assert f"% {'above' if share > 1 else 'below'} what was taken: χ² " in first
+    assert f"% {'above' if share > 1 else 'below'} the value used: χ² " in first
 
 
 def test_two_things_that_are_wrong_are_found_as_a_pair(rig: Rig, drawn: Drawn, runs: list[Run]) -> None:

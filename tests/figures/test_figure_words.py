@@ -65,7 +65,7 @@ def test_a_shift_at_one_speed_is_named_as_a_phase(draw: object) -> None:
 
 def late_ms(said: str) -> dict[str, float]:
     """By how much a figure says that x and y are stamped late, negative early."""
-    assert "At one speed a shift of the stamps cannot be told from a phase" in said
+    assert "At one speed a shift of the stamps cannot be separated from a phase" in said
     found = re.findall(r"([xy]) [\d.]+ ± [\d.]+° (?:ahead|behind), as of stamps ([\d.]+) ms (early|late)", said)
     return {name: float(ms) * (1 if which == "late" else -1) for name, ms, which in found}
 
@@ -159,7 +159,7 @@ def test_the_time_history_says_what_coincides() -> None:
     ("run", "said"),
     [
         (ring_down(), ["no index mark (the rotor stood, or no tachometer was recorded)"]),
-        (replace(ring_down(), motor_start_s=0.4), ["the tachometer saw nothing"]),
+        (replace(ring_down(), motor_start_s=0.4), ["the tachometer detected nothing"]),
         (replace(run_up(), x_m=_EMPTY, x_time_s=_EMPTY, y_m=_EMPTY, y_time_s=_EMPTY), ["no displacement (neither"]),
         (
             replace(ring_down(), x_m=_EMPTY, x_time_s=_EMPTY, y_m=_EMPTY, y_time_s=_EMPTY),
