@@ -116,7 +116,7 @@ def test_evidence_is_the_likelihood_ratio_under_the_prior() -> None:
 
 
 def test_causes_that_the_points_resolve_ten_thousand_times_leave_the_level_to_the_others() -> None:
-    """Ten numbers known to 0.8 of what the points resolve, beside twenty frictions and bows that could be of any size.
+    """Ten numbers, known to 0.8 of the resolution of the points, and twenty frictions and bows of possibly any size.
 
     A number that is 5 of its standard uncertainties off shows as z = 4 ± 1. One limit for all, 3.2 for thirty
     independent causes, finds 79 % of them.

@@ -84,12 +84,12 @@ def test_the_bode_plot_draws_the_ramp_of_the_test_and_no_other(page: Page) -> No
         handed = {"heard_ns": 10**18, "rows": [], "events": []}
         with Serving(watched, Model(watched.signals.rig)) as serving:
             page.goto(serving.url)
-            said = page.locator("#bode .ramp")
-            expect(said).to_be_hidden()
+            legend = page.locator("#bode .ramp")
+            expect(legend).to_be_hidden()
             watched._take({**handed, "facts": UP})
-            expect(said).to_be_visible(timeout=30_000)
+            expect(legend).to_be_visible(timeout=30_000)
             drawn = page.evaluate("['x', 'y'].map((axis) => Math.max(...page.bode.planned[axis][0].data.y))")
             assert drawn == pytest.approx([4.33, 7.86], abs=0.02)
             watched._take({**handed, "facts": {"test": "point-A", "numbers": {}}})
-            expect(said).to_be_hidden(timeout=30_000)
+            expect(legend).to_be_hidden(timeout=30_000)
             assert page.evaluate("page.bode.planned.x[0].data.x.length") == 0

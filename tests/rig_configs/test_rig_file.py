@@ -1,4 +1,4 @@
-"""Rig files: every fault says file, key, what was expected, what came and the nearest known name."""
+"""Rig files: every error contains file, key, expected and actual value, and the nearest known name."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def test_one_sensor_alone_looks_along_its_axis() -> None:
 
 
 class Named(DisplacementSettings):
-    """Of a driver that records where it is told."""
+    """Settings of a driver that records in the named channel."""
 
     names_its_channel: ClassVar[bool] = True
 

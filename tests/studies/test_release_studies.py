@@ -43,10 +43,10 @@ def test_two_tiles_are_the_map_and_a_process_gives_their_bytes(folder: TileFolde
     assert folder.study.tiles == 2
     other = TileFolder(tmp_path, folder.study)
 
-    def tell(text: str) -> None:
+    def ignore(text: str) -> None:
         raise AssertionError(text)
 
-    run_study(other, Processes(1, tell))
+    run_study(other, Processes(1, ignore))
     for path in folder.path.glob("*.npz"):
         assert (tmp_path / path.name).read_bytes() == path.read_bytes()
 
