@@ -135,22 +135,10 @@ def predicted_budgets(
     quantities = tuple(q for point, found in predictions.items() for q in _quantities(point, found))
     at = [parameters.names.index(name) for name in names]
     known = rig.known
-    extra: list[Source] = []
-    if axis_angle_deg[1] > 0:
-        kind = "A" if axis_identified else "B"
-        extra.append(Source(AXIS_ANGLE, math.radians(axis_angle_deg[1]), "rad", kind))
-    there = {source.name for source in parameters.sources}
-    moved = {number for found in predictions.values() for number in found.by_number}
-    rolled = _slow_roll_errors(slow_roll, rig, there)
-    extra += [
-        known_source(source)
-        for source in known.sources
-        if source.label not in there and (moved & set(source.effects) or source.label in rolled)
-    ]
-    extra += [source for label, (source, _) in rolled.items() if source.name not in there and not is_known(label)]
+    rolled = _slow_roll_errors(slow_roll, rig, {source.name for source in parameters.sources})
     changed = {} if terms is None else terms.errors(rig.roles.gain_stds)
-    there |= {source.name for source in extra}
-    extra += [shared_source(label, rig) for label, shift in changed.items() if label not in there and np.any(shift)]
+    extra = _axis_source(axis_angle_deg[1], axis_identified)
+    extra = _with_further_sources(extra, parameters, predictions, rig, rolled, changed)
     frictions = {point: _friction_source(point, found.friction) for point, found in predictions.items()}
     sources: tuple[Input, ...] = (*parameters.sources, *extra, *(f for f in frictions.values() if f is not None))
     columns = columns_of(sources)
@@ -162,15 +150,12 @@ def predicted_budgets(
     for label, shift in changed.items():
         if label in columns:
             term[:, columns[label]] += shift / float(_unit_of(sources, label))
-    table = np.zeros((len(quantities), width))
+    table = np.array([_through(predictions[q.point], q, (through, roll, term)) for q in quantities])
+    table = table.reshape(len(quantities), width)
     for row, q in enumerate(quantities):
-        found = predictions[q.point]
-        table[row] = q.scale * (found.by_parameter[q.index] @ through + found.by_run_out_and_bow[q.index] @ roll)
-        for name, by in found.by_term.items():
-            table[row] += q.scale * float(by[q.index]) * term[TERMS.index(name)]
         own = frictions[q.point]
         if own is not None:
-            table[row, columns[own.name] :][: own.width] = q.scale * found.friction.slopes[q.index]
+            table[row, columns[own.name] :][: own.width] = q.scale * predictions[q.point].friction.slopes[q.index]
     table += _direct(quantities, predictions, sources, known)
     values = [q.scale * float(predictions[q.point].values[q.index]) for q in quantities]
     budgets = Budgets(
@@ -180,6 +165,53 @@ def predicted_budgets(
     return PredictedBudgets(
         quantities, predictions, tuple(names), budgets, through, angle, known, slow_roll, roll, term
     )
+
+
+def _axis_source(std_deg: float, identified: bool) -> list[Source]:
+    """Return the source of the axis angle's error; an empty list for an exact angle."""
+    kind = "A" if identified else "B"
+    return [Source(AXIS_ANGLE, math.radians(std_deg), "rad", kind)] if std_deg > 0 else []
+
+
+def _with_further_sources(
+    axis: list[Source],
+    parameters: Budgets,
+    predictions: Mapping[str, Prediction],
+    rig: Rig,
+    rolled: Mapping[str, tuple[Source, Array]],
+    changed: Mapping[str, Array],
+) -> list[Source]:
+    """Return the sources that the parameters' budgets do not contain.
+
+    Args:
+        axis: source of the axis angle.
+        parameters: budgets of the parameters.
+        predictions: point → prediction.
+        rig: rig file with the known numbers.
+        rolled: label → source and shift of run-out and bow.
+        changed: label → shift of the suspension's terms.
+    """
+    there = {source.name for source in parameters.sources}
+    moved = {number for found in predictions.values() for number in found.by_number}
+    extra = axis + [
+        known_source(source)
+        for source in rig.known.sources
+        if source.label not in there and (moved & set(source.effects) or source.label in rolled)
+    ]
+    extra += [source for label, (source, _) in rolled.items() if source.name not in there and not is_known(label)]
+    there |= {source.name for source in extra}
+    return extra + [
+        shared_source(label, rig) for label, shift in changed.items() if label not in there and np.any(shift)
+    ]
+
+
+def _through(found: Prediction, q: Quantity, sensitivities: tuple[Array, Array, Array]) -> Array:
+    """Return a quantity's sensitivities by column, through parameters, run-out and bow, and suspension terms."""
+    through, roll, term = sensitivities
+    row = q.scale * (found.by_parameter[q.index] @ through + found.by_run_out_and_bow[q.index] @ roll)
+    for name, by in found.by_term.items():
+        row += q.scale * float(by[q.index]) * term[TERMS.index(name)]
+    return row
 
 
 def friction_label(point: str) -> str:

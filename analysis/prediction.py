@@ -120,14 +120,7 @@ def predict_point(
     Raises:
         NoStableState: no stable steady state exists, or the search failed.
     """
-    try:
-        physics = identified.applied_to(rig.physics)
-        states = stable_states(physics, speed_rad_s)
-    except (DynamicsError, np.linalg.LinAlgError) as error:
-        raise NoStableState(f"the search for steady states failed: {error}") from error
-    if not states:
-        raise NoStableState(f"the model has no stable steady state at {speed_rad_s * 30 / np.pi:.1f} rpm")
-    state = states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
+    physics, state = _stable_state(rig, identified, speed_rad_s, near_rad)
     beta, beta_std = (math.radians(v) for v in known_axis_angle(identified, rig, axis_angle_deg))
     run_out = shown_run_out(identified.slow_roll)
     terms = uncertain_terms(identified)
@@ -139,22 +132,11 @@ def predict_point(
     bow = np.stack([slopes.pop(name) for name in BOW], axis=-1)
     by_run_out_and_bow = np.hstack([by_shown_run_out(shown), bow[:5]])
     by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
-    friction = left_open(
-        DryFriction.of(identified),
-        physics,
-        speed_rad_s,
-        state,
-        lambda start, times: _motion(physics, speed_rad_s, start, times),
-        (beta, run_out),
-    )
+    friction = _friction(identified, physics, speed_rad_s, state, (beta, run_out))
     values = values + friction.shift
     own = np.outer(by_speed, by_speed) * speed_std_rad_s**2 + friction.of_values
     shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
-    if identified.slow_roll is not None:
-        for label, error in identified.slow_roll.errors(rig.roles.gain_stds, rig.known).items():
-            shared[label] = shared.get(label, np.zeros(5)) + by_run_out_and_bow @ error
-    for label, shift in term_errors(rig, identified, by_term).items():
-        shared[label] = shared.get(label, np.zeros(5)) + shift
+    _add_roll_and_term_errors(shared, rig, identified, by_run_out_and_bow, by_term)
     covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
     covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)
     return Prediction(
@@ -173,6 +155,46 @@ def predict_point(
         friction,
         by_term,
     )
+
+
+def _stable_state(
+    rig: Rig, identified: IdentifiedParameters, speed_rad_s: float, near_rad: Sequence[float] | None
+) -> tuple[RotorParameters, SteadyState]:
+    """Return the identified rig and its stable steady state; arguments and errors as for predict_point."""
+    try:
+        physics = identified.applied_to(rig.physics)
+        states = stable_states(physics, speed_rad_s)
+    except (DynamicsError, np.linalg.LinAlgError) as error:
+        raise NoStableState(f"the search for steady states failed: {error}") from error
+    if not states:
+        raise NoStableState(f"the model has no stable steady state at {speed_rad_s * 30 / np.pi:.1f} rpm")
+    return physics, states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
+
+
+def _friction(
+    identified: IdentifiedParameters, physics: RotorParameters, speed: float, state: SteadyState, sensors: Sensors
+) -> LeftOpen:
+    """Return the contribution of dry friction to a steady state."""
+
+    def motion(start: Start, times: Array) -> Array:
+        return _motion(physics, speed, start, times)
+
+    return left_open(DryFriction.of(identified), physics, speed, state, motion, sensors)
+
+
+def _add_roll_and_term_errors(
+    shared: dict[str, Array],
+    rig: Rig,
+    identified: IdentifiedParameters,
+    by_run_out_and_bow: Array,
+    by_term: Mapping[str, Array],
+) -> None:
+    """Add the errors of run-out, bow and suspension terms to the shifts by label, shape (5,) each."""
+    if identified.slow_roll is not None:
+        for label, error in identified.slow_roll.errors(rig.roles.gain_stds, rig.known).items():
+            shared[label] = shared.get(label, np.zeros(5)) + by_run_out_and_bow @ error
+    for label, shift in term_errors(rig, identified, by_term).items():
+        shared[label] = shared.get(label, np.zeros(5)) + shift
 
 
 def _shared(

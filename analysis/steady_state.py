@@ -130,12 +130,8 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> 
     theta = (theta + ends.shift[:2]) % (2 * math.pi)
     x[0] += complex(*ends.shift[2:4])
     y[0] += complex(*ends.shift[4:])
-    own, radius = _own(x, y, ends.covariance)
-    zero, gain = math.radians(rig.roles.zero_std_deg), rig.roles.gain_stds
-    values = [*theta, abs(x[0]), abs(y[0]), radius]
-    common = [zero, zero, gain[0] * abs(x[0]), gain[1] * abs(y[0]), _of_radius(x, y, radius, gain)]
+    own, stated = _stated(theta, (x, y), ends.covariance, rig)
     bow = bow_moment(replace(rig.physics, bow_x_m=bow_m.real, bow_y_m=bow_m.imag), speed.value)
-    stated = [Interval(float(v), math.hypot(math.sqrt(own[j, j]), common[j])) for j, v in enumerate(values)]
     noise_x, noise_y = (math.sqrt(0.5 * np.trace(ends.covariance[j : j + 2, j : j + 2])) for j in (2, 4))
     return SteadyMeasurement(
         state=_state(settling, (float(theta[0]), float(theta[1])), rig.physics, bow, creeps),
@@ -173,6 +169,17 @@ def locked_radius_m(run: Run) -> float:
     except (NotEnoughData, IndexError):
         return math.nan
     return math.sqrt(0.5 * (abs(x[0]) ** 2 + abs(y[0]) ** 2))
+
+
+def _stated(theta: Array, orbit: tuple[Complex, Complex], covariance: Array, rig: Rig) -> tuple[Array, list[Interval]]:
+    """Return the covariance without the sensors' common errors (5, 5), and the values with their full uncertainty."""
+    x, y = orbit
+    own, radius = _own(x, y, covariance)
+    zero, gain = math.radians(rig.roles.zero_std_deg), rig.roles.gain_stds
+    values = [*theta, abs(x[0]), abs(y[0]), radius]
+    common = [zero, zero, gain[0] * abs(x[0]), gain[1] * abs(y[0]), _of_radius(x, y, radius, gain)]
+    stds = [math.hypot(math.sqrt(own[j, j]), common[j]) for j in range(len(values))]
+    return own, [Interval(float(value), std) for value, std in zip(values, stds, strict=True)]
 
 
 def _own(x: Complex, y: Complex, covariance: Array) -> tuple[Array, float]:

@@ -21,7 +21,7 @@ from rig_configs.drivers import settings_of
 from rig_configs.errors import RigConfigError, RigFileError
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.ports import refuse_shared_ports
-from rig_configs.schema import Rig
+from rig_configs.schema import NO_DRIVER, Rig
 from rig_configs.toml_text import parse_toml, read_text
 
 
@@ -287,11 +287,14 @@ def _sentence(error: ErrorDetails, raw: Mapping[str, Any]) -> str:
     if error["type"] == "missing":
         return f"{key}: missing; expected {_expectation(error['loc'], raw)}"
     got = error.get("input")
-    if error["type"] == "value_error" and "no driver;" in error["msg"] and len(error["loc"]) == 2:
+    if error["type"] == NO_DRIVER and len(error["loc"]) == 2:
         others = [name for name in raw.get("devices", {}) if name != error["loc"][1]]
         if near := difflib.get_close_matches(str(error["loc"][1]), others, n=1, cutoff=0.7):
             return f"{key}: a device without a driver; did you mean devices.{near[0]}?"
-    if isinstance(got, dict) and error["type"] == "value_error":  # of a whole table; its text contains the value
+    if isinstance(got, dict) and error["type"] in (
+        "value_error",
+        NO_DRIVER,
+    ):  # of a whole table; its text contains the value
         return f"{key}{': ' if key else ''}{error['msg'].removeprefix('Value error, ')}"
     return f"{key}: {error['msg']}, got {_shown(got)}"
 

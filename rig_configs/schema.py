@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Annotated, Literal, cast
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from dynamics.equations.parameters import Pendulum, RotorParameters, rolling_arm
 from rig_configs.device import DeviceSettings
@@ -114,7 +115,9 @@ def _settings(value: object) -> object:
     table = cast("dict[str, object]", value)
     name = table.get("driver")
     if name is None:
-        raise ValueError(f"no driver; expected driver = one of {', '.join(installed())}")
+        raise PydanticCustomError(
+            NO_DRIVER, "no driver; expected driver = one of {drivers}", {"drivers": ", ".join(installed())}
+        )
     if not isinstance(name, str):
         raise ValueError(f"driver: expected one of {', '.join(installed())}, got {name!r}")
     return settings_of(name).model_validate(table)
@@ -122,6 +125,8 @@ def _settings(value: object) -> object:
 
 AnyDevice = Annotated[SerializeAsAny[DeviceSettings], BeforeValidator(_settings)]
 DeviceName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")]
+NO_DRIVER = "no_driver"
+"""Type of the validation error of a device table without a driver."""
 _RESERVED = ("host", "log")  # devices of events that the suite itself creates
 
 
