@@ -291,10 +291,8 @@ def _sentence(error: ErrorDetails, raw: Mapping[str, Any]) -> str:
         others = [name for name in raw.get("devices", {}) if name != error["loc"][1]]
         if near := difflib.get_close_matches(str(error["loc"][1]), others, n=1, cutoff=0.7):
             return f"{key}: a device without a driver; did you mean devices.{near[0]}?"
-    if isinstance(got, dict) and error["type"] in (
-        "value_error",
-        NO_DRIVER,
-    ):  # of a whole table; its text contains the value
+    of_whole_table = error["type"] in ("value_error", NO_DRIVER)  # its text contains the value
+    if isinstance(got, dict) and of_whole_table:
         return f"{key}{': ' if key else ''}{error['msg'].removeprefix('Value error, ')}"
     return f"{key}: {error['msg']}, got {_shown(got)}"
 
