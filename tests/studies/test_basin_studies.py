@@ -39,7 +39,7 @@ def in_tiles(question: BasinQuestion, place: Path) -> BasinMap:
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kind, "_MAX_RELEASES", 24)
     monkeypatch.setattr(kind, "_MAX_COLUMNS", 6)
-    kind._asked.cache_clear()
+    kind._parsed.cache_clear()
 
 
 def test_tiles_are_the_whole_where_two_images_of_balance_coexist(tmp_path: Path) -> None:
