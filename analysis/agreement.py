@@ -1,12 +1,13 @@
 # pyright: strict
-"""Whether measurement and model agree: one statistic per point, one over all points, one per single cause.
+"""Agreement of measurement and model: one statistic per point, one over all points, one per single cause.
 
-Three questions share the chance of a false alarm, 5 % of campaigns with nothing wrong: whether any single cause
-(a parameter, a mass, a zero, a gain) would explain a significant part (4 %), whether any one point or release stands
-out (0.5 % over all of them), and whether all of them together do (0.5 %). The first is the sharpest against what a rig
-is usually wrong in; the others need no list of causes. Causes share their 4 % by the evidence for each, with the prior
-that ranks explanations: a cause that its own standard uncertainty allows ten thousand times what the points resolve
-needs more than one that it allows hardly more than they resolve. Source: docs/theory/validation.md.
+The chance of a false alarm is 5 % of campaigns without any fault. Three questions share it: whether any single cause
+(a parameter, a mass, a zero, a gain) would explain a significant part (4 %), whether any single point or release
+deviates significantly (0.5 % over all of them), and whether all points together deviate (0.5 %). The first question is
+the most sensitive to the usual faults of a rig. The other two need no list of causes. The causes share their 4 % by
+evidence with the prior that ranks the explanations. A cause whose standard uncertainty is 10⁴ times the resolution of
+the points needs a larger |z| than one whose uncertainty is close to that resolution.
+Source: docs/theory/validation.md.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ Array = NDArray[np.float64]
 CAUSES_LEVEL, POINTS_LEVEL, TOGETHER_LEVEL = 0.04, 0.005, 0.005
 _DRAWS, _SEED = 20_000, 1
 _SIZES = np.linspace(0.0, 15.0, 1501)
-"""|z| at which evidence is tabulated."""
+"""|z| at which the evidence is tabulated."""
 
 
 @dataclass(frozen=True)
 class Statistic:
-    """χ² of some rows, its degrees of freedom and how often chance reaches it."""
+    """χ² of some rows, its degrees of freedom and the probability that chance exceeds it."""
 
     chi2: float
     dof: int
@@ -41,28 +42,29 @@ class Statistic:
 
     @classmethod
     def of(cls, differences: Differences) -> Statistic:
-        """Of all rows of the differences."""
+        """Return the statistic of all rows of the differences."""
         chi2, dof = differences.chi2, len(differences.values)
         return cls(chi2, dof, float(gammaincc(0.5 * dof, 0.5 * chi2)) if dof else math.nan)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {"chi2": self.chi2, "dof": self.dof, "p": self.p if math.isfinite(self.p) else None}
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How far the points agree with the model.
+    """Agreement of the points with the model.
 
     Attributes:
-        together: of all rows of all points that could be compared.
-        points: of each point's rows: "A" of its steady state, "A release" of what happened right after its release.
-        point_limit: the p below which a point fails.
-        cause_z: cause → its best size in standard deviations of what the points would show of it; 0 for a cause that
-            cannot be below 0 and would have to be.
-        words: cause → what it is, for a reader.
-        cause_limits: cause → the |cause_z| above which it is significant; chance exceeds any of them in CAUSES_LEVEL of
-            campaigns.
+        together: statistic of all rows of all compared points.
+        points: statistic of each point's rows: "A" for its steady state, "A release" for the motion right after its
+            release.
+        point_limit: p below which a point fails.
+        cause_z: cause → its best size divided by the standard deviation with which the points show it; 0 if a
+            one-sided cause would have to be negative.
+        words: cause → its description for a reader.
+        cause_limits: cause → |cause_z| above which the cause is significant. Chance exceeds any of them in
+            CAUSES_LEVEL of campaigns.
     """
 
     together: Statistic
@@ -74,18 +76,18 @@ class Agreement:
 
     @property
     def failing_points(self) -> tuple[str, ...]:
-        """Points that stand out by themselves."""
+        """Points whose own p is below the limit."""
         return tuple(name for name, found in self.points.items() if found.p < self.point_limit)
 
     @property
     def significant_causes(self) -> tuple[str, ...]:
-        """Causes that would explain more than chance does, the most first."""
+        """Causes that explain more than chance does, the most significant first."""
         beyond = {name: z**2 - self.cause_limits[name] ** 2 for name, z in self.cause_z.items()}
         return tuple(sorted((name for name in beyond if beyond[name] > 0), key=lambda name: -beyond[name]))
 
     @property
     def passed(self) -> bool:
-        """Whether none of the three questions is answered with an alarm."""
+        """Whether all three questions are answered without an alarm."""
         return not (self.failing_points or self.significant_causes or self.together.p < TOGETHER_LEVEL)
 
     @property
@@ -104,7 +106,7 @@ class Agreement:
         return f"{'; '.join(alarms)}: {whole}"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {
             "passed": self.passed,
             "why": self.why,
@@ -117,11 +119,11 @@ class Agreement:
 
 
 def agreement(differences: Differences, causes: Sequence[Cause]) -> Agreement:
-    """How far all rows agree with the model.
+    """Test all rows against the model.
 
     Args:
-        differences: of every point that was compared.
-        causes: of which one alone may be significant.
+        differences: differences of all compared points.
+        causes: causes that are tested one at a time.
     """
     points = {name: Statistic.of(differences.of(at)) for name, at in differences.groups.items()}
     words = {cause.name: cause.words for cause in causes}
@@ -137,12 +139,12 @@ def agreement(differences: Differences, causes: Sequence[Cause]) -> Agreement:
 
 @dataclass(frozen=True)
 class CauseStatistics:
-    """Every cause fitted alone.
+    """Fit of every cause alone.
 
     Attributes:
-        z: cause → its best size over its standard deviation.
+        z: cause → its best size divided by its standard deviation.
         stds: cause → that standard deviation, in the cause's unit.
-        correlation: of the z, shape (k, k).
+        correlation: correlation of the z, shape (k, k).
     """
 
     z: Mapping[str, float]
@@ -151,10 +153,10 @@ class CauseStatistics:
 
 
 def cause_statistics(differences: Differences, directions: Mapping[str, Array]) -> CauseStatistics:
-    """Every cause that the rows show at all, fitted alone.
+    """Fit every cause alone. Causes that do not change the rows are left out.
 
     Args:
-        directions: cause → change of the rows per unit of it, shape (m,).
+        directions: cause → change of the rows per unit of the cause, shape (m,).
     """
     units, stds = list[Array](), dict[str, float]()
     for name, direction in directions.items():
@@ -169,14 +171,14 @@ def cause_statistics(differences: Differences, directions: Mapping[str, Array]) 
 
 
 def evidence(z: ArrayLike, width: float) -> Array:
-    """Logarithm of how much likelier a statistic is with a cause than without it.
+    """Return the logarithm of the likelihood ratio of a statistic: with the cause over without it.
 
-    With it, its size in standard deviations of the points is a Cauchy distribution about 0, so that z, which scatters
-    about it, has Voigt's.
+    With the cause, its size in standard deviations of the points has a Cauchy distribution about 0. z scatters about
+    that size by a standard normal distribution and therefore has a Voigt distribution.
 
     Args:
-        z: the cause's best size over its standard deviation by the points, any shape.
-        width: scale of the Cauchy distribution: the cause's own standard uncertainty over the same.
+        z: best size of the cause over its standard deviation by the points, any shape.
+        width: scale of the Cauchy distribution: standard uncertainty of the cause over the same standard deviation.
     """
     z = np.asarray(z, float)
     density = np.asarray(voigt_profile(z, 1.0, width), float)
@@ -186,13 +188,15 @@ def evidence(z: ArrayLike, width: float) -> Array:
 def limits_by_chance(
     correlation: Array, widths: Sequence[float], one_sided: Sequence[bool] = (), level: float = CAUSES_LEVEL
 ) -> Array:
-    """|z| of each cause at which the evidence is what the largest of all causes' exceeds by chance, from draws.
+    """Return the |z| of each cause at the evidence that the largest evidence of all causes exceeds by chance.
+
+    The distribution of the largest evidence is drawn (_DRAWS draws).
 
     Args:
-        correlation: of the statistics, shape (k, k).
-        widths: each cause's own standard uncertainty over that by the points.
-        one_sided: for each, whether only sizes above 0 count; none where empty.
-        level: the probability.
+        correlation: correlation of the statistics, shape (k, k).
+        widths: standard uncertainty of each cause over its standard deviation by the points.
+        one_sided: for each cause, whether only sizes above 0 count; empty if all causes are two-sided.
+        level: probability that chance exceeds the limit.
     Returns:
         Shape (k,).
     """

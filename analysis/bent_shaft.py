@@ -1,5 +1,5 @@
 # pyright: strict
-"""Whether a bow is the reason for what happens at a point: the model with the bow beside the model without it."""
+"""Effect of a bow at a point: the stable states of the model with the bow against those of the model without it."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from analysis.stable_states import stable_states
 from dynamics import RotorParameters, SteadyState
 from dynamics.errors import DynamicsError
 
-_SLOWER = 0.7  # of a straight shaft's rate of approach: above, the bow does not count as a reason
+_MAX_RATE_RATIO = 0.7  # rate of approach with the bow over that without it; above, the bow is not reported as a reason
 
 
 def blamed_on_bow(physics: RotorParameters, speed_rad_s: float, state: SteadyState | None) -> str:
-    """What a straight shaft would do otherwise, a sentence; empty where it would do the same.
+    """Describe in a sentence how a straight shaft would behave differently; empty if it would behave alike.
 
     Args:
-        physics: with the bow.
-        speed_rad_s: of the point.
-        state: the stable state that is predicted with the bow; None where there is none.
+        physics: parameters of the rotor with its bow.
+        speed_rad_s: speed of the point.
+        state: stable state predicted with the bow; None if the model has no stable state.
     """
     stable = _straight(physics, speed_rad_s)
     if stable is None:
@@ -33,13 +33,13 @@ def blamed_on_bow(physics: RotorParameters, speed_rad_s: float, state: SteadySta
     if stable.type != state.type:
         return f"{bow} is the reason: with a straight shaft the stable state is {stable.type}"
     own, other = _rate(state, speed_rad_s), _rate(stable, speed_rad_s)
-    if not 0 < own < _SLOWER * other:
+    if not 0 < own < _MAX_RATE_RATIO * other:
         return ""
     return f"{bow} makes the approach slow: {own:.2g} /s by the model, with a straight shaft {other:.2g} /s"
 
 
 def _straight(physics: RotorParameters, speed_rad_s: float) -> SteadyState | None:
-    """A stable state of the rig with its shaft straight; None where it has none, or is straight."""
+    """Return a stable state with a straight shaft; None if it does not exist or the shaft has no bow."""
     if physics.bow_m == 0:
         return None
     try:
@@ -50,5 +50,5 @@ def _straight(physics: RotorParameters, speed_rad_s: float) -> SteadyState | Non
 
 
 def _rate(state: SteadyState, speed_rad_s: float) -> float:
-    """Of the slowest approach to a state, 1/s."""
+    """Return the rate of the slowest approach to a state, 1/s."""
     return -math.log(state.multiplier_max) * speed_rad_s / (2 * math.pi)

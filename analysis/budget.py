@@ -1,10 +1,11 @@
 # pyright: strict
-"""Uncertainty budgets of what the model predicts at the validation points, by the sources the parameters have.
+"""Uncertainty budgets of the predictions at the validation points, by the sources of the parameters' budgets.
 
-A source acts through the parameters and, where it is a number of the rig file, directly: an error of a mass moves what
-was identified and the prediction together. Both effects are added before they are squared, so a source has one row.
-What a run-up found of run-out and bow has rows of its own; a gain or an index angle acts through it too. Dry friction
-is new at each point. The speed is the nominal one of the point and exact. Source: docs/theory/uncertainty.md.
+A source acts through the parameters. A number of the rig file also acts directly: an error of a mass changes the
+identified values and the prediction together. Both effects are added before they are squared, so that each source has
+one row. Run-out and bow found by a run-up have rows of their own; a gain or an index angle acts through them too. Dry
+friction is independent at each point. The speed is the nominal speed of the point and taken as exact.
+Source: docs/theory/uncertainty.md.
 """
 
 from __future__ import annotations
@@ -29,19 +30,19 @@ from uncertainty.group import Input
 
 Array = NDArray[np.float64]
 
-_AT_REST_M = 1e-12
+_AT_REST_M = 1e-12  # amplitude below which a quantity is 0 for all parameters
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One predicted quantity as it is shown.
+    """One predicted quantity in the unit of the tables.
 
     Attributes:
-        point: of the rig file.
-        index: in prediction.QUANTITIES.
+        point: name of the point in the rig file.
+        index: index in prediction.QUANTITIES.
         name: point and quantity with its unit: "D.theta3_deg", "A.amplitude_mm".
         unit: "deg" or "mm".
-        scale: shown value over SI value.
+        scale: displayed value over SI value.
     """
 
     point: str
@@ -53,19 +54,19 @@ class Quantity:
 
 @dataclass(frozen=True, eq=False)
 class PredictedBudgets:
-    """Budgets of the predicted quantities of some points, with what Monte Carlo takes to draw them.
+    """Budgets of the predicted quantities of some points, with the inputs of a Monte Carlo calculation of them.
 
     Attributes:
-        quantities: m of them.
-        predictions: by point.
-        parameters: names of the identified values that the predictions were made with, in the order of by_parameter.
-        budgets: of the quantities in degrees and millimetres; its sources begin with those of the parameters.
-        parameter_sensitivities: of the parameters by the budgets' columns, shape (n, columns).
+        quantities: m predicted quantities.
+        predictions: point → its prediction.
+        parameters: names of the identified values behind the predictions, in the order of by_parameter.
+        budgets: budgets of the quantities in degrees and millimetres; their sources begin with those of the parameters.
+        parameter_sensitivities: derivatives of the parameters by the budgets' columns, shape (n, columns).
         axis_angle_rad: angle from the stiffness x axis to the sensor x axis.
-        known: what the rig file takes as known.
-        slow_roll: run-out and bow that the predictions were made with.
-        slow_roll_sensitivities: of SlowRoll.values by the budgets' columns, shape (6, columns).
-        term_sensitivities: of the suspension's terms (TERMS) by the budgets' columns, shape (4, columns).
+        known: numbers of the rig file that are taken as known.
+        slow_roll: run-out and bow behind the predictions.
+        slow_roll_sensitivities: derivatives of SlowRoll.values by the budgets' columns, shape (6, columns).
+        term_sensitivities: derivatives of the suspension's terms (TERMS) by the budgets' columns, shape (4, columns).
     """
 
     quantities: tuple[Quantity, ...]
@@ -81,15 +82,15 @@ class PredictedBudgets:
 
     @cached_property
     def columns(self) -> dict[str, int]:
-        """Source → its first column."""
+        """First column of each source."""
         return columns_of(self.budgets.sources)
 
     def exact_shifts(self, by_number: Mapping[str, Array]) -> dict[str, Array]:
-        """Number without a standard uncertainty → what EXACT_STEP of it does to the quantities, shape (m,).
+        """Return the shift of the quantities by EXACT_STEP of each number without a standard uncertainty, shape (m,).
 
         Args:
-            by_number: derivatives of the parameters by the numbers, shape (n,) each; a number that is not in it is
-                left out.
+            by_number: number → derivatives of the parameters by it, shape (n,). Numbers that are missing here are left
+                out.
         """
         found: dict[str, Array] = {}
         for number in self.known.exact:
@@ -117,39 +118,27 @@ def predicted_budgets(
     slow_roll: SlowRoll | None = None,
     terms: SuspensionTerms | None = None,
 ) -> PredictedBudgets:
-    """Budgets of angles and amplitudes at the points.
+    """Return the budgets of angles and amplitudes at the points.
 
-    An amplitude that is 0 whatever the parameters are (the balanced state) has no budget and is left out.
+    An amplitude that is 0 for all parameters (the balanced state) has no budget and is left out.
 
     Args:
         predictions: point → prediction for its nominal speed.
-        names: of the parameters, in the order of the predictions' by_parameter.
-        parameters: their budgets; it may hold more parameters.
-        rig: what is taken as known.
-        axis_angle_deg: angle from the stiffness x axis to the sensor x axis with its standard uncertainty.
-        axis_identified: whether a test found the angle.
-        slow_roll: run-out and bow that the predictions were made with.
-        terms: of the suspension, likewise.
+        names: names of the parameters, in the order of the predictions' by_parameter.
+        parameters: budgets of the parameters; they may contain further parameters.
+        rig: rig file with the numbers that are taken as known.
+        axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty.
+        axis_identified: whether a test identified the angle.
+        slow_roll: run-out and bow behind the predictions.
+        terms: terms of the suspension behind the predictions.
     """
     quantities = tuple(q for point, found in predictions.items() for q in _quantities(point, found))
     at = [parameters.names.index(name) for name in names]
     known = rig.known
-    extra: list[Source] = []
-    if axis_angle_deg[1] > 0:
-        kind = "A" if axis_identified else "B"
-        extra.append(Source(AXIS_ANGLE, math.radians(axis_angle_deg[1]), "rad", kind))
-    there = {source.name for source in parameters.sources}
-    moved = {number for found in predictions.values() for number in found.by_number}
-    rolled = _slow_roll_errors(slow_roll, rig, there)
-    extra += [
-        known_source(source)
-        for source in known.sources
-        if source.label not in there and (moved & set(source.effects) or source.label in rolled)
-    ]
-    extra += [source for label, (source, _) in rolled.items() if source.name not in there and not is_known(label)]
+    rolled = _slow_roll_errors(slow_roll, rig, {source.name for source in parameters.sources})
     changed = {} if terms is None else terms.errors(rig.roles.gain_stds)
-    there |= {source.name for source in extra}
-    extra += [shared_source(label, rig) for label, shift in changed.items() if label not in there and np.any(shift)]
+    extra = _axis_source(axis_angle_deg[1], axis_identified)
+    extra = _with_further_sources(extra, parameters, predictions, rig, rolled, changed)
     frictions = {point: _friction_source(point, found.friction) for point, found in predictions.items()}
     sources: tuple[Input, ...] = (*parameters.sources, *extra, *(f for f in frictions.values() if f is not None))
     columns = columns_of(sources)
@@ -161,15 +150,12 @@ def predicted_budgets(
     for label, shift in changed.items():
         if label in columns:
             term[:, columns[label]] += shift / float(_unit_of(sources, label))
-    table = np.zeros((len(quantities), width))
+    table = np.array([_through(predictions[q.point], q, (through, roll, term)) for q in quantities])
+    table = table.reshape(len(quantities), width)
     for row, q in enumerate(quantities):
-        found = predictions[q.point]
-        table[row] = q.scale * (found.by_parameter[q.index] @ through + found.by_run_out_and_bow[q.index] @ roll)
-        for name, by in found.by_term.items():
-            table[row] += q.scale * float(by[q.index]) * term[TERMS.index(name)]
         own = frictions[q.point]
         if own is not None:
-            table[row, columns[own.name] :][: own.width] = q.scale * found.friction.slopes[q.index]
+            table[row, columns[own.name] :][: own.width] = q.scale * predictions[q.point].friction.slopes[q.index]
     table += _direct(quantities, predictions, sources, known)
     values = [q.scale * float(predictions[q.point].values[q.index]) for q in quantities]
     budgets = Budgets(
@@ -181,13 +167,60 @@ def predicted_budgets(
     )
 
 
+def _axis_source(std_deg: float, identified: bool) -> list[Source]:
+    """Return the source of the axis angle's error; an empty list for an exact angle."""
+    kind = "A" if identified else "B"
+    return [Source(AXIS_ANGLE, math.radians(std_deg), "rad", kind)] if std_deg > 0 else []
+
+
+def _with_further_sources(
+    axis: list[Source],
+    parameters: Budgets,
+    predictions: Mapping[str, Prediction],
+    rig: Rig,
+    rolled: Mapping[str, tuple[Source, Array]],
+    changed: Mapping[str, Array],
+) -> list[Source]:
+    """Return the sources that the parameters' budgets do not contain.
+
+    Args:
+        axis: source of the axis angle.
+        parameters: budgets of the parameters.
+        predictions: point → prediction.
+        rig: rig file with the known numbers.
+        rolled: label → source and shift of run-out and bow.
+        changed: label → shift of the suspension's terms.
+    """
+    there = {source.name for source in parameters.sources}
+    moved = {number for found in predictions.values() for number in found.by_number}
+    extra = axis + [
+        known_source(source)
+        for source in rig.known.sources
+        if source.label not in there and (moved & set(source.effects) or source.label in rolled)
+    ]
+    extra += [source for label, (source, _) in rolled.items() if source.name not in there and not is_known(label)]
+    there |= {source.name for source in extra}
+    return extra + [
+        shared_source(label, rig) for label, shift in changed.items() if label not in there and np.any(shift)
+    ]
+
+
+def _through(found: Prediction, q: Quantity, sensitivities: tuple[Array, Array, Array]) -> Array:
+    """Return a quantity's sensitivities by column, through parameters, run-out and bow, and suspension terms."""
+    through, roll, term = sensitivities
+    row = q.scale * (found.by_parameter[q.index] @ through + found.by_run_out_and_bow[q.index] @ roll)
+    for name, by in found.by_term.items():
+        row += q.scale * float(by[q.index]) * term[TERMS.index(name)]
+    return row
+
+
 def friction_label(point: str) -> str:
-    """Name of the source that dry friction is at a point."""
+    """Return the name of the dry-friction source of a point."""
     return f"dry friction at {point}"
 
 
 def _friction_source(point: str, friction: LeftOpen) -> Input | None:
-    """What is not known of dry friction at a point: where it holds the pendulums, or how far it moves them."""
+    """Return the uncertain inputs of dry friction at a point: resting angles of held pendulums, or the shift's size."""
     name = friction_label(point)
     match len(friction.covariance):
         case 0:
@@ -199,10 +232,10 @@ def _friction_source(point: str, friction: LeftOpen) -> Input | None:
 
 
 def _slow_roll_errors(slow_roll: SlowRoll | None, rig: Rig, there: set[str]) -> dict[str, tuple[Source, Array]]:
-    """Label → source and shift of SlowRoll.values for one standard deviation of it, shape (6,).
+    """Return label → source and shift of SlowRoll.values per standard deviation of the source, shape (6,).
 
     Args:
-        there: names of the parameters' sources, which may share an error.
+        there: names of the parameters' sources; an error with such a label is shared with them.
     """
     if slow_roll is None:
         return {}
@@ -217,17 +250,17 @@ def _slow_roll_errors(slow_roll: SlowRoll | None, rig: Rig, there: set[str]) -> 
 
 
 def _unit_of(sources: Sequence[Input], name: str) -> float:
-    """Standard uncertainty of a source."""
+    """Return the standard uncertainty of a source."""
     return next(float(source.factor[0, 0]) for source in sources if source.name == name)
 
 
 def quantity_names(point: str) -> list[str]:
-    """Names that the quantities of a point can have, with their units."""
+    """Return the names that the quantities of a point can have, with their units."""
     return [f"{point}.{_shown(name)[0]}" for name in QUANTITIES]
 
 
 def columns_of(sources: Sequence[Input]) -> dict[str, int]:
-    """Source → its first column in a table of errors."""
+    """Return the first column of each source in a table of errors."""
     starts = np.cumsum([0, *(source.width for source in sources)])
     return {source.name: int(start) for source, start in zip(sources, starts, strict=False)}
 
@@ -242,7 +275,7 @@ def _quantities(point: str, found: Prediction) -> list[Quantity]:
 
 
 def _shown(name: str) -> tuple[str, str, float]:
-    """Name with its unit, unit, and shown value over SI value of a quantity."""
+    """Return name with unit, unit, and displayed value over SI value of a quantity."""
     if name.startswith("theta"):
         return f"{name}_deg", "deg", 180 / math.pi
     return f"{name}_mm", "mm", 1e3
@@ -251,7 +284,7 @@ def _shown(name: str) -> tuple[str, str, float]:
 def _direct(
     quantities: Sequence[Quantity], predictions: Mapping[str, Prediction], sources: Sequence[Input], known: Known
 ) -> Array:
-    """Sensitivities with the parameters as they are: by the axis angle and by the rig file's numbers."""
+    """Return the sensitivities at fixed parameters: to the axis angle and to the numbers of the rig file."""
     columns = columns_of(sources)
     units = {source.name: float(source.factor[0, 0]) for source in sources if isinstance(source, Source)}
     table = np.zeros((len(quantities), sum(source.width for source in sources)))

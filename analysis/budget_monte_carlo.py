@@ -1,11 +1,10 @@
 # pyright: strict
-"""Monte Carlo of predicted quantities: every source drawn, the steady state followed through the nonlinear model.
+"""Monte Carlo of predicted quantities: every source is drawn and the steady state follows by the nonlinear model.
 
-A draw changes parameters, masses, lengths, run-out, bow and the axis angle; of dry friction the straight line is taken,
-as the prediction does. Its steady state is found from the nominal one by Newton
-steps on the half-revolution map with the nominal inverse, y ← y + (1 − ∂H/∂y)⁻¹ (H(y) − y): each step takes half a
-revolution of integration and shrinks the error by the relative change of the map's slope. Source: JCGM 101, 7;
-docs/theory/uncertainty.md.
+A draw changes parameters, masses, lengths, run-out, bow and the axis angle. Dry friction enters linearly, as in the
+prediction. The steady state of a draw is found from the nominal one by Newton steps on the half-revolution map with
+the nominal inverse, y ← y + (1 − ∂H/∂y)⁻¹ (H(y) − y). A step integrates half a revolution and reduces the error by the
+relative change of the map's slope. Source: JCGM 101, 7; docs/theory/uncertainty.md.
 """
 
 from __future__ import annotations
@@ -27,25 +26,25 @@ from rig_configs.suspension_terms import TERMS, moved_term
 
 Array = NDArray[np.float64]
 
-_MOST_STEPS = 12
-_SETTLED = 1e-9  # of the state: rad, m, rad/s, m/s
-_SAME_STATE_RAD = 1.0  # an angle that moved further belongs to another steady state
+_MAX_STEPS = 12
+_MAX_LAST_STEP = 1e-9  # of the state at convergence: rad, m, rad/s, m/s
+_SAME_STATE_RAD = 1.0  # an angle farther from the nominal one belongs to another steady state
 
 
 @dataclass
 class NonlinearModel:
-    """Errors of the budgets' sources in, predicted quantities out, as `uncertainty.monte_carlo` takes it.
+    """Predicted quantities as a function of the errors of the budgets' sources, for `uncertainty.monte_carlo`.
 
     Attributes:
-        of: the budgets, with their predictions.
-        physics: the rig with the identified values; the bow is that of the budgets.
-        told: called with the share of the trials done, 0 … 1.
-        trials: how many are to come, for `told`.
+        of: budgets with their predictions.
+        physics: parameters of the rig with the identified values; the bow is that of the budgets.
+        progress: called with the completed share of the trials, 0 … 1.
+        trials: number of trials, for `progress`.
     """
 
     of: PredictedBudgets
     physics: RotorParameters
-    told: Callable[[float], None] = field(default=lambda _: None)
+    progress: Callable[[float], None] = field(default=lambda _: None)
     trials: int = 1
     _done: int = field(default=0, init=False)
 
@@ -58,24 +57,26 @@ class NonlinearModel:
         }
 
     def __call__(self, errors: Array) -> Array:
-        """Quantities in the budgets' units, shape (rows, m).
+        """Return the quantities in the budgets' units, shape (rows, m).
 
         Raises:
-            NoStableState: a draw is no rig, or its steady state was not found from the nominal one.
+            NoStableState: a draw has impossible parameters, or its steady state was not found from the nominal one.
         """
         values = np.empty((len(errors), len(self.of.quantities)))
         for row, error in enumerate(errors):
             values[row] = self._quantities(error)
             self._done += 1
             if self._done % 20 == 0:
-                self.told(min(1.0, self._done / self.trials))
+                self.progress(min(1.0, self._done / self.trials))
         return values
 
     def _quantities(self, error: Array) -> Array:
         try:
             physics = self._drawn(error)
         except DynamicsError as fault:
-            raise NoStableState(f"Monte Carlo: a draw is no rig: {fault}; the linear budget stands alone") from fault
+            raise NoStableState(
+                f"Monte Carlo: a draw has impossible parameters: {fault}; use the linear budget alone"
+            ) from fault
         beta = self.of.axis_angle_rad
         if AXIS_ANGLE in self.of.columns:
             beta += float(error[self.of.columns[AXIS_ANGLE]])
@@ -84,7 +85,7 @@ class NonlinearModel:
         return np.array([q.scale * seen[q.point][q.index] for q in self.of.quantities])
 
     def _drawn(self, error: Array) -> RotorParameters:
-        """The rig of one draw: numbers of the rig file first, as parameters are found for given numbers."""
+        """Return the parameters of one draw: numbers of the rig file first, as they condition the identified values."""
         found = self.physics.identified()
         shifts = self.of.parameter_sensitivities @ error
         physics = self.physics
@@ -104,7 +105,7 @@ class NonlinearModel:
         return physics
 
     def _bent(self, physics: RotorParameters, error: Array) -> tuple[RotorParameters, tuple[complex, complex]]:
-        """The rig with the bow of one draw, and what run-out adds to the complex amplitudes of x and y."""
+        """Return the parameters with the bow of one draw, and its run-out in the complex amplitudes of x and y."""
         roll = self.of.slow_roll
         if roll is None:
             return physics, (0j, 0j)
@@ -113,31 +114,31 @@ class NonlinearModel:
         return replace(physics, bow_x_m=bow.real, bow_y_m=bow.imag), (x, -1j * y)
 
     def _friction(self, point: str, error: Array) -> Array:
-        """What dry friction adds to the values at a point, shape (5,)."""
+        """Return the change of the values at a point by dry friction, shape (5,)."""
         friction, at = self.of.predictions[point].friction, self.of.columns.get(friction_label(point), 0)
         return friction.shift + friction.slopes @ error[at : at + friction.slopes.shape[1]]
 
     def _at(self, point: str, physics: RotorParameters, sensors: Sensors, error: Array) -> Array:
-        """What is observed at a point, shape (5,); angles within half a turn of the nominal ones."""
+        """Return the observed values at a point, shape (5,); angles within half a turn of the nominal ones."""
         nominal = self.of.predictions[point]
         speed, inverse = nominal.speed_rad_s, self._inverses[point]
         start: Array = np.array(nominal.state.start, dtype=np.float64)
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             step = inverse @ (half_turn(physics, speed, start) - start)
             start = start + step
-            if float(np.max(np.abs(step))) < _SETTLED:
+            if float(np.max(np.abs(step))) < _MAX_LAST_STEP:
                 break
         else:
             raise NoStableState(
                 f"Monte Carlo: point {point}: the steady state of a draw was not found from the nominal one in "
-                f"{_MOST_STEPS} steps; the linear budget stands alone"
+                f"{_MAX_STEPS} steps; use the linear budget alone"
             )
         values = observed(physics, speed, start, sensors) + self._friction(point, error)
         apart = (values[:2] - nominal.values[:2] + np.pi) % (2 * np.pi) - np.pi
         if float(np.max(np.abs(apart))) > _SAME_STATE_RAD:
             raise NoStableState(
                 f"Monte Carlo: point {point}: a draw's angles are {np.degrees(np.max(np.abs(apart))):.0f}° from the "
-                "nominal ones: another steady state; the linear budget stands alone"
+                "nominal ones: another steady state; use the linear budget alone"
             )
         values[:2] = nominal.values[:2] + apart
         return values

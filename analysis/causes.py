@@ -1,9 +1,9 @@
 # pyright: strict
-"""What may be wrong, one thing at a time: how the differences at the points would go with it.
+"""Single causes of a deviation, and the change of the differences at the points with each of them.
 
-A cause is a parameter that is not what was identified (it changed since, or its identification is wrong), a number of
-the rig file that is not what the file says (then what was identified with it is off, too), an encoder's zero, the index
-angle, a laser's gain or the axis angle.
+A cause is one of: a parameter that differs from its identified value (changed since, or wrongly identified), a number
+of the rig file that differs from its true value (values identified with it are then wrong too), an encoder's zero, the
+index angle, a laser's gain or the axis angle.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL,
 
 Array = NDArray[np.float64]
 
-NOMINAL_SHARE = 1e-3  # standard uncertainty of a number of which none is given: what such numbers are usually worth
+NOMINAL_SHARE = 1e-3  # relative standard uncertainty of a number without a stated one: usual for such numbers
 _PARAMETER_WORDS = {
     "k1_N_per_m": "k1",
     "k2_N_per_m": "k2",
@@ -46,7 +46,7 @@ _NUMBER_WORDS = {
     INDEX: "the index angle",
 }
 SLOW_ROLL_STD_M = 2e-5
-"""Standard uncertainty of run-out and bow that no test has shown: what targets and shafts are usually worth."""
+"""Standard uncertainty of run-out and bow that no test has measured: usual size for targets and shafts."""
 _SLOW_ROLL_WORDS = {
     "run-out along": "run-out along the imbalance",
     "run-out across": "run-out across the imbalance",
@@ -79,21 +79,21 @@ BOTH: Mapping[tuple[str, str], str] = {
 }
 _USUAL_SPEED2 = 1e4  # (rad/s)²
 _FLICK_RAD_S, _USUAL_SHARE = 12.0, 1e-2
-"""Speed of a flicked pendulum: friction is shown as a share of the largest viscous torque, and is usually so much."""
+"""Speed of a flicked pendulum, rad/s, and usual share of friction in the largest viscous torque at it."""
 
 
 @dataclass(frozen=True)
 class Cause:
-    """One thing that may be wrong.
+    """One possible cause.
 
     Attributes:
         name: a parameter, a number of the rig file, "gain x", "gain y", "axis angle" or one of SLOW_ROLL.
-        words: what it is, for a reader.
-        value: what was taken for it; nan where its size is no share of anything.
-        std: standard uncertainty of that, in the cause's unit.
-        direction: change of the differences when the truth is one unit above what was taken, shape (m,).
-        unit, factor: how its size is shown: "%", "°" or a unit, and what it is multiplied with.
-        settles: the test or measurement that would show it.
+        words: description for a reader.
+        value: value used for the comparison; NaN if the relative size is undefined.
+        std: standard uncertainty of that value, in the cause's unit.
+        direction: change of the differences when the true value is one unit above the value used, shape (m,).
+        unit, factor: display unit ("%", "°" or another unit) and the factor to it.
+        settles: test or measurement that would confirm the cause.
         one_sided: whether its size cannot be below 0.
     """
 
@@ -108,22 +108,22 @@ class Cause:
     one_sided: bool = False
 
     def sized(self, size: float, std: float) -> str:
-        """In words, of a size and its standard uncertainty in the cause's unit."""
+        """Describe a size and its standard uncertainty, both in the cause's unit."""
         shown, spread = abs(size) * self.factor, std * self.factor
         digits = max(0, min(6, 1 - math.floor(math.log10(spread)))) if spread > 0 else 3
         if self.one_sided:
             return f"{self.words} of {shown:.{digits}f} ± {spread:.{digits}f} {self.unit}"
         side = "above" if size > 0 else "below"
-        against = "what the rig file says" if self.name in _NUMBER_WORDS else "what was taken"
+        against = "the value of the rig file" if self.name in _NUMBER_WORDS else "the value used"
         return f"{self.words} {shown:.{digits}f} ± {spread:.{digits}f} {self.unit} {side} {against}"
 
 
 def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters) -> tuple[Cause, ...]:
-    """Everything that may be wrong and that the points could show.
+    """Return all causes that the points could show.
 
     Args:
-        differences: of all points.
-        rig, identified: what they were compared with.
+        differences: differences of all points.
+        rig, identified: rig file and parameters behind the predictions.
     """
     std, found = identified.std, list[Cause]()
     for k, name in enumerate(identified.values):
@@ -160,7 +160,7 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
 
 
 def _torques(differences: Differences, identified: IdentifiedParameters) -> list[Cause]:
-    """Torques taken as 0, on A, on B and on both alike: friction of both kinds and the air's drag."""
+    """Return torques that were taken as 0, on A, on B and on both alike: both kinds of friction and air drag."""
     viscous = [_FLICK_RAD_S * identified.values.get(name, 0.0) for name in ("c3_Nms_per_rad", "c4_Nms_per_rad")]
     found, by = list[Cause](), differences.by_number
     if min(viscous) <= 0:
@@ -189,7 +189,7 @@ def _torques(differences: Differences, identified: IdentifiedParameters) -> list
 
 
 def torques_of(name: str, size: float) -> dict[str, float]:
-    """The torques that a cause stands for, by their names in FRICTION, CONTACT_FRICTION and DRAG; empty for another."""
+    """Return the torques of a cause by their names in FRICTION, CONTACT_FRICTION and DRAG; empty for other causes."""
     for names, both in BOTH.items():
         if name == both:
             return dict.fromkeys(names, size)
@@ -199,7 +199,7 @@ def torques_of(name: str, size: float) -> dict[str, float]:
 
 
 def _share(name: str, words: str, value: float, std: float, direction: Array) -> Cause:
-    """A cause whose size is told as a share of its value."""
+    """Return a cause whose size is displayed as a share of its value."""
     unit, factor = ("%", 100 / abs(value)) if value else ("", 1.0)
     return Cause(name, words, value, std, direction, unit, factor, _settles(name))
 

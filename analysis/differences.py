@@ -1,11 +1,11 @@
 # pyright: strict
-"""Measured minus predicted at all points, with everything that makes the differences uncertain and correlated.
+"""Measured minus predicted values at all points, with all contributions to their uncertainty and correlation.
 
-A row is one quantity of one point: θ3, θ4 and the order-1 amplitudes of x and y; where the model says "no vibration"
-the real and the imaginary part of an amplitude. The rms radius follows from these and is no row. What happened right
-after a release comes as rows of its own, in standard deviations, from who fitted it (`Rows`). An error that enters
-both the measurement and the prediction (a laser's gain through S_P, an encoder's zero, a mass) counts once, with the
-difference of its two effects. Source: docs/theory/validation.md.
+A row is one quantity of one point: θ3, θ4 and the order-1 amplitudes of x and y. Where the model predicts no vibration
+the real and the imaginary part of each amplitude are rows. The rms radius follows from these and has no row. The motion
+right after a release has rows of its own in standard deviations, from the module that fitted it (`Rows`). An error that
+enters both the measurement and the prediction (a laser's gain through S_P, an encoder's zero, a mass) counts once, with
+the difference of its two effects. Source: docs/theory/validation.md.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ Array = NDArray[np.float64]
 
 _ROWS = ("θ3", "θ4", "x amplitude", "y amplitude")
 _NOISE_ROWS = ("θ3", "θ4", "x real", "x imaginary", "y real", "y imaginary")
-_LEAST = 1e-10  # least eigenvalue of the rows' correlation
+_MIN_EIGENVALUE = 1e-10  # of the rows' correlation
 RELEASE = "release"
-"""Begin of the names of a release's rows, and what is added to its point's name where it is judged by itself."""
+"""Start of the names of a release's rows, and suffix of its point's name for a separate verdict."""
 
 
 class Rows(Protocol):
-    """What one release, or another test, says of the model, linear in what was assumed: m rows, n parameters."""
+    """Rows of one release or of another test, linear in the assumed values: m rows, n parameters."""
 
     @property
     def point(self) -> str:
-        """The point's name, or the test's."""
+        """Name of the point or of the test."""
         ...
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """Names of the rows, each beginning with RELEASE where it is one."""
+        """Names of the rows; those of a release begin with RELEASE."""
         ...
 
     @property
@@ -55,7 +55,7 @@ class Rows(Protocol):
 
     @property
     def own(self) -> Array:
-        """Covariance of what only this release has, shape (m, m)."""
+        """Covariance of the errors that only this release has, shape (m, m)."""
         ...
 
     @property
@@ -65,43 +65,43 @@ class Rows(Protocol):
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of these."""
+        """Names of these parameters."""
         ...
 
     @property
     def by_number(self) -> Mapping[str, Array]:
-        """Number of the rig file → derivative of the values by it, the parameters as they are, shape (m,)."""
+        """Number of the rig file → derivative of the values by it at fixed parameters, shape (m,)."""
         ...
 
     @property
     def shared(self) -> Mapping[str, Array]:
-        """Label → shift of the values for one standard deviation of an error that other rows share, shape (m,)."""
+        """Label → shift of the values per standard deviation of an error shared with other rows, shape (m,)."""
         ...
 
     @property
     def by_slow_roll(self) -> Mapping[str, Array]:
-        """Of SLOW_ROLL → change of the values per metre of it beyond what was taken, shape (m,)."""
+        """Name of SLOW_ROLL → change of the values per metre of it beyond the assumed value, shape (m,)."""
         ...
 
     @property
     def used_for(self) -> tuple[str, ...]:
-        """Parameters that this very release has helped to identify."""
+        """Parameters that were identified with this release."""
         ...
 
     @property
     def remark(self) -> str:
-        """What it shows that no test has found, a sentence; empty for nothing."""
+        """A sentence about an effect that no test has identified; empty without one."""
         ...
 
     @property
     def reading(self) -> Reading:
-        """What an undecided torque with the square of the speed was taken for."""
+        """Interpretation of an undecided torque with the square of the speed."""
         ...
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One point's measurement with the prediction for its speed."""
+    """Measurement of one point with the prediction for its speed."""
 
     name: str
     measured: SteadyMeasurement
@@ -114,18 +114,18 @@ class Differences:
 
     Attributes:
         rows: point and quantity of each row, m of them.
-        values: measured − predicted, rad and m, of a release in its own unit, shape (m,).
-        own: covariance of what only one row or one point has: statistics, rounding, what was still to come, the speed;
+        values: measured − predicted, rad and m, rows of a release in their own unit, shape (m,).
+        own: covariance of errors that only one row or one point has: statistics, rounding, remaining approach, speed;
             shape (m, m).
         by_parameter: derivatives of the differences by the identified parameters, shape (m, n).
         parameters: names of these, n of them.
-        parameter_covariance: their own covariance, without the shared errors, shape (n, n).
-        uncertain: by_parameter with 0 where a release has helped to identify the parameter, shape (m, n). Such a
-            parameter's error is made of the release's own: adding both would count the same noise twice, while it
-            takes from the difference. Without it the covariance is still too large rather than too small.
-        by_number: number of the rig file → derivative of the differences by it, the parameters as they are, shape (m,).
-        shared: label → shift of the differences for one standard deviation of an error that rows share, shape (m,).
-        by_slow_roll: name of SLOW_ROLL → change of the differences per metre of it beyond what was taken, shape (m,).
+        parameter_covariance: covariance of these without the shared errors, shape (n, n).
+        uncertain: by_parameter with 0 where a parameter was identified with the row's release, shape (m, n). The
+            error of such a parameter consists of the release's own noise. Adding both would count this noise twice,
+            although it reduces the difference. The covariance without it is still too large rather than too small.
+        by_number: number of the rig file → derivative of the differences by it at fixed parameters, shape (m,).
+        shared: label → shift of the differences per standard deviation of an error that rows share, shape (m,).
+        by_slow_roll: name of SLOW_ROLL → change of the differences per metre of it beyond the value used, shape (m,).
     """
 
     rows: tuple[tuple[str, str], ...]
@@ -141,7 +141,7 @@ class Differences:
 
     @cached_property
     def covariance(self) -> Array:
-        """Of the differences, shape (m, m)."""
+        """Covariance of the differences, shape (m, m)."""
         total = self.own + self.uncertain @ self.parameter_covariance @ self.uncertain.T
         for shift in self.shared.values():
             total = total + np.outer(shift, shift)
@@ -149,20 +149,20 @@ class Differences:
 
     @cached_property
     def whitener(self) -> Array:
-        """W with WᵀW the inverse of the covariance, shape (m, m)."""
+        """Matrix W with WᵀW the inverse of the covariance, shape (m, m)."""
         std = np.sqrt(np.diag(self.covariance))
         sizes, turn = np.linalg.eigh(self.covariance / np.outer(std, std))
-        return (turn / np.sqrt(np.maximum(sizes, _LEAST))).T / std
+        return (turn / np.sqrt(np.maximum(sizes, _MIN_EIGENVALUE))).T / std
 
     @property
     def chi2(self) -> float:
-        """Σ of squares in standard deviations, correlations taken into account; as many degrees as rows."""
+        """Sum of squares in standard deviations with correlations; the degrees of freedom are the number of rows."""
         white = self.whitener @ self.values
         return float(white @ white)
 
     @property
     def groups(self) -> dict[str, list[int]]:
-        """Rows that are judged by themselves: "A" of a point's steady state, "A release" of what led to it."""
+        """Rows with a verdict of their own: "A" of a point's steady state, "A release" of the motion before it."""
         found: dict[str, list[int]] = {}
         for i, (point, row) in enumerate(self.rows):
             name = f"{point} {RELEASE}" if row.startswith(RELEASE) else point
@@ -170,10 +170,10 @@ class Differences:
         return found
 
     def of(self, at: Sequence[int]) -> Differences:
-        """Some rows alone.
+        """Return some of the rows.
 
         Args:
-            at: their places.
+            at: indices of the rows.
         """
         at = list(at)
         return Differences(
@@ -197,15 +197,15 @@ def differences(
     releases: Sequence[Rows] = (),
     changed: Mapping[str, float] | None = None,
 ) -> Differences:
-    """The rows of all points.
+    """Return the rows of all points.
 
     Args:
-        compared: points whose state is the predicted one.
-        rig: gains' and zeros' uncertainties.
-        identified: what the predictions were made with.
-        releases: what happened right after releases.
-        changed: parameter, number of the rig file or component of SLOW_ROLL → how far it is above what the releases
-            were held against.
+        compared: points whose measured state is the predicted one.
+        rig: rig file with the uncertainties of gains and zeros.
+        identified: parameters behind the predictions.
+        releases: rows of the motions right after releases.
+        changed: parameter, number of the rig file or component of SLOW_ROLL → its value minus the value behind the
+            releases' rows.
     """
     names = tuple(identified.values)
     parts = [(each.name, _Part.of(each, rig)) for each in compared]
@@ -245,7 +245,7 @@ def _joined(named: Sequence[tuple[str, _Part]], rig: Rig, identified: Identified
 
 @dataclass(frozen=True)
 class _Part:
-    """One point's rows, of its steady state or of its release."""
+    """Rows of one point's steady state or of its release."""
 
     rows: tuple[str, ...]
     values: Array
@@ -259,7 +259,7 @@ class _Part:
 
     @classmethod
     def of_release(cls, release: Rows, parameters: Sequence[str], changed: Mapping[str, float]) -> _Part:
-        """A release's, as they are where what is assumed has changed."""
+        """Return a release's rows, shifted to the changed values."""
         by = dict(zip(release.parameters, release.by_parameter.T, strict=True))
         values = release.values.copy()
         for name, change in changed.items():
@@ -302,7 +302,7 @@ class _Part:
                 by_slow_roll=by_slow_roll(measured, predicted),
             )
         pick = np.zeros((6, 5))
-        pick[0, 0] = pick[1, 1] = 1.0  # amplitudes beside zero depend on nothing but noise
+        pick[0, 0] = pick[1, 1] = 1.0  # amplitudes near zero depend on noise only
         x, y = measured.x_m, measured.y_m
         values = pick @ off + np.array([0.0, 0.0, x.real, x.imag, y.real, y.imag])
         own = measured.to_come.covariance + pick @ predicted.own @ pick.T
@@ -319,23 +319,23 @@ class _Part:
 
 
 def held_variance(predicted: Prediction) -> Array:
-    """Variance of the real or the imaginary part of x and y in sensor axes where dry friction leaves a vibration, m².
+    """Return the variance of the real or imaginary part of x and y where dry friction leaves a vibration, m².
 
-    Which axis it is on does not matter where the whirl is turned by the small angle between springs and sensors.
+    The variance is that of either axis: the small angle between springs and sensors has no influence on it.
     """
     return np.zeros(2) if predicted.held is None else predicted.held.whirl_variance_m2
 
 
 def measured_values(measured: SteadyMeasurement) -> Array:
-    """θ3, θ4, amplitudes of x and y and the rms radius, in the order of QUANTITIES, shape (5,), rad and m."""
+    """Return θ3, θ4, amplitudes of x and y and the rms radius, in the order of QUANTITIES, shape (5,), rad and m."""
     m = measured
     return np.array([v.value for v in (*m.theta_rad, m.amplitude_x_m, m.amplitude_y_m, m.amplitude_m)])
 
 
 def measured_shifts(measured: SteadyMeasurement, rig: Rig) -> dict[str, Array]:
-    """How the measured values go with errors that other quantities share: label → shift, shape (5,).
+    """Return label → shift of the measured values per standard deviation of a shared error, shape (5,).
 
-    The order is that of analysis.prediction.QUANTITIES; one standard deviation of each error.
+    The order is that of analysis.prediction.QUANTITIES.
     """
     gain_x, gain_y = rig.roles.gain_stds
     zero = math.radians(rig.roles.zero_std_deg)
@@ -344,6 +344,6 @@ def measured_shifts(measured: SteadyMeasurement, rig: Rig) -> dict[str, Array]:
     return {
         gain_label("x"): gain_x * np.array([0.0, 0.0, x, 0.0, share * x * x]),
         gain_label("y"): gain_y * np.array([0.0, 0.0, 0.0, y, share * y * y]),
-        known_label(ZERO_A): -zero * np.eye(5)[0],  # a larger zero is a smaller angle
+        known_label(ZERO_A): -zero * np.eye(5)[0],  # a larger zero yields a smaller angle
         known_label(ZERO_B): -zero * np.eye(5)[1],
     }

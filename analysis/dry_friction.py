@@ -1,10 +1,10 @@
 # pyright: strict
-"""Dry friction of the pendulums as an identification has found it, and what it leaves open of a steady state.
+"""Dry friction of the pendulums as identified, and the uncertainty of a steady state that results from it.
 
-With friction a pendulum rests anywhere in a band about its frictionless angle. A prediction states the frictionless
-angle; the band is a standard uncertainty of type B of its own, evenly spread over its edge, new at each point: nothing
-is common to where two points come to rest. Pendulums that wobble too much to be held are moved by the friction's mean
-torque instead, which the prediction follows. Source: docs/theory/validation.md.
+With friction a pendulum rests anywhere in a band about its frictionless angle. The prediction is the frictionless
+angle. The band is a type B uncertainty of its own with an even distribution, independent at each point, because the
+resting places of two points have nothing in common. Pendulums that oscillate too strongly to be held are shifted by the
+mean torque of the friction; the prediction contains this shift. Source: docs/theory/validation.md.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from rig_configs.known import KEPT_FRICTION
 Array = NDArray[np.float64]
 
 FIRST_ORDER = 0.1
-"""Relative standard uncertainty of a shift that is worked out to first order in the friction."""
+"""Relative standard uncertainty of a shift that is calculated to first order in the friction."""
 
 
 @dataclass(frozen=True)
 class DryFriction:
-    """Torque M + F ω² against a pendulum's motion.
+    """Torque M + F ω² against the motion of a pendulum.
 
     Attributes:
         values: M_A, M_B (N m), F_A, F_B (kg m²), shape (4,).
@@ -44,7 +44,7 @@ class DryFriction:
 
     @classmethod
     def of(cls, identified: IdentifiedParameters) -> DryFriction | None:
-        """What parameters.toml keeps of it; None where no test has shown any."""
+        """Return the friction stored in parameters.toml; None if no test identified any."""
         kept: Mapping[str, Any] | None = spread_between(identified.provenance).get("friction")
         if kept:
             values = np.array([float(kept["values"][n]) for n in KEPT_FRICTION])
@@ -60,23 +60,23 @@ class DryFriction:
         )
 
     def torque_at(self, speed_rad_s: float) -> tuple[Array, Array]:
-        """M + F ω² of A and B and its standard uncertainty, N m, shape (2,) each."""
+        """Return M + F ω² of A and B and its standard uncertainty, N m, shape (2,) each."""
         design = np.hstack([np.eye(2), speed_rad_s**2 * np.eye(2)])
         return design @ self.values, np.sqrt(np.diag(design @ self.covariance @ design.T))
 
     def band(self, physics: RotorParameters, speed_rad_s: float, theta_rad: tuple[float, float]) -> HeldBand:
-        """Where the pendulums may rest; a torque's own uncertainty is in its root mean square."""
+        """Return the band in which the pendulums may rest; the torque's uncertainty is added as root mean square."""
         value, std = self.torque_at(speed_rad_s)
         return held_band(physics, speed_rad_s, theta_rad, np.hypot(np.maximum(value, 0.0), std))
 
     def shift(
         self, physics: RotorParameters, speed_rad_s: float, start: Array, motion: Motion
     ) -> tuple[NDArray[np.complex128], float]:
-        """How a wobbling state moves: mean θ3, θ4, order-1 amplitudes of x and y; and its relative uncertainty.
+        """Return the shift of an oscillating state: mean θ3, θ4, order-1 x and y; and its relative uncertainty.
 
         Args:
-            start: of the frictionless state at ψ = 0, shape (8,).
-            motion: integrates.
+            start: state of the frictionless motion at ψ = 0, shape (8,).
+            motion: function that integrates the motion.
         """
         value, std = self.torque_at(speed_rad_s)
         torque = np.maximum(value, 0.0)
@@ -86,14 +86,14 @@ class DryFriction:
 
 @dataclass(frozen=True)
 class LeftOpen:
-    """What dry friction leaves open of a prediction: θ3, θ4, order-1 amplitudes in sensor axes, rms radius.
+    """Contribution of dry friction to a prediction: θ3, θ4, order-1 amplitudes in sensor axes, rms radius.
 
     Attributes:
-        held: where it may hold the pendulums about the state's angles; None where no friction is known.
-        shift: how far it moves the values, shape (5,).
-        slopes: derivatives of the values by what is not known of it, shape (5, k): by both angles at which it holds
-            the pendulums (rad), by the relative error of the shift, or by nothing.
-        covariance: of that, shape (k, k).
+        held: band about the state's angles in which friction may hold the pendulums; None if no friction is known.
+        shift: shift of the values, shape (5,).
+        slopes: derivatives of the values by the uncertain inputs, shape (5, k): both resting angles of held pendulums
+            (rad), or the relative error of the shift, or no input.
+        covariance: covariance of these inputs, shape (k, k).
     """
 
     held: HeldBand | None = None
@@ -108,7 +108,7 @@ class LeftOpen:
 
 
 Sensors = tuple[float, tuple[complex, complex]]
-"""Angle from the stiffness to the sensor x axis, rad, and what run-out adds to the complex amplitudes of x and y, m."""
+"""Angle from the stiffness to the sensor x axis, rad, and run-out in the complex amplitudes of x and y, m."""
 
 
 def left_open(
@@ -119,12 +119,12 @@ def left_open(
     motion: Motion,
     sensors: Sensors,
 ) -> LeftOpen:
-    """What dry friction leaves open of a steady state.
+    """Return the contribution of dry friction to a steady state.
 
     Args:
-        friction: None where none is known.
-        state: the frictionless one.
-        motion: integrates.
+        friction: identified friction; None if none is known.
+        state: frictionless steady state.
+        motion: function that integrates the motion.
     """
     if friction is None:
         return LeftOpen()
@@ -138,16 +138,16 @@ def left_open(
 
 
 def _turn(beta_rad: float) -> Array:
-    """Stiffness axes to sensor axes."""
+    """Return the rotation from stiffness axes to sensor axes."""
     return np.array([[math.cos(beta_rad), math.sin(beta_rad)], [-math.sin(beta_rad), math.cos(beta_rad)]])
 
 
 def seen_shift(shift: NDArray[np.complex128], orbit: NDArray[np.complex128], sensors: Sensors) -> Array:
-    """A shift of mean angles and orbit as that of θ3, θ4, amplitudes in sensor axes and rms radius, shape (5,).
+    """Convert a shift of mean angles and orbit into θ3, θ4, amplitudes in sensor axes and rms radius, shape (5,).
 
     Args:
-        shift: θ3, θ4 (rad), X and Y in stiffness axes (m), shape (4,).
-        orbit: X, Y about which it holds, m.
+        shift: shift of θ3, θ4 (rad), X and Y in stiffness axes (m), shape (4,).
+        orbit: X, Y before the shift, m.
     """
     turn, run_out = _turn(sensors[0]), np.array(sensors[1])
     before, after = np.abs(turn @ orbit + run_out), np.abs(turn @ (orbit + shift[2:]) + run_out)
@@ -156,10 +156,10 @@ def seen_shift(shift: NDArray[np.complex128], orbit: NDArray[np.complex128], sen
 
 
 def seen_slopes(band: HeldBand, orbit: NDArray[np.complex128], sensors: Sensors) -> Array:
-    """Derivatives of θ3, θ4, order-1 amplitudes in sensor axes and rms radius by resting angles, shape (5, 2).
+    """Return the derivatives of θ3, θ4, amplitudes in sensor axes and rms radius by the resting angles, shape (5, 2).
 
     Args:
-        orbit: X, Y in stiffness axes about which they hold, m; an amplitude that is 0 has none.
+        orbit: X, Y of the frictionless state in stiffness axes, m. The derivative of an amplitude of 0 is set to 0.
     """
     turn = _turn(sensors[0])
     seen, by = turn @ orbit + np.array(sensors[1]), turn @ band.orbit_slopes

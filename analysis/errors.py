@@ -1,33 +1,33 @@
-"""What can go wrong in the analysis, as one tree.
+"""Errors of the analysis as one tree.
 
 AnalysisError
-├── NotEnoughData     a run is too short, or too much of it is missing, to say anything
-├── BadFigureName     a figure is to be written in a format not on offer (also a ValueError)
-├── NoMapFile         a file cannot hold a map, or holds none (also a ValueError)
-├── TakenName         a report would be written over a file that is no report's
+├── NotEnoughData     a run is too short, or too much of it is missing, for a result
+├── BadFigureName     the file name of a figure has an unsupported suffix (also a ValueError)
+├── NoMapFile         a file name cannot hold a map, or a file contains none (also a ValueError)
+├── TakenName         a report would overwrite a file that is not a report
 └── NoStableState     the model has no stable steady state at the speed, or the search for one failed
 """
 
 
 class AnalysisError(Exception):
-    """Root of everything the analysis raises on purpose."""
+    """Root of the errors that the analysis raises deliberately."""
 
 
 class NotEnoughData(AnalysisError):
-    """A run is too short, or too much of it is missing; the text says what, and how much is needed."""
+    """A run is too short, or too much of it is missing; the text contains what is missing and how much is needed."""
 
 
 class BadFigureName(AnalysisError, ValueError):
-    """A figure's file name ends in none of the formats on offer; the text lists them."""
+    """The file name of a figure has an unsupported suffix; the text lists the supported ones."""
 
 
 class NoMapFile(AnalysisError, ValueError):
-    """A map is to be written under a name that cannot hold one, or read from what holds none; the text says why."""
+    """A file name cannot hold a map, or a file to be read contains none; the text contains the reason."""
 
 
 class NoStableState(AnalysisError):
-    """The model has no stable steady state at the speed, or the search failed; the text says which."""
+    """The model has no stable steady state at the speed, or the search failed; the text contains which of the two."""
 
 
 class TakenName(AnalysisError):
-    """A report, or its numbers, would be written over a file of somebody else's."""
+    """A report or its numbers would overwrite a file that is not an earlier report or its numbers."""

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Scatter of start-ups over the dry friction that is assumed: what friction a rig may have to stay consistent.
+"""Scatter of start-ups over the assumed dry friction: the friction that is consistent with a measured scatter.
 
 Source: docs/theory/start_ups.md.
 """
@@ -23,15 +23,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FrictionSweep:
-    """Start-ups from the same places at several friction arms.
+    """Start-ups from the same initial angles at several friction arms.
 
     Attributes:
-        arm_m: friction arm of both, ascending, shape (k,).
-        scatter: at each.
-        half_width_rad: how far from the balance friction holds one, to first order, shape (k,).
-        held: largest share of the friction that any end needs, shape (k,): at most 1 where all have come to rest.
+        arm_m: friction arm of both pendulums, ascending, shape (k,).
+        scatter: scatter at each arm.
+        half_width_rad: distance from balance at which friction holds a pendulum, to first order, shape (k,).
+        held: largest share of the friction that a final state needs, shape (k,); at most 1 if all have come to rest.
         still: share of the start-ups that have come to rest, shape (k,).
-        followed: share whose path is known, shape (k,); see StartUpEnds.
+        followed: share of the start-ups with a reliable path, shape (k,); see StartUpEnds.
     """
 
     arm_m: Array
@@ -43,18 +43,18 @@ class FrictionSweep:
 
     @property
     def scatter_rad(self) -> Array:
-        """Standard deviation of a place between start-ups, shape (k,)."""
+        """Standard deviation of the final angles between start-ups, shape (k,)."""
         return np.array([each.scatter_rad for each in self.scatter])
 
     @property
     def amplitude_m(self) -> Array:
-        """Mean amplitude that is left, shape (k,)."""
+        """Mean remaining amplitude, shape (k,)."""
         return np.array([float(np.mean(each.amplitude_m)) for each in self.scatter])
 
     def arm_at(self, scatter_rad: float) -> float:
-        """Least arm from which the scatter is at least so large at every arm above it, m; nan where it never is.
+        """Return the least arm above which every scatter is at least `scatter_rad`, m; NaN if it does not exist.
 
-        Between arms both are taken to go with each other's powers.
+        Arm and scatter are interpolated on logarithmic scales.
         """
         over = self.scatter_rad >= scatter_rad
         if not over[-1]:
@@ -69,13 +69,13 @@ class FrictionSweep:
 
 
 def balance_of(p: RotorParameters) -> float | None:
-    """Angle of two alike pendulums from the far side of the imbalance where they balance it, rad; None: they cannot."""
+    """Return the angle of two equal pendulums from the side opposite the imbalance at balance, rad; None if none."""
     angles = balanced_angles(p)
     return abs(math.remainder(angles[0][0] - math.pi, 2 * math.pi)) if angles else None
 
 
 def with_arm(p: RotorParameters, arm_m: float) -> RotorParameters:
-    """The rig with another friction arm of both pendulums."""
+    """Return the rig with another friction arm of both pendulums."""
     return replace(p, a=replace(p.a, friction_arm_m=arm_m), b=replace(p.b, friction_arm_m=arm_m))
 
 
@@ -88,14 +88,14 @@ def scatter_over_friction(
     settle_s: float = 30.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> FrictionSweep:
-    """Start-ups from rest at each of several friction arms.
+    """Simulate start-ups from rest at each of several friction arms.
 
     Args:
-        p: the rig; its own friction does not count.
-        arm_m: ascending, m.
-        speed, ramp_s, settle_s: as of `start_ups_from_rest`.
-        start_rad: places at rest, the same at each arm, shape (n, 2).
-        progress: called with (start-ups done, all).
+        p: parameters of the rig; its friction arms are replaced.
+        arm_m: friction arms, ascending, m.
+        speed, ramp_s, settle_s: as in `start_ups_from_rest`.
+        start_rad: initial angles at rest, the same at each arm, shape (n, 2).
+        progress: called with (completed start-ups, all start-ups).
     Raises:
         OutsideDomain: see start_ups_from_rest.
         NotEnoughData: fewer than two start-ups.

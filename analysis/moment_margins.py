@@ -1,5 +1,5 @@
 # pyright: strict
-"""How well a rig's first mass moments are known, and with them the distance to the borders of its balancing region."""
+"""Standard uncertainties of a rig's first mass moments and of its distance to the borders of its balancing region."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dynamics.equations.balancing import IMPROPERLY_OVERSIZED, BalancingMargins, balancing_margins
 from rig_configs import IdentifiedParameters, Rig
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -18,9 +21,9 @@ class MomentMargins:
 
     Attributes:
         moments_kg_m: S_A, S_B, S_P.
-        std_kg_m: their standard uncertainties; 0 where the files have none.
-        margins: region, and by how much S_P may grow or shrink.
-        grow_std_kg_m, shrink_std_kg_m: standard uncertainties of these distances, what the moments share included.
+        std_kg_m: their standard uncertainties; 0 if the files contain none.
+        margins: balancing region, and increase and decrease of S_P to its borders.
+        grow_std_kg_m, shrink_std_kg_m: standard uncertainties of these distances, correlations of the moments included.
     """
 
     moments_kg_m: tuple[float, float, float]
@@ -31,14 +34,14 @@ class MomentMargins:
 
 
 def moment_margins(rig: Rig, known: IdentifiedParameters) -> MomentMargins:
-    """Region and margins of a rig's imbalance.
+    """Return region and margins of a rig's imbalance.
 
-    S_A and S_B have the rig file's uncertainties of masses and lengths, with an instrument's share in all that it
-    measured; S_P has the identification's where the parameters hold it, else the rig file's.
+    S_A and S_B have the rig file's uncertainties of masses and lengths, with the error that measurements by the same
+    instrument share. S_P has the uncertainty of the identification if the parameters contain S_P, else the rig file's.
 
     Args:
-        rig: with the parameters laid over it.
-        known: identified parameters; empty without.
+        rig: rig file with the parameters applied.
+        known: identified parameters; empty without any.
     """
     p = rig.physics
     moments = (p.a.first_moment_kg_m, p.b.first_moment_kg_m, p.imbalance_moment_kg_m)
@@ -66,8 +69,8 @@ def _sources(rig: Rig) -> list[dict[str, float]]:
     return [dict(source.effects) for source in rig.known.sources]
 
 
-def _change(rig: Rig, effects: dict[str, float], found: bool) -> np.ndarray:
-    """What one standard deviation of a source does to S_A, S_B and, unless it was found, S_P, kg m."""
+def _change(rig: Rig, effects: dict[str, float], found: bool) -> Array:
+    """Return the change of S_A, S_B and S_P per standard deviation of a source, kg m; 0 for an identified S_P."""
     p = rig.physics
     pendulums = [
         q.length_m * effects.get(f"pendulums.{name}.mass_kg", 0.0)
@@ -79,7 +82,7 @@ def _change(rig: Rig, effects: dict[str, float], found: bool) -> np.ndarray:
 
 
 def probability_of_region(margin_kg_m: float | None, std_kg_m: float) -> float:
-    """Probability that a border is not passed, from the normal law; 1 without a border or without uncertainty."""
+    """Return the normal probability that a border is not crossed; 1 without a border or without uncertainty."""
     if margin_kg_m is None or std_kg_m == 0:
         return 1.0
     return 0.5 * math.erfc(-margin_kg_m / std_kg_m / math.sqrt(2))

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The smallest deviation of each cause that a point alone would notice: "D would see 0.4 % of k2"."""
+"""Smallest deviation of each cause that a single point would detect: "D would see 0.4 % of k2"."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from analysis.causes import Cause
 from analysis.differences import Differences
 
 AT = 3.0
-"""Standard deviations at which a deviation counts as noticed."""
+"""Standard deviations at which a deviation counts as detected."""
 
 
 @dataclass(frozen=True)
 class Noticed:
-    """One cause.
+    """Detectable sizes of one cause.
 
     Attributes:
-        cause: what would be off.
-        sizes: point → the smallest size that it alone would notice, in the cause's unit; inf where it shows none.
-        together: the smallest size that all points together would notice.
+        cause: the cause.
+        sizes: point → smallest size that it alone would detect, in the cause's unit; inf if the point is insensitive.
+        together: smallest size that all points together would detect.
     """
 
     cause: Cause
@@ -38,12 +38,12 @@ class Noticed:
 
     @property
     def sentence(self) -> str:
-        """In words."""
+        """Sentence about the most sensitive point."""
         size = self.sizes[self.point] * self.cause.factor
         return f"{self.point} would see {size:.2g} {self.cause.unit} of {self.cause.words}"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values; sizes in the unit that is given with them, None where a point shows none."""
+        """Return plain values; sizes in the unit given with them, None if a point is insensitive."""
         sizes = {n: v * self.cause.factor if math.isfinite(v) else None for n, v in self.sizes.items()}
         together = self.together * self.cause.factor
         return {
@@ -56,11 +56,11 @@ class Noticed:
 
 
 def noticed(differences: Differences, causes: Sequence[Cause]) -> tuple[Noticed, ...]:
-    """What each point alone, and all together, would notice of each cause.
+    """Return the sizes of each cause that each point alone and all points together would detect.
 
     Args:
-        differences: of all points.
-        causes: with directions over the same rows.
+        differences: differences of all points.
+        causes: causes with directions over the same rows.
     """
     at = differences.groups
     names = tuple(at)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What all points say together: agreement, the smallest deviations they would notice, and why they fail."""
+"""Result of all points together: agreement, smallest detectable deviations, and explanations of a failure."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from rig_configs.slow_roll import SlowRoll
 
 @dataclass(frozen=True)
 class Overall:
-    """All points together.
+    """Result of all points together.
 
     Attributes:
-        agreement: with the model.
-        explanations: what would explain the differences; None where they agree.
-        noticed: the smallest deviation of each cause that the points would notice.
+        agreement: agreement with the model.
+        explanations: explanations of the differences; None if the points agree with the model.
+        noticed: smallest detectable deviation of each cause.
     """
 
     agreement: Agreement
@@ -40,7 +40,7 @@ class Overall:
     _case: _Case
 
     def explain(self) -> Explanations:
-        """What would explain the differences, whether or not they are significant together."""
+        """Return the explanations of the differences, significant or not."""
         return self._case.explained()
 
 
@@ -51,12 +51,12 @@ def overall(
     axis_angle_deg: tuple[float, float] | None = None,
     releases: Sequence[Rows] = (),
 ) -> Overall | None:
-    """What all points say together; None without any.
+    """Evaluate all points together; None without points and releases.
 
     Args:
         compared: points whose measured state is the predicted one.
-        rig, identified, axis_angle_deg: what the predictions were made with.
-        releases: what happened right after releases, held against the same.
+        rig, identified, axis_angle_deg: inputs of the predictions.
+        releases: rows of the motions right after releases, with the same inputs.
     """
     releases = tuple(each for each in releases if each.rows)
     if not compared and not releases:
@@ -71,7 +71,7 @@ def overall(
 
 
 def _as_kept(torques: Mapping[str, float]) -> dict[str, Any]:
-    """Friction or drag that is tried, by its key as an identification keeps what it has found."""
+    """Return a trial friction or drag by its key in the provenance of an identification."""
     if not set(torques).isdisjoint(DRAG):
         return Drag(np.array([max(0.0, torques.get(name, 0.0)) for name in DRAG]), np.zeros((2, 2))).table
     values = [max(0.0, torques.get(name, 0.0)) for name in (*FRICTION, *CONTACT_FRICTION)]
@@ -81,7 +81,7 @@ def _as_kept(torques: Mapping[str, float]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Case:
-    """What a validation rests on, so that a cause can be tried."""
+    """Inputs of a validation, with which a cause can be tried."""
 
     compared: tuple[Compared, ...]
     rig: Rig
@@ -94,9 +94,9 @@ class _Case:
         return explanations(self.differences, self.causes, self.again, self.turned)
 
     def again(self, name: str, value: float) -> Differences | None:
-        """The differences with a parameter or a number of the rig file at another value.
+        """Return the differences with a parameter or a number of the rig file at another value.
 
-        What was identified with a number goes along with it.
+        Values identified with such a number change with it.
         """
         rig, values, changed = self.rig, dict(self.identified.values), dict[str, float]()
         try:
@@ -122,7 +122,7 @@ class _Case:
             return None
 
     def turned(self, kind: str, value_m: complex) -> Differences | None:
-        """The differences with more run-out or bow; kind: "run-out" or "bow", as SLOW_ROLL begins."""
+        """Return the differences with more run-out or bow; kind: "run-out" or "bow", the start in SLOW_ROLL."""
         roll = self.identified.slow_roll or SlowRoll(0j, 0j, 0j, np.zeros((6, 6)))
         if kind == "run-out":
             roll = replace(roll, run_out_x_m=roll.run_out_x_m + value_m, run_out_y_m=roll.run_out_y_m + value_m)

@@ -1,10 +1,10 @@
-"""The model's steady state at a measured speed, with the identified parameters' covariance carried through.
+"""Stable steady state of the model at a measured speed, with the covariance of the identified parameters.
 
-A steady state y is a fixed point of the half-revolution map, y = H(y, p). Differentiating gives
-dy/dp = (1 − ∂H/∂y)⁻¹ ∂H/∂p, so one converged state and a few integrations over half a revolution replace a new
-search per parameter. What is compared (angles, order-1 amplitudes in sensor axes, rms radius) is then a function of
-y and p, differentiated along that direction. Besides the identified parameters p holds the rig file's masses and
-lengths: an error in one of them moves what was identified and the prediction together, and counts once.
+A steady state y is a fixed point of the half-revolution map, y = H(y, p). Differentiation yields
+dy/dp = (1 − ∂H/∂y)⁻¹ ∂H/∂p. One converged state and a few integrations over half a revolution therefore replace a new
+search per parameter. The compared quantities (angles, order-1 amplitudes in sensor axes, rms radius) are functions of y
+and p and are differentiated along that direction. Besides the identified parameters p contains the masses and lengths
+of the rig file: an error in one of them changes identified values and prediction together, and counts once.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ AXIS_ANGLE = "axis angle"
 _SPEED = "speed"
 BOW = ("bow_x_m", "bow_y_m")
 _BOW_STEP_M = 1e-7
-_AT_REST_M = 1e-9  # an orbit below is none
+_AT_REST_M = 1e-9  # orbit size below which the disk is at rest
 QUANTITIES = ("theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude")
 _TURN = np.array([-1.0, -1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 _SCALE = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])  # difference steps of the state
@@ -46,32 +46,32 @@ _SCALE = np.array([1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-3, 1e-3])  # differenc
 
 @dataclass(frozen=True)
 class Prediction:
-    """One stable steady state in the terms of the sensors.
+    """One stable steady state as the sensors measure it.
 
     Attributes:
-        state: the model's steady state (stiffness axes).
-        speed_rad_s: the speed it holds for.
+        state: steady state of the model (stiffness axes).
+        speed_rad_s: speed of the state.
         values: θ3, θ4 (rad, [0, 2π)), order-1 amplitudes of x and y in sensor axes (m), rms radius (m); order of
             QUANTITIES.
-        covariance: of `values`, from parameters, known numbers, axis angle and speed, shape (5, 5).
+        covariance: covariance of `values` from parameters, known numbers, axis angle and speed, shape (5, 5).
         by_parameter: derivatives of `values` by the identified parameters, in their order, shape (5, n).
-        by_number: number of the rig file → derivative of `values` by it with the parameters as they are, shape (5,).
-        own: the part of `covariance` that no other point shares: the speed's, shape (5, 5).
-        shared: label → shift of `values`, shape (5,), for one standard deviation of an error that other quantities
-            share: "gain x", "known rotor.mass_kg", "axis angle".
+        by_number: number of the rig file → derivative of `values` by it at fixed parameters, shape (5,).
+        own: part of `covariance` that no other point shares: speed and friction, shape (5, 5).
+        shared: label → shift of `values`, shape (5,), per standard deviation of an error shared with other quantities:
+            "gain x", "known rotor.mass_kg", "axis angle".
         numerical: estimated error of the integration in `values`, shape (5,).
         by_bow: derivatives of `values` by real and imaginary part of a bow, shape (5, 2), and those of the real and
             imaginary parts of the complex order-1 amplitudes of x and y, shape (4, 2).
-        orbit: complex order-1 amplitudes that x and y show, x = Re(x e^{iψ}), y the same; run-out included.
+        orbit: complex order-1 amplitudes of x and y with run-out, x = Re(x e^{iψ}), y alike.
         by_run_out_and_bow: derivatives of `values` by run-out and bow, in the order of SlowRoll.values, shape (5, 6).
-        friction: what dry friction leaves open, part of `own`.
-        by_term: term of the suspension that is found or likely → derivative of `values` by it, shape (5,).
+        friction: contribution of dry friction, part of `own`.
+        by_term: identified or likely term of the suspension → derivative of `values` by it, shape (5,).
     """
 
     state: SteadyState
     speed_rad_s: float
-    values: np.ndarray
-    covariance: np.ndarray
+    values: Array
+    covariance: Array
     by_parameter: Array
     by_number: Mapping[str, Array]
     own: Array
@@ -85,16 +85,16 @@ class Prediction:
 
     @property
     def held(self) -> HeldBand | None:
-        """Where dry friction may hold the pendulums about the state's angles; None where none is known of."""
+        """Band about the state's angles in which dry friction may hold the pendulums; None without known friction."""
         return self.friction.held
 
     @property
     def at_rest(self) -> bool:
-        """Whether the sensors show nothing: a balanced state of a straight shaft without run-out."""
+        """Whether the sensors show no vibration: a balanced state of a straight shaft without run-out."""
         return self.state.type == "I" and abs(self.orbit[0]) + abs(self.orbit[1]) < _AT_REST_M
 
     @property
-    def std(self) -> np.ndarray:
+    def std(self) -> Array:
         """Standard deviations of `values`, shape (5,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
@@ -108,26 +108,19 @@ def predict_point(
     speed_std_rad_s: float = 0.0,
     near_rad: Sequence[float] | None = None,
 ) -> Prediction:
-    """The stable steady state at a speed, and how uncertain the identified parameters leave it.
+    """Predict the stable steady state at a speed, with its uncertainty from the identified parameters.
 
     Args:
-        rig: gives masses and lengths; its suspension, damping and S_P are replaced by the identified ones.
-        identified: values with covariance; SI.
+        rig: rig file with masses and lengths; its suspension, damping and S_P are replaced by the identified ones.
+        identified: identified values with covariance, SI.
         speed_rad_s, speed_std_rad_s: running speed and its standard uncertainty.
         axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty; None for
-            the identified one, as the sensors are mounted where no test has shown it.
-        near_rad: measured θ3, θ4; of several stable states (mirror images) the nearest is taken.
+            the identified angle, or the mounting angle of the rig file if no test identified it.
+        near_rad: measured θ3, θ4; the nearest of several stable states (mirror images) is returned.
     Raises:
-        NoStableState: no stable steady state, or the search failed.
+        NoStableState: no stable steady state exists, or the search failed.
     """
-    try:
-        physics = identified.applied_to(rig.physics)
-        states = stable_states(physics, speed_rad_s)
-    except (DynamicsError, np.linalg.LinAlgError) as error:
-        raise NoStableState(f"the search for steady states failed: {error}") from error
-    if not states:
-        raise NoStableState(f"the model has no stable steady state at {speed_rad_s * 30 / np.pi:.1f} rpm")
-    state = states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
+    physics, state = _stable_state(rig, identified, speed_rad_s, near_rad)
     beta, beta_std = (math.radians(v) for v in known_axis_angle(identified, rig, axis_angle_deg))
     run_out = shown_run_out(identified.slow_roll)
     terms = uncertain_terms(identified)
@@ -139,22 +132,11 @@ def predict_point(
     bow = np.stack([slopes.pop(name) for name in BOW], axis=-1)
     by_run_out_and_bow = np.hstack([by_shown_run_out(shown), bow[:5]])
     by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
-    friction = left_open(
-        DryFriction.of(identified),
-        physics,
-        speed_rad_s,
-        state,
-        lambda start, times: _motion(physics, speed_rad_s, start, times),
-        (beta, run_out),
-    )
+    friction = _friction(identified, physics, speed_rad_s, state, (beta, run_out))
     values = values + friction.shift
     own = np.outer(by_speed, by_speed) * speed_std_rad_s**2 + friction.of_values
     shared = {AXIS_ANGLE: by_angle * beta_std, **_shared(rig.known, identified, by_parameter, slopes)}
-    if identified.slow_roll is not None:
-        for label, error in identified.slow_roll.errors(rig.roles.gain_stds, rig.known).items():
-            shared[label] = shared.get(label, np.zeros(5)) + by_run_out_and_bow @ error
-    for label, shift in term_errors(rig, identified, by_term).items():
-        shared[label] = shared.get(label, np.zeros(5)) + shift
+    _add_roll_and_term_errors(shared, rig, identified, by_run_out_and_bow, by_term)
     covariance = own + by_parameter @ identified.own_covariance @ by_parameter.T
     covariance = covariance + np.sum([np.outer(shift, shift) for shift in shared.values()], axis=0)
     return Prediction(
@@ -175,10 +157,50 @@ def predict_point(
     )
 
 
+def _stable_state(
+    rig: Rig, identified: IdentifiedParameters, speed_rad_s: float, near_rad: Sequence[float] | None
+) -> tuple[RotorParameters, SteadyState]:
+    """Return the identified rig and its stable steady state; arguments and errors as for predict_point."""
+    try:
+        physics = identified.applied_to(rig.physics)
+        states = stable_states(physics, speed_rad_s)
+    except (DynamicsError, np.linalg.LinAlgError) as error:
+        raise NoStableState(f"the search for steady states failed: {error}") from error
+    if not states:
+        raise NoStableState(f"the model has no stable steady state at {speed_rad_s * 30 / np.pi:.1f} rpm")
+    return physics, states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
+
+
+def _friction(
+    identified: IdentifiedParameters, physics: RotorParameters, speed: float, state: SteadyState, sensors: Sensors
+) -> LeftOpen:
+    """Return the contribution of dry friction to a steady state."""
+
+    def motion(start: Start, times: Array) -> Array:
+        return _motion(physics, speed, start, times)
+
+    return left_open(DryFriction.of(identified), physics, speed, state, motion, sensors)
+
+
+def _add_roll_and_term_errors(
+    shared: dict[str, Array],
+    rig: Rig,
+    identified: IdentifiedParameters,
+    by_run_out_and_bow: Array,
+    by_term: Mapping[str, Array],
+) -> None:
+    """Add the errors of run-out, bow and suspension terms to the shifts by label, shape (5,) each."""
+    if identified.slow_roll is not None:
+        for label, error in identified.slow_roll.errors(rig.roles.gain_stds, rig.known).items():
+            shared[label] = shared.get(label, np.zeros(5)) + by_run_out_and_bow @ error
+    for label, shift in term_errors(rig, identified, by_term).items():
+        shared[label] = shared.get(label, np.zeros(5)) + shift
+
+
 def _shared(
     known: Known, identified: IdentifiedParameters, by_parameter: Array, by_number: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """Shifts for one standard deviation of each error that other quantities share, by label, shape (5,) each."""
+    """Return label → shift of the values per standard deviation of a shared error, shape (5,) each."""
     shared = {label: by_parameter @ shift for label, shift in identified.shared_with(known).items()}
     for source in known.sources:
         parts = [by_number[name] * step for name, step in source.effects.items() if name in by_number]
@@ -190,7 +212,7 @@ def _shared(
 def known_axis_angle(
     identified: IdentifiedParameters, rig: Rig, given_deg: tuple[float, float] | None = None
 ) -> tuple[float, float]:
-    """The angle and its deviation in degrees: as given, else as identified, else as mounted; nan is not given."""
+    """Return angle and standard uncertainty in degrees: as given (not NaN), else as identified, else as mounted."""
     for angle in (given_deg, identified.axis_angle_deg):
         if angle is not None and all(map(math.isfinite, angle)):
             return angle
@@ -202,7 +224,7 @@ def _distance(state: SteadyState, near: Sequence[float]) -> float:
 
 
 def _motion(physics: RotorParameters, speed: float, start: Start, times: Array, finer: float = 1.0) -> Array:
-    """States at times from a start at ψ = 0, constant speed, pendulums free; `finer` below 1 shortens the steps."""
+    """Integrate from a start at ψ = 0 at constant speed with free pendulums; `finer` below 1 shortens the steps."""
     history = SpeedHistory.constant(speed)
     step = finer * 0.03 / fastest_rate(physics, speed)
     packed = physics.packed()
@@ -210,12 +232,12 @@ def _motion(physics: RotorParameters, speed: float, start: Start, times: Array, 
 
 
 def half_turn(physics: RotorParameters, speed: float, start: Start, finer: float = 1.0) -> Array:
-    """The map H whose fixed points are the steady states."""
+    """Evaluate the map H whose fixed points are the steady states."""
     return _TURN * _motion(physics, speed, start, np.array([0.0, np.pi / speed]), finer)[-1]
 
 
 def fixed_point_inverse(physics: RotorParameters, speed: float, start: Start) -> Array:
-    """(1 − ∂H/∂y)⁻¹ at a steady state, shape (8, 8): what moves its start by so much moves the state by that."""
+    """Return (1 − ∂H/∂y)⁻¹ at a steady state, shape (8, 8): change of the state per change of the map at its start."""
     slope = np.empty((8, 8))
     for j, h in enumerate(_SCALE):
         up, down = start.copy(), start.copy()
@@ -226,12 +248,12 @@ def fixed_point_inverse(physics: RotorParameters, speed: float, start: Start) ->
 
 
 def observed(physics: RotorParameters, speed: float, start: Start, sensors: Sensors) -> Array:
-    """θ3, θ4, order-1 amplitudes in sensor axes, rms radius, with run-out; means over one revolution, shape (5,)."""
+    """Return θ3, θ4, order-1 amplitudes in sensor axes and rms radius with run-out, mean of one revolution, (5,)."""
     return _shown(physics, speed, start, sensors)[:5]
 
 
 def _shown(physics: RotorParameters, speed: float, start: Start, sensors: Sensors, finer: float = 1.0) -> Array:
-    """The same as sensors with run-out show it, and (Re, Im) of both complex order-1 amplitudes, shape (9,)."""
+    """Return the observed values and (Re, Im) of both complex order-1 amplitudes, shape (9,)."""
     n = 64
     times = np.linspace(0, 2 * np.pi / speed, n + 1)
     states = _motion(physics, speed, start, times, finer)[:-1]
@@ -243,7 +265,7 @@ def _shown(physics: RotorParameters, speed: float, start: Start, sensors: Sensor
 
 
 def _rotated(x: complex, y: complex, beta: float) -> tuple[complex, complex]:
-    """Stiffness axes to sensor axes."""
+    """Rotate from stiffness axes to sensor axes."""
     c, s = math.cos(beta), math.sin(beta)
     return x * c + y * s, -x * s + y * c
 
@@ -251,11 +273,10 @@ def _rotated(x: complex, y: complex, beta: float) -> tuple[complex, complex]:
 def _slopes(
     physics: RotorParameters, names: Sequence[str], state: SteadyState, speed: float, sensors: Sensors
 ) -> tuple[Array, dict[str, Array], Array]:
-    """What sensors show (9,), derivatives (5,) by parameters, known numbers, speed and axis angle, and its error (5,).
+    """Return the observed values (9,), their derivatives (5,) by all inputs, and their numerical error (5,).
 
-    Derivatives by a bow are those of all that is shown, shape (9,).
-
-    The error is what half the integration's step changes, the fixed point with it.
+    Inputs are parameters, known numbers, speed, axis angle and bow. Derivatives by a bow have shape (9,).
+    The error is the change of values and fixed point when the integration step is halved.
     """
     start = state.start
     inverse = fixed_point_inverse(physics, speed, start)
@@ -295,11 +316,11 @@ def _along(
     pair: Sequence[RotorParameters],
     speeds: tuple[float, float],
     sensors: tuple[Sensors, Sensors],
-    start: np.ndarray,
-    inverse: np.ndarray,
+    start: Start,
+    inverse: Array,
     h: float,
-) -> np.ndarray:
-    """Derivative of what is observed when a number moves by ±h and the steady state with it, shape (9,)."""
+) -> Array:
+    """Return the derivative of the observed values by a number, the steady state moving with it, shape (9,)."""
     up, down = (half_turn(p, w, start) for p, w in zip(pair, speeds, strict=True))
     moved = inverse @ (up - down) / 2  # of the state, for +h
     seen = [_shown(p, w, start + sign * moved, s) for p, w, s, sign in zip(pair, speeds, sensors, (1, -1), strict=True)]

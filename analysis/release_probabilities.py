@@ -1,5 +1,5 @@
 # pyright: strict
-"""How probable each end of a release is, the rig's numbers and the locks' play being what they are."""
+"""Probability of each end state of a release, from the uncertainties of the rig's numbers and the play of the locks."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ Array = NDArray[np.float64]
 
 PLAY_RAD = math.radians(0.2)
 LOCKED_RAD = (0.0, math.pi)
-_MOST_DRAWS = 200  # for one set of numbers that a rig can have
+_MAX_DRAWS_PER_RIG = 200  # draws of the covariance for one possible set of numbers
 
 
 @dataclass(frozen=True)
 class EndProbability:
-    """One end and how often it came.
+    """One end state and its frequency.
 
     Attributes:
         name: "I", "II", "III", "one", "slipping", "not settled" or "refused".
         mirror: 0, or 1 for the second of two mirror images.
-        count: draws that ended there.
+        count: draws with this end state.
         probability: share of all draws.
-        interval: Wilson's, at the level asked for.
+        interval: Wilson's interval at the requested level.
     """
 
     name: str
@@ -46,14 +46,14 @@ class EndProbability:
 
 @dataclass(frozen=True)
 class EndProbabilities:
-    """Ends by probability, most probable first.
+    """End states by probability, most probable first.
 
     Attributes:
-        ends: each mirror image of a balanced state by itself.
-        draws: how many there were.
-        level: of the intervals.
-        unsure: draws at a boundary: their own end hangs on less than the stated error.
-        releases: what became of each.
+        ends: end states; each mirror image of a balanced state is separate.
+        draws: number of draws.
+        level: confidence level of the intervals.
+        unsure: draws at a boundary, whose end state changes within the stated error.
+        releases: end of each release.
     """
 
     ends: tuple[EndProbability, ...]
@@ -64,10 +64,10 @@ class EndProbabilities:
 
 
 def wilson_interval(count: int, draws: int, level: float = 0.95) -> tuple[float, float]:
-    """Wilson's interval of a share.
+    """Return Wilson's interval of a share.
 
     Raises:
-        OutsideDomain: counts or a level that mean nothing.
+        OutsideDomain: impossible counts or level.
     Source: E. B. Wilson, J. Am. Stat. Assoc. 22 (1927) 209-212: the shares p with |count/n − p| ≤ z sqrt(p(1 − p)/n).
     """
     if not (0 <= count <= draws and draws > 0 and 0 < level < 1):
@@ -93,20 +93,20 @@ def end_probabilities(
     seed: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> EndProbabilities:
-    """Monte Carlo of releases: identified numbers by their covariance, the locks anywhere within their play.
+    """Monte Carlo of releases: identified numbers by their covariance, release angles uniform within the locks' play.
 
     Args:
-        physics: the rig with the identified values.
-        known: values with their covariance; the suspension's terms, drag and bow are taken as they are.
-        draws: how many.
-        seconds: how long each release is followed.
-        play_rad: of the locks to either side, evenly spread.
-        from_rad: where the locks hold A and B.
-        level: of the intervals.
-        progress: called with the share done.
+        physics: parameters of the rig with the identified values.
+        known: values with their covariance; the suspension's terms, drag and bow are taken as exact.
+        draws: number of draws.
+        seconds: duration of each release, s.
+        play_rad: play of the locks to either side, uniform.
+        from_rad: angles of A and B at the locks.
+        level: confidence level of the intervals.
+        progress: called with the completed share.
     Raises:
-        OutsideDomain: numbers that mean nothing.
-        AnalysisError: a covariance that leaves hardly any rig that can be.
+        OutsideDomain: impossible arguments.
+        AnalysisError: hardly any draw of the covariance is a possible rig.
     """
     if draws < 1 or not (0 <= play_rad < math.pi):
         raise OutsideDomain(f"expected at least one draw and a play from 0 to 180°, got {draws} and {play_rad!r}")
@@ -127,10 +127,10 @@ def end_probabilities(
 def drawn_rigs(
     physics: RotorParameters, known: IdentifiedParameters, draws: int, rng: np.random.Generator
 ) -> list[RotorParameters]:
-    """Rigs whose identified numbers are drawn from a normal distribution, those that no rig can have left out.
+    """Draw rigs with identified numbers of a normal distribution. Impossible sets of numbers are drawn again.
 
     Raises:
-        AnalysisError: hardly any draw is a rig.
+        AnalysisError: hardly any draw is a possible rig.
     """
     names = list(known.values)
     if not names:
@@ -141,9 +141,9 @@ def drawn_rigs(
     rigs, tried = list[RotorParameters](), 0
     while len(rigs) < draws:
         tried += 1
-        if tried > _MOST_DRAWS * draws:
+        if tried > _MAX_DRAWS_PER_RIG * draws:
             raise AnalysisError(
-                f"{len(rigs)} of {tried} draws from the covariance are rigs that can be: it is too wide"
+                f"{len(rigs)} of {tried} draws from the covariance are possible rigs: the covariance is too large"
             )
         drawn = middle + root @ rng.standard_normal(len(names))
         try:

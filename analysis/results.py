@@ -1,4 +1,4 @@
-"""One point's comparison with the model."""
+"""Comparison of one point with the model."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from analysis.steady_state import SteadyMeasurement
 
 @dataclass(frozen=True)
 class PointResult:
-    """One point's comparison.
+    """Comparison of one point.
 
     Attributes:
-        name, expected: the point and the rig file's expectation for it (None: the file has no such point).
+        name, expected: name of the point and expected state of the rig file (None: the file has no such point).
         state: measured "I", "II", "III", "slipping" or "not settled".
-        measurement, prediction: None when there was nothing to measure, or no stable state to predict.
-        scores: by quantity (QUANTITIES); empty when nothing could be compared.
+        measurement, prediction: None without a measurable interval or a stable state of the model.
+        scores: scores by quantity (QUANTITIES); empty if nothing could be compared.
         verdict: "pass", "fail", "not settled", "not locked" or "not enough data".
-        why: the verdict's reason in one sentence.
-        source: the run's log.
-        because: what is known to be the reason, part of `why`; "" for nothing.
+        why: reason of the verdict in one sentence.
+        source: log of the run.
+        because: known reason, part of `why`; "" without one.
     """
 
     name: str
@@ -44,7 +44,7 @@ class PointResult:
         return {name: score.z for name, score in self.scores.items()}
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, units in the names; what is not known is None."""
+        """Return plain values with units in the names; unknown values are None."""
         measured, measured_std = _measured_json(self.measurement)
         predicted, predicted_std = _predicted_json(self.prediction)
         return {

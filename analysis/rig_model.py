@@ -1,5 +1,5 @@
 # pyright: strict
-"""The model of a rig in the terms of its sensors: what stands beside anything measured."""
+"""The model of a rig as its sensors see it, for comparison with measurements."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 LOCKED_RAD = (0.0, math.pi)
-"""Where the locks hold the pendulums."""
+"""Angles at which the locks hold the pendulums."""
 
 
 @dataclass(frozen=True)
 class RigModel:
-    """A rig's parameters, and how its sensors see the motion.
+    """A rig's parameters with the geometry and run-out of its sensors.
 
     Attributes:
-        physics: the rotor's parameters.
-        axis_angle_rad: from the stiffness x axis to the sensor x axis.
-        run_out_m: what run-out adds to the complex order-1 amplitudes of x and y, x = Re(X e^{iψ}), y alike.
-        name: where the parameters come from, for legends.
-        rig: the rig file.
-        identified: parameters laid over it; None without.
+        physics: parameters of the rotor.
+        axis_angle_rad: angle from the stiffness x axis to the sensor x axis.
+        run_out_m: run-out in the complex order-1 amplitudes of x and y, x = Re(X e^{iψ}), y alike.
+        name: origin of the parameters, for legends.
+        rig: rig file.
+        identified: parameters applied to it; None without.
     """
 
     physics: RotorParameters
@@ -46,7 +46,7 @@ class RigModel:
 
     @classmethod
     def of(cls, rig: Rig, identified: IdentifiedParameters | None = None, name: str = "") -> RigModel:
-        """The model of a rig file, with identified parameters in place of the file's where there are any."""
+        """Return the model of a rig file, with identified parameters in place of the file's if they are given."""
         known = identified or IdentifiedParameters({}, np.zeros((0, 0)))
         angle = math.radians(known_axis_angle(known, rig)[0])
         source = name or ("rig file" if identified is None else "identified parameters")
@@ -58,11 +58,11 @@ class RigModel:
         return self.physics.natural_frequencies_rad_s
 
     def locked(self, speed_rad_s: Array, theta_rad: tuple[float, float] = LOCKED_RAD) -> tuple[Complex, Complex]:
-        """Steady order-1 amplitudes of x and y with locked pendulums, run-out included; nan where there is none.
+        """Return steady order-1 amplitudes of x and y with locked pendulums and run-out; NaN where no solution exists.
 
         Args:
-            speed_rad_s: shape (n,).
-            theta_rad: where the pendulums are held.
+            speed_rad_s: speeds, shape (n,).
+            theta_rad: angles of the locked pendulums.
         Returns:
             X and Y in sensor axes, shapes (n,), m: x = Re(X e^{iψ}), y = Re(Y e^{iψ}).
         """
@@ -76,19 +76,19 @@ class RigModel:
         return found[:, 0], found[:, 1]
 
     def shown_orders(self, x: complex, y: complex) -> tuple[complex, complex]:
-        """Complex order-1 amplitudes that the sensors show of those along the stiffness axes, both as Re(… e^{iψ})."""
+        """Convert complex order-1 amplitudes along the stiffness axes to those of the sensors, both as Re(… e^{iψ})."""
         c, s = math.cos(self.axis_angle_rad), math.sin(self.axis_angle_rad)
         return x * c + y * s + self.run_out_m[0], -x * s + y * c + self.run_out_m[1]
 
     def shown(self, x_m: Array, y_m: Array, phase_rad: Array) -> tuple[Array, Array]:
-        """Displacements that the sensors show of those along the stiffness axes, at the phases given; shapes (n,)."""
+        """Convert displacements along the stiffness axes to those of the sensors at the given phases; shapes (n,)."""
         c, s = math.cos(self.axis_angle_rad), math.sin(self.axis_angle_rad)
         turn = np.exp(1j * phase_rad)
         x, y = ((run_out * turn).real for run_out in self.run_out_m)
         return x_m * c + y_m * s + x, -x_m * s + y_m * c + y
 
     def steady_state(self, speed_rad_s: float, near_rad: Sequence[float] | None = None) -> SteadyState | None:
-        """The stable steady state at a speed, the one nearest to measured angles; None where there is none."""
+        """Return the stable steady state at a speed, the nearest to measured angles; None if it does not exist."""
         try:
             states = stable_states(self.physics, speed_rad_s)
         except (DynamicsError, np.linalg.LinAlgError):

@@ -1,4 +1,4 @@
-"""Numbers as an engineer writes them: rounded to their uncertainty."""
+"""Numbers rounded to their uncertainty."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ _MINUS = "\u2212"
 
 
 def with_std(value: float, std: float, unit: str = "", digits: int = 1) -> str:
-    """ "2616.6 ± 0.2 N/m": the deviation to some digits (one more when it begins with 1), the value to the same place.
+    """Format "2616.6 ± 0.2 N/m": the deviation with `digits` digits (one more if it begins with 1), the value alike.
 
-    Very large and very small numbers get a power of ten: "(1.040 ± 0.004)·10⁻³ N m s/rad".
+    Very large and very small numbers have a power of ten: "(1.040 ± 0.004)·10⁻³ N m s/rad".
     """
     if not math.isfinite(value):
         return "–"
@@ -29,7 +29,7 @@ def with_std(value: float, std: float, unit: str = "", digits: int = 1) -> str:
 
 
 def plain(value: float, digits: int = 5) -> str:
-    """A number without an uncertainty, to some significant digits."""
+    """Format a number without an uncertainty to some significant digits."""
     if not math.isfinite(value):
         return "–"
     text = f"{value:.{digits}g}"
@@ -40,7 +40,7 @@ def plain(value: float, digits: int = 5) -> str:
 
 
 def signed(value: float, digits: int = 1) -> str:
-    """A signed number with fixed decimals."""
+    """Format a signed number with fixed decimals."""
     return "–" if not math.isfinite(value) else f"{value:+.{digits}f}".replace("-", _MINUS)
 
 

@@ -1,8 +1,9 @@
 # pyright: strict
-"""Run-out in what is predicted for the sensors, and how the differences at a point go with run-out and a bow.
+"""Run-out in the prediction for the sensors, and change of the differences at a point with run-out and a bow.
 
-The sensors show |X + r| of a motion X and run-out r. Adding r to the prediction needs no phase of the measured
-amplitudes; taking it off these would, and that phase holds the unknown lag between laser and rotor phase.
+The sensors measure |X + r| for a motion X and run-out r. Adding r to the prediction needs no phase of the measured
+amplitudes. Subtracting r from the measurement would need it, and that phase contains the unknown lag between laser and
+rotor phase.
 """
 
 from __future__ import annotations
@@ -22,21 +23,21 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SLOW_ROLL = ("run-out along", "run-out across", "bow along", "bow across")
-"""What turns with the shaft at any speed, in the rotor's frame: along the imbalance, and a quarter turn ahead."""
+"""Vectors that turn with the shaft at any speed, in the rotor's frame: along the imbalance, and 90° ahead."""
 _ALIKE = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [-1.0, 0.0]])
-"""(Re, Im) of what x and y show by (Re, Im) of a run-out r common to both: Re(r e^{iψ}) and Re(−i r e^{iψ})."""
+"""(Re, Im) of x and y by (Re, Im) of a run-out r common to both: Re(r e^{iψ}) and Re(−i r e^{iψ})."""
 
 
 def shown_run_out(slow_roll: SlowRoll | None) -> tuple[complex, complex]:
-    """What run-out adds to the complex order-1 amplitudes of x and y, x = Re(X e^{iψ}) in either sensor."""
+    """Return the run-out in the complex order-1 amplitudes of x and y, x = Re(X e^{iψ}) in either sensor."""
     return (0j, 0j) if slow_roll is None else (slow_roll.run_out_x_m, -1j * slow_roll.run_out_y_m)
 
 
 def with_run_out(angles: Array, x: complex, y: complex, radius: float, run_out: tuple[complex, complex]) -> Array:
-    """What is predicted: θ3, θ4, both amplitudes, rms radius, then (Re, Im) of both complex amplitudes, shape (9,).
+    """Return predicted values: θ3, θ4, both amplitudes, rms radius, (Re, Im) of both complex amplitudes, shape (9,).
 
     Args:
-        x, y, radius: of the motion, without run-out.
+        x, y, radius: amplitudes and rms radius of the motion without run-out.
     """
     shown_x, shown_y = x + run_out[0], y + run_out[1]
     more = abs(shown_x) ** 2 - abs(x) ** 2 + abs(shown_y) ** 2 - abs(y) ** 2
@@ -46,10 +47,10 @@ def with_run_out(angles: Array, x: complex, y: complex, radius: float, run_out: 
 
 
 def by_orbit(values: Array) -> Array:
-    """Derivatives of θ3, θ4, both amplitudes and rms radius by (Re x, Im x, Re y, Im y), shape (5, 4).
+    """Return derivatives of θ3, θ4, both amplitudes and rms radius by (Re x, Im x, Re y, Im y), shape (5, 4).
 
     Args:
-        values: as with_run_out has them.
+        values: result of with_run_out.
     """
     slope = np.zeros((5, 4))
     for row, at in ((2, 0), (3, 2)):
@@ -60,10 +61,10 @@ def by_orbit(values: Array) -> Array:
 
 
 def by_shown_run_out(shown: Array) -> Array:
-    """Derivatives of θ3, θ4, both amplitudes and rms radius by (Re r_x, Im r_x, Re r_y, Im r_y), shape (5, 4).
+    """Return derivatives of θ3, θ4, both amplitudes and rms radius by (Re r_x, Im r_x, Re r_y, Im r_y), shape (5, 4).
 
     Args:
-        shown: as with_run_out has it.
+        shown: result of with_run_out.
     """
     turn = np.zeros((4, 4))
     turn[:2, :2], turn[2:, 2:] = np.eye(2), [[0.0, 1.0], [-1.0, 0.0]]  # y shows −i r_y
@@ -71,7 +72,7 @@ def by_shown_run_out(shown: Array) -> Array:
 
 
 def by_slow_roll(measured: SteadyMeasurement, predicted: Prediction) -> dict[str, Array]:
-    """Change of a steady state's differences per metre of run-out and bow that both sensors see alike, by SLOW_ROLL."""
+    """Return the change of a point's differences per metre of run-out and bow common to both sensors, by SLOW_ROLL."""
     angles, orbit = predicted.by_bow
     if predicted.at_rest:
         run_out, bow = np.vstack([np.zeros((2, 2)), _ALIKE]), np.vstack([angles[:2], orbit])

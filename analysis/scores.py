@@ -1,10 +1,9 @@
-"""One quantity of one point: measured against predicted, with what the difference's uncertainty is made of.
+"""Score of one quantity of one point: measured against predicted, with the contributions to the uncertainty.
 
-In the terms of ASME V&V 20: E = measured − predicted, u_D of the measurement, u_input of the numbers that went into
-the prediction, u_num of its integration, and u_val of E, in which an error that enters both sides counts with the
-difference of its two effects. The model's error lies in E ± 1.96 u_val in 95 % of cases; z = E/u_val is from the same
-row. Where the model says "no vibration" an amplitude cannot be below it: there the order-1 amplitudes are held against
-their noise.
+Terms of ASME V&V 20: E = measured − predicted, u_D of the measurement, u_input of the inputs of the prediction, u_num
+of its integration, and u_val of E. An error that enters both sides counts in u_val with the difference of its two
+effects. The model's error lies in E ± 1.96 u_val in 95 % of cases; z = E/u_val. Where the model predicts no vibration
+an amplitude cannot be smaller than predicted. There the order-1 amplitudes are compared with their noise.
 Source: docs/theory/validation.md.
 """
 
@@ -42,20 +41,20 @@ JSON_KEYS = {
 
 @dataclass(frozen=True)
 class Score:
-    """How one quantity's z came about, so that a reader can work it out again; rad and m.
+    """Score of one quantity with all numbers behind its z; rad and m.
 
     Attributes:
-        z: (measured − predicted) / u_validation, or for an amplitude where none is predicted the
-            |z| of the same probability as noise.
-        measured, measured_std, predicted, predicted_std: what was compared.
-        error: measured − predicted; of angles the shorter way round.
-        noise: of an amplitude where none is predicted: standard deviations of the real or imaginary part, one for x, y
-            or both; empty for a difference.
+        z: (measured − predicted) / u_validation. For an amplitude with no predicted vibration: the |z| of the same
+            probability as noise.
+        measured, measured_std, predicted, predicted_std: compared values and their standard uncertainties.
+        error: measured − predicted; of angles within half a turn.
+        noise: standard deviations of the real or imaginary part, one for x, y or both, of an amplitude with no
+            predicted vibration; empty for a difference.
         u_numerical: standard uncertainty of the prediction's integration.
-        u_validation: of measured − predicted: what both share counts once. The model's error lies within
-            error ± 1.96 u_validation in 95 % of cases.
-        chi2, p: of noise: Σ|X|²/σ² and how often noise alone reaches it; chi2 has twice as many degrees of freedom as
-            there are deviations.
+        u_validation: standard uncertainty of measured − predicted; errors of both sides count once. The model's error
+            lies within error ± 1.96 u_validation in 95 % of cases.
+        chi2, p: of noise: Σ|X|²/σ² and the probability that noise alone exceeds it. The degrees of freedom of chi2 are
+            twice the number of deviations.
     """
 
     z: float
@@ -71,7 +70,7 @@ class Score:
     u_validation: float = math.nan
 
     def to_json(self, key: tuple[str, float]) -> dict[str, Any]:
-        """Plain values in the unit of a key (name with unit, factor); what is not known is None."""
+        """Return plain values in the unit of a key (name with unit, factor); unknown values are None."""
         unit, factor = key[0].rpartition("_")[2], key[1]
         numbers = {
             f"measured_{unit}": self.measured * factor,
@@ -102,10 +101,12 @@ class Score:
 
 
 def scores_of(measured: SteadyMeasurement, prediction: Prediction, rig: Rig) -> dict[str, Score]:
-    """Every quantity of a point, by name.
+    """Return the score of every quantity of a point, by name.
 
     Args:
-        rig: gains' and zeros' uncertainties, and what is allowed for the model.
+        measured: measurement of the point.
+        prediction: prediction for its speed.
+        rig: rig file with the uncertainties of gains and zeros, and the allowance for the model.
     """
     values, std = measured_intervals(measured), prediction.std
     seen, scores = measured_shifts(measured, rig), dict[str, Score]()
@@ -117,7 +118,7 @@ def scores_of(measured: SteadyMeasurement, prediction: Prediction, rig: Rig) -> 
             error = (error + math.pi) % (2 * math.pi) - math.pi
         numerical = float(prediction.numerical[j])
         variance = float(measured.own[j, j] + prediction.covariance[j, j]) + numerical**2 + granted[j > 1] ** 2
-        for label in dict.fromkeys([*seen, *prediction.shared]):  # what both share counts with the difference of both
+        for label in dict.fromkeys([*seen, *prediction.shared]):  # errors of both sides count with their difference
             here, there = (float(side[label][j]) if label in side else 0.0 for side in (seen, prediction.shared))
             variance += (here - there) ** 2 - there**2
         u = math.sqrt(max(variance, 1e-300))
@@ -130,7 +131,7 @@ def scores_of(measured: SteadyMeasurement, prediction: Prediction, rig: Rig) -> 
 
 
 def _noise_scores(measured: SteadyMeasurement, prediction: Prediction) -> dict[str, Score]:
-    """Of amplitudes where none is predicted: held against noise, what was still to come and what friction leaves."""
+    """Return scores of amplitudes with no predicted vibration, against noise, remaining approach and friction."""
     left_x, left_y = held_variance(prediction).tolist()
     noise_x, noise_y = math.hypot(measured.noise_x_m, left_x**0.5), math.hypot(measured.noise_y_m, left_y**0.5)
     x, y = abs(measured.x_m), abs(measured.y_m)
@@ -140,7 +141,7 @@ def _noise_scores(measured: SteadyMeasurement, prediction: Prediction) -> dict[s
         "amplitude_y": ([y], [noise_y], y, noise_y),
         "amplitude": ([x, y], [noise_x, noise_y], rms.value, math.hypot(noise_x, noise_y)),
     }
-    scores = {}
+    scores: dict[str, Score] = {}
     for name, (amplitudes, noise, value, std) in looks.items():
         chi2 = _chi2(amplitudes, noise)
         p = math.exp(_log_p(chi2, len(noise)))
@@ -149,14 +150,14 @@ def _noise_scores(measured: SteadyMeasurement, prediction: Prediction) -> dict[s
 
 
 def balanced_z(amplitudes_m: Sequence[float], stds_m: Sequence[float]) -> float:
-    """|z| of amplitudes that should be noise alone.
+    """Return the |z| of amplitudes that should consist of noise alone.
 
     Args:
         amplitudes_m: |X| of complex order amplitudes, m.
         stds_m: standard deviation of the real and of the imaginary part of each, m.
     Returns:
-        The |z| that a normal number exceeds as rarely as noise exceeds Σ|X|²/σ² (χ² with two degrees of freedom
-        per amplitude). One or two amplitudes.
+        The |z| that a normal variable exceeds with the probability that noise exceeds Σ|X|²/σ² (χ² with two degrees
+        of freedom per amplitude). Valid for one or two amplitudes.
     """
     return float(-ndtri_exp(_log_p(_chi2(amplitudes_m, stds_m), len(amplitudes_m)) - math.log(2)))
 
@@ -166,12 +167,12 @@ def _chi2(amplitudes_m: Sequence[float], stds_m: Sequence[float]) -> float:
 
 
 def _log_p(chi2: float, amplitudes: int) -> float:
-    """Logarithm of how often noise in one or two complex amplitudes reaches a χ²."""
+    """Return the logarithm of the probability that noise in one or two complex amplitudes exceeds a χ²."""
     return -chi2 / 2 + (math.log1p(chi2 / 2) if amplitudes == 2 else 0.0)
 
 
 def sentence(name: str, score: Score) -> str:
-    """One quantity that is off, in words, with both uncertainties."""
+    """Describe one deviating quantity with both uncertainties."""
     if score.noise:
         noise = " and ".join(f"{s * 1e6:.2g}" for s in score.noise)
         return (
@@ -189,7 +190,7 @@ def sentence(name: str, score: Score) -> str:
 
 
 def measured_intervals(m: SteadyMeasurement) -> dict[str, Any]:
-    """What was measured, by quantity."""
+    """Return the measured values with their uncertainties, by quantity."""
     return {
         "theta3": m.theta_rad[0],
         "theta4": m.theta_rad[1],
@@ -200,5 +201,5 @@ def measured_intervals(m: SteadyMeasurement) -> dict[str, Any]:
 
 
 def finite(value: float) -> float | None:
-    """A number that JSON can hold."""
+    """Return a number that JSON can represent, else None."""
     return float(value) if math.isfinite(value) else None

@@ -1,8 +1,8 @@
 # pyright: strict
-"""How far repeated start-ups come to rest from each other, and from where the pendulums or balls would balance.
+"""Scatter of the final angles of repeated start-ups, and their distance from the balancing angles.
 
-Two alike pendulums (or balls) may change places: of each start-up the two are taken in the order of their angles, so
-that mirror images are one ending. Source: docs/theory/start_ups.md.
+Two equal pendulums (or balls) may exchange places. The two angles of each start-up are therefore sorted, so that mirror
+images are one final state. Source: docs/theory/start_ups.md.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SettledScatter:
-    """Of repeated start-ups; angles in rad from the far side of the imbalance, −π … π.
+    """Scatter of repeated start-ups; angles in rad from the side opposite the imbalance, −π … π.
 
     Attributes:
-        places_rad: of both, the lower angle first, shape (n, 2).
-        mean_rad, std_rad: of the lower and the higher one, shape (2,); std between start-ups.
-        balanced_rad: where they balance, shape (2,); nan where they cannot.
-        amplitude_m: of each, shape (n,).
+        places_rad: final angles of both, the lower angle first, shape (n, 2).
+        mean_rad, std_rad: mean and standard deviation between start-ups, lower and higher angle, shape (2,).
+        balanced_rad: balancing angles, shape (2,); NaN if balance is impossible.
+        amplitude_m: remaining amplitude of each start-up, shape (n,).
     """
 
     places_rad: Array
@@ -38,37 +38,37 @@ class SettledScatter:
 
     @property
     def count(self) -> int:
-        """Start-ups."""
+        """Number of start-ups."""
         return len(self.places_rad)
 
     @property
     def scatter_rad(self) -> float:
-        """Standard deviation of a place between start-ups, both taken together."""
+        """Standard deviation of a final angle between start-ups, pooled over both, rad."""
         return math.sqrt(float(np.mean(self.std_rad**2)))
 
     @property
     def scatter_std_rad(self) -> float:
-        """How well that is known from so many start-ups, were they normal."""
+        """Standard uncertainty of `scatter_rad` for normally distributed angles, rad."""
         return self.scatter_rad / math.sqrt(4 * (self.count - 1))
 
     @property
     def off_rad(self) -> float:
-        """Root mean square distance from the balanced places."""
+        """Root mean square distance from the balancing angles, rad."""
         return math.sqrt(float(np.mean((self.places_rad - self.balanced_rad) ** 2)))
 
     @property
     def amplitude_scatter_m(self) -> float:
-        """Standard deviation of the amplitude between start-ups."""
+        """Standard deviation of the amplitude between start-ups, m."""
         return float(np.std(self.amplitude_m, ddof=1))
 
 
 def settled_scatter(theta_rad: Array, amplitude_m: Array, balanced: float | None) -> SettledScatter:
-    """The scatter of start-ups of two alike pendulums or balls.
+    """Return the scatter of start-ups of two equal pendulums or balls.
 
     Args:
-        theta_rad: θ3, θ4 where each came to rest, shape (n, 2).
-        amplitude_m: of what was left, shape (n,).
-        balanced: angle of either from the far side of the imbalance where they balance, rad; None: they cannot.
+        theta_rad: final θ3, θ4 of each start-up, shape (n, 2).
+        amplitude_m: remaining amplitude, shape (n,).
+        balanced: balancing angle of either from the side opposite the imbalance, rad; None if balance is impossible.
     Raises:
         NotEnoughData: fewer than two start-ups.
     """
@@ -83,8 +83,7 @@ def settled_scatter(theta_rad: Array, amplitude_m: Array, balanced: float | None
 
 
 def more_consistent(one: SettledScatter, other: SettledScatter) -> float:
-    """How often two series of equal scatter would differ so much or more with `one` the less scattered.
-
+    """Return the probability that two series of equal scatter differ at least as much, with `one` the smaller.
     Source: F test on the pooled variances of both places.
     """
     if other.scatter_rad == 0.0:

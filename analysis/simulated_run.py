@@ -1,5 +1,5 @@
 # pyright: strict
-"""A recorded run done again by the model: the measured speed history, the measured locks and releases."""
+"""Simulation of a recorded run by the model with the measured speed history, lock angles and releases."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from dynamics.motions.integrate import locked_state
 
 Array = NDArray[np.float64]
 
-_PER_TURN = 32
-_LEAST_RATE_HZ = 400.0
+_SAMPLES_PER_TURN = 32
+_MIN_RATE_HZ = 400.0
 _ACCURACY = 1e-3
-_LEAST_MARKS = 6
-_LOCKED_S = 2.0  # before a release
+_MIN_MARKS = 6
+_LOCKED_S = 2.0  # interval before a release
 
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """The model's motion in sensor axes, run-out included.
+    """Motion of the model in sensor axes with run-out.
 
     Attributes:
-        time_s: since the run's start, evenly spaced, shape (n,).
-        phase_rad, speed_rad_s: of the rotor, shape (n,).
-        x_m, y_m: shape (n,).
+        time_s: times since the run's start, evenly spaced, shape (n,).
+        phase_rad, speed_rad_s: phase and speed of the rotor, shape (n,).
+        x_m, y_m: displacements, shape (n,).
         angle_rad: θ3, θ4, shape (n, 2).
     """
 
@@ -44,8 +44,8 @@ class SimulatedRun:
 
 
 def speed_history(run: Run) -> SpeedHistory | None:
-    """The rotor's phase over a run by its marks, twice differentiable; None with too few of them."""
-    if len(run.mark_time_s) < _LEAST_MARKS:
+    """Return the rotor's phase over a run from its marks, twice differentiable; None with too few marks."""
+    if len(run.mark_time_s) < _MIN_MARKS:
         return None
     try:
         return SpeedHistory.from_phases(run.mark_time_s, run.mark_phase_rad)
@@ -54,20 +54,19 @@ def speed_history(run: Run) -> SpeedHistory | None:
 
 
 def simulate_run(run: Run, model: RigModel) -> SimulatedRun | None:
-    """A run's motion from its first mark to its last.
+    """Simulate a run from its first mark to its last.
 
-    The rotor turns as measured. The pendulums are held where they stood before the first release, and let go when they
-    were.
+    The rotor turns as measured. The pendulums are held at their measured angles until the measured releases.
 
     Returns:
-        None where the rotor did not turn, or the model cannot follow (the motion separates from its neighbours).
+        None if the rotor did not turn, or the simulation is impossible (the motion separates from its neighbours).
     """
     history = speed_history(run)
     if history is None:
         return None
     start, end = float(run.mark_time_s[0]), float(run.mark_time_s[-1])
     top = float(np.max(np.diff(run.mark_phase_rad) / np.diff(run.mark_time_s)))
-    rate = max(_LEAST_RATE_HZ, _PER_TURN * top / (2 * math.pi))
+    rate = max(_MIN_RATE_HZ, _SAMPLES_PER_TURN * top / (2 * math.pi))
     time = np.arange(start, end, 1 / rate)
     phase, speed, _ = history.phase(time).T
     theta = locked_angles(run)
@@ -89,7 +88,7 @@ NOT_FOLLOWED = (
 
 
 def locked_angles(run: Run) -> tuple[float, float]:
-    """θ3, θ4 at which the locks held the pendulums, rad; 0 and π where nothing was recorded before a release."""
+    """Return θ3, θ4 at which the locks held the pendulums, rad; 0 and π without a record before a release."""
     go = min((r.time_s for r in run.releases), default=math.inf)
     if math.isinf(go):
         before = run.angle_time_s < math.inf

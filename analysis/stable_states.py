@@ -1,5 +1,5 @@
 # pyright: strict
-"""The stable steady states of the model at a speed."""
+"""Stable steady states of the model at a speed."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ _ACCURACIES = (1e-6, 1e-5, 1e-4)
 
 
 def stable_states(physics: RotorParameters, speed_rad_s: float) -> list[SteadyState]:
-    """All that are found, to 1e-6 where that can be had.
+    """Return all stable states, to 1e-6 if possible.
 
-    A damping that grows with the speed has a kink where the motion turns back, and multipliers along such an orbit may
-    be had to 1e-5 only. A state is then no reason to say that there is none.
+    Damping that grows with the speed has a kink where the motion reverses. Multipliers along such an orbit may be
+    accurate to 1e-5 only. The search is therefore repeated with lower accuracies.
 
     Raises:
-        DynamicsError: as `dynamics.steady_states`, at the least accuracy.
+        DynamicsError: as `dynamics.steady_states`, at the lowest accuracy.
         LinAlgError: as numpy.linalg.
     """
     for accuracy in _ACCURACIES[:-1]:

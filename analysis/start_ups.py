@@ -1,8 +1,8 @@
 # pyright: strict
-"""Repeated start-ups against the model: where they end, how far apart, and what vibration is left.
+"""Repeated start-ups against the model: their final states, their scatter and the remaining vibration.
 
-The model ends at one steady state (and its mirror image) however it was started, so settled positions differ by what
-the measurements leave, and no more. What they differ by beyond that is friction, play, or a speed that wanders.
+The model reaches the same steady state (or its mirror image) from all initial states. Final angles therefore differ by
+the errors of the measurements only. A larger scatter is due to friction, play or a varying speed.
 Source: docs/theory/validation.md.
 """
 
@@ -25,23 +25,23 @@ from analysis.scores import JSON_KEYS, NAMES, finite
 Array = NDArray[np.float64]
 
 START_UPS = "start-ups"
-"""Name of the test."""
+"""Name of the guided test."""
 SCATTER_LEVEL = 0.005
-"""Share of series whose scatter is called more than the measurements explain when it is not."""
+"""Share of series whose scatter is falsely reported to exceed the errors of the measurements."""
 _SHOWN = ("theta3", "theta4", "amplitude_x", "amplitude_y")
-_LIKE_RAD = 0.02  # of two predicted states that are one
-_STANDS_OUT = 5.0  # standard deviations of noise from which on an amplitude's scatter is one of motion
+_SAME_STATE_RAD = 0.02  # largest difference between predictions of the same state
+_MIN_AMPLITUDE_STDS = 5.0  # amplitude over standard deviation of noise above which its error is normal
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """How far one quantity's values at the end of start-ups lie apart; rad or m.
+    """Scatter of one quantity at the end of start-ups; rad or m.
 
     Attributes:
-        mean: measured less predicted, mean of all.
+        mean: mean of measured minus predicted.
         found: standard deviation between start-ups.
-        explained: what the measurements leave (root mean square of their own standard deviations).
-        p: how often measurements alone scatter so much.
+        explained: scatter due to the measurements (root mean square of their standard deviations).
+        p: probability that the errors of the measurements alone scatter as much.
     """
 
     mean: float
@@ -56,13 +56,13 @@ class Ending:
 
     Attributes:
         state: "I", "II" or "III".
-        theta_deg: the model's θ3, θ4 there, shape (2,).
-        count: how many.
-        scatter: by quantity, where two or more ended here.
-        vibration_m: rms radius that was left, of each; predicted_m: the model's.
-        noise_m: rms radius that noise alone would show.
-        locked_m: rms radius of order 1 with locked pendulums at the same speed just before the release; nan where the
-            record does not show it.
+        theta_deg: θ3, θ4 of the model in this state, shape (2,).
+        count: number of start-ups.
+        scatter: scatter by quantity, if two or more start-ups ended here.
+        vibration_m: remaining rms radius of each start-up; predicted_m: that of the model.
+        noise_m: rms radius of noise alone.
+        locked_m: rms radius of order 1 with locked pendulums at the same speed just before the release; NaN if the
+            log does not contain it.
     """
 
     state: str
@@ -76,7 +76,7 @@ class Ending:
 
     @property
     def left(self) -> float:
-        """Share of the locked rotor's vibration that was left, in the mean."""
+        """Mean share of the locked rotor's vibration that remains."""
         return float(np.mean(self.vibration_m)) / self.locked_m
 
     @property
@@ -86,7 +86,7 @@ class Ending:
         return tuple(name for name, one in self.scatter.items() if one.p < level)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, degrees and millimetres."""
+        """Return plain values in degrees and millimetres."""
         shown: dict[str, Any] = {}
         for name, one in self.scatter.items():
             key, factor = JSON_KEYS[name]
@@ -117,9 +117,9 @@ class StartUps:
     """A series of start-ups at one speed.
 
     Attributes:
-        speed_rpm: that was asked for; 0 where no log states it.
-        results: each one's comparison with the model.
-        endings: where those ended that settled at a state of the model, the commonest first.
+        speed_rpm: requested speed; 0 if no log contains it.
+        results: comparison of each start-up with the model.
+        endings: final states of the model that were reached, the most frequent first.
     """
 
     speed_rpm: float
@@ -128,17 +128,17 @@ class StartUps:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many came to each verdict."""
+        """Number of start-ups with each verdict."""
         return dict(Counter(each.verdict for each in self.results).most_common())
 
     @property
     def passed(self) -> bool:
-        """Whether each agrees with the model and none of the endings scatters."""
+        """Whether each start-up agrees with the model and no final state scatters too much."""
         return all(each.verdict == "pass" for each in self.results) and not any(e.scattering for e in self.endings)
 
     @property
     def sentences(self) -> list[str]:
-        """What the series came to, the verdict first."""
+        """Result of the series in sentences, the verdict first."""
         counted = ", ".join(f"{number} {verdict}" for verdict, number in self.counts.items())
         at = f"{self.speed_rpm:.4g} rpm" if self.speed_rpm else "a speed that no log states"
         first = f"{len(self.results)} start-ups at {at}: {'pass' if self.passed else 'FAIL'}"
@@ -149,7 +149,7 @@ class StartUps:
         return found + [f"{each.source}: {each.why}" for each in self.results if each.verdict != "pass"]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values."""
         return {
             "speed_rpm": self.speed_rpm,
             "passed": self.passed,
@@ -161,12 +161,12 @@ class StartUps:
 
 
 def start_ups(speed_rpm: float, results: Sequence[PointResult], locked_m: Sequence[float]) -> StartUps:
-    """A series from each start-up's comparison.
+    """Return the result of a series from the comparison of each start-up.
 
     Args:
-        speed_rpm: that was asked for.
-        results: one per log.
-        locked_m: of each: rms radius of order 1 with locked pendulums just before the release; nan where not shown.
+        speed_rpm: requested speed.
+        results: one comparison per log.
+        locked_m: rms radius of order 1 of each with locked pendulums just before the release; NaN if not recorded.
     """
     groups: list[list[int]] = []
     for i, each in enumerate(results):
@@ -184,11 +184,11 @@ def start_ups(speed_rpm: float, results: Sequence[PointResult], locked_m: Sequen
 
 
 def _alike(one: PointResult, two: PointResult) -> bool:
-    """Whether the model ends both at one state, mirror images apart."""
+    """Whether the model predicts the same state for both; mirror images are different states."""
     assert one.prediction is not None
     assert two.prediction is not None
     apart = np.exp(1j * one.prediction.values[:2]) - np.exp(1j * two.prediction.values[:2])
-    return one.state == two.state and bool(np.all(np.abs(apart) < _LIKE_RAD))
+    return one.state == two.state and bool(np.all(np.abs(apart) < _SAME_STATE_RAD))
 
 
 def _ending(group: Sequence[PointResult], locked_m: Sequence[float]) -> Ending:
@@ -228,9 +228,9 @@ def _ending(group: Sequence[PointResult], locked_m: Sequence[float]) -> Ending:
 
 
 def _moves(name: str, size: Array, own: Sequence[Array]) -> bool:
-    """Whether an amplitude is one of a motion: only then its error is normal."""
+    """Whether an amplitude is clearly above noise, so that its error is normal."""
     at = QUANTITIES.index(name)
-    return bool(size[at] > _STANDS_OUT * math.sqrt(max(float(each[at]) for each in own)))
+    return bool(size[at] > _MIN_AMPLITUDE_STDS * math.sqrt(max(float(each[at]) for each in own)))
 
 
 def _scatter(values: Array, variance: Array) -> Scatter:
@@ -247,7 +247,7 @@ def _place(ending: Ending) -> str:
 
 
 def _scattered(ending: Ending) -> list[str]:
-    said: list[str] = []
+    sentences: list[str] = []
     for name, one in ending.scatter.items():
         key, factor = JSON_KEYS[name]
         unit, number = key.rpartition("_")[2], 1e3 if key.endswith("mm") else 1.0
@@ -256,8 +256,8 @@ def _scattered(ending: Ending) -> list[str]:
         text += f"{number * factor * one.found:.2g}{unit}, explained {number * factor * one.explained:.2g}{unit}"
         if name in ending.scattering:
             text += f", p = {one.p:.1g}: friction, play or a speed that wanders"
-        said.append(text)
-    return said or ["one start-up has no scatter"]
+        sentences.append(text)
+    return sentences or ["one start-up has no scatter"]
 
 
 def _vibration(ending: Ending) -> str:
@@ -275,5 +275,5 @@ def _vibration(ending: Ending) -> str:
 
 
 def _length(metres: float) -> str:
-    """Three digits in µm or mm; less than a nanometre is none."""
+    """Format three digits in µm or mm; lengths below 1 nm are 0."""
     return f"{1e3 * metres:.3g} mm" if metres >= 1e-3 else f"{1e6 * metres if metres > 1e-9 else 0:.3g} µm"

@@ -1,4 +1,4 @@
-"""What a point's run shows once the pendulums have settled: speed, angles, orbit, each with its uncertainty."""
+"""Measurement of a point's steady state: speed, angles and orbit, each with its uncertainty."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.laser_remarks import laser_remarks
@@ -19,16 +20,19 @@ from dynamics import RotorParameters
 from dynamics.steady.singular_points import bow_moment
 from rig_configs import Rig
 
-AVERAGE_S = 6.0  # the last seconds that are averaged
-_LOCKED_S = 2.0  # before the release
-_STOOD_S = 2.5  # without a mark before a release: below 24 rpm; a radio that loses marks does not make a rotor stand
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+AVERAGE_S = 6.0  # averaged interval at the end of the plateau
+_LOCKED_S = 2.0  # interval before the release
+_STOOD_S = 2.5  # without a mark before a release: the rotor is below 24 rpm; a radio may lose single marks
 LOCK_TOLERANCE_RAD = math.radians(2.0)
-_LEAST_AFTER_RELEASE_S = 9.0  # settling looks at nine windows of a second or a little more
-# The bound on what is to come is noisy, and a test ends where it is low. One that was low enough a moment ago holds for
-# all that came since, unless it is now above so many tolerances: then something has moved.
-_LATELY_S = (0.5, 1.0, 1.5, 2.0, 2.5)
+_MIN_AFTER_RELEASE_S = 9.0  # settling needs nine windows of at least one second
+# The bound on the remaining approach is noisy, and a test ends when the bound is low. A bound that was low enough a
+# moment ago still holds, unless it is now above _SLACK tolerances: then the motion has changed.
+_RECENT_S = (0.5, 1.0, 1.5, 2.0, 2.5)
 _SLACK = 3.0
-_LEAST_SPEED_TOLERANCE = 5e-4  # a revolution further off the plateau's speed belongs to the stop
+_MIN_SPEED_TOLERANCE = 5e-4  # relative to the plateau's speed; a larger deviation belongs to the stop
 
 
 @dataclass(frozen=True)
@@ -41,33 +45,33 @@ class Interval:
 
 @dataclass(frozen=True)
 class SteadyMeasurement:
-    """One point as measured, in sensor axes: where its approach ends (analysis.to_come).
+    """One measured point in sensor axes: the limit of its approach (analysis.to_come).
 
     Attributes:
         state: "I", "II", "III", "slipping" or "not settled".
-        locked, locked_rad: whether A stood at 0° and B at 180° before release, and where they stood (2,), rad.
-        settling: how the end of the run was judged.
-        speed_rad_s: running speed; its deviation is the revolutions' scatter over the mean.
-        theta_rad: θ3, θ4, means over whole revolutions, in [0, 2π); statistics, quantisation, what is to come and
-            encoder zero.
-        amplitude_x_m, amplitude_y_m: order-1 amplitudes; statistics, what is to come and gain.
+        locked, locked_rad: whether A stood at 0° and B at 180° before release, and the measured angles (2,), rad.
+        settling: verdict on the end of the run.
+        speed_rad_s: running speed; its deviation is the scatter of the revolutions over the mean.
+        theta_rad: θ3, θ4, means over whole revolutions, in [0, 2π), with the uncertainty of statistics, quantisation,
+            remaining approach and encoder zero.
+        amplitude_x_m, amplitude_y_m: order-1 amplitudes with that of statistics, remaining approach and gain.
         amplitude_m: rms radius of orders 1 to 3.
-        x_m, y_m: complex order-1 amplitudes, x = Re(x_m e^{iψ}), y the same; their phase holds the unknown delay
+        x_m, y_m: complex order-1 amplitudes, x = Re(x_m e^{iψ}), y alike; their phase contains the unknown delay
             between laser and encoder clock.
         noise_x_m, noise_y_m: standard deviation of the real or imaginary part of x_m, y_m without the gain.
-        to_come: how far the means of the last seconds were continued to their limits.
+        to_come: extrapolation of the means of the last seconds to their limits.
         own: joint covariance of (θ3, θ4, x amplitude, y amplitude, rms amplitude) from statistics, quantisation and
-            what is to come, without the sensors' common errors (gain, encoder zero), shape (5, 5).
-        creeps: whether it is compared although it was not settled: dry friction lets it creep.
-        release_s, from_s, to_s: last release (of pendulums let go at rest: when the speed was reached), start and end
-            of the last seconds' mean, s since the run's start.
-        remarks: what lasers and rotor phase show beside the rotor's motion, sentences; of a pendulum that slips the
-            rotor's motion has lines of its own, and the lasers have no say.
+            remaining approach, without the sensors' common errors (gain, encoder zero), shape (5, 5).
+        creeps: whether it is compared although it has not settled, because dry friction lets it creep.
+        release_s, from_s, to_s: last release (if the pendulums were released at rest: time at which the speed was
+            reached), start and end of the averaged interval, s since the run's start.
+        remarks: sentences on effects other than the rotor's motion in lasers and rotor phase. Lasers are left out for
+            a slipping pendulum, because the rotor's motion then has lines of its own.
     """
 
     state: str
     locked: bool
-    locked_rad: np.ndarray
+    locked_rad: Array
     settling: Settling
     speed_rad_s: Interval
     theta_rad: tuple[Interval, Interval]
@@ -79,7 +83,7 @@ class SteadyMeasurement:
     noise_x_m: float
     noise_y_m: float
     to_come: ToCome
-    own: np.ndarray
+    own: Array
     release_s: float
     from_s: float
     to_s: float
@@ -88,23 +92,23 @@ class SteadyMeasurement:
 
     @property
     def noise_floor_m(self) -> float:
-        """Rms radius that noise alone would show."""
+        """Rms radius of noise alone, m."""
         return math.hypot(self.noise_x_m, self.noise_y_m)
 
 
 def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> SteadyMeasurement:
-    """The steady state at the end of a point's run.
+    """Measure the steady state at the end of a point's run.
 
     Args:
-        run: a test "point-NAME" or "start-ups"; what follows the plateau (the stop) is cut off by the marks' spacing.
-            Where the pendulums were let go at rest, what comes before the plateau is cut off, too.
-        rig: for the first mass moments, the lasers' gain and the encoders' zero uncertainty.
-        bow_m: of the shaft in the rotor's frame: the pendulums balance it as well.
-        creep_rad: within which dry friction makes of an approach a creep that ends late. Where no more than that is
-            still to come, the point is taken as it stands, with what is to come in its uncertainty: a creep slows down
-            so gradually that nearly all of its bound does come.
+        run: a test "point-NAME" or "start-ups". The marks' spacing shows the end of the plateau; the stop is cut off.
+            If the pendulums were released at rest, the run-up before the plateau is cut off too.
+        rig: rig file with the first mass moments and the uncertainties of gains and zeros.
+        bow_m: bow of the shaft in the rotor's frame; the pendulums balance it as well.
+        creep_rad: distance within which dry friction turns an approach into a creep that ends late. If no more than
+            this remains, the point is measured as it stands, with the remaining approach in its uncertainty: a creep
+            slows down so gradually that nearly all of its bound is reached.
     Raises:
-        NotEnoughData: no release, too short a record after it, or a signal that is missing there.
+        NotEnoughData: no release, too short a record after it, or a missing signal.
     """
     release, end, free = _span(run)
     remarks = laser_remarks(run, release, end)
@@ -126,12 +130,8 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> 
     theta = (theta + ends.shift[:2]) % (2 * math.pi)
     x[0] += complex(*ends.shift[2:4])
     y[0] += complex(*ends.shift[4:])
-    own, radius = _own(x, y, ends.covariance)
-    zero, gain = math.radians(rig.roles.zero_std_deg), rig.roles.gain_stds
-    values = [*theta, abs(x[0]), abs(y[0]), radius]
-    common = [zero, zero, gain[0] * abs(x[0]), gain[1] * abs(y[0]), _of_radius(x, y, radius, gain)]
+    own, stated = _stated(theta, (x, y), ends.covariance, rig)
     bow = bow_moment(replace(rig.physics, bow_x_m=bow_m.real, bow_y_m=bow_m.imag), speed.value)
-    stated = [Interval(float(v), math.hypot(math.sqrt(own[j, j]), common[j])) for j, v in enumerate(values)]
     noise_x, noise_y = (math.sqrt(0.5 * np.trace(ends.covariance[j : j + 2, j : j + 2])) for j in (2, 4))
     return SteadyMeasurement(
         state=_state(settling, (float(theta[0]), float(theta[1])), rig.physics, bow, creeps),
@@ -158,7 +158,7 @@ def measure(run: Run, rig: Rig, bow_m: complex = 0j, creep_rad: float = 0.0) -> 
 
 
 def locked_radius_m(run: Run) -> float:
-    """Rms radius of order 1 with locked pendulums in the seconds before the release; nan where the log has it not."""
+    """Return the rms radius of order 1 with locked pendulums before the release, m; NaN if it was not recorded."""
     if not run.releases or len(run.mark_time_s) < 2:
         return math.nan
     go = min(r.time_s for r in run.releases)
@@ -171,8 +171,19 @@ def locked_radius_m(run: Run) -> float:
     return math.sqrt(0.5 * (abs(x[0]) ** 2 + abs(y[0]) ** 2))
 
 
-def _own(x: np.ndarray, y: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, float]:
-    """Covariance (5, 5) of angles, amplitudes and rms radius from that of angles and complex amplitudes; the radius."""
+def _stated(theta: Array, orbit: tuple[Complex, Complex], covariance: Array, rig: Rig) -> tuple[Array, list[Interval]]:
+    """Return the covariance without the sensors' common errors (5, 5), and the values with their full uncertainty."""
+    x, y = orbit
+    own, radius = _own(x, y, covariance)
+    zero, gain = math.radians(rig.roles.zero_std_deg), rig.roles.gain_stds
+    values = [*theta, abs(x[0]), abs(y[0]), radius]
+    common = [zero, zero, gain[0] * abs(x[0]), gain[1] * abs(y[0]), _of_radius(x, y, radius, gain)]
+    stds = [math.hypot(math.sqrt(own[j, j]), common[j]) for j in range(len(values))]
+    return own, [Interval(float(value), std) for value, std in zip(values, stds, strict=True)]
+
+
+def _own(x: Complex, y: Complex, covariance: Array) -> tuple[Array, float]:
+    """Return covariance (5, 5) of angles, amplitudes and rms radius from that of the complex amplitudes; the radius."""
     radius = math.sqrt(0.5 * float(np.sum(np.abs(x) ** 2 + np.abs(y) ** 2)))
     slope = np.zeros((5, 6))
     slope[0, 0] = slope[1, 1] = 1.0
@@ -182,13 +193,13 @@ def _own(x: np.ndarray, y: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarr
     return slope @ covariance @ slope.T, radius
 
 
-def _of_radius(x: np.ndarray, y: np.ndarray, radius: float, gain: tuple[float, float]) -> float:
-    """Standard uncertainty that the gains of x and y leave in the rms radius."""
+def _of_radius(x: Complex, y: Complex, radius: float, gain: tuple[float, float]) -> float:
+    """Return the standard uncertainty of the rms radius due to the gains of x and y."""
     return math.hypot(gain[0] * abs(x[0]) ** 2, gain[1] * abs(y[0]) ** 2) / (2 * max(radius, 1e-300))
 
 
-def plateau_end(mark_time_s: np.ndarray, mark_phase_rad: np.ndarray, from_s: float) -> float:
-    """Time of the last mark still at the plateau's speed, s; what follows is the stop."""
+def plateau_end(mark_time_s: Array, mark_phase_rad: Array, from_s: float) -> float:
+    """Return the time of the last mark at the plateau's speed, s; the stop follows."""
     after = mark_time_s >= from_s
     times, phases = mark_time_s[after], mark_phase_rad[after]
     if len(times) < 3:
@@ -196,24 +207,24 @@ def plateau_end(mark_time_s: np.ndarray, mark_phase_rad: np.ndarray, from_s: flo
     speeds = np.diff(phases) / np.diff(times)
     plateau = np.median(speeds)
     off = np.abs(speeds / plateau - 1)
-    on = np.flatnonzero(off <= max(_LEAST_SPEED_TOLERANCE, 8 * float(np.median(off))))
-    return float(times[max(on[-1] - 1, 1)])  # a revolution's margin: the stop may have begun within the last one
+    on = np.flatnonzero(off <= max(_MIN_SPEED_TOLERANCE, 8 * float(np.median(off))))
+    return float(times[max(on[-1] - 1, 1)])  # margin of one revolution: the stop may have begun within the last one
 
 
-def plateau_start(mark_time_s: np.ndarray, mark_phase_rad: np.ndarray, from_s: float, end_s: float) -> float:
-    """Time of the first mark since which the speed is that of the plateau before `end_s`, s."""
+def plateau_start(mark_time_s: Array, mark_phase_rad: Array, from_s: float, end_s: float) -> float:
+    """Return the time of the first mark of the plateau before `end_s`, s."""
     inside = (mark_time_s >= from_s) & (mark_time_s <= end_s)
     times, phases = mark_time_s[inside], mark_phase_rad[inside]
     if len(times) < 3:
         raise NotEnoughData(f"only {len(times)} tachometer marks between {from_s:.1f} and {end_s:.1f} s")
     speeds = np.diff(phases) / np.diff(times)
     off = np.abs(speeds / np.median(speeds[-max(1, len(speeds) // 4) :]) - 1)
-    ramp = np.flatnonzero(off > max(2 * _LEAST_SPEED_TOLERANCE, 8 * float(np.median(off))))
+    ramp = np.flatnonzero(off > max(2 * _MIN_SPEED_TOLERANCE, 8 * float(np.median(off))))
     return float(times[min(ramp[-1] + 2, len(times) - 1)] if len(ramp) else times[0])
 
 
 def _span(run: Run) -> tuple[float, float, bool]:
-    """Last release and end of the plateau; whether the rotor stood at the release: its begin then takes its place."""
+    """Return last release (of a standing rotor: start of the plateau), end of the plateau, whether it stood."""
     if not run.releases:
         raise NotEnoughData("the log holds no release of a pendulum")
     if {r.pendulum for r in run.releases} != {0, 1}:
@@ -223,22 +234,20 @@ def _span(run: Run) -> tuple[float, float, bool]:
     stood = not np.any((run.mark_time_s > release - _STOOD_S) & (run.mark_time_s < release))
     if stood and np.any(run.mark_time_s > release):
         release = plateau_start(run.mark_time_s, run.mark_phase_rad, release, end)
-    if end - release < _LEAST_AFTER_RELEASE_S:
-        raise NotEnoughData(
-            f"{end - release:.1f} s at speed after release, at least {_LEAST_AFTER_RELEASE_S:g} s needed"
-        )
+    if end - release < _MIN_AFTER_RELEASE_S:
+        raise NotEnoughData(f"{end - release:.1f} s at speed after release, at least {_MIN_AFTER_RELEASE_S:g} s needed")
     return release, end, stood
 
 
-def _between(time: np.ndarray, values: np.ndarray, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-    """Finite samples in a span."""
+def _between(time: Array, values: Array, start: float, end: float) -> tuple[Array, Array]:
+    """Return the finite samples in an interval."""
     finite = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
     inside = (time >= start) & (time <= end) & finite
     return time[inside], values[inside]
 
 
-def _locked(run: Run) -> tuple[bool, np.ndarray]:
-    """Whether both stood at their locks in the seconds before the first release, and where."""
+def _locked(run: Run) -> tuple[bool, Array]:
+    """Whether both pendulums stood at their locks before the first release, and their mean angles."""
     first = min(r.time_s for r in run.releases)
     _, before = _between(run.angle_time_s, run.angle_rad, first - 3.0, first - 0.02)
     if len(before) < 20:
@@ -250,8 +259,8 @@ def _locked(run: Run) -> tuple[bool, np.ndarray]:
 
 
 def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
-    """How the end of the run is judged; of pendulums that were free before, `release` is no place they may stand at."""
-    late = end - 40.0  # enough for any window; the locked part is needed to see whether the gap has changed
+    """Judge the end of the run; for pendulums released at rest the release time is not used as a resting place."""
+    late = end - 40.0  # long enough for any window; the locked part shows whether the gap has changed
     angles = run.angle_time_s >= min(release - 1.0, late)
     x, y = run.x_time_s >= late, run.y_time_s >= late
 
@@ -273,7 +282,7 @@ def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
         )
 
     def was_settled() -> bool:
-        return judged(slack=_SLACK).settled and any(judged(at=end - since).settled for since in _LATELY_S)
+        return judged(slack=_SLACK).settled and any(judged(at=end - since).settled for since in _RECENT_S)
 
     found = judged()
     if found.span_s == 0.0:
@@ -284,7 +293,7 @@ def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
 
 
 def _mean_off(settling: Settling) -> tuple[float, float]:
-    """Bounds on how far the means may be from where they will end, rad and m; the last change where there is none."""
+    """Return bounds on the distance of the means from their limits, rad and m; without a bound the last change."""
     angle = settling.mean_off_rad if math.isfinite(settling.mean_off_rad) else settling.drift_rad
     orbit = settling.mean_off_m if math.isfinite(settling.mean_off_m) else settling.drift_m
     return angle, orbit
@@ -295,15 +304,16 @@ def _speed(run: Run, start: float, end: float) -> Interval:
     times, phases = run.mark_time_s[inside], run.mark_phase_rad[inside]
     if len(times) < 4:
         raise NotEnoughData(f"only {len(times)} tachometer marks in the last {end - start:.1f} s")
-    slope, offset = np.polyfit(times - times[0], phases - phases[0], 1)
+    line: Array = np.asarray(np.polyfit(times - times[0], phases - phases[0], 1), np.float64)
+    slope, offset = line.tolist()
     rest = phases - phases[0] - offset - slope * (times - times[0])
     spread = float(np.std(rest) / (np.std(times) * math.sqrt(len(times))))
     rate = run.clock_rate_std.get("phase", 0.0) * slope
-    return Interval(float(slope), math.hypot(spread, rate))
+    return Interval(slope, math.hypot(spread, rate))
 
 
-def _angles(run: Run, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-    """Means over whole revolutions and their standard uncertainty from statistics and quantisation, shape (2,) each."""
+def _angles(run: Run, start: float, end: float) -> tuple[Array, Array]:
+    """Return means over whole revolutions and their standard uncertainty without calibration, shape (2,) each."""
     time, angles = _between(run.angle_time_s, run.angle_rad, start, end)
     psi = np.interp(time, run.mark_time_s, run.mark_phase_rad)
     if len(time) < 200 or psi[-1] - psi[0] < 4 * np.pi:
@@ -316,16 +326,14 @@ def _angles(run: Run, start: float, end: float) -> tuple[np.ndarray, np.ndarray]
     return fit[-1], np.hypot(statistics, quantisation)
 
 
-def _quantisation(angle: np.ndarray, step: float) -> float:
-    """Standard error a rounded code leaves in its mean: a step/√12 when it stands, less as noise dithers it."""
+def _quantisation(angle: Array, step: float) -> float:
+    """Return the standard error of the mean of a rounded code: step/√12 at rest, less if noise dithers it."""
     dither = max(0.0, float(np.var(angle)) / step**2 - 1 / 12)
     return step / math.sqrt(12) * math.exp(-2 * math.pi**2 * dither)
 
 
-def _orders(
-    run: Run, time: np.ndarray, values: np.ndarray, start: float, end: float, name: str
-) -> tuple[np.ndarray, float]:
-    """Complex amplitudes of orders 1 to 3 over a span, shape (3,), and the standard deviation of order 1."""
+def _orders(run: Run, time: Array, values: Array, start: float, end: float, name: str) -> tuple[Complex, float]:
+    """Return complex amplitudes of orders 1 to 3 in an interval, shape (3,), and the standard deviation of order 1."""
     inside = (time >= start) & (time <= end)
     psi = np.interp(time[inside], run.mark_time_s, run.mark_phase_rad)
     speed = (psi[-1] - psi[0]) / (end - start) if inside.sum() > 1 else 0.0

@@ -1,10 +1,10 @@
 # pyright: strict
-"""What a point's run was still to change by at its end: the limits of angles and orbit, as estimates.
+"""Remaining approach at the end of a point's run: estimates of the limits of angles and orbit.
 
-The means of the last seconds lag behind where a slow approach ends. The window means since the release are continued
-to their limit (daq.signals.limit), angles and order-1 orbit together, for they approach with the same rates. Where no
-approach explains them, the mean of the last seconds stands, with settling's bound on its distance from the end, over
-√3, as its standard uncertainty.
+The means of the last seconds lag behind the limit of a slow approach. The window means since the release are
+extrapolated to their limit (daq.signals.limit), angles and order-1 orbit together, because they approach at the same
+rates. If no approach explains the means, the mean of the last seconds is used. Its standard uncertainty is then the
+bound of the settling check on its distance from the end, over √3.
 Source: docs/theory/steady_states.md, "Where it ends".
 """
 
@@ -26,24 +26,24 @@ Array = NDArray[np.float64]
 
 UNEXPLAINED = "unexplained"
 _WINDOW_S = 1.0
-_MOST_WINDOWS = 30
-_LEAST_RAD, _LEAST_M = 1e-9, 1e-12  # a mean's noise is not taken smaller: signals that do not change at all have none
-_HARDLY = 0.1  # of its radius, by which an orbit may change and still be taken as radius and arc
-_SECOND_ORDER = 2.0  # terms of second order over those of first order, per radian left; 1.1 and 1.3 at C of two rigs
+_MAX_WINDOWS = 30
+_MIN_NOISE_RAD, _MIN_NOISE_M = 1e-9, 1e-12  # least noise of a mean: constant signals have no noise
+_MAX_CHANGE = 0.1  # change of an orbit over its radius up to which radius and arc describe it
+_SECOND_ORDER = 2.0  # second-order over first-order terms per radian of remaining angle; 1.1 and 1.3 at C of two rigs
 _NAMES = ("θ3", "θ4", "x", "y")
 
 
 @dataclass(frozen=True)
 class ToCome:
-    """What was added to the means of the last seconds. Order: θ3, θ4 (rad), Re x, Im x, Re y, Im y (m).
+    """Extrapolation of the means of the last seconds. Order: θ3, θ4 (rad), Re x, Im x, Re y, Im y (m).
 
     Attributes:
-        shift: estimated limit minus mean over the last seconds, shape (6,); 0 where unexplained.
-        covariance: of the limits, shape (6, 6): noise, rounding and what is to come; no calibration.
+        shift: estimated limit minus mean over the last seconds, shape (6,); 0 if unexplained.
+        covariance: covariance of the limits, shape (6, 6): noise, rounding and remaining approach, no calibration.
         to_come: limit minus the motion at the run's end, shape (6,).
         model: "none", "one rate", "two rates", "oscillation" or "unexplained".
-        rate_per_s: of the approach, 1/s; nan where nothing moves.
-        windows: how many windows of about a second it rests on.
+        rate_per_s: rate of the approach, 1/s; NaN without an approach.
+        windows: number of windows of about one second behind the estimate.
     """
 
     shift: Array
@@ -60,7 +60,7 @@ class ToCome:
 
     @property
     def sentence(self) -> str:
-        """What was extrapolated, where that is clearly more than its own uncertainty; else empty."""
+        """The extrapolation in words if it clearly exceeds its own uncertainty; else empty."""
         if self.model == UNEXPLAINED:
             return ""
         std = self.std
@@ -77,7 +77,7 @@ class ToCome:
         return f"extrapolated to where it ends: {', '.join(angles + orbit)}" if angles or orbit else ""
 
     def to_json(self) -> dict[str, object]:
-        """Plain values, units in the names; what is not known is None."""
+        """Return plain values with units in the names; unknown values are None."""
         shift, std = self.shift, self.std
         own: dict[str, object] = {"model": self.model, "windows": self.windows}
         own["rate_per_s"] = self.rate_per_s if math.isfinite(self.rate_per_s) else None
@@ -90,18 +90,19 @@ class ToCome:
 
 
 def _stated(value: float, std: float) -> str:
-    """A number with its uncertainty, both to the uncertainty's first digit."""
+    """Format a number with its uncertainty, both to the uncertainty's first digit."""
     digits = max(0, -math.floor(math.log10(max(std, 1e-9))))
     return f"{value:.{digits}f} ± {std:.{digits}f}".replace("-", "−")
 
 
 def to_come(run: Run, release_s: float, end_s: float, means: Array, stds: Array) -> ToCome:
-    """Where a point's motion ends.
+    """Extrapolate the motion of a point to its limit.
 
     Args:
+        run: run of the point.
         release_s, end_s: last release and end of the plateau, s since the run's start.
-        means, stds: of the last seconds, shape (6,), with the standard uncertainties that hold where no approach
-            explains the means: statistics, rounding and the bound on what is to come.
+        means, stds: means of the last seconds, shape (6,), with the standard uncertainties that hold if no approach
+            explains the means: statistics, rounding and the bound on the remaining approach.
     """
     found = _limit(run, release_s, end_s, means)
     if found is None:
@@ -112,10 +113,10 @@ def to_come(run: Run, release_s: float, end_s: float, means: Array, stds: Array)
 
 
 def _limit(run: Run, release_s: float, end_s: float, means: Array) -> Limit | None:
-    """The windows since the release, and where they lead."""
+    """Fit the windows since the release and return their limit; None with too few windows or no fit."""
     marks = (run.mark_time_s >= release_s) & (run.mark_time_s <= end_s)
     time, phase = run.mark_time_s[marks], run.mark_phase_rad[marks]
-    edges = whole_revolutions(time, phase, _WINDOW_S, _MOST_WINDOWS)
+    edges = whole_revolutions(time, phase, _WINDOW_S, _MAX_WINDOWS)
     if len(edges) <= LEAST_WINDOWS:
         return None
     angles = angle_means(run.angle_time_s, run.angle_rad, time, phase, edges, run.angle_step_rad, LEAST_WINDOWS)
@@ -126,7 +127,7 @@ def _limit(run: Run, release_s: float, end_s: float, means: Array) -> Limit | No
     if len(a) < LEAST_WINDOWS:
         return None
     seen = np.concatenate([angles.means[a], orbit.means[o]], axis=1)
-    noise = np.concatenate([_angle_noise(angles, angles.means[a]), orbit.noise_covariance(_LEAST_M)[:, o][:, :, o]])
+    noise = np.concatenate([_angle_noise(angles, angles.means[a]), orbit.noise_covariance(_MIN_NOISE_M)[:, o][:, :, o]])
     middle = angles.edges_s[a].mean(axis=1)
     turns = (middle - middle[-1]) * float(phase[-1] - phase[0]) / float(time[-1] - time[0])
     back, held = np.eye(6), np.ones(6)
@@ -134,7 +135,7 @@ def _limit(run: Run, release_s: float, end_s: float, means: Array) -> Limit | No
         local = _radius_and_arc(seen[:, at], noise[at], means[at], turns * rate_std_between(run, signal, "phase"))
         if local is not None:
             seen[:, at], noise[at], back[at, at] = local
-            held[at.stop - 1] = 0.0  # where along the arc it ends is the clocks' affair; the mean stands
+            held[at.stop - 1] = 0.0  # the limit along the arc depends on the clocks; the mean is used
     found = limit(angles.edges_s[a], seen, noise, lambda means: _bends(means, held))
     if found is None:
         return None
@@ -147,19 +148,19 @@ def _limit(run: Run, release_s: float, end_s: float, means: Array) -> Limit | No
 
 
 def _radius_and_arc(vectors: Array, noise: Array, mean: Array, turn_std: Array) -> tuple[Array, Array, Array] | None:
-    """A sensor's order-1 vectors as radius and arc beyond the mean's direction, m; None for those that still change.
+    """Return a sensor's order-1 vectors as radius and arc from the mean's direction, m; None if they still change.
 
     Args:
-        vectors: per window, shape (n, 2).
-        noise: of both columns, shape (2, n, n).
-        mean: of the last seconds, shape (2,).
-        turn_std: by how much the clocks may have turned each window, rad, shape (n,).
+        vectors: vector of each window, shape (n, 2).
+        noise: covariance of both columns, shape (2, n, n).
+        mean: mean of the last seconds, shape (2,).
+        turn_std: standard deviation of each window's rotation by the clocks, rad, shape (n,).
     Returns:
-        Radii and arcs (n, 2); their noise, that of the arcs with the clocks' (2, n, n); what takes both back to the
-        vectors' axes (2, 2).
+        Radii and arcs (n, 2); their noise, that of the arcs with the clocks' (2, n, n); the matrix from both back to
+        the vectors' axes (2, 2).
     """
     radius = math.hypot(*mean)
-    if not np.max(np.hypot(*(vectors[-LEAST_WINDOWS:] - mean).T)) < _HARDLY * radius:
+    if not np.max(np.hypot(*(vectors[-LEAST_WINDOWS:] - mean).T)) < _MAX_CHANGE * radius:
         return None
     c, s = mean / radius
     back = np.array([[c, -s], [s, c]])
@@ -171,11 +172,11 @@ def _radius_and_arc(vectors: Array, noise: Array, mean: Array, turn_std: Array) 
 
 
 def _bends(seen: Array, held: Array) -> Array:
-    """Prior deviation of what the approach's square changes over the windows, shape (6,), unit of the means.
+    """Return the prior deviation of the second-order change over the windows, shape (6,), unit of the means.
 
-    Angles enter force and moment through sine and cosine: what is of second order is the first order's times the
-    angles that are left, rad, times a number of the order of one. Columns as in ToCome; arcs, held at 0, turn with the
-    clocks and say nothing of it.
+    Angles enter force and moment through sine and cosine. A second-order change is the first-order change times the
+    remaining angle, rad, times a number of order one. Columns as in ToCome. Arcs (held = 0) rotate with the clocks and
+    are left out.
     """
     change = held * np.ptp(seen, axis=0)
     left = float(change[:2].max())
@@ -183,11 +184,11 @@ def _bends(seen: Array, held: Array) -> Array:
 
 
 def _angle_noise(seen: WindowMeans, means: Array) -> Array:
-    """Covariance of each angle's errors over the windows, shape (2, n, n)."""
+    """Return the covariance of each angle's errors over the windows, shape (2, n, n)."""
     white = np.eye(len(means))
     return np.stack(
         [
-            max(noise, _LEAST_RAD) ** 2 * white + rounding_covariance(terms, seen.step, column)
+            max(noise, _MIN_NOISE_RAD) ** 2 * white + rounding_covariance(terms, seen.step, column)
             for noise, terms, column in zip(seen.noise, seen.rounding, means.T, strict=True)
         ]
     )

@@ -1,10 +1,10 @@
 """Measured steady states against the model at the validation points: z-scores, verdicts, reasons.
 
-A z-score is the difference over the standard deviation of the difference; that holds the measurement's statistics,
-what was still to come, laser gain and encoder zero, and the identified parameters' covariance, the axis angle's and the
-speed's. Where the model says "no vibration" (Type I) an amplitude cannot be below it: there the order-1 amplitudes
-are held against their noise, as |X|²/σ², whose probability is turned into the |z| of the same probability.
-Derivation and the choice of the threshold: docs/theory/validation.md.
+A z-score is the difference over its standard deviation. The deviation contains the measurement's statistics, the
+remaining approach, laser gain and encoder zero, the covariance of the identified parameters, the axis angle and the
+speed. Where the model predicts no vibration (Type I) an amplitude cannot be smaller than predicted. There the order-1
+amplitudes are compared with their noise as |X|²/σ², whose probability is converted to the |z| of the same probability.
+Derivation and choice of the threshold: docs/theory/validation.md.
 """
 
 from __future__ import annotations
@@ -44,20 +44,21 @@ _READINGS: Mapping[Reading, str] = {
 
 @dataclass(frozen=True)
 class Validation:
-    """All points that were compared.
+    """Result of all compared points.
 
     Attributes:
-        points: by name.
-        agreement: of all points together with the model; None where no point could be compared.
-        explanations: what would explain the differences; None where they agree.
-        noticed: cause, in words → the smallest size that the most sensitive point alone would notice, and that point.
-        start_ups: repeated start-ups, by the speed that was asked for.
-        of_releases: what releases show that no test has found, a sentence each.
-        suspension: what terms of the suspension that were found do at the points, a sentence each.
-        reading: what releases took a torque for that grows with the square of the speed; "" where that was settled.
+        points: result of each point by name.
+        agreement: agreement of all points together with the model; None if no point could be compared.
+        explanations: explanations of the differences; None if the points agree with the model.
+        noticed: smallest size of each cause that the most sensitive point alone would detect, with that point.
+        start_ups: repeated start-ups by their requested speed.
+        of_releases: sentences on effects in the releases that no test has identified.
+        suspension: sentences on the effect of identified terms of the suspension at the points.
+        reading: interpretation by the releases of a torque that grows with the square of the speed; "" if a test
+            decided it.
     """
 
-    points: Mapping[str, PointResult] = field(default_factory=dict)
+    points: Mapping[str, PointResult] = field(default_factory=dict[str, PointResult])
     agreement: Agreement | None = None
     explanations: Explanations | None = None
     noticed: Sequence[Noticed] = ()
@@ -68,12 +69,12 @@ class Validation:
 
     @property
     def reasons(self) -> list[str]:
-        """What is known to be the reason that points do not pass, a sentence for each."""
+        """Known reasons of points that do not pass, a sentence each."""
         return [f"{name}: {point.because}" for name, point in self.points.items() if point.because]
 
     @property
     def warnings(self) -> list[str]:
-        """What the lasers show beside the rotor's motion under the log's name, and what releases tell of a drag."""
+        """Messages on the interpretation of drag, on releases and suspension, and on the signals by log name."""
         return [
             *([_READINGS[self.reading]] if self.reading else []),
             *self.of_releases,
@@ -92,12 +93,12 @@ class Validation:
 
     @property
     def passed(self) -> bool:
-        """Whether there is a point or a start-up, each passed, and all points together agree with the model."""
+        """Whether at least one point or start-up exists, each passed, and all points together agree with the model."""
         parts = [p.verdict == "pass" for p in self.points.values()] + [series.passed for series in self.start_ups]
         return bool(parts) and all(parts) and (self.agreement is None or self.agreement.passed)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, ready for json.dumps: "points" by name, and what all of them say together."""
+        """Return plain values, ready for json.dumps: "points" by name, and the results of all points together."""
         return {
             "points": {name: point.to_json() for name, point in self.points.items()},
             "agreement": None if self.agreement is None else self.agreement.to_json(),
@@ -116,19 +117,19 @@ def validate(
     axis_angle_deg: tuple[float, float] | None = None,
     releases: Sequence[Rows] = (),
 ) -> Validation:
-    """Compare every run at a point, and every repeated start-up, with the model; other runs are left alone.
+    """Compare every run at a point, and every repeated start-up, with the model; other runs are ignored.
 
     Args:
-        runs: recorded tests, any order; a point recorded twice appears as "A" and "A (2)".
-        rig: physical part, calibration uncertainties, points with the expected states.
+        runs: recorded tests in any order; a point recorded twice appears as "A" and "A (2)".
+        rig: rig file with physical part, calibration uncertainties, and points with the expected states.
         identified: parameters with covariance.
         axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty, degrees; None
-            for the identified one, as the sensors are mounted where no test has shown it.
-        releases: what happened right after releases at the points, and run-ups that have identified nothing, held
-            against the same parameters.
+            for the identified angle, or the mounting angle of the rig file if no test identified it.
+        releases: rows of the motions right after releases at the points, and of run-ups that were not used for the
+            identification, calculated with the same parameters.
     Source: docs/theory/validation.md.
     """
-    identified = identified.completed(rig.physics)  # what was not identified, or set, may be wrong as well
+    identified = identified.completed(rig.physics)  # values that were not identified, or set, may be wrong as well
     readings: list[Reading] = [each.reading for each in releases if each.reading]
     reading: Reading = readings[0] if readings else ""
     identified = replace(identified, provenance=read_as(identified.provenance, reading))
@@ -164,17 +165,17 @@ def validate(
     validation = Validation(
         results, found.agreement, found.explanations, found.noticed, repeated, reading, remarks, changed
     )
-    off = any(p.verdict == "fail" and p.scores for p in results.values())  # a state that is missing has no differences
+    off = any(p.verdict == "fail" and p.scores for p in results.values())  # a wrong state has no differences
     return validation if validation.explanations or not off else replace(validation, explanations=found.explain())
 
 
 def _is_test(rows: Rows) -> bool:
-    """Whether rows are those of a test by itself, as a run-up, and of no release at a point."""
+    """Whether rows are those of a separate test, as a run-up, and not of a release at a point."""
     return bool(rows.rows) and not rows.rows[0].startswith(RELEASE)
 
 
 def _suspension(results: Mapping[str, PointResult], identified: IdentifiedParameters) -> list[str]:
-    """What the suspension's terms do at each point, a sentence each."""
+    """Return the effect of the suspension's terms at each point, a sentence each."""
     found = {
         name: effects(identified, point.prediction.state, point.prediction.speed_rad_s)
         for name, point in results.items()
@@ -186,7 +187,7 @@ def _suspension(results: Mapping[str, PointResult], identified: IdentifiedParame
 def _start_ups(
     runs: Sequence[Run], rig: Rig, identified: IdentifiedParameters, axis_angle_deg: tuple[float, float] | None
 ) -> list[StartUps]:
-    """Repeated start-ups by the speed that was asked for, slowest first."""
+    """Return repeated start-ups by their requested speed, slowest first."""
     series: dict[float, list[Run]] = {}
     for run in sorted((r for r in runs if r.test == START_UPS), key=lambda r: r.start_s):
         series.setdefault(_asked_rpm(run), []).append(run)
@@ -201,7 +202,7 @@ def _start_ups(
 
 
 def _asked_rpm(run: Run) -> float:
-    """The speed that a start-up's log says was asked for; 0 where it says none, as a recording made elsewhere."""
+    """Return the requested speed of a start-up's log; 0 if the log has none, as recordings from other programs."""
     try:
         speed = float(run.metadata.get("speed_rpm", 0.0))
     except (TypeError, ValueError):
@@ -212,7 +213,7 @@ def _asked_rpm(run: Run) -> float:
 def validate_point(
     run: Run, rig: Rig, identified: IdentifiedParameters, axis_angle_deg: tuple[float, float] | None = None
 ) -> PointResult:
-    """Compare one run with the model; arguments as in `validate`. Never raises for what a log may hold."""
+    """Compare one run with the model; arguments as in `validate`. Raises no error for any content of a log."""
     name = point_of(run.test)
     point = rig.points.get(name)
     expected = point.expected if point else None
@@ -234,7 +235,7 @@ def validate_point(
 
 
 def _same_as(expected: str | None, measured: SteadyMeasurement, prediction: Prediction | None) -> bool:
-    """Whether the state that was measured is the predicted and the expected one."""
+    """Whether the measured state is the predicted and the expected one."""
     return prediction is not None and measured.state == prediction.state.type and expected in (None, measured.state)
 
 
@@ -245,7 +246,7 @@ def _bow_m(identified: IdentifiedParameters) -> complex:
 def _held(
     run: Run, rig: Rig, identified: IdentifiedParameters, measured: SteadyMeasurement, prediction: Prediction
 ) -> SteadyMeasurement:
-    """The measurement of pendulums that known dry friction holds, or lets creep, beside the predicted angles."""
+    """Return the measurement of pendulums held or slowed by known dry friction, with the state of the prediction."""
     held = prediction.held
     if held is None or not np.any(held.half_width_rad > 0):
         return measured
@@ -275,7 +276,7 @@ def _judge(
     expected: str | None,
     scores: Mapping[str, Score],
 ) -> tuple[str, str]:
-    """Verdict and reason."""
+    """Return verdict and reason."""
     if measured.state == "slipping" and measured.locked:
         if expected == "slipping":
             return "pass", f"slipping as expected: {measured.settling.why}"
@@ -294,7 +295,7 @@ def _judge(
 def _compare(
     measured: SteadyMeasurement, prediction: Prediction, expected: str | None, scores: Mapping[str, Score]
 ) -> tuple[str, str]:
-    """Verdict and reason of a settled state."""
+    """Return verdict and reason of a settled state."""
     if measured.state != prediction.state.type:
         return "fail", f"measured state {measured.state}, but the model's stable state is {prediction.state.type}"
     if expected is not None and measured.state != expected:
@@ -310,7 +311,7 @@ def _compare(
 
 
 def _rubbing(prediction: Prediction) -> str:
-    """Why known dry friction makes a point settle late: it creeps within the band, or long stood where it started."""
+    """Explain late settling by known dry friction: creep within the band, or a long stay at the unstable balance."""
     if prediction.held is None:
         return ""
     if np.any(prediction.held.half_width_rad > 0):
@@ -319,9 +320,9 @@ def _rubbing(prediction: Prediction) -> str:
 
 
 def _moved_on(measured: SteadyMeasurement) -> str:
-    """How much was extrapolated, where it matters, and that friction lets it creep."""
+    """Describe a relevant extrapolation, or a creep due to friction."""
     if measured.creeps:
         left = math.degrees(measured.settling.remaining_rad)
-        return f"; held and shaken loose by dry friction it creeps, by up to {left:.2g}° more"
+        return f"; dry friction holds and releases it repeatedly, so that it creeps, by up to {left:.2g}° more"
     moved = measured.to_come.sentence
     return f"; {moved}" if moved else ""

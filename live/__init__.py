@@ -3,6 +3,6 @@
     rig ─▶ Session ─▶ beside.LivePage ══pipe══▶ the page's own process: watched.Watched ┐
     log ────────────────────────────────────────────────────────────▶ replayed.Replayed ┴▶ picture ─▶ server ─▶ browser
 
-What is drawn is a `Source` (live.source): signals up to an instant, facts beside them, and what may be asked of it.
-`guard` decides who gets anything. The recorder's process copies new samples into a pipe and does nothing else for it.
+The page displays a `Source` (live.source): signals up to an instant, further facts, and the commands that it accepts.
+`guard` checks every request. The recorder's process copies new samples into a pipe and does no other work for the page.
 """

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Pendulum angles on the page: numbers and curves within the same turn, curves broken where they leave it."""
+"""Pendulum angles on the page: numbers and curves within the same turn, curves interrupted at its ends."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 from live.levels import Stretch
 
 FIRST_DEG = -5.0
-"""Angles are shown from here, one turn on: a pendulum held at 0° does not flicker between the ends of its chart."""
+"""Lower end of the displayed turn: a pendulum held at 0° does not flicker between the ends of its chart."""
 
 
 def shown_deg(angle_deg: float) -> float:
-    """An angle as the page shows it, FIRST_DEG … FIRST_DEG + 360, °; NaN stays NaN."""
+    """Return an angle within the displayed turn, FIRST_DEG … FIRST_DEG + 360, °; NaN stays NaN."""
     return float(np.mod(angle_deg - FIRST_DEG, 360.0) + FIRST_DEG)
 
 
 def within_a_turn(stretch: Stretch) -> Stretch:
-    """A stretch of an unwrapped angle, °, as the page shows it.
+    """Convert a stretch of an unwrapped angle, °, to the displayed turn.
 
-    A line breaks (NaN) where the angle passes FIRST_DEG. A row whose minimum and maximum lie on both sides of it
-    becomes two, one at each end of the chart; a row of a whole turn or more fills the chart.
+    The line is interrupted (NaN) where the angle passes FIRST_DEG. A row whose minimum and maximum are on both sides of
+    FIRST_DEG is divided into two, one at each end of the chart. A row of a whole turn or more fills the chart.
     """
     low, high = stretch.low, stretch.high
     first, last = (np.floor((angle - FIRST_DEG) / 360.0) for angle in (low, high))

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The page beside a session, in a process of its own, and what it may ask for; what it missed of samples is counted."""
+"""The live page of a session in a process of its own, and its commands; omitted samples are counted."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from daq.acquisition.session import Session
 from daq.drivers.items import Event
 from daq.errors import DeviceError, RigError
 from daq.guided_tests.controls import Controls
-from live.fed_process import FedProcess, emptied
+from live.fed_process import FedProcess, drained
 from live.newest import Newest
 from live.signals import Signals
 from live.watched import run_page
@@ -21,17 +21,17 @@ from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
 _FACTS_S = 0.2
-_MOST_EVENTS = 500
+_MAX_EVENTS = 500
 _QUIET = ("status", "reply", "acknowledge")
-_TOO_LONG = ("excerpt",)  # facts of events that the page does not show
+_HIDDEN_FACTS = ("excerpt",)  # long facts of events, which the page does not display
 
 
 class Asking:
-    """What the page may ask a running test for, and what it shows of it.
+    """Commands of the page to a running test, and the facts of that test on the page.
 
     Args:
-        controls: of the tests; None where none runs.
-        confirmed: called when somebody says that what was asked for is done; None where nobody waits for it.
+        controls: controls of the tests; None if no test can run.
+        confirmed: called when a viewer confirms that a prompt has been carried out; None if prompts need no answer.
     """
 
     def __init__(self, controls: Controls | None = None, confirmed: Callable[[], None] | None = None) -> None:
@@ -39,7 +39,7 @@ class Asking:
         self._prompt, self._at = "", ("", "")
 
     def prompt(self, text: str) -> None:
-        """The operator is asked for something."""
+        """Display a prompt to the operator."""
         self._prompt, self._at = text, self._state()
 
     def _state(self) -> tuple[str, str]:
@@ -47,7 +47,7 @@ class Asking:
         return (status.test, status.state) if status is not None else ("", "")
 
     def facts(self) -> dict[str, Any]:
-        """For the page."""
+        """Return the facts of the test for the page."""
         if self.controls is None:
             return {}
         status = self.controls.status
@@ -63,24 +63,24 @@ class Asking:
         }
 
     def can(self) -> list[str]:
-        """Verbs that make sense."""
+        """Return the commands that are possible now."""
         tests = [] if self.controls is None or not self.controls.status.test else ["pause", "resume", "abort"]
         return [*tests, *(["confirm"] if tests and self.confirmed is not None and self._prompt else [])]
 
 
 class LivePage(FedProcess):
-    """A page for one session; see FedProcess.
+    """The live page of one session; see FedProcess.
 
     Args:
-        rig: the session's, with identified parameters laid over it where there are any.
-        identified: these.
-        source: where the model's numbers are from, for a person.
-        rate: seconds of the rig per second of the wall.
-        title: of the page.
-        host, port: as live.port.bound takes them.
+        rig: rig of the session, with identified parameters applied if they exist.
+        identified: these parameters.
+        source: origin of the model's numbers, for a reader.
+        rate: seconds of the rig per second of wall time.
+        title: title of the page.
+        host, port: as for live.port.bound.
 
     Raises:
-        RigError: on entering; the page cannot be served.
+        RigError: on entering, if the page cannot be served.
     """
 
     def __init__(
@@ -96,52 +96,52 @@ class LivePage(FedProcess):
         super().__init__("live page", "the live page", run_page, (rig, identified, source, rate, title, host, port))
         self._asking, self._facts, self._facts_s = Asking(), dict[str, Any](), -math.inf
         self._stop: Callable[[str], None] | None = None
-        self._events: deque[dict[str, Any]] = deque(maxlen=_MOST_EVENTS)
+        self._events: deque[dict[str, Any]] = deque(maxlen=_MAX_EVENTS)
         self._newest = Newest(Signals(rig, 0).topics)
 
     @property
     def url(self) -> str:
-        """The page's address, with its token."""
+        """Address of the page with its token."""
         return str(self.offered["url"])
 
     @property
     def token(self) -> str:
-        """The page's."""
+        """Token of the page."""
         return str(self.offered["token"])
 
     def follow(
         self, session: Session, asking: Asking, stop: Callable[[str], None] | None, facts: Mapping[str, Any]
     ) -> None:
-        """Show a session from now on.
+        """Display a session from now on.
 
         Args:
-            session: open.
-            asking: what its test asks and may be asked for.
-            stop: stops the rotor at once and ends the run, with a reason; None where the rig is not ours to stop.
-            facts: what else the page shows: "note", "log" …
+            session: open session.
+            asking: commands to its test.
+            stop: stops the rotor at once and ends the run, with a reason; None if this program does not run the rig.
+            facts: further facts on the page: "note", "log" …
         """
         self._asking, self._stop, self._facts = asking, stop, dict(facts)
         self._feed_from(session)
 
-    def _happened(self, session: Session, event: Event) -> None:
+    def _on_event(self, session: Session, event: Event) -> None:
         if event.kind not in _QUIET:
-            super()._happened(session, event)
+            super()._on_event(session, event)
 
-    def _noted(self, event: Event, host_ns: int) -> None:
-        facts = {name: value for name, value in event.facts.items() if name not in _TOO_LONG}
+    def _on_note(self, event: Event, host_ns: int) -> None:
+        facts = {name: value for name, value in event.facts.items() if name not in _HIDDEN_FACTS}
         self._events.append(
             {"time_ns": host_ns, **facts, "kind": event.kind, "device": event.device, "text": event.text}
         )
 
-    def _copied(self, session: Session, last: bool) -> Mapping[str, Any]:
+    def _update(self, session: Session, last: bool) -> Mapping[str, Any]:
         now_s = time.monotonic()
-        facts = self._said(session) if last or now_s - self._facts_s >= _FACTS_S else None
+        facts = self._session_facts(session) if last or now_s - self._facts_s >= _FACTS_S else None
         self._facts_s = now_s if facts is not None else self._facts_s
         heard_ns = session.clock.now_ns()
         rows = self._newest.take(session.recent, heard_ns)
-        return {"heard_ns": heard_ns, "rows": rows, "events": emptied(self._events), "facts": facts}
+        return {"heard_ns": heard_ns, "rows": rows, "events": drained(self._events), "facts": facts}
 
-    def _said(self, session: Session) -> dict[str, Any]:
+    def _session_facts(self, session: Session) -> dict[str, Any]:
         disk = session.disk()
         stopping, ended = session.trouble is not None, session.closed
         tests = [] if stopping else self._asking.can()
@@ -159,16 +159,18 @@ class LivePage(FedProcess):
             "feed_dropped": self._newest.left_out,
             "trouble": str(session.trouble or session.left or ""),
             "can": can,
-            "stop": "" if self._stop is not None else "whoever runs the rig stops it: this session only listens",
+            "stop": ""
+            if self._stop is not None
+            else "this session only receives; stop the rig in the program that runs it",
         }
 
-    def _heard(self, said: Mapping[str, Any]) -> None:
-        """The page asks for something."""
+    def _on_message(self, message: Mapping[str, Any]) -> None:
+        """Carry out a command of the page and send the answer."""
         try:
-            answer = self._act(said["act"], said["given"])
-        except Exception as why:  # whatever became of this one, the next stop is heard
-            answer = {"error": f"{why}" if isinstance(why, RigError) else f"{type(why).__name__}: {why}"}
-        self._send({"answer": answer, "to": said["number"]})
+            answer = self._act(message["act"], message["given"])
+        except Exception as fault:  # a failed command must not prevent a later stop
+            answer = {"error": f"{fault}" if isinstance(fault, RigError) else f"{type(fault).__name__}: {fault}"}
+        self._send({"answer": answer, "to": message["number"]})
 
     def _act(self, verb: str, given: Mapping[str, Any]) -> dict[str, Any]:
         session, controls = self._session, self._asking.controls
@@ -192,5 +194,5 @@ class LivePage(FedProcess):
             case "confirm" if self._asking.confirmed is not None:
                 self._asking.confirmed()
             case _:
-                raise DeviceError(f"{verb}: nothing here does that")
-        return {"done": True, "answer": f"{verb}: asked for"}
+                raise DeviceError(f"{verb}: not available in this session")
+        return {"done": True, "answer": f"{verb}: requested"}

@@ -1,8 +1,8 @@
 # pyright: strict
-"""A process of its own beside a session, fed with copies of what is newest.
+"""A separate process for one session, fed with copies of the newest data.
 
-The session's threads do nothing for it. One thread here looks at the newest samples 30 times a second and writes them
-into a pipe; while that process does not take them, this thread waits. Another takes what comes back.
+The session's threads do no work for it. One thread here reads the newest samples 30 times per second and writes them
+into a pipe. It waits while the process does not read the pipe. A second thread receives the messages of the process.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from daq.drivers.items import Event
 from daq.errors import RigError
 
 _Item = TypeVar("_Item")
-_TURN_S = 1 / 30
-_START_S, _END_S, _FEED_ENDS_S = 180.0, 10.0, 1.0  # a slow machine compiles for a minute, once
+_INTERVAL_S = 1 / 30
+_START_S, _END_S, _FEED_END_S = 180.0, 10.0, 1.0  # timeouts; a slow machine compiles for a minute, once
 
 
 class FedProcess(ABC):
-    """For one session; a context, entered before the session and left after it.
+    """A separate process for one session; a context that is entered before the session and left after it.
 
     Args:
-        name: of the process.
-        whose: what an error begins with.
-        run: the process: called with its end of the pipe and `args`. It says one thing first: what is offered, or
-            {"failed": why}; it ends when it is sent {"end": True}, or the pipe is gone.
-        args: whatever can be pickled.
+        name: name of the process.
+        label: start of error messages.
+        run: function of the process, called with its end of the pipe and `args`. Its first message contains what it
+            offers, or {"failed": reason}. It ends when it receives {"end": True} or the pipe is closed.
+        args: picklable arguments.
 
     Attributes:
-        offered: what the process said first, once this is entered.
+        offered: first message of the process, once the context is entered.
     Raises:
-        RigError: it did not start, or failed.
+        RigError: the process did not start, or failed.
     """
 
-    def __init__(self, name: str, whose: str, run: Callable[..., None], args: tuple[Any, ...]) -> None:
+    def __init__(self, name: str, label: str, run: Callable[..., None], args: tuple[Any, ...]) -> None:
         self.offered: dict[str, Any] = {}
-        self._whose = whose
+        self._label = label
         context = multiprocessing.get_context("spawn")
         self._ours, theirs = context.Pipe()
         self._theirs: Connection = theirs
@@ -52,52 +52,52 @@ class FedProcess(ABC):
         self._ending = threading.Event()
         self._session: Session | None = None
         self._feeding = threading.Thread(target=self._feed, name=f"{name}: feed", daemon=True)
-        self._hearing = threading.Thread(target=self._hear, name=f"{name}: answers", daemon=True)
+        self._receiving = threading.Thread(target=self._receive, name=f"{name}: answers", daemon=True)
 
     @abstractmethod
-    def _copied(self, session: Session, last: bool) -> Mapping[str, Any]:
-        """What is handed over now: all that is new; `last` at the session's end."""
+    def _update(self, session: Session, last: bool) -> Mapping[str, Any]:
+        """Return all new data for the process; `last` at the end of the session."""
 
     @abstractmethod
-    def _heard(self, said: Mapping[str, Any]) -> None:
-        """The process said something."""
+    def _on_message(self, message: Mapping[str, Any]) -> None:
+        """Handle a message of the process."""
 
-    def _happened(self, session: Session, event: Event) -> None:
-        """An event of a device, told by the session's threads: to be kept, no more."""
-        self._noted(event, session.clock.now_ns())
+    def _on_event(self, session: Session, event: Event) -> None:
+        """Store an event of a device; called by the session's threads, so it must return at once."""
+        self._on_note(event, session.clock.now_ns())
 
     @abstractmethod
-    def _noted(self, event: Event, host_ns: int) -> None:
-        """An event of the host, as `_happened`."""
+    def _on_note(self, event: Event, host_ns: int) -> None:
+        """Store an event of the host; as `_on_event`."""
 
-    def _reported(self, facts: Mapping[str, Any], host_ns: int) -> None:
-        """A health report, as `_happened`."""
+    def _on_health(self, facts: Mapping[str, Any], host_ns: int) -> None:
+        """Store a health report; as `_on_event`."""
         del facts, host_ns
 
     def __enter__(self) -> Self:
         self._process.start()
         self._theirs.close()
         try:
-            came: dict[str, Any] = self._ours.recv() if self._ours.poll(_START_S) else {"failed": "it did not start"}
+            first: dict[str, Any] = self._ours.recv() if self._ours.poll(_START_S) else {"failed": "it did not start"}
         except EOFError:
-            came = {"failed": "its process ended"}
-        if "failed" in came:
+            first = {"failed": "its process ended"}
+        if "failed" in first:
             self.__exit__()
-            raise RigError(f"{self._whose}: {came['failed']}")
-        self.offered = came
-        self._hearing.start()
+            raise RigError(f"{self._label}: {first['failed']}")
+        self.offered = first
+        self._receiving.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._ending.set()
         if self._session is not None:
             with contextlib.suppress(ValueError):
-                self._session.observers.remove(self._observed)
-                self._session.noted.remove(self._noted)
-                self._session.reported.remove(self._reported)
+                self._session.observers.remove(self._on_session_event)
+                self._session.noted.remove(self._on_note)
+                self._session.reported.remove(self._on_health)
         if self._feeding.is_alive():
-            self._feeding.join(_FEED_ENDS_S)
-        if self._feeding.is_alive():  # it waits for a process that takes nothing any more
+            self._feeding.join(_FEED_END_S)
+        if self._feeding.is_alive():  # it waits for a process that does not read any more
             self._process.kill()
         else:
             with contextlib.suppress(OSError, ValueError):
@@ -106,42 +106,42 @@ class FedProcess(ABC):
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-        if self._hearing.is_alive():
-            self._hearing.join(_END_S)  # the other end of the pipe is closed by now
+        if self._receiving.is_alive():
+            self._receiving.join(_END_S)  # the other end of the pipe is closed by now
         self._ours.close()
 
     def _feed_from(self, session: Session) -> None:
-        """Hand an open session over from now on."""
+        """Feed the process from an open session from now on."""
         self._session = session
-        session.observers.append(self._observed)
-        session.noted.append(self._noted)
-        session.reported.append(self._reported)
+        session.observers.append(self._on_session_event)
+        session.noted.append(self._on_note)
+        session.reported.append(self._on_health)
         self._feeding.start()
 
-    def _observed(self, event: Event) -> None:
+    def _on_session_event(self, event: Event) -> None:
         if self._session is not None:
-            self._happened(self._session, event)
+            self._on_event(self._session, event)
 
     def _feed(self) -> None:
         session = self._session
         assert session is not None
-        with contextlib.suppress(OSError, ValueError):  # its process is gone; the session goes on
-            while not self._ending.wait(_TURN_S):
-                self._send(self._copied(session, last=False))
-            self._send(self._copied(session, last=True))
+        with contextlib.suppress(OSError, ValueError):  # the process has ended; the session continues
+            while not self._ending.wait(_INTERVAL_S):
+                self._send(self._update(session, last=False))
+            self._send(self._update(session, last=True))
 
-    def _hear(self) -> None:
+    def _receive(self) -> None:
         with contextlib.suppress(EOFError, OSError, ValueError):
             while True:
-                self._heard(self._ours.recv())
+                self._on_message(self._ours.recv())
 
-    def _send(self, what: Mapping[str, Any]) -> None:
+    def _send(self, message: Mapping[str, Any]) -> None:
         with self._sending:
-            self._ours.send(what)
+            self._ours.send(message)
 
 
-def emptied(kept: deque[_Item]) -> list[_Item]:
-    """All that a deque holds, taken out of it while others append."""
+def drained(kept: deque[_Item]) -> list[_Item]:
+    """Remove and return all items of a deque while other threads append."""
     found: list[_Item] = []
     with contextlib.suppress(IndexError):
         while True:

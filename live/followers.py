@@ -1,7 +1,7 @@
 # pyright: strict
-"""What is worked out beside the signals as they come: 1× vectors of a run-up, the pendulums' damping, steady states.
+"""Results computed from the incoming signals: 1× vectors of a run-up, damping of the pendulums, steady states.
 
-One thread does it, in the page's own process; a log that is played has all of it soon after it is opened.
+One thread of the page's own process computes them. For a replayed log they are complete soon after it is opened.
 """
 
 from __future__ import annotations
@@ -11,28 +11,29 @@ import threading
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.channels import LOCK_A_CLOSED, LOCK_B_CLOSED
 from identification.tracking.tracker import Sensors, Tracker
 from live.levels import Array
 from live.model import Model
-from live.planned import Ramp, worked_out
+from live.planned import Ramp, simulated_ramp
 from live.signals import Signals
 from live.vectors import Vectors
 from rig_configs.schema import Rig
 
-_TURN_S = 0.1  # wall s between two looks
-_MOST_TRACKED = 20_000
-_BATCH_S = 0.1  # of encoder samples that the tracker takes at once
+_INTERVAL_S = 0.1  # wall time between two updates
+_MAX_TRACKED = 20_000
+_BATCH_S = 0.1  # encoder samples per call of the tracker
 _ROW_S = 0.2
-_COMPILED_RPM = 400.0  # any speed will do
+_COMPILED_RPM = 400.0  # speed of the calls that compile the code
 _C3, _C4 = "c3_Nms_per_rad", "c4_Nms_per_rad"
 
 
 def compile_followers(rig: Rig, model: Model) -> None:
-    """Have all compiled that the followers call, which takes tens of seconds once; nobody has to wait for it later."""
-    model.work_out(_COMPILED_RPM)
-    worked_out(rig, model, Ramp(0.0, _COMPILED_RPM, 2.0))
+    """Compile all code of the followers in advance, which takes tens of seconds once."""
+    model.compute_states(_COMPILED_RPM)
+    simulated_ramp(rig, model, Ramp(0.0, _COMPILED_RPM, 2.0))
     tracker = Tracker(model.physics)
     tracker.feed_marks(np.array([0, 10**8]), np.array([0.0, 2 * math.pi]))
     tracker.feed_encoders(np.arange(0, 10**9, 10**7), np.zeros((100, 2)))
@@ -42,8 +43,8 @@ class Damping:
     """c3 and c4 by the online tracker.
 
     Args:
-        signals: of the rig, which has encoders.
-        model: its numbers are the start values.
+        signals: signals of a rig with encoders.
+        model: model with the initial values.
     """
 
     def __init__(self, signals: Signals, model: Model) -> None:
@@ -53,11 +54,11 @@ class Damping:
         self._tracker = Tracker(model.physics, Sensors(encoder_step_rad=step), released=(False, False))
         self._closed: list[bool | None] = [None, None]
         self._done_s = self._marks_s = -math.inf
-        self._rows: deque[tuple[float, float, float, float, float]] = deque(maxlen=_MOST_TRACKED)
+        self._rows: deque[tuple[float, float, float, float, float]] = deque(maxlen=_MAX_TRACKED)
         self.start = (model.physics.a.damping_Nms_per_rad, model.physics.b.damping_Nms_per_rad)
 
     def follow(self, until_s: float) -> None:
-        """Hand over what is new up to an instant, a batch at a time."""
+        """Process all new samples up to an instant in batches."""
         begin = self._signals.by_name["flags"].between(self._done_s, until_s)[0]
         if not len(begin):
             return
@@ -85,7 +86,7 @@ class Damping:
         if now.trusted and not all(self._closed) and (not self._rows or end_s - self._rows[-1][0] >= _ROW_S):
             self._rows.append((end_s, now.values[_C3], now.std[_C3], now.values[_C4], now.std[_C4]))
 
-    def _locks(self, times: Array, flags: np.ndarray) -> None:
+    def _locks(self, times: Array, flags: NDArray[np.int64]) -> None:
         for pendulum, flag in enumerate((LOCK_A_CLOSED, LOCK_B_CLOSED)):
             closed = (flags & flag) != 0
             before = self._closed[pendulum]
@@ -95,17 +96,16 @@ class Damping:
             self._closed[pendulum] = bool(closed[-1])
 
     def between(self, since_s: float, at_s: float) -> Array:
-        """Rows (time, c3, std, c4, std) of a stretch, s and N m s/rad, shape (n, 5)."""
+        """Return rows (time, c3, std, c4, std) of an interval, s and N m s/rad, shape (n, 5)."""
         return np.array([row for row in list(self._rows) if since_s <= row[0] <= at_s]).reshape(-1, 5)
 
 
 class Followers:
-    """See the module; a context in which the thread runs.
+    """All followers with their thread; a context in which the thread runs.
 
     Args:
-        signals: of the rig.
-        model: of the rig.
-        now: the instant that is shown.
+        signals: signals of the rig.
+        model: model of the rig.
     """
 
     def __init__(self, signals: Signals, model: Model) -> None:
@@ -115,7 +115,7 @@ class Followers:
         self.trouble = ""
         self.wanted_rpm = math.nan
         self.wanted_ramp: Ramp | None = None
-        self.planned: tuple[Ramp, Array] | None = None  # the ramp that was wanted, with its vectors
+        self.planned: tuple[Ramp, Array] | None = None  # the newest requested ramp with its vectors
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="followers", daemon=True)
 
@@ -128,27 +128,27 @@ class Followers:
         self._thread.join(5.0)
 
     def _run(self) -> None:
-        while not self._ending.wait(_TURN_S):
+        while not self._ending.wait(_INTERVAL_S):
             try:
                 self.follow()
-            except Exception as error:  # the page says so and goes on without
+            except Exception as error:  # the page displays the error and continues without followers
                 self.trouble = f"{type(error).__name__}: {error}"
                 return
 
     def follow(self) -> None:
-        """Take all that is new."""
+        """Process all new samples."""
         ramp = self.wanted_ramp
         if ramp is not None and (self.planned is None or self.planned[0] != ramp):
-            self.planned = ramp, worked_out(self._signals.rig, self._model, ramp)
+            self.planned = ramp, simulated_ramp(self._signals.rig, self._model, ramp)
         until_s = self._signals.newest_s
         if not math.isfinite(until_s):
             return
         self.vectors.follow(until_s)
         if math.isfinite(self.wanted_rpm):
-            self._model.work_out(abs(self.wanted_rpm))
+            self._model.compute_states(abs(self.wanted_rpm))
         if self.damping is not None:
             self.damping.follow(until_s)
 
 
-def _ns(time_s: Array) -> np.ndarray:
+def _ns(time_s: Array) -> NDArray[np.int64]:
     return np.round(time_s * 1e9).astype(np.int64)

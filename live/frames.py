@@ -1,7 +1,8 @@
 # pyright: strict
-"""One picture as bytes: `RIG1`, the length of a JSON header, the header, float32 columns one after the other.
+"""Encoding of one picture: `RIG1`, the length of a JSON header, the header, and float32 columns.
 
-All is little-endian; the header is padded so that columns begin at a multiple of four. `page/frames.js` reads it.
+All numbers are little-endian. The header is padded so that the columns begin at a multiple of four bytes.
+`page/frames.js` decodes it.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ _COLUMNS = "columns"
 
 
 def encode(header: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> bytes:
-    """A picture.
+    """Encode a picture.
 
     Args:
-        header: facts as JSON holds them; the key "columns" is the picture's own.
-        columns: by name, each of shape (n,); they lose all beyond float32.
+        header: facts as JSON values; the key "columns" is reserved.
+        columns: columns by name, each of shape (n,); converted to float32.
     """
     sizes = {name: len(values) for name, values in columns.items()}
     text = json.dumps({**header, _COLUMNS: sizes}, ensure_ascii=False, allow_nan=False).encode()
@@ -34,10 +35,10 @@ def encode(header: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> by
 
 
 def decode(data: bytes) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:
-    """Header and columns of a picture.
+    """Decode the header and the columns of a picture.
 
     Raises:
-        ValueError: it is none, or is cut.
+        ValueError: the data are not a picture, or are incomplete.
     """
     if len(data) < _HEAD.size or data[:4] != MAGIC:
         raise ValueError(f"expected a picture that begins with {MAGIC!r}, got {data[:8]!r}")

@@ -1,15 +1,15 @@
 # pyright: strict
-"""Who gets anything from the page: Host, Origin and token are looked at here and nowhere else.
+"""Access control of the page: Host, Origin and token are checked here only.
 
     request ─▶ Host one of ours? ──no──▶ 400
-             ─▶ token right?     ──no──▶ 403
-             ─▶ Origin           foreign: 403; missing: 403 where something is asked for or sent (WebSocket, POST)
-             ─▶ the page, with headers that forbid it whatever it does not need
+             ─▶ token correct?    ──no──▶ 403
+             ─▶ Origin           foreign: 403; missing: 403 for commands and connections (WebSocket, POST)
+             ─▶ the page, with headers that forbid everything it does not need
 
-The connection for Foxglove has no token (`judge_tokenless`): Host as above, and of Origins only those of a short list.
+The connection for Foxglove has no token (`judge_without_token`): Host as above, and Origins of a short list only.
 
-A browser on this machine visits other pages too. The Host check refuses names that were made to point here (DNS
-rebinding), the Origin check refuses scripts of other pages, the token refuses other users of the machine.
+A browser on this machine visits other pages too. The Host check rejects names that were redirected to this machine (DNS
+rebinding), the Origin check rejects scripts of other pages, and the token rejects other users of the machine.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
-"""Names under which a browser on this machine reaches it."""
+"""Names of this machine in its own browser."""
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
     "connect-src 'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -34,39 +34,40 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-"""Of every answer. BokehJS styles its elements inline: without 'unsafe-inline' for styles its layout breaks."""
+"""Headers of every response. BokehJS styles its elements inline: without 'unsafe-inline' its layout breaks."""
 _SENDS = ("POST", "PUT", "PATCH", "DELETE")
 
 
 def new_token() -> str:
-    """A token that nobody guesses: 256 bits."""
+    """Return an unpredictable token of 256 bits."""
     return secrets.token_urlsafe(32)
 
 
 def hosts_of(name: str, port: int) -> list[str]:
-    """Host headers that are ours.
+    """Return the accepted values of the Host header.
 
     Args:
-        name: to which the server is bound; "" for the loopback.
+        name: name to which the server is bound; "" for the loopback.
+        port: port of the server.
     """
     names = [*LOOPBACK, *([f"[{name}]" if ":" in name else name] if name and name not in LOOPBACK else [])]
     return [f"{each}:{port}" for each in names] + ([*names] if port == 80 else [])
 
 
 class Guard:
-    """An application behind the checks.
+    """An application behind the access control.
 
     Args:
-        app: what is guarded.
-        token: that every request carries as `?token=…`.
-        hosts: values of the Host header that are ours, with the port: "127.0.0.1:8123".
+        app: guarded application.
+        token: token that every request must contain as `?token=…`.
+        hosts: accepted values of the Host header with the port: "127.0.0.1:8123".
     """
 
     def __init__(self, app: ASGIApp, token: str, hosts: Collection[str]) -> None:
         self._app, self._token, self._hosts = app, token.encode(), frozenset(host.lower() for host in hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """See ASGI."""
+        """Handle a request; see ASGI."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -89,7 +90,7 @@ class Guard:
         await self._app(scope, receive, guarded)
 
     def judge(self, scope: Scope) -> tuple[int, str]:
-        """200, or the status of a refusal with its reason."""
+        """Return 200, or the status of a refusal with its reason."""
         host = _only(scope, b"host")
         if host is None or host.lower() not in self._hosts:
             return 400, f"expected a Host of {', '.join(sorted(self._hosts))}; open the address that rig live printed"
@@ -99,37 +100,37 @@ class Guard:
         origins = [value for name, value in scope["headers"] if name.lower() == b"origin"]
         ours = f"http://{host}".lower()
         if any(origin.decode("latin-1").lower() != ours for origin in origins) or len(origins) > 1:
-            return 403, f"expected the Origin {ours}: another page may ask for nothing here"
+            return 403, f"expected the Origin {ours}: other pages may not send requests to this one"
         if not origins and (scope["type"] == "websocket" or scope.get("method") in _SENDS):
-            return 403, f"expected the Origin {ours}, got none: ask from the page"
+            return 403, f"expected the Origin {ours}, got none: send requests from the page"
         return 200, ""
 
 
 DESKTOP_ORIGINS = ("file://",)
-"""Of Electron programs, as Lichtblick's: their pages are files. A page that a browser opens from a file sends "null"
-(Chromium, Firefox), and so does one in a sandbox: refused."""
+"""Origins of Electron programs such as Lichtblick, whose pages are files. A page that a browser opens from a file, or a
+page in a sandbox, sends "null" (Chromium, Firefox) and is refused."""
 
 
-def judge_tokenless(
+def judge_without_token(
     hosts: Sequence[str], origins: Sequence[str], ours: Collection[str], allowed: Collection[str]
 ) -> tuple[int, str]:
-    """200, or the status of a refusal with its reason, where the protocol has no room for a token.
+    """Return 200, or the status of a refusal with its reason, for a protocol without a token.
 
-    Who sends no Origin is no page in a browser, and gets in.
+    A client that sends no Origin is not a page in a browser and is accepted.
 
     Args:
         hosts, origins: values of these headers.
-        ours: Hosts that are ours, with the port, in small letters.
-        allowed: Origins of pages that may connect, besides DESKTOP_ORIGINS.
+        ours: accepted Hosts with the port, in lower case.
+        allowed: Origins of pages that may connect, in addition to DESKTOP_ORIGINS.
     """
     if len(hosts) != 1 or hosts[0].lower() not in ours:
         return 400, f"expected a Host of {', '.join(sorted(ours))}"
     if len(origins) > 1 or any(origin not in (*DESKTOP_ORIGINS, *allowed) for origin in origins):
-        return 403, "expected no Origin or one that was allowed: pages of other origins may not read this rig"
+        return 403, "expected no Origin or an allowed one: pages of other origins may not read this rig"
     return 200, ""
 
 
 def _only(scope: Scope, name: bytes) -> str | None:
-    """A header that may be there once."""
+    """Return a header that may occur once; None if it is missing or repeated."""
     found = [value for key, value in scope["headers"] if key.lower() == name]
     return found[0].decode("latin-1") if len(found) == 1 else None

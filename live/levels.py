@@ -1,8 +1,8 @@
 # pyright: strict
-"""One signal with its past: samples, and minima and maxima of longer stretches of it, all within bounded memory.
+"""One signal with its history: samples, and minima and maxima of longer intervals, in bounded memory.
 
-A chart is asked for with as many buckets as it has pixels. Up to two samples a bucket are handed out as they are;
-of more, every bucket's minimum and maximum, and the chart says so.
+A chart requests as many buckets as it has pixels. Up to two samples per bucket are returned unchanged. Otherwise the
+minimum and maximum of every bucket are returned, and the chart displays that.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 KEPT = 2**18
-"""Samples kept as they are: 65 s at 4 kHz."""
+"""Samples of a displacement that are kept: 65 s at 4 kHz."""
 KEPT_SLOW = 2**16
-"""The same of all but displacements: 65 s at 1 kHz, 11 min at 100 Hz. More would fill for an hour before it is full."""
-_FACTORS = (64, 4096)  # samples under one pair of the longer levels
-_KEPT_PAIRS = 2**16  # of each: 17 min and 18 h at 4 kHz
-_MOST_PER_BUCKET = 64  # rows looked at for one bucket, before a longer level is taken
-_BREAK = 4.0  # times the usual distance of two samples: a line has a gap there
+"""Samples of other signals: 65 s at 1 kHz, 11 min at 100 Hz. A larger memory would take an hour to fill."""
+_FACTORS = (64, 4096)  # samples per pair of the reduced levels
+_KEPT_PAIRS = 2**16  # per level: 17 min and 18 h at 4 kHz
+_MAX_ROWS_PER_BUCKET = 64  # rows per bucket above which a more reduced level is used
+_BREAK_RATIO = 4.0  # gap over the median distance of samples above which a line is interrupted
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """What a chart draws of one signal.
+    """Rows of one signal for a chart.
 
     Attributes:
-        time_s: of each row, ascending, shape (n,).
-        low, high: what is drawn there, shape (n,); the same where rows are samples. NaN where a line breaks.
-        bucket_s: width of a bucket whose minimum and maximum a row is, s; 0 where rows are samples.
+        time_s: time of each row, ascending, shape (n,).
+        low, high: minimum and maximum, shape (n,); equal if rows are samples. NaN where the line is interrupted.
+        bucket_s: width of the bucket of a row, s; 0 if rows are samples.
     """
 
     time_s: Array
@@ -41,14 +41,14 @@ class Stretch:
 
 
 def decimate(time_s: Array, low: Array, high: Array, start_s: float, end_s: float, buckets: int) -> Stretch:
-    """Minimum and maximum of every bucket of a window; the rows themselves where they are few.
+    """Reduce a window to the minimum and maximum of every bucket; few rows are returned unchanged.
 
     Args:
-        time_s: ascending, shape (n,).
-        low, high: shape (n,); the same array for samples. NaN is no value.
-        start_s, end_s: of the window, start < end; buckets lie at multiples of their width, so that a picture that
-            moves on does not flicker.
-        buckets: at least 1.
+        time_s: times, ascending, shape (n,).
+        low, high: minimum and maximum, shape (n,); the same array for samples. NaN: no value.
+        start_s, end_s: start and end of the window, start < end. Buckets begin at multiples of their width, so that a
+            moving picture does not flicker.
+        buckets: number of buckets, at least 1.
     """
     samples = low is high
     first, end = np.searchsorted(time_s, (start_s, end_s))
@@ -63,7 +63,7 @@ def decimate(time_s: Array, low: Array, high: Array, start_s: float, end_s: floa
     middles = np.asarray((number[begins] + 0.5) * width, dtype=np.float64)
     waits = time_s[begins[1:]] - time_s[begins[1:] - 1]  # from a bucket's last row to the next one's first
     if len(waits):
-        at = np.flatnonzero(waits > max(width, _BREAK * float(np.median(np.diff(time_s))))) + 1
+        at = np.flatnonzero(waits > max(width, _BREAK_RATIO * float(np.median(np.diff(time_s))))) + 1
         middles = np.insert(middles, at, middles[at - 1] + 0.5 * width)
         lows, highs = np.insert(lows, at, np.nan), np.insert(highs, at, np.nan)
     return Stretch(middles, lows, highs, width)
@@ -72,7 +72,7 @@ def decimate(time_s: Array, low: Array, high: Array, start_s: float, end_s: floa
 def _samples(time_s: Array, low: Array, high: Array) -> Stretch:
     if len(time_s) > 2:
         steps = np.diff(time_s)
-        at = np.flatnonzero(steps > _BREAK * np.median(steps)) + 1
+        at = np.flatnonzero(steps > _BREAK_RATIO * np.median(steps)) + 1
         if len(at):
             between = time_s[at - 1] + 1e-6
             return Stretch(np.insert(time_s, at, between), np.insert(low, at, np.nan), np.insert(high, at, np.nan))
@@ -80,7 +80,7 @@ def _samples(time_s: Array, low: Array, high: Array) -> Stretch:
 
 
 class _Rows:
-    """The newest rows of (time, low, high) in one block of memory, moved up when it is full."""
+    """Newest rows of (time, low, high) in one block of memory, which are moved to its start when it is full."""
 
     def __init__(self, kept: int) -> None:
         self._kept = kept
@@ -120,10 +120,10 @@ class _Rows:
 
 
 class Levels:
-    """See the module.
+    """Samples and reduced levels of one signal.
 
     Args:
-        kept: samples kept as they are.
+        kept: number of samples that are kept.
     """
 
     def __init__(self, kept: int = KEPT) -> None:
@@ -132,7 +132,7 @@ class Levels:
         self._waiting = [np.empty((2, 0)) for _ in _FACTORS]
 
     def add(self, time_s: Array, values: Array) -> None:
-        """Append samples, shape (n,) each, later than those before; NaN is no value."""
+        """Append samples, shape (n,) each, later than all earlier ones; NaN: no value."""
         if not len(time_s):
             return
         self._samples.add(time_s, values, values)
@@ -146,43 +146,43 @@ class Levels:
 
     @property
     def newest_s(self) -> float:
-        """Time of the newest sample; -inf without any."""
+        """Time of the newest sample; -inf without samples."""
         return float(self._samples.time_s[-1]) if self._samples.end else -np.inf
 
     def until(self, at_s: float) -> float:
-        """Time of the newest sample not after an instant; -inf without any."""
+        """Return the time of the newest sample not after an instant; -inf without one."""
         place = int(np.searchsorted(self._samples.time_s, at_s, side="right"))
         return float(self._samples.time_s[place - 1]) if place else -np.inf
 
     def between(self, start_s: float, end_s: float) -> tuple[Array, Array]:
-        """Times and values of the samples with start < time ≤ end, as far as they are kept."""
+        """Return times and values of the kept samples with start < time ≤ end."""
         first, end = np.searchsorted(self._samples.time_s, (start_s, end_s), side="right")
         return self._samples.time_s[first:end].copy(), self._samples.low[first:end].copy()
 
     def last(self, at_s: float) -> float:
-        """The newest value not after an instant; NaN without any."""
+        """Return the newest value not after an instant; NaN without one."""
         place = int(np.searchsorted(self._samples.time_s, at_s, side="right"))
         return float(self._samples.low[place - 1]) if place else np.nan
 
     def stretch(self, start_s: float, end_s: float, buckets: int) -> Stretch:
-        """The signal in a window, for a chart so many pixels wide."""
+        """Return the signal in a window for a chart of `buckets` pixels."""
         samples = self._samples
         reaches = not samples.dropped or (samples.end > 0 and samples.time_s[0] <= start_s)
         if reaches:
             first, end = np.searchsorted(samples.time_s, (start_s, end_s))
-            if end - first <= _MOST_PER_BUCKET * 2 * buckets:
+            if end - first <= _MAX_ROWS_PER_BUCKET * 2 * buckets:
                 values = samples.low
                 return decimate(samples.time_s, values, values, start_s, end_s, buckets)
         chosen = len(self._longer) - 1
         for i, longer in enumerate(self._longer):
             first, end = np.searchsorted(longer.time_s, (start_s, end_s))
-            if end - first <= _MOST_PER_BUCKET * buckets and (not longer.dropped or longer.time_s[0] <= start_s):
+            if end - first <= _MAX_ROWS_PER_BUCKET * buckets and (not longer.dropped or longer.time_s[0] <= start_s):
                 chosen = i
                 break
         return decimate(*self._pairs(chosen, start_s), start_s, end_s, buckets)
 
     def _pairs(self, level: int, start_s: float) -> tuple[Array, Array, Array]:
-        """Minima and maxima of a longer level from an instant on, with what is not a whole pair yet."""
+        """Return minima and maxima of a reduced level from an instant on, including the incomplete last pair."""
         rows, waiting = self._longer[level], self._waiting[level]
         first = int(np.searchsorted(rows.time_s, start_s))
         time_s, low, high = rows.time_s[first:], rows.low[first:], rows.high[first:]

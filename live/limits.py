@@ -1,7 +1,7 @@
 # pyright: strict
-"""How much of every limit is used at an instant, and the lamp of every interlock.
+"""Usage of every limit at an instant, and the lamp of every interlock.
 
-The numbers are those of the interlocks' own table; who trips is the acquisition, not this page.
+The numbers are those of the interlocks' own table. The acquisition stops the rotor, not this page.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from daq.acquisition.rotor_watch import DISAGREE, OVERSPEED, RADIO_S, RUNAWAY, T
 from live.signals import Signals
 
 NEAR = 0.8
-"""Share of a limit from which it is near."""
-_SPAN_S = 1.0  # over which a largest displacement is taken
+"""Share of a limit above which the lamp is "near"."""
+_SPAN_S = 1.0  # interval of the largest displacement
 _TURNING_RPM = 5.0
 _DISK_BYTES = 64e6
-_FRESH_S, _SAID_LATE_S = 2.0, 0.15  # an index mark's age; how late a drive's word of a speed may be
-_KINDS = {  # events that say that something is wrong, and whether it has recovered
+_MAX_MARK_AGE_S, _DRIVE_DELAY_S = 2.0, 0.15  # age of the newest index mark; delay of a drive's speed report
+_KINDS = {  # events that report a fault: interlock, and whether it has recovered
     "gone": ("lost device", False),
     "back": ("lost device", True),
     "silent": ("silent line", False),
@@ -45,12 +45,12 @@ _KINDS = {  # events that say that something is wrong, and whether it has recove
 
 @dataclass(frozen=True)
 class Distance:
-    """One limit.
+    """Distance to one limit.
 
     Attributes:
-        interlock: its row's name.
-        what: what is looked at, for a person.
-        value, limit: now, and where it trips, in `unit`; NaN where nothing is known now.
+        interlock: name of its row in the table.
+        what: monitored quantity, for a reader.
+        value, limit: current value and limit, in `unit`; NaN if unknown.
         used: value over limit.
     """
 
@@ -62,21 +62,21 @@ class Distance:
 
     @property
     def used(self) -> float:
-        """Share of the limit, 0 …; NaN where nothing is known."""
+        """Used share of the limit, 0 …; NaN if unknown."""
         return self.value / self.limit if self.limit else math.nan
 
 
 def distances(
     signals: Signals, at_s: float, heard_s: float, rate: float = 1.0, disk: Mapping[str, Any] | None = None
 ) -> list[Distance]:
-    """Every limit that can be measured from the signals.
+    """Return the distance to every limit that can be calculated from the signals.
 
     Args:
-        signals: of the rig.
-        at_s: the instant.
-        heard_s: the instant up to which samples can be there: the host's time when they were handed over.
-        rate: seconds of the signals per second of the wall.
-        disk: the recorder's state, where one records.
+        signals: signals of the rig.
+        at_s: instant.
+        heard_s: instant up to which samples can have arrived: host time of the newest update.
+        rate: seconds of the signals per second of wall time.
+        disk: state of the recorder, if one records.
     """
     with signals.lock:
         found = [*_motion(signals, at_s), *_speed(signals, at_s), *_channels(signals, at_s, heard_s, rate * HOST_S)]
@@ -114,15 +114,15 @@ def _speed(signals: Signals, at_s: float) -> Iterator[Distance]:
 
 
 def _disagreement(signals: Signals, at_s: float) -> tuple[float, float]:
-    """How far the newest turn's speed is from what the drive said meanwhile, and the nearest of that; NaN: unknown."""
+    """Return the newest turn's difference to the drive's speed, and the nearest drive speed; NaN: unknown."""
     marks = signals.by_name["marks"]
     until_s, turned = marks.until(at_s), marks.last(at_s)
-    if not turned > _TURNING_RPM or at_s - until_s > _FRESH_S:
+    if not turned > _TURNING_RPM or at_s - until_s > _MAX_MARK_AGE_S:
         return math.nan, 0.0
-    _, said = signals.by_name["drive"].between(until_s - 60 / turned - _SAID_LATE_S, until_s)
-    if not len(said):
+    _, reported = signals.by_name["drive"].between(until_s - 60 / turned - _DRIVE_DELAY_S, until_s)
+    if not len(reported):
         return math.nan, 0.0
-    nearest = min(max(turned, float(np.min(np.abs(said)))), float(np.max(np.abs(said))))
+    nearest = min(max(turned, float(np.min(np.abs(reported)))), float(np.max(np.abs(reported))))
     return abs(turned - nearest), nearest
 
 
@@ -145,7 +145,7 @@ def _channels(signals: Signals, at_s: float, heard_s: float, host_s: float) -> I
     if roles.speed is not None:
         age = heard_s - signals.topic_newest_s(roles.speed.topic, at_s)
         limit = host_s + (SPEED_S if turning else AT_REST_S)
-        yield Distance("silent speed", "drive: no word for", _known(age), limit, "s")
+        yield Distance("silent speed", "drive: no report for", _known(age), limit, "s")
     if roles.phase is not None:
         age = heard_s - signals.topic_newest_s(roles.phase.topic, at_s)
         limit = TURNS_UNSEEN * 60 / max(abs(rpm), _TURNING_RPM) + host_s / HOST_S * RADIO_S
@@ -158,14 +158,14 @@ def _known(seconds: float) -> float:
 
 @dataclass
 class Lamp:
-    """One interlock's.
+    """Lamp of one interlock.
 
     Attributes:
-        name, guards, threshold, reaction: of its row in the table, with the rig's numbers.
-        state: "quiet", "near", "beyond" (its limit, now), "tripped" (it stopped the rotor), "recovered" (was beyond, or
-            was reported, and is no more: it stays listed).
-        text: what happened, newest last word; empty while nothing has.
-        since_s: when the state began.
+        name, guards, threshold, reaction: columns of its row in the table, with the rig's numbers.
+        state: "quiet", "near", "beyond" (above its limit now), "tripped" (it stopped the rotor), "recovered" (was
+            above its limit or was reported, and is not any more; it stays listed).
+        text: newest event; empty before the first one.
+        since_s: start of the state.
     """
 
     name: str
@@ -178,19 +178,19 @@ class Lamp:
 
 
 class Lamps:
-    """Of all interlocks that a rig has, with memory.
+    """Lamps of all interlocks of a rig, with their history.
 
     Args:
-        signals: of the rig.
+        signals: signals of the rig.
     """
 
     def __init__(self, signals: Signals) -> None:
         self._limits, self._roles = signals.rig.limits, signals.rig.roles
         self._at_s = -math.inf
         self.all: dict[str, Lamp] = {}
-        self._forget()
+        self._reset()
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self._newest = -1
         self.all = {
             row.name: Lamp(row.name, row.guards, row.threshold_of(self._limits), row.reaction)
@@ -199,14 +199,15 @@ class Lamps:
         }
 
     def look(self, at_s: float, found: Iterable[Distance], events: list[Mapping[str, Any]]) -> list[Lamp]:
-        """Take what is seen at an instant; one before the last begins anew.
+        """Update the lamps at an instant; an instant before the last one resets them.
 
         Args:
-            found: the distances at the instant.
-            events: all up to it, in their order, each with `at_s` and a rising `number`.
+            at_s: instant.
+            found: distances at the instant.
+            events: all events up to it in order, each with `at_s` and a rising `number`.
         """
         if at_s < self._at_s - 1.0:
-            self._forget()
+            self._reset()
         self._at_s = at_s
         for event in events:
             if event["number"] > self._newest:

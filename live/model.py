@@ -1,5 +1,5 @@
 # pyright: strict
-"""The model's curves for the page: 1× against speed with locked pendulums, and the steady states at a speed."""
+"""Curves of the model for the page: 1× over speed with locked pendulums, and the steady states at a speed."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from rig_configs.schema import Rig
 Complex, Real = NDArray[np.complex128], NDArray[np.float64]
 Value = TypeVar("Value", complex, Real)
 _ACCURACY = 1e-4
-_MOST_KEPT = 2000  # speeds whose steady states are kept
-_LEAST_RPM = 20.0
+_MAX_KEPT = 2000  # speeds whose steady states are kept
+_MIN_RPM = 20.0
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Predicted:
 
     Attributes:
         type: I, II, III; "locked" with locked pendulums.
-        theta_deg: of both pendulums, 0 … 360.
+        theta_deg: angles of both pendulums, 0 … 360.
         orbit_mm: complex order-1 amplitudes of x and y: x = Re(x e^{iψ}), y alike.
         amplitude_mm: rms distance of the disk centre from the orbit's middle.
     """
@@ -40,12 +40,12 @@ class Predicted:
 
 
 class Model:
-    """What a rig's numbers predict.
+    """Predictions of the model for the page.
 
     Args:
-        rig: with identified parameters laid over it, where there are any.
-        identified: these, for what a rig file has no place for: a bow, the axes' angle.
-        source: where the numbers are from, for a person.
+        rig: rig with identified parameters applied, if they exist.
+        identified: these parameters, for effects that are not in a rig file: bow, angle of the axes.
+        source: origin of the numbers, for a reader.
     """
 
     def __init__(self, rig: Rig, identified: IdentifiedParameters | None = None, source: str = "rig file") -> None:
@@ -57,14 +57,14 @@ class Model:
         self._states: dict[int, list[Predicted]] = {}
 
     def bode(self, points: int = 600) -> tuple[NDArray[np.float64], Complex, Complex]:
-        """Complex order-1 amplitudes of x and y in mm over rpm, pendulums locked at 0° and 180°; shape (points,)."""
-        rpm = np.linspace(_LEAST_RPM, self._top_rpm, points)
+        """Return complex order-1 amplitudes of x and y in mm over rpm, pendulums locked at 0° and 180°; (points,)."""
+        rpm = np.linspace(_MIN_RPM, self._top_rpm, points)
         rows = [self._shown(*self._locked(speed, (0.0, math.pi))) for speed in rpm]
         table = np.array(rows, np.complex128)
         return rpm, table[:, 0], table[:, 1]
 
     def locked(self, rpm: float, theta_rad: tuple[float, float]) -> Predicted | None:
-        """The motion at a speed with the pendulums locked at given angles; None where there is none."""
+        """Return the motion at a speed with pendulums locked at given angles; None if no solution exists."""
         x, y = self._shown(*self._locked(rpm, theta_rad))
         if not math.isfinite(abs(x) + abs(y)):
             return None
@@ -72,19 +72,19 @@ class Model:
         return Predicted("locked", (a, b), (x, y), math.sqrt((abs(x) ** 2 + abs(y) ** 2) / 2))
 
     def steady(self, rpm: float) -> list[Predicted] | None:
-        """The stable steady states near a speed that were worked out; None while they are not."""
+        """Return the computed stable steady states near a speed; None before they are computed."""
         return self._states.get(round(rpm))
 
-    def work_out(self, rpm: float) -> None:
-        """Find the stable steady states at a speed, to the nearest rpm; it takes a tenth of a second."""
+    def compute_states(self, rpm: float) -> None:
+        """Compute the stable steady states at a speed, to the nearest rpm, which takes a tenth of a second."""
         key = round(rpm)
-        if key in self._states or key < _LEAST_RPM:
+        if key in self._states or key < _MIN_RPM:
             return
         try:
             found = [s for s in steady_states(self.physics, key * math.pi / 30, _ACCURACY) if s.stable]
         except (DynamicsError, np.linalg.LinAlgError):
             found = []
-        if len(self._states) >= _MOST_KEPT:
+        if len(self._states) >= _MAX_KEPT:
             self._states.pop(next(iter(self._states)))
         self._states[key] = [
             Predicted(
@@ -103,11 +103,11 @@ class Model:
             return complex(math.nan), complex(math.nan)
 
     def _shown(self, x_m: complex, y_m: complex) -> tuple[complex, complex]:
-        """x = Re(X e^{iψ}), y = Im(Y e^{iψ}) of the stiffness axes, in m, as both real parts in the sensors', in mm."""
+        """Convert x = Re(X e^{iψ}), y = Im(Y e^{iψ}) of the stiffness axes, m, to real parts of the sensors', mm."""
         return self._turned(x_m, -1j * y_m)
 
     def shown(self, x_m: Real, y_m: Real) -> tuple[Real, Real]:
-        """Displacements along the stiffness axes, m, shape (n,), as those along the sensors', mm."""
+        """Convert displacements along the stiffness axes, m, shape (n,), to those of the sensors, mm."""
         return self._turned(x_m, y_m)
 
     def _turned(self, x: Value, y: Value) -> tuple[Value, Value]:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What of a session's samples has not been handed over yet: copies, for a process that shows them."""
+"""Samples of a session that have not been handed over yet, as copies for a displaying process."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 from daq.acquisition.recent import Recent
 
 MOST_S = 10.0
-"""Seconds of samples that are handed over at once; older ones are left out and counted."""
+"""Largest interval of samples per call, s; older samples are omitted and counted."""
 Rows = tuple[str, NDArray[np.int64], dict[str, NDArray[Any]]]
 """Topic, sample times (n,) in ns since 1970, columns (n,) by field."""
 
 
 class Newest:
-    """Looks at the newest samples; for one thread.
+    """Collects the newest samples; for one thread.
 
     Args:
-        topics: the channels, each with its fields.
+        topics: channels with their fields.
 
     Attributes:
-        left_out: samples that nobody took in time.
+        left_out: number of samples that were omitted because they were too old.
     """
 
     def __init__(self, topics: Mapping[str, tuple[str, ...]]) -> None:
@@ -32,11 +32,12 @@ class Newest:
         self._topics, self._seen_ns = dict(topics), dict[str, int]()
 
     def take(self, recent: Recent, heard_ns: int, until_ns: int | None = None) -> list[Rows]:
-        """Samples since the last call.
+        """Return the samples since the last call.
 
         Args:
-            heard_ns: the session's clock, ns since 1970.
-            until_ns: samples taken after it are left for the next call; None for all.
+            recent: newest samples of the session.
+            heard_ns: time of the session's clock, ns since 1970.
+            until_ns: time after which samples are kept for the next call; None for all.
         """
         oldest_ns = heard_ns - int(MOST_S * 1e9)
         rows: list[Rows] = []

@@ -1,8 +1,7 @@
 # pyright: strict
-"""What one viewer sees at an instant: frames of numbers, and the state in words.
+"""Pictures for one viewer at an instant: frames of numbers, and the state in words.
 
-Every frame is a whole picture. A viewer that is slow misses some and never sees a wrong one, and nobody keeps what was
-not sent.
+Every frame is complete. A slow viewer misses frames but never displays a wrong one, and unsent frames are not kept.
 """
 
 from __future__ import annotations
@@ -29,9 +28,9 @@ STRIPS = ("x", "y", "theta3", "theta4", "drive", "target", "marks")
 _VECTOR = ("rpm", "x.re", "x.im", "y.re", "y.im")
 _TURNED = {"theta3": "turned3", "theta4": "turned4"}  # angles are kept unwrapped, in rad
 STALE_S = 0.6
-"""Wall seconds without a sample after which a panel is marked; the page looks 30 times a second."""
-_LONGEST_S, _SHORTEST_S = 1e6, 0.02
-_MOST_PIXELS, _FEWEST_PIXELS = 4000, 50
+"""Wall time without a sample after which a panel is marked, s; the page checks 30 times per second."""
+_MAX_WINDOW_S, _MIN_WINDOW_S = 1e6, 0.02
+_MAX_PIXELS, _MIN_PIXELS = 4000, 50
 _ORBIT_TURNS, _ORBIT_S, _ORBIT_POINTS = 2.0, (0.1, 1.0), 600
 _EVENTS_SHOWN = 40
 _ELLIPSE = np.exp(2j * np.pi * np.arange(97) / 96)
@@ -39,11 +38,11 @@ _ELLIPSE = np.exp(2j * np.pi * np.arange(97) / 96)
 
 @dataclass(frozen=True)
 class View:
-    """What a viewer looks at.
+    """View of a viewer.
 
     Attributes:
-        window_s: how much of the past.
-        end_s: where the window ends; None: at the instant that is shown.
+        window_s: length of the window, s.
+        end_s: end of the window; None for the displayed instant.
         pixels: width of a strip chart.
     """
 
@@ -52,30 +51,30 @@ class View:
     pixels: int = 600
 
     @classmethod
-    def of(cls, asked: Mapping[str, Any]) -> View:
-        """As the page asks for it; what cannot be is brought to the nearest that can.
+    def of(cls, request: Mapping[str, Any]) -> View:
+        """Return the view requested by the page, limited to the possible range.
 
         Raises:
-            ValueError, TypeError, KeyError: no numbers.
+            ValueError, TypeError, KeyError: the values are missing or not finite numbers.
         """
-        end = asked.get("end_s")
-        window, pixels = float(asked["window_s"]), float(asked["pixels"])
+        end = request.get("end_s")
+        window, pixels = float(request["window_s"]), float(request["pixels"])
         if not (math.isfinite(window) and math.isfinite(pixels) and (end is None or math.isfinite(float(end)))):
-            raise ValueError(f"expected finite numbers of a view, got {dict(asked)}")
+            raise ValueError(f"expected finite numbers of a view, got {dict(request)}")
         return cls(
-            min(max(window, _SHORTEST_S), _LONGEST_S),
+            min(max(window, _MIN_WINDOW_S), _MAX_WINDOW_S),
             None if end is None else float(end),
-            int(min(max(pixels, _FEWEST_PIXELS), _MOST_PIXELS)),
+            int(min(max(pixels, _MIN_PIXELS), _MAX_PIXELS)),
         )
 
 
 class Pictures:
-    """Makes them.
+    """Creates the pictures.
 
     Args:
-        source: what is shown.
-        model: of its rig.
-        followers: of its signals.
+        source: displayed source.
+        model: model of its rig.
+        followers: followers of its signals.
     """
 
     def __init__(self, source: Source, model: Model, followers: Followers) -> None:
@@ -84,7 +83,7 @@ class Pictures:
         self._lamps = Lamps(source.signals)
 
     def frame(self, view: View, number: int) -> bytes:
-        """All that moves, for one viewer."""
+        """Return the fast values for one viewer."""
         now_s = self._source.now_s()
         end_s = now_s if view.end_s is None else min(view.end_s, now_s)
         start_s = end_s - view.window_s
@@ -130,7 +129,7 @@ class Pictures:
         return encode(header, columns)
 
     def _orbit(self, end_s: float) -> dict[str, Array]:
-        """x and y over the last turns, y where x was taken."""
+        """Return x and y over the last turns, y interpolated at the times of x."""
         rpm = abs(self._signals.rpm(end_s))
         span_s = min(max(_ORBIT_TURNS * 60 / rpm if rpm > 1 else 1.0, _ORBIT_S[0]), _ORBIT_S[1])
         x_s, x = self._signals.by_name["x"].between(end_s - span_s, end_s)
@@ -142,11 +141,11 @@ class Pictures:
         return {"orbit.x": x, "orbit.y": np.interp(x_s, y_s, y, np.nan, np.nan)}
 
     def _predicted(self, rpm: float, locked: bool | None, theta: list[float]) -> tuple[list[Predicted], str]:
-        """Steady motions at this speed, and why there are none."""
+        """Return the steady motions at this speed, and the reason if no motion exists."""
         if not math.isfinite(rpm):
-            return [], "nobody tells the speed"
+            return [], "no device reports the speed"
         if abs(rpm) < 20:
-            return [], "the rotor stands or hardly turns"
+            return [], "the rotor is at rest or nearly at rest"
         known = all(map(math.isfinite, theta))
         if locked or not known:
             angles = (math.radians(theta[0]), math.radians(theta[1])) if known else (0.0, math.pi)
@@ -155,11 +154,11 @@ class Pictures:
         self._followers.wanted_rpm = rpm
         states = self._model.steady(abs(rpm))
         if states is None:
-            return [], "being worked out"
+            return [], "being computed"
         return states, "" if states else "no stable steady state at this speed"
 
     def _ages(self, now_s: float) -> dict[str, float | None]:
-        """Wall seconds since each channel's newest sample."""
+        """Return the wall time since each channel's newest sample, s."""
         heard_s, rate = self._source.heard_s(), self._source.rate
         roles = self._signals.rig.roles
         topics = {d.axis: d.topic for d in roles.displacements}
@@ -173,7 +172,7 @@ class Pictures:
             }
 
     def slow(self) -> bytes:
-        """What changes slowly: 1× vectors of the test so far and of its ramp as planned, tracked damping."""
+        """Return slow values: 1× vectors of the test so far and of its planned ramp, tracked damping."""
         facts = self._source.facts()
         now_s, since_s = self._source.now_s(), float(facts.get("since_s", 0.0))
         vectors = self._followers.vectors.between(since_s, now_s)
@@ -193,7 +192,7 @@ class Pictures:
         return encode({**header, "trouble": self._followers.trouble}, columns)
 
     def curves(self) -> bytes:
-        """What does not change: the model's 1×, the limits."""
+        """Return constant values: the model's 1× and the limits."""
         rpm, x, y = self._model.bode()
         columns = {
             "model.rpm": rpm,
@@ -218,7 +217,7 @@ class Pictures:
         return encode(header, columns)
 
     def state(self) -> Facts:
-        """In words: limits, lamps, losses, the test, what happened."""
+        """Return the state in words: limits, lamps, losses, test, events."""
         now_s, facts, events = self._source.now_s(), self._source.facts(), self._source.events()
         found = distances(self._signals, now_s, self._source.heard_s(), self._source.rate, facts.get("disk"))
         lamps = self._lamps.look(now_s, found, events)
@@ -258,7 +257,7 @@ def _number(value: float) -> float | None:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON takes it: what is not finite as null."""
+    """Convert to JSON values; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(each) for key, each in cast("Mapping[Any, Any]", value).items()}
     if isinstance(value, list | tuple):

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a ramp that is planned will look like: the model turned so, and read by the page's own 1× vectors."""
+"""Simulation of a planned ramp: motion of the model, evaluated by the page's own 1× vectors."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from live.signals import Signals
 from live.vectors import Vectors
 from rig_configs.schema import Rig
 
-_PER_TURN, _LEAST_RATE_HZ = 32, 400.0
+_SAMPLES_PER_TURN, _MIN_RATE_HZ = 32, 400.0
 _KNOTS_PER_S = 10.0
 _ACCURACY = 1e-3
-_LONGEST_S = 1200.0  # a ramp that takes longer is nearly steady, and long to work out
+_MAX_DURATION_S = 1200.0  # a longer ramp is nearly steady, and slow to simulate
 
 
 @dataclass(frozen=True)
 class Ramp:
-    """A steady change of speed with the pendulums locked at 0° and 180°.
+    """A constant change of speed with the pendulums locked at 0° and 180°.
 
     Attributes:
-        start_rpm, end_rpm: the speed at its ends.
-        duration_s: how long it takes, > 0.
+        start_rpm, end_rpm: speeds at its ends.
+        duration_s: duration, > 0.
     """
 
     start_rpm: float
@@ -40,23 +40,23 @@ class Ramp:
 
     @classmethod
     def of(cls, facts: Mapping[str, Any]) -> Ramp | None:
-        """That of the test which runs, by its numbers; None where it is no ramp, or a very long one."""
+        """Return the ramp of the running test from its numbers; None if it is not a ramp, or longer than 20 minutes."""
         numbers: Mapping[str, float] = facts.get("numbers", {})
         top, duration = numbers.get("top_rpm", 0.0), numbers.get("duration_s", 0.0)
-        if not (top > 0 and 0 < duration <= _LONGEST_S):
+        if not (top > 0 and 0 < duration <= _MAX_DURATION_S):
             return None
         ends = {"run-up": (0.0, top), "run-down": (top, 0.0)}.get(str(facts.get("test")))
         return None if ends is None else cls(*ends, duration)
 
 
-def worked_out(rig: Rig, model: Model, ramp: Ramp) -> Array:
-    """1× vectors of a ramp as the page will measure them, without noise and run-out.
+def simulated_ramp(rig: Rig, model: Model, ramp: Ramp) -> Array:
+    """Return the 1× vectors of a ramp as the page will measure them, without noise and run-out.
 
     Returns:
-        Rows (rpm, Re X, Im X, Re Y, Im Y), mm, shape (n, 5); none where the model cannot follow.
+        Rows (rpm, Re X, Im X, Re Y, Im Y), mm, shape (n, 5); no rows if the simulation fails.
     """
     speeds = (ramp.start_rpm * math.pi / 30, ramp.end_rpm * math.pi / 30)
-    rate_hz = max(_LEAST_RATE_HZ, _PER_TURN * max(speeds) / (2 * math.pi))
+    rate_hz = max(_MIN_RATE_HZ, _SAMPLES_PER_TURN * max(speeds) / (2 * math.pi))
     time_s = np.arange(0.0, ramp.duration_s, 1 / rate_hz)
     knots = np.linspace(0.0, ramp.duration_s, max(8, round(_KNOTS_PER_S * ramp.duration_s)))
     change = (speeds[1] - speeds[0]) / ramp.duration_s

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A listening port for whoever serves here."""
+"""Binding of a listening port."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from live.guard import LOOPBACK
 
 
 class PortTaken(RigError):
-    """The port cannot be had."""
+    """The port is not available."""
 
 
 def bound(host: str, port: int) -> socket.socket:
-    """A listening socket's address, bound.
+    """Bind a listening socket.
 
     Args:
-        host: name or address under which others reach this machine; "" for this machine alone.
-        port: 0 for any free one.
+        host: name or address of this machine for other machines; "" for this machine alone.
+        port: port number; 0 for any free one.
     Raises:
-        PortTaken: it cannot be bound, is no port, or the host stands for every address at once.
+        PortTaken: the port cannot be bound or is invalid, or the host stands for all addresses.
     """
     if not 0 <= port <= 65535:  # the system would take it modulo 65536
         raise PortTaken(f"port {port}: expected a port of 1 … 65535, or 0 for any free one")
@@ -29,7 +29,7 @@ def bound(host: str, port: int) -> socket.socket:
     if _is_any(name):
         raise PortTaken(
             f"--host {host}: expected the name or address by which others reach this machine, not all of "
-            "them: the page checks by which name it was asked for"
+            "them: the page checks the name in each request"
         )
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_STREAM)[0]

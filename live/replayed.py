@@ -1,5 +1,5 @@
 # pyright: strict
-"""A log as the page's source: play, pause, seek, speed."""
+"""A log as the page's source, with play, pause, seek and speed."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _QUIET = ("status", "reply", "acknowledge")
 
 
 class Replayed:
-    """See live.source.Source. It stands at its beginning until the first viewer has seen a picture.
+    """A log as live.source.Source. It stays at its start until the first viewer has displayed a picture.
 
     Args:
-        log: open; it is read here and not needed afterwards.
-        rig: its rig, with what is laid over it.
-        speed: seconds of the log per second at first.
-        clock: as Transport takes it.
+        log: open log; it is read here and not needed afterwards.
+        rig: rig of the log, with settings and parameters applied.
+        speed: initial speed, seconds of the log per second.
+        clock: as for Transport.
     Raises:
-        LogError: it has no samples of this rig.
+        LogError: the log has no samples of this rig.
     """
 
     def __init__(self, log: Log, rig: Rig, speed: float = 1.0, clock: Callable[[], float] | None = None) -> None:
@@ -65,7 +65,7 @@ class Replayed:
 
     @property
     def rate(self) -> float:
-        """See Source: a log's deadlines are its own."""
+        """See Source; a log has deadlines in its own time."""
         return 1.0
 
     def looked_at(self) -> None:
@@ -121,7 +121,7 @@ class Replayed:
                 case "speed":
                     self.transport.set_speed(float(given["speed"]))
                 case _:
-                    raise Refused(f"{verb}: a log is played, no rig is here")
+                    raise Refused(f"{verb}: not possible for a log")
         except (KeyError, TypeError, ValueError) as fault:
             raise Refused(f"{verb}: {fault}") from fault
         answer.set_result({"done": True, "at_s": self.transport.at()})

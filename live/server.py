@@ -1,8 +1,8 @@
 # pyright: strict
-"""The page's server: the page, its frames over a WebSocket, and what may be asked of the rig.
+"""HTTP server of the page: the page, its frames over a WebSocket, and commands to the rig.
 
-Pictures are made for each viewer when its line can take one and it has taken those before: one that is slow, asleep or
-dead gets fewer, and holds nothing up. Everything passes `live.guard`.
+Pictures are made for each viewer when its connection is ready and earlier ones are answered. A slow, sleeping or dead
+viewer receives fewer pictures and delays nothing else. Every request passes `live.guard`.
 """
 
 from __future__ import annotations
@@ -32,41 +32,41 @@ from live.source import Facts, Refused, Source
 FRAMES_PER_S = 30.0
 MOST_VIEWERS = 16
 MOST_UNANSWERED = 3
-"""Frames that a viewer may have been sent and not answered: what a sleeping one can pile up."""
+"""Largest number of frames that a viewer has been sent without an answer, which bounds the queue of a sleeping one."""
 _STATE_S, _SLOW_S, _LOOK_S = 0.2, 0.5, 0.02
 _ANSWER_S = 2.0
-_LONGEST_MESSAGE, _LONGEST_NOTE = 4096, 2000
+_MAX_MESSAGE_BYTES, _MAX_NOTE_LETTERS = 4096, 2000
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _BOKEH = ("bokeh.min.js", "bokeh-api.min.js")
 
 
 class _Viewer:
-    """One line to one browser."""
+    """Connection to one browser."""
 
     def __init__(self, socket: WebSocket, pictures: Pictures, looked_at: Callable[[], None]) -> None:
         self._socket, self._pictures, self._looked_at = socket, pictures, looked_at
         self.view = View()
         self.sent = self.answered = self.missed = 0
-        self.told_s = -math.inf  # when the newest state that it was sent was made
+        self.state_sent_s = -math.inf  # time of the newest state that it was sent
         self._free = asyncio.Event()
         self._free.set()
 
     async def listen(self) -> None:
-        """Take views and answers until the line is gone."""
+        """Receive views and answers until the connection ends."""
         while True:
-            told = json.loads(await self._socket.receive_text())
-            if not isinstance(told, dict):
+            message = json.loads(await self._socket.receive_text())
+            if not isinstance(message, dict):
                 raise ValueError("expected an object")
-            asked = cast("dict[str, Any]", told)
-            if "view" in asked:
-                self.view = View.of(asked["view"])
-            if "seen" in asked:
-                self.answered = max(self.answered, min(int(asked["seen"]), self.sent))
+            request = cast("dict[str, Any]", message)
+            if "view" in request:
+                self.view = View.of(request["view"])
+            if "seen" in request:
+                self.answered = max(self.answered, min(int(request["seen"]), self.sent))
                 self._free.set()
                 self._looked_at()
 
     async def show(self, extra: Callable[[], Facts]) -> None:
-        """Send pictures, newest first, never more than the line and the viewer take."""
+        """Send the newest pictures, never more than the connection and the viewer accept."""
         await self._socket.send_bytes(self._pictures.curves())
         state_s = slow_s = -1e9
         due = time.monotonic()
@@ -79,7 +79,7 @@ class _Viewer:
                 state_s = now
                 facts = {**self._pictures.state(), **extra(), "missed": self.missed}
                 await self._socket.send_text(json.dumps(facts, ensure_ascii=False))
-                self.told_s = now
+                self.state_sent_s = now
             if now - slow_s >= _SLOW_S:
                 slow_s = now
                 await self._socket.send_bytes(self._pictures.slow())
@@ -98,10 +98,9 @@ class Page:
     """The application behind the guard.
 
     Args:
-        source: what is shown, and asked.
-        pictures: made of it.
-        token: of the page.
-        hosts: as Guard takes them; each with the port.
+        source: displayed source, which carries out the commands.
+        pictures: pictures of it.
+        token: token of the page.
     """
 
     def __init__(self, source: Source, pictures: Pictures, token: str) -> None:
@@ -110,7 +109,7 @@ class Page:
         self._files = {path.name: path for path in _files()}
 
     def app(self, hosts: list[str]) -> ASGIApp:
-        """See Guard."""
+        """Return the guarded application; see Guard."""
         routes = [
             Route("/", self._index),
             Route("/page/{name}", self._file),
@@ -122,13 +121,14 @@ class Page:
 
     @property
     def viewers(self) -> int:
-        """Browsers that look now."""
+        """Number of connected browsers."""
         return len(self._viewers)
 
-    def tell_all(self, within_s: float) -> None:
-        """Wait until every viewer has been sent how things stand now, or for so long: one may be asleep. Any thread."""
+    def flush_state(self, timeout_s: float) -> None:
+        """Wait until every viewer has been sent the current state, or until the timeout. Any thread."""
         begun_s = time.monotonic()
-        while any(viewer.told_s < begun_s for viewer in list(self._viewers)) and time.monotonic() < begun_s + within_s:
+        late_s = begun_s + timeout_s
+        while any(viewer.state_sent_s < begun_s for viewer in list(self._viewers)) and time.monotonic() < late_s:
             time.sleep(_LOOK_S)
 
     def _index(self, request: Request) -> Response:
@@ -144,7 +144,7 @@ class Page:
 
     async def _data(self, socket: WebSocket) -> None:
         if len(self._viewers) >= MOST_VIEWERS:
-            await socket.send_denial_response(PlainTextResponse(f"{MOST_VIEWERS} viewers already look\n", 503))
+            await socket.send_denial_response(PlainTextResponse(f"{MOST_VIEWERS} viewers are already connected\n", 503))
             return
         await socket.accept()
         viewer = _Viewer(socket, self._pictures, self._source.looked_at)
@@ -168,25 +168,25 @@ class Page:
 
     async def _stop(self, request: Request) -> Response:
         del request
-        return await self._asked("stop", {})
+        return await self._forward("stop", {})
 
     async def _act(self, request: Request) -> Response:
         body = b""
         async for part in request.stream():
             body += part
-            if len(body) > _LONGEST_MESSAGE:
-                return JSONResponse({"error": f"expected at most {_LONGEST_MESSAGE} bytes"}, 413)
+            if len(body) > _MAX_MESSAGE_BYTES:
+                return JSONResponse({"error": f"expected at most {_MAX_MESSAGE_BYTES} bytes"}, 413)
         try:
             given = json.loads(body)
             verb = str(given.pop("verb"))
         except (ValueError, KeyError, AttributeError, TypeError):
             return JSONResponse({"error": 'expected {"verb": …} as JSON'}, 400)
-        if len(str(given.get("text", ""))) > _LONGEST_NOTE:
-            return JSONResponse({"error": f"expected a note of at most {_LONGEST_NOTE} characters"}, 413)
-        return await self._asked(verb, cast("dict[str, Any]", given))
+        if len(str(given.get("text", ""))) > _MAX_NOTE_LETTERS:
+            return JSONResponse({"error": f"expected a note of at most {_MAX_NOTE_LETTERS} characters"}, 413)
+        return await self._forward(verb, cast("dict[str, Any]", given))
 
-    async def _asked(self, verb: str, given: dict[str, Any]) -> Response:
-        """Passed on by this thread: another one would be waited for, twice as long as all else on a busy machine."""
+    async def _forward(self, verb: str, given: dict[str, Any]) -> Response:
+        """Forward a command in this thread; another thread would double the delay on a busy machine."""
         try:
             return JSONResponse(await asyncio.wait_for(asyncio.wrap_future(self._source.act(verb, given)), _ANSWER_S))
         except Refused as why:
@@ -196,9 +196,10 @@ class Page:
 
 
 def _files() -> list[Path]:
-    """Our own files, and BokehJS out of the installed package."""
+    """Return our own files, and BokehJS of the installed package."""
     own = [Path(str(entry)) for entry in resources.files("live").joinpath("page").iterdir()]
-    spec = find_spec("bokeh")  # its files are wanted, not its import
-    assert spec is not None and spec.origin is not None, "a dependency of this package"  # noqa: PT018
+    spec = find_spec("bokeh")  # only its files are needed
+    assert spec is not None
+    assert spec.origin is not None
     scripts = Path(spec.origin).parent / "server" / "static" / "js"
     return [*(path for path in own if path.suffix in _TYPES), *(scripts / name for name in _BOKEH)]

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A source served in a thread of its own: binding the port, making the address, following the signals."""
+"""Serving of a source in a separate thread: port, address and followers."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from live.server import Page
 from live.source import Source
 
 _ENDS_S = 5.0
-_MOST_BYTES = 4096  # of one message from a browser
+_MAX_MESSAGE_BYTES = 4096  # of one message from a browser
 
 
 class Serving:
-    """A page that is there as long as the context lasts.
+    """A page that is served while the context lasts.
 
     Args:
-        source: what is shown.
-        model: of its rig.
-        host, port: as live.port.bound takes them.
+        source: displayed source.
+        model: model of its rig.
+        host, port: as for live.port.bound.
 
     Attributes:
-        url: the whole address, with the token.
-        token: of it.
-        page: the application.
+        url: complete address with the token.
+        token: token of the page.
+        page: application.
     """
 
     def __init__(self, source: Source, model: Model, host: str = "", port: int = 0) -> None:
@@ -49,7 +49,7 @@ class Serving:
             access_log=False,
             lifespan="off",
             ws="websockets-sansio",
-            ws_max_size=_MOST_BYTES,
+            ws_max_size=_MAX_MESSAGE_BYTES,
             ws_per_message_deflate=False,
             server_header=False,
             timeout_graceful_shutdown=1,

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A rig's channels as the page draws them: by role, in mm, degrees and rpm, in seconds since one instant."""
+"""Channels of a rig in the units of the page: by role, in mm, degrees and rpm, in seconds since one instant."""
 
 from __future__ import annotations
 
@@ -20,18 +20,17 @@ MM, DEG = 1e3, 180 / math.pi
 
 
 class Signals:
-    """Filled by one thread, looked at by others.
+    """Signals of a rig, filled by one thread and read by others.
 
     Args:
-        rig: whose channels they are.
-        origin_ns: the instant from which seconds count, ns since 1970.
-        kept: samples of each displacement that are kept as they are, and of others at most.
+        rig: rig of the channels.
+        origin_ns: instant from which seconds count, ns since 1970.
+        kept: number of samples of each displacement that are kept; upper limit for other signals.
 
     Attributes:
         by_name: "x", "y" (mm), "turned3", "turned4" (θ3, θ4, rad, unwrapped), "flags", "drive", "target" (rpm),
             "marks" (rpm between index marks), "turns" (revolutions counted at a mark).
-        heard_s: when a channel's newest sample was taken, by topic.
-        lock: hold it while looking at several at once.
+        lock: to be held while several signals are read together.
     """
 
     def __init__(self, rig: Rig, origin_ns: int, kept: int = KEPT) -> None:
@@ -45,7 +44,7 @@ class Signals:
 
     @property
     def topics(self) -> dict[str, tuple[str, ...]]:
-        """The channels that are needed, each with its fields."""
+        """Channels that are needed, each with its fields."""
         found: dict[str, tuple[str, ...]] = dict.fromkeys(self._axis_of, ("displacement_m", "flags"))
         if self._roles.angles is not None:
             found[self._roles.angles.topic] = ("theta3_rad", "theta4_rad", "flags")
@@ -56,11 +55,11 @@ class Signals:
         return found
 
     def seconds(self, time_ns: NDArray[np.int64] | int) -> Any:
-        """Instants since 1970 as seconds since the origin."""
+        """Convert instants since 1970 to seconds since the origin."""
         return (np.asarray(time_ns, np.int64) - self.origin_ns) * 1e-9
 
     def feed(self, topic: str, time_ns: NDArray[np.int64], columns: Mapping[str, NDArray[Any]]) -> None:
-        """Take new samples of one channel, later than those before."""
+        """Add new samples of one channel, later than all earlier ones."""
         if not len(time_ns):
             return
         time_s: Array = self.seconds(time_ns)
@@ -94,15 +93,15 @@ class Signals:
             rpm = np.where((turned > 0) & (turned < 1e3) & (spent > 0), 60 * turned / spent, np.nan)
         self.by_name["marks"].add(time_s[1:], rpm)
 
-    # --- looked at ---------------------------------------------------------------------------------------------
+    # --- reading -----------------------------------------------------------------------------------------------
 
     @property
     def newest_s(self) -> float:
-        """The newest sample of all; -inf without any."""
+        """Time of the newest sample of all signals; -inf without samples."""
         return max(levels.newest_s for levels in self.by_name.values())
 
     def rpm(self, at_s: float) -> float:
-        """The rotor's speed at an instant: the drive's word, else the index marks'; NaN when neither is fresh."""
+        """Return the rotor's speed at an instant: of the drive, else of the index marks; NaN if both are old."""
         for name, fresh_s in (("drive", 1.0), ("marks", 5.0)):
             levels = self.by_name[name]
             if at_s - levels.until(at_s) < fresh_s:
@@ -110,12 +109,12 @@ class Signals:
         return math.nan
 
     def locked(self, at_s: float) -> bool | None:
-        """Whether both pendulums are locked, by their encoders' flags; None when nobody tells."""
+        """Whether both pendulums are locked, by their encoders' flags; None if unknown."""
         flags = self.by_name["flags"].last(at_s)
         return None if math.isnan(flags) else int(flags) & LOCKS_CLOSED == LOCKS_CLOSED
 
     def faulty_share(self, start_s: float, end_s: float) -> float:
-        """Share of the encoders' samples with a fault flag in a stretch; NaN without samples."""
+        """Return the share of the encoders' samples with a fault flag in an interval; NaN without samples."""
         _, flags = self.by_name["flags"].between(start_s, end_s)
         if not len(flags):
             return math.nan
@@ -123,7 +122,7 @@ class Signals:
         return float(np.mean(np.asarray(faulty, dtype=np.float64)))
 
     def topic_newest_s(self, topic: str, at_s: float) -> float:
-        """Time of a channel's newest sample not after an instant; -inf without any."""
+        """Return the time of a channel's newest sample not after an instant; -inf without one."""
         if topic in self._axis_of:
             return self.by_name[self._axis_of[topic]].until(at_s)
         names = {

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What the page shows, wherever it comes from: a rig's session or a log."""
+"""Interface of the page's sources: a session of a rig, or a log."""
 
 from __future__ import annotations
 
@@ -13,49 +13,49 @@ Facts = dict[str, Any]
 
 
 class Refused(Exception):
-    """What was asked cannot be done here; the text says why."""
+    """A command cannot be carried out here; the text contains the reason."""
 
 
 class Source(Protocol):
-    """See the module.
+    """Source of the page.
 
     Attributes:
-        signals: all that is known of the signals.
+        signals: all signals of the source.
     """
 
     signals: Signals
 
     def now_s(self) -> float:
-        """The instant that is shown, s since the signals' origin."""
+        """Return the displayed instant, s since the signals' origin."""
         ...
 
     def heard_s(self) -> float:
-        """The instant up to which samples could be there."""
+        """Return the instant up to which samples can have arrived, s since the signals' origin."""
         ...
 
     @property
     def rate(self) -> float:
-        """Seconds of the signals per second of the wall."""
+        """Seconds of the signals per second of wall time."""
         ...
 
     def looked_at(self) -> None:
-        """A viewer has seen a picture."""
+        """Report that a viewer has displayed a picture."""
         ...
 
     def facts(self) -> Facts:
-        """What else the page shows; see `live.picture`."""
+        """Return further facts for the page; see `live.picture`."""
         ...
 
     def events(self) -> list[Mapping[str, Any]]:
-        """What happened up to now, in order: kind, device, text, at_s, a rising number and more."""
+        """Return the events up to now in order: kind, device, text, at_s, a rising number and more."""
         ...
 
     def act(self, verb: str, given: Mapping[str, Any]) -> Future[Facts]:
-        """Have done what somebody at the page asks for: passed on at once, by the caller's thread.
+        """Forward a viewer's command immediately, in the caller's thread.
 
         Returns:
-            The answer, when there is one; Refused where it cannot be done here.
+            The answer once it exists; Refused if the command cannot be carried out here.
         Raises:
-            Refused: the same, where it is plain at once.
+            Refused: the same, if this is known at once.
         """
         ...

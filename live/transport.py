@@ -1,5 +1,5 @@
 # pyright: strict
-"""Where a log that is played stands: play, pause, seek, speed."""
+"""Position in a replayed log: play, pause, seek, speed."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import time
 from collections.abc import Callable
 
 SLOWEST, FASTEST = 0.01, 100.0
-"""Seconds of the log per second."""
+"""Limits of the speed, seconds of the log per second."""
 
 
 class Transport:
-    """It begins at the log's first instant, playing.
+    """Position in a replayed log. It begins at the first instant, playing.
 
     Args:
-        start_s, end_s: of what is played.
-        speed: seconds of it per second.
-        clock: seconds that pass, from any zero.
+        start_s, end_s: first and last instant of the log, s.
+        speed: seconds of the log per second.
+        clock: elapsed seconds from any origin.
 
     Attributes:
-        jumps: how often it went to another instant than the next.
+        jumps: number of jumps to another instant.
     Raises:
-        ValueError: a speed out of range.
+        ValueError: the speed is out of range.
     """
 
     def __init__(
@@ -37,31 +37,31 @@ class Transport:
 
     @property
     def playing(self) -> bool:
-        """Whether it moves on; not at the end."""
+        """Whether the position advances; False at the end."""
         return self._playing and self.at() < self.end_s
 
     @property
     def speed(self) -> float:
-        """Seconds of the log per second while it plays."""
+        """Seconds of the log per second during play."""
         return self._speed
 
     def at(self) -> float:
-        """The instant that is shown."""
+        """Return the displayed instant."""
         if not self._playing:
             return self._at_s
         return min(self.end_s, self._at_s + self._speed * (self._clock() - self._since))
 
     def await_viewer(self) -> None:
-        """Stand at the beginning until somebody looks, or plays or pauses it by hand."""
+        """Stay at the start until a viewer looks, or until play or pause is commanded."""
         self._at_s, self._playing, self._awaits = self.start_s, False, True
 
     def looked_at(self) -> None:
-        """Somebody looks: play, where that was waited for."""
+        """Start playing if a viewer was awaited."""
         if self._awaits:
             self.play()
 
     def play(self) -> None:
-        """Go on; from the end, begin again."""
+        """Continue; at the end, start again from the beginning."""
         self._awaits = False
         if self.at() >= self.end_s:
             self._at_s, self._since = self.start_s, self._clock()
@@ -71,15 +71,15 @@ class Transport:
         self._playing = True
 
     def pause(self) -> None:
-        """Stand where it is."""
+        """Stop at the current instant."""
         self._awaits = False
         self._at_s, self._playing = self.at(), False
 
     def seek(self, to_s: float) -> None:
-        """Go to an instant; one outside means the nearest inside. It plays on if it did.
+        """Jump to the nearest instant within the log; playing continues.
 
         Raises:
-            ValueError: no instant.
+            ValueError: the instant is not finite.
         """
         if not math.isfinite(to_s):
             raise ValueError(f"expected an instant to seek, got {to_s}")
@@ -87,10 +87,10 @@ class Transport:
         self.jumps += 1
 
     def set_speed(self, speed: float) -> None:
-        """Go on from here at another speed.
+        """Continue from the current instant at another speed.
 
         Raises:
-            ValueError: out of range.
+            ValueError: the speed is out of range.
         """
         checked = _checked(speed)
         self._at_s, self._since = self.at(), self._clock()

@@ -1,5 +1,5 @@
 # pyright: strict
-"""1× vectors between index marks, as the signals come."""
+"""1× vectors between index marks, computed as the signals arrive."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from analysis.quantities.order_tracking import order_track
 from live.levels import Array
 from live.signals import Signals
 
-_REVOLUTIONS, _LEAST_S = 2, 0.1  # of one vector's window
-_STEP_RPM, _EVERY_S = 0.4, 5.0  # a vector is kept when the speed has moved, or so long after the last one
-_RAMP_RPM_S = 60.0  # a rotor that is braked faster has no 1× to speak of
-_MOST_VECTORS = 6000
+_REVOLUTIONS, _MIN_WINDOW_S = 2, 0.1  # of one vector's window
+_STEP_RPM, _MAX_INTERVAL_S = 0.4, 5.0  # a vector is kept after this change of speed or this time since the last one
+_MAX_RAMP_RPM_S = 60.0  # above, no meaningful 1× exists, as during braking
+_MAX_VECTORS = 6000
 
 
 class Vectors:
     """1× amplitudes of x and y between index marks.
 
     Args:
-        signals: of the rig.
+        signals: signals of the rig.
     """
 
     def __init__(self, signals: Signals) -> None:
@@ -30,17 +30,17 @@ class Vectors:
         phase = signals.rig.roles.phase
         self._index_rad = math.radians(phase.index_angle_deg if phase else 0.0)
         self._done_s = -math.inf
-        self._rows: deque[tuple[float, float, complex, complex]] = deque(maxlen=_MOST_VECTORS)
+        self._rows: deque[tuple[float, float, complex, complex]] = deque(maxlen=_MAX_VECTORS)
 
     def follow(self, until_s: float) -> None:
-        """Take all windows that are whole by an instant."""
+        """Process all windows that are complete at an instant."""
         with self._signals.lock:
             times, turns = self._signals.by_name["turns"].between(self._done_s, until_s)
         first = 0
         for last in range(1, len(times)):
             if turns[last] <= turns[first] or turns[last] - turns[first] > 50 or times[last] - times[first] > 6.0:
-                first = last  # a counter that begins anew, or a rotor that hardly turns
-            elif turns[last] - turns[first] >= _REVOLUTIONS and times[last] - times[first] >= _LEAST_S:
+                first = last  # the counter was reset, or the rotor nearly stands still
+            elif turns[last] - turns[first] >= _REVOLUTIONS and times[last] - times[first] >= _MIN_WINDOW_S:
                 self._window(times[first : last + 1], turns[first : last + 1])
                 first = last
             self._done_s = float(times[first]) - 1e-9
@@ -49,9 +49,9 @@ class Vectors:
         rpm = 60 * float(turns[-1] - turns[0]) / float(times[-1] - times[0])
         at_s = float(times[-1])
         begins, ends = (60 * (turns[i] - turns[i - 1]) / (times[i] - times[i - 1]) for i in (1, len(times) - 1))
-        if abs(ends - begins) > _RAMP_RPM_S * (times[-1] - times[0]):
+        if abs(ends - begins) > _MAX_RAMP_RPM_S * (times[-1] - times[0]):
             return
-        if self._rows and abs(rpm - self._rows[-1][1]) < _STEP_RPM and at_s - self._rows[-1][0] < _EVERY_S:
+        if self._rows and abs(rpm - self._rows[-1][1]) < _STEP_RPM and at_s - self._rows[-1][0] < _MAX_INTERVAL_S:
             return
         found = [self._vector(axis, times, turns) for axis in ("x", "y")]
         self._rows.append((at_s, rpm, found[0], found[1]))
@@ -68,6 +68,6 @@ class Vectors:
         return complex(np.mean(track.amplitude_m[:, 0]))
 
     def between(self, since_s: float, at_s: float) -> Array:
-        """Rows (rpm, Re X, Im X, Re Y, Im Y) of a stretch, mm, shape (n, 5)."""
+        """Return rows (rpm, Re X, Im X, Re Y, Im Y) of an interval, mm, shape (n, 5)."""
         rows = [row for row in list(self._rows) if since_s <= row[0] <= at_s]
         return np.array([(rpm, x.real, x.imag, y.real, y.imag) for _, rpm, x, y in rows]).reshape(-1, 5)

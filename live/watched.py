@@ -1,5 +1,5 @@
 # pyright: strict
-"""A rig as the page's source, in the page's own process: what the recorder's process hands over through a pipe."""
+"""A rig as the page's source in the page's own process, fed by the recorder's process through a pipe."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from live.source import Facts, Refused
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
-_LAST_WORDS_S = 1.0
-_MOST_EVENTS = 2000
-_NOTHING: Facts = {
+_LAST_STATE_S = 1.0
+_MAX_EVENTS = 2000
+_INITIAL: Facts = {
     "mode": "live",
     "test": "",
     "numbers": {},
@@ -52,20 +52,20 @@ _NOTHING: Facts = {
 
 
 class Watched:
-    """See live.source.Source.
+    """A rig as live.source.Source.
 
     Args:
-        rig: the session's.
-        pipe: to the session's process.
-        rate: seconds of the rig per second of the wall.
-        title: of the page.
+        rig: rig of the session.
+        pipe: pipe to the session's process.
+        rate: seconds of the rig per second of wall time.
+        title: title of the page.
     """
 
     def __init__(self, rig: Rig, pipe: Connection, rate: float, title: str) -> None:
         self._rig, self._pipe, self._rate = rig, pipe, rate
         self.signals = Signals(rig, 0)
-        self._facts: Facts = {**_NOTHING, "title": title}
-        self._events: deque[Mapping[str, Any]] = deque(maxlen=_MOST_EVENTS)
+        self._facts: Facts = {**_INITIAL, "title": title}
+        self._events: deque[Mapping[str, Any]] = deque(maxlen=_MAX_EVENTS)
         self._heard: tuple[float, float] | None = None
         self._end_s: float | None = None
         self._numbers, self._event_numbers = itertools.count(1), itertools.count()
@@ -73,37 +73,37 @@ class Watched:
         self._sending = threading.Lock()
 
     def follow(self) -> bool:
-        """Take what is handed over until the other side says that it ends, or is gone without a word: False."""
+        """Receive updates until the other side announces the end (True) or the pipe breaks (False)."""
         with contextlib.suppress(EOFError, OSError):
-            while "end" not in (handed := self._pipe.recv()):
-                self._take(handed)
+            while "end" not in (update := self._pipe.recv()):
+                self._take(update)
             self._end({**self._facts, "ended": True, "can": []})
             return True
         return False
 
     def _end(self, facts: Facts) -> None:
-        """The run is over: what is shown stands at its last sample, and nothing gets old."""
+        """End the run: the display stays at the last sample, and no panel becomes stale."""
         if self._end_s is None:
             newest_s = self.signals.newest_s
             self._end_s = newest_s if math.isfinite(newest_s) else self.heard_s()
         self._facts = facts
 
-    def _take(self, handed: Mapping[str, Any]) -> None:
-        if "answer" in handed:
-            self._answered(handed["to"], handed["answer"])
+    def _take(self, update: Mapping[str, Any]) -> None:
+        if "answer" in update:
+            self._answered(update["to"], update["answer"])
             return
         if self._heard is None:
-            self.signals.origin_ns = int(handed["heard_ns"]) // 10**9 * 10**9
-        for topic, time_ns, columns in handed["rows"]:
+            self.signals.origin_ns = int(update["heard_ns"]) // 10**9 * 10**9
+        for topic, time_ns, columns in update["rows"]:
             self.signals.feed(topic, time_ns, columns)
-        for event in handed["events"]:
+        for event in update["events"]:
             at_s = float(self.signals.seconds(event["time_ns"]))
             self._events.append({**event, "at_s": at_s, "number": next(self._event_numbers)})
-        heard_s = float(self.signals.seconds(handed["heard_ns"]))
-        if handed["facts"] is not None:
-            facts = {**self._facts, **handed["facts"]}
+        heard_s = float(self.signals.seconds(update["heard_ns"]))
+        if update["facts"] is not None:
+            facts = {**self._facts, **update["facts"]}
             if facts["test"] != self._facts["test"]:
-                facts["since_s"] = heard_s  # the last test's figures are not this one's
+                facts["since_s"] = heard_s  # figures of the last test do not belong to this one
             if facts["ended"]:
                 self._end(facts)
             self._facts = facts
@@ -112,7 +112,7 @@ class Watched:
     def _answered(self, number: int, answer: Facts) -> None:
         waiting = self._waiting.get(number)
         if waiting is None or not waiting.set_running_or_notify_cancel():
-            return  # nobody waits for it any more
+            return  # the request was cancelled
         if "error" in answer:
             waiting.set_exception(Refused(str(answer["error"])))
         else:
@@ -123,7 +123,7 @@ class Watched:
         return self.heard_s()
 
     def heard_s(self) -> float:
-        """See Source: it goes on while nothing is handed over, so that what is old looks old."""
+        """See Source; it advances without updates, so that old samples are displayed as old."""
         if self._end_s is not None:
             return self._end_s
         if self._heard is None:
@@ -137,7 +137,7 @@ class Watched:
         return self._rate
 
     def looked_at(self) -> None:
-        """See Source: a rig waits for nobody."""
+        """See Source; a rig does not wait for viewers."""
 
     def facts(self) -> Facts:
         """See Source."""
@@ -148,18 +148,18 @@ class Watched:
         return list(self._events)
 
     def act(self, verb: str, given: Mapping[str, Any]) -> Future[Facts]:
-        """See Source: the session's process does it."""
+        """See Source; the session's process carries it out."""
         if self._facts["ended"]:
             raise Refused(f"{verb}: the run has ended")
         number, answer = next(self._numbers), Future[Facts]()
         self._waiting[number] = answer
-        answer.add_done_callback(lambda _: self._waiting.pop(number, None))  # also of one nobody waits for
+        answer.add_done_callback(lambda _: self._waiting.pop(number, None))  # cancelled requests too
         try:
             with self._sending:
                 self._pipe.send({"act": verb, "given": dict(given), "number": number})
         except (OSError, ValueError) as fault:
             answer.cancel()
-            raise Refused(f"{verb}: the recorder is gone") from fault
+            raise Refused(f"{verb}: the recorder has ended") from fault
         return answer
 
 
@@ -173,14 +173,14 @@ def run_page(
     host: str,
     port: int,
 ) -> None:
-    """The page's process: serve until the other side of the pipe is gone."""
-    for name in ("SIGINT", "SIGHUP"):  # the terminal sends them to both; the session decides when it is over
+    """Run the page's process: serve until the other side closes the pipe."""
+    for name in ("SIGINT", "SIGHUP"):  # a terminal sends them to both processes; the session decides when to end
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     watched = Watched(rig, pipe, rate if math.isfinite(rate) else 1.0, title)
     model = Model(rig, identified, source)
     if rig.roles.angles is not None:
-        compile_followers(rig, model)  # before a rotor turns: the stop passes through here
+        compile_followers(rig, model)  # before a rotor turns, because a stop command passes through this process
     try:
         serving = Serving(watched, model, host, port)
     except RigError as fault:
@@ -189,4 +189,4 @@ def run_page(
     with serving:
         pipe.send({"url": serving.url, "token": serving.token})
         if watched.follow():
-            serving.page.tell_all(_LAST_WORDS_S)
+            serving.page.flush_state(_LAST_STATE_S)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Settings of a device in a rig file: whose driver it is, and what it is to the rig.
+"""Settings of a device in a rig file: its driver and its roles.
 
 A driver's package has a settings class of its own, derived from one of these.
 """
@@ -27,10 +27,10 @@ from rig_configs.table import Finite, NotNegative, Positive, Table
 
 
 class DeviceSettings(Table):
-    """What every device has.
+    """Settings of every device.
 
     Attributes:
-        calibration: names of those settings that a calibration may correct in an old log.
+        calibration: names of the settings that a calibration may correct in an old log.
     """
 
     calibration: ClassVar[tuple[str, ...]] = ()
@@ -39,22 +39,22 @@ class DeviceSettings(Table):
     port: str
 
     def roles(self, device: str) -> tuple[Role, ...]:
-        """What the device is to the rig.
+        """Return the roles of the device.
 
         Args:
-            device: its name in the rig file.
+            device: name of the device in the rig file.
         """
         return ()
 
 
 class DisplacementSettings(DeviceSettings):
-    """A sensor of the column's motion; see Displacement for what each is.
+    """Settings of a sensor of the column's motion; the numbers are those of Displacement.
 
     Attributes:
-        witness: name of its channel, `laser/NAME`, where another sensor measures along its axis for the rig; "" for
-            the one that does.
-        direction_deg: where it does not look along its axis.
-        names_its_channel: whether the driver records in the channel `topic`; one that does not can have no witness.
+        witness: name of its channel, `laser/NAME`, if another sensor measures along its axis for the rig; "" for the
+            measuring sensor.
+        direction_deg: direction of the sensor, if it differs from its axis.
+        names_its_channel: whether the driver records in the channel `topic`; otherwise it cannot be a witness.
     """
 
     calibration: ClassVar[tuple[str, ...]] = (
@@ -86,22 +86,22 @@ class DisplacementSettings(DeviceSettings):
         if witness in ("x", "y"):
             raise ValueError(f"expected the name of a channel of its own, got {witness!r}: that is an axis' channel")
         if witness and not cls.names_its_channel:
-            raise ValueError("this driver records in the channel of its axis alone, so its device can be no witness")
+            raise ValueError("this driver records in the channel of its axis only, so its device cannot be a witness")
         return witness
 
     @property
     def topic(self) -> str:
-        """Of its channel."""
+        """Topic of its channel."""
         return f"laser/{self.witness or self.axis}"
 
     @property
     def _total_gain_std(self) -> float:
-        """Of calibration, range and lever together, relative."""
+        """Relative standard uncertainty of calibration, range and lever together."""
         parts = (self.gain_std, self.range_std_m / self.range_m, self.lever_ratio_std / self.lever_ratio)
         return math.hypot(*parts)
 
     def roles(self, device: str) -> tuple[Role, ...]:
-        """See DeviceSettings."""
+        """Return the roles; see DeviceSettings."""
         return (
             Displacement(
                 device=device,
@@ -120,7 +120,7 @@ class DisplacementSettings(DeviceSettings):
 
 
 class RotorNodeSettings(DeviceSettings):
-    """A node on the rotor: both pendulum encoders, the index mark, and the locks unless a rig has none to command."""
+    """A node on the rotor: both pendulum encoders, the index mark, and the locks if the rig commands any."""
 
     calibration: ClassVar[tuple[str, ...]] = (
         "counts_per_revolution",
@@ -140,7 +140,7 @@ class RotorNodeSettings(DeviceSettings):
     node: Annotated[int | None, Field(ge=0, le=255)] = None
 
     def roles(self, device: str) -> tuple[Role, ...]:
-        """See DeviceSettings."""
+        """Return the roles; see DeviceSettings."""
         tolerance = self.clock_tolerance_ppm
         return (
             PendulumAngles(
@@ -169,12 +169,12 @@ def _read_roles(tables: object) -> object:
 
 
 class StoredDevice(DeviceSettings):
-    """A device of a log whose driver is not installed here: settings as they stand, roles as the log keeps them."""
+    """A device of a log whose driver is not installed: settings as stored, roles as the log contains them."""
 
     model_config = ConfigDict(extra="allow")
 
     stored_roles: Annotated[tuple[Any, ...], BeforeValidator(_read_roles)] = ()
 
     def roles(self, device: str) -> tuple[Role, ...]:
-        """See DeviceSettings."""
+        """Return the roles; see DeviceSettings."""
         return self.stored_roles

@@ -1,9 +1,9 @@
 # pyright: strict
-"""What a spin-down finds of a pendulum's torque that grows with the square of the speed, as parameters.toml keeps it.
+"""A pendulum's torque that grows with the square of the speed, identified by a spin-down, in parameters.toml.
 
-On a rotor at rest the air, which turns with the disk, drags with d |θ̇| θ̇ and a contact force rubs with F φ̇² sign θ̇:
-the same, because φ̇ = θ̇ there. On a rotor that turns φ̇ ≈ ω, and F ω² is many times the drag. A release at speed tells
-them apart. Source: docs/theory/pendulum_damping.md.
+On a rotor at rest the air drag is d |θ̇| θ̇ (the air turns with the disk) and the friction by the contact force is
+F φ̇² sign θ̇. Both are equal there, because φ̇ = θ̇. On a turning rotor φ̇ ≈ ω, and F ω² is many times the drag. A release
+at speed therefore distinguishes them. Source: docs/theory/pendulum_damping.md.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from rig_configs.known import DRAG, KEPT_FRICTION, KnownSource
 
 Array = NDArray[np.float64]
 Reading = Literal["", "drag", "contact"]
-"""What a torque that grows with the square of the speed is taken for; "" where that is settled, or there is none."""
+"""Interpretation of a torque that grows with the square of the speed; "" if it is decided or does not exist."""
 
 KEY = "drag"
-"""Where provenance keeps it, and begin of the labels under which its errors are shared."""
+"""Key in the provenance, and start of the labels of its shared errors."""
 NAMES = ("drag_a_Nms2_per_rad2", "drag_b_Nms2_per_rad2")
 LABELS = ("friction drag 1", "friction drag 2")
-"""Under which the two independent parts of its error are shared by parameters and predictions."""
+"""Labels of the two independent parts of its error, shared by parameters and predictions."""
 
 
 @dataclass(frozen=True)
 class _DragSource(KnownSource):
     @property
     def label(self) -> str:
-        """As the two parts are kept: tests have found them, and no rig file."""
+        """Label of the parts, which tests have identified and no rig file contains."""
         return self.name
 
 
@@ -45,10 +45,10 @@ class Drag:
     Attributes:
         values: N m s²/rad², shape (2,).
         covariance: shape (2, 2).
-        undecided: whether no release has told yet that it is the air's drag and no friction with the contact force.
+        undecided: whether no release has shown yet that it is air drag and not friction by the contact force.
         by_number: number of the rig file → derivative of the values by it, shape (2,).
     Raises:
-        ValueError: numbers that are not finite, of the wrong count, or a negative variance.
+        ValueError: numbers that are not finite, a wrong number of values, or a negative variance.
     """
 
     values: Array
@@ -68,7 +68,7 @@ class Drag:
 
     @classmethod
     def of(cls, provenance: Mapping[str, Any]) -> Drag | None:
-        """What parameters.toml keeps of it; None where no test has shown any."""
+        """Return the drag stored in parameters.toml; None if no test identified any."""
         kept: Mapping[str, Any] | None = provenance.get(KEY)
         if not kept:
             return None
@@ -78,7 +78,7 @@ class Drag:
 
     @property
     def table(self) -> dict[str, Any]:
-        """For provenance, by its key."""
+        """Table for the provenance, under its key."""
         return {
             KEY: {
                 "values": dict(zip(NAMES, self.values.tolist(), strict=True)),
@@ -90,19 +90,19 @@ class Drag:
 
     @property
     def root(self) -> Array:
-        """L with LLᵀ the covariance: column k is the shift of both for one standard deviation of LABELS[k]."""
+        """Matrix L with LLᵀ the covariance: column k is the shift of both per standard deviation of LABELS[k]."""
         first = math.sqrt(self.covariance[0, 0])
         across = float(self.covariance[0, 1]) / first if first > 0 else 0.0
         return np.array([[first, 0.0], [across, math.sqrt(max(self.covariance[1, 1] - across**2, 0.0))]])
 
     @property
     def sources(self) -> tuple[KnownSource, ...]:
-        """Its error as two independent ones of what a release takes as known."""
+        """Error as two independent sources for a release."""
         effects: list[dict[str, float]] = [dict(zip(DRAG, part, strict=True)) for part in self.root.T.tolist()]
         return tuple(_DragSource(label, 1.0, "1", by, "A") for label, by in zip(LABELS, effects, strict=True))
 
     def moved_with(self, sources: Sequence[KnownSource]) -> tuple[KnownSource, ...]:
-        """Errors of what is taken as known, each with what it does to the drag that was found with it."""
+        """Add to each error of a known number its effect on the drag that was identified with it."""
         return tuple(self._moved_with(source) for source in sources)
 
     def _moved_with(self, source: KnownSource) -> KnownSource:
@@ -111,16 +111,17 @@ class Drag:
         return replace(source, effects={**source.effects, **dict(zip(DRAG, moved, strict=True))}) if parts else source
 
     def on(self, physics: RotorParameters) -> RotorParameters:
-        """The rig with this drag; none below 0."""
+        """Return the rig with this drag; negative values are set to 0."""
         a, b = np.maximum(self.values, 0.0).tolist()
         return replace(physics, a=replace(physics.a, drag_Nms2_per_rad2=a), b=replace(physics.b, drag_Nms2_per_rad2=b))
 
 
 def read_as(provenance: Mapping[str, Any], reading: Reading) -> dict[str, Any]:
-    """Provenance in which an undecided drag has been decided on.
+    """Return provenance in which an undecided drag is decided.
 
     Args:
-        reading: "drag", "contact" for dry friction that goes with the contact force, "" to leave it open.
+        provenance: provenance of identified parameters.
+        reading: "drag", "contact" for dry friction by the contact force, "" to leave it undecided.
     """
     drag = Drag.of(provenance)
     if drag is None or not drag.undecided or not reading:
@@ -128,20 +129,20 @@ def read_as(provenance: Mapping[str, Any], reading: Reading) -> dict[str, Any]:
     if reading == "drag":
         return {**provenance, **replace(drag, undecided=False).table}
     none = Drag(np.zeros(2), np.zeros((2, 2)))
-    return {**provenance, **none.table, **_rubbing(provenance, drag)}
+    return {**provenance, **none.table, **_with_contact_friction(provenance, drag)}
 
 
 def spread_between(provenance: Mapping[str, Any]) -> dict[str, Any]:
-    """Provenance whose dry friction reaches from none to all of an undecided drag, which then counts as half of it."""
+    """Return provenance with dry friction between none and all of an undecided drag, which counts as half of it."""
     drag = Drag.of(provenance)
     if drag is None or not drag.undecided:
         return dict(provenance)
     half = 0.5 * np.maximum(drag.values, 0.0)
-    return {**provenance, **_rubbing(provenance, replace(drag, values=half, covariance=np.diag(half**2)))}
+    return {**provenance, **_with_contact_friction(provenance, replace(drag, values=half, covariance=np.diag(half**2)))}
 
 
-def _rubbing(provenance: Mapping[str, Any], drag: Drag) -> dict[str, Any]:
-    """The dry friction of provenance, by its key, with a drag added to what goes with the contact force."""
+def _with_contact_friction(provenance: Mapping[str, Any], drag: Drag) -> dict[str, Any]:
+    """Return the dry friction of provenance, by its key, with a drag added to its part by the contact force."""
     kept: Mapping[str, Any] = provenance.get("friction", {})
     values = np.array([float(kept.get("values", {}).get(name, 0.0)) for name in KEPT_FRICTION])
     covariance = np.array(kept.get("covariance", np.zeros((4, 4))), np.float64)

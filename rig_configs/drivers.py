@@ -1,5 +1,5 @@
 # pyright: strict
-"""Drivers by name, found among the entry points of what is installed; here only for the settings they bring."""
+"""Drivers by name from the entry points of installed packages; used here for their settings only."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ GROUP = "rig.drivers"
 
 @cache
 def installed() -> dict[str, EntryPoint]:
-    """Entry points of all drivers that are installed, by name."""
+    """Return the entry points of all installed drivers by name."""
     return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
 
 
 @cache
 def load_driver(name: str) -> Any:
-    """The driver of a name.
+    """Load a driver by name.
 
     Raises:
-        ValueError: none of that name is installed, or it cannot be loaded.
+        ValueError: no driver of that name is installed, or it cannot be loaded.
     """
     known = installed()
     if name not in known:
@@ -39,10 +39,10 @@ def load_driver(name: str) -> Any:
 
 
 def settings_of(name: str) -> type[DeviceSettings]:
-    """The settings class of a driver.
+    """Return the settings class of a driver.
 
     Raises:
-        ValueError: no such driver, or one without settings.
+        ValueError: the driver does not exist, or has no settings.
     """
     found = getattr(load_driver(name), "settings", None)
     if not (isinstance(found, type) and issubclass(found, DeviceSettings)):

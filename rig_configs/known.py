@@ -1,8 +1,8 @@
 # pyright: strict
-"""What a rig takes as known, and how well: its physical numbers, their standard uncertainties, and what they share.
+"""Known physical numbers of a rig, with their standard uncertainties and common sources of error.
 
-A number is a mass, a length or an angle that no test finds. A source is one independent cause of error: a number's own
-uncertainty, or an instrument's, which moves everything that was measured with it.
+A number is a mass, a length or an angle that no test identifies. A source is one independent cause of error: a number's
+own uncertainty, or an instrument's, which affects everything that was measured with it.
 """
 
 from __future__ import annotations
@@ -34,36 +34,36 @@ NUMBERS: Mapping[str, str] = {
     ZERO_B: "rad",
     INDEX: "rad",
 }
-"""What no test finds, by its place in the rig file, with its unit. The imbalance's radius is none: S_P is found."""
+"""Numbers that no test identifies, by key in the rig file, with units. S_P is identified, so its radius is not here."""
 MASSES = tuple(name for name, unit in NUMBERS.items() if unit == "kg")
 PHYSICAL = tuple(name for name in NUMBERS if name not in (ZERO_A, ZERO_B, INDEX))
 FRICTION = ("friction.a_Nm", "friction.b_Nm")
-"""Dry friction of A and B at the speed of a release, N m: no number of the rig file, taken as 0 where none is found."""
+"""Dry friction of A and B at the speed of a release, N m; not in the rig file, 0 if none was identified."""
 CONTACT_FRICTION = ("friction.a_kg_m2", "friction.b_kg_m2")
-"""The same as one that goes with the contact force: torque per square of the speed."""
+"""Dry friction of A and B by the contact force: torque per square of the speed."""
 KEPT_FRICTION = ("coulomb_a_Nm", "coulomb_b_Nm", "contact_a_kg_m2", "contact_b_kg_m2")
-"""Dry friction as parameters.toml keeps it: a torque of A and B at any speed, and one per square of the speed."""
+"""Dry friction in parameters.toml: a torque of A and B at any speed, and one per square of the speed."""
 DRAG = ("drag.a_Nms2_per_rad2", "drag.b_Nms2_per_rad2")
-"""The air's torque on A and B over the square of the speed relative to the rotor; 0 where none is found."""
+"""Air drag on A and B: torque over the square of the speed relative to the rotor; 0 if none was identified."""
 LABEL = "known"
-"""Begin of the labels under which a source's errors are kept in estimates."""
+"""Start of the labels of a source's errors in estimates."""
 
 
 def gain_label(axis: str) -> str:
-    """Under which errors of the displacement's gain along an axis are kept."""
+    """Return the label of errors of the displacement's gain along an axis."""
     return f"gain {axis}"
 
 
 def known_label(name: str) -> str:
-    """Under which errors of a source are kept, by the number's or the instrument's name."""
+    """Return the label of a source's errors, by the name of the number or the instrument."""
     return f"{LABEL} {name}"
 
 
 class Instrument(Table):
-    """What several numbers were measured with: a balance, a caliper.
+    """Instrument with which several numbers were measured: a balance, a caliper.
 
-    relative_std is its scale's relative standard uncertainty, one error in all that it measured; type, distribution
-    and degrees of freedom are those of that scale and of each number's own uncertainty.
+    relative_std is the relative standard uncertainty of its scale: one error common to all its measurements. type,
+    distribution and degrees of freedom are those of that scale and of each number's own uncertainty.
     """
 
     measures: Annotated[list[str], Field(min_length=1)]
@@ -75,14 +75,14 @@ class Instrument(Table):
 
 @dataclass(frozen=True)
 class KnownSource:
-    """One independent cause of error in what is taken as known.
+    """One independent cause of error of known numbers.
 
     Attributes:
-        name: the number's place in the rig file, or the instrument's name.
-        std: its standard uncertainty: in the number's unit, or relative for an instrument.
-        unit: of `std`; "1" for an instrument.
-        effects: number → its change for one standard deviation of this source, in the number's unit.
-        kind, distribution, degrees_of_freedom: as GUM 4.2 and 4.3 have them.
+        name: key of the number in the rig file, or name of the instrument.
+        std: standard uncertainty, in the number's unit, or relative for an instrument.
+        unit: unit of `std`; "1" for an instrument.
+        effects: number → its change per standard deviation of this source, in the number's unit.
+        kind, distribution, degrees_of_freedom: as in GUM 4.2 and 4.3.
     """
 
     name: str
@@ -95,13 +95,13 @@ class KnownSource:
 
     @property
     def label(self) -> str:
-        """Under which its errors are kept in estimates."""
+        """Label of its errors in estimates."""
         return known_label(self.name)
 
 
 @dataclass(frozen=True)
 class Known:
-    """All numbers a rig takes as known.
+    """All known numbers of a rig.
 
     Attributes:
         values: every number, in the order of NUMBERS.
@@ -118,12 +118,12 @@ class Known:
         return tuple(name for name in PHYSICAL if name not in moved and self.values.get(name, 0.0) != 0.0)
 
     def std(self, name: str) -> float:
-        """Standard uncertainty of a number, all of its sources together."""
+        """Return the standard uncertainty of a number from all of its sources."""
         return math.hypot(*(source.effects.get(name, 0.0) for source in self.sources))
 
 
 def physical_numbers(physics: RotorParameters) -> dict[str, float]:
-    """The physical numbers that no test finds, by name."""
+    """Return the physical numbers that no test identifies, by name."""
     return {
         "rotor.mass_kg": physics.rotor_mass_kg,
         "imbalance.mass_kg": physics.imbalance_mass_kg,
@@ -136,13 +136,14 @@ def physical_numbers(physics: RotorParameters) -> dict[str, float]:
 
 
 def with_number(physics: RotorParameters, name: str, value: float) -> RotorParameters:
-    """The rig with one physical number changed, and the seven parameters that tests find as they were.
+    """Return the rig with one physical number changed and the seven identified parameters unchanged.
 
     Args:
-        name: of PHYSICAL.
-        value: in its unit.
+        physics: parameters of the rig.
+        name: name in PHYSICAL.
+        value: new value in its unit.
     Raises:
-        OutsideDomain: no rig has it.
+        OutsideDomain: the value is impossible.
     """
     found = physics.identified()
     part, _, key = name.removeprefix("pendulums.").partition(".")
@@ -156,10 +157,13 @@ def with_number(physics: RotorParameters, name: str, value: float) -> RotorParam
 
 
 def own_source(name: str, std: float, instrument: Instrument | None, places: tuple[str, ...] = ()) -> KnownSource:
-    """A number's own uncertainty.
+    """Return the source of a number's own uncertainty.
 
     Args:
-        places: the numbers it moves alike; its own name where none is given.
+        name: name of the number.
+        std: standard uncertainty in its unit.
+        instrument: instrument of the measurement, or None.
+        places: numbers that it changes equally; by default its own name.
     """
     effects = dict.fromkeys(places or (name,), std)
     if instrument is None:
@@ -169,7 +173,7 @@ def own_source(name: str, std: float, instrument: Instrument | None, places: tup
 
 
 def scale_source(name: str, instrument: Instrument, values: Mapping[str, float]) -> KnownSource | None:
-    """An instrument's scale error; None where it has none or moves nothing."""
+    """Return the source of an instrument's scale error; None if it has no error or measures nothing."""
     effects = {n: instrument.relative_std * values[n] for n in instrument.measures if values.get(n)}
     if not instrument.relative_std or not effects:
         return None

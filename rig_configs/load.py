@@ -1,4 +1,4 @@
-"""Reading a rig file, laying settings over it, and saying clearly what is wrong with it."""
+"""Reading of a rig file, application of settings, and messages about its errors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
@@ -21,12 +21,12 @@ from rig_configs.drivers import settings_of
 from rig_configs.errors import RigConfigError, RigFileError
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.ports import refuse_shared_ports
-from rig_configs.schema import Rig
+from rig_configs.schema import NO_DRIVER, Rig
 from rig_configs.toml_text import parse_toml, read_text
 
 
 def shipped_rigs() -> list[str]:
-    """Names of the rig files that come with the package."""
+    """Return the names of the rig files that come with the package."""
     return sorted(p.name[:-5] for p in resources.files("rig_configs").iterdir() if p.name.endswith(".toml"))
 
 
@@ -40,10 +40,10 @@ def load_rig(
     Args:
         path_or_name: a TOML file, or the name of a shipped rig ("virtual", "isotropic").
         parameters: a parameters.toml whose values replace the file's (k1 … SP).
-        settings: dotted keys to values, as a mapping or as "key=value" texts, laid over everything else. A value
-            "*1.05" or "+5%" changes the number that is there.
+        settings: dotted keys to values, as a mapping or as "key=value" texts, applied last. A value "*1.05" or "+5%"
+            changes the current number.
     Raises:
-        RigFileError: lists every fault with file, key, what was expected, what came, and the nearest known name.
+        RigFileError: lists every error with file, key, expected and actual value, and the nearest known name.
     """
     return rig_from_text(*rig_text(path_or_name), parameters, settings)
 
@@ -54,33 +54,34 @@ def rig_from_text(
     parameters: str | Path | IdentifiedParameters | None = None,
     settings: Mapping[str, Any] | Sequence[str] = (),
 ) -> Rig:
-    """A rig from the text of a rig file; see load_rig.
+    """Return a rig from the text of a rig file; see load_rig.
 
     Args:
-        source: where the text is from, for messages.
+        source: origin of the text, for messages.
         text: TOML.
+        parameters, settings: as for load_rig.
     """
     raw = parse_toml(text, source)
     if parameters is not None:
         known = parameters if isinstance(parameters, IdentifiedParameters) else IdentifiedParameters.load(parameters)
-        _lay_parameters(raw, known, source)
+        _apply_parameters(raw, known, source)
     pairs = settings.items() if isinstance(settings, Mapping) else [parse_setting(s) for s in settings]
     for key, value in pairs:
         apply_setting(raw, key, value, source)
     rig = validate(raw, source)
-    refuse_shared_ports(rig.devices, source)  # here, not in the schema: a log's rig opens no port
+    refuse_shared_ports(rig.devices, source)  # not in the schema, because the rig of a log opens no port
     return rig
 
 
 def with_parameters(rig: Rig, known: IdentifiedParameters) -> Rig:
-    """A rig with identified values in place of its own, whatever settings it was loaded with."""
+    """Return a rig with identified values in place of its own, independent of the settings it was loaded with."""
     raw = rig.model_dump(exclude_unset=True)
-    _lay_parameters(raw, known, rig.name)
+    _apply_parameters(raw, known, rig.name)
     return validate(raw, rig.name)
 
 
 def overridden(known: IdentifiedParameters, settings: Sequence[str]) -> set[str]:
-    """Names of the identified values that settings replace: what was found about them holds no longer."""
+    """Return the names of identified values that settings replace, whose identification is then invalid."""
     keys = [parse_setting(text)[0] for text in settings]
     return {
         name
@@ -90,43 +91,46 @@ def overridden(known: IdentifiedParameters, settings: Sequence[str]) -> set[str]
 
 
 def with_truth(rig: Rig, key: str, value: Any) -> Rig:
-    """A simulated rig with one number of its truth changed; "*1.05" and "+5%" change what holds now.
+    """Return a simulated rig with one number of its truth changed; "*1.05" and "+5%" change the current value.
 
     Args:
-        rig: with a [virtual] table.
-        key: as in the physical part, or with "virtual.truth." before it.
+        rig: rig with a [virtual] table.
+        key: key as in the physical part, with or without "virtual.truth." before it.
         value: a number, or a change.
     Raises:
-        RigFileError: no such number, or a value it cannot have.
+        RigFileError: an unknown number, or an impossible value.
     """
     key = key.removeprefix("virtual.truth.")
     raw = rig.model_dump(exclude_none=True)
     if "virtual" not in raw:
         raise RigFileError(f"rig {rig.name} has no [virtual] table: it has no truth to change")
-    section = truth = raw["virtual"]["truth"]
+    truth: dict[str, Any] = raw["virtual"]["truth"]
+    section: dict[str, Any] | None = truth
     physical: Any = raw
     for part in key.split("."):
-        physical = physical.get(part) if isinstance(physical, dict) else None
+        physical = (_as_table(physical) or {}).get(part)
     *path, leaf = key.split(".")
     for part in path:
-        section = section.setdefault(part, {}) if isinstance(section, dict) else {}
-    if isinstance(section, dict) and leaf not in section and isinstance(physical, int | float):
-        section[leaf] = physical  # relative to what the rig file says
+        section = _as_table(section.setdefault(part, {})) if section is not None else None
+    if section is not None and leaf not in section and isinstance(physical, int | float):
+        section[leaf] = physical  # the change is relative to the rig file's value
     apply_setting(truth, key, value, "truth")
     return validate(raw, "virtual.truth")
 
 
 def refusal(rig: Rig, name: str, value: float) -> str | None:
-    """Why a rig cannot have an identified parameter of this value, in a few words; None when it can.
+    """Explain why a rig cannot have an identified parameter of this value; None if it can.
 
     Args:
-        name: as in parameters.toml.
+        rig: the rig.
+        name: name as in parameters.toml.
+        value: value of the parameter, SI.
     """
     raw = rig.model_dump(exclude_none=True)
     if name == "SP_kg_m" and not raw["imbalance"]["mass_kg"]:
         return None if value >= 0 else f"expected at least 0, got {value:g}"
     try:
-        _lay_parameters(raw, IdentifiedParameters({name: value}, np.zeros((1, 1))), rig.name)
+        _apply_parameters(raw, IdentifiedParameters({name: value}, np.zeros((1, 1))), rig.name)
         Rig.model_validate(raw)
     except ValidationError as error:
         return error.errors()[0]["msg"].replace("Input should be", "expected")
@@ -136,7 +140,7 @@ def refusal(rig: Rig, name: str, value: float) -> str | None:
 
 
 def validate(raw: dict[str, Any], source: str) -> Rig:
-    """A rig from a raw table; see load_rig for the errors."""
+    """Return a rig from a raw table; see load_rig for the errors."""
     try:
         return Rig.model_validate(raw)
     except ValidationError as error:
@@ -145,7 +149,7 @@ def validate(raw: dict[str, Any], source: str) -> Rig:
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
-    """Split "key=value"; the value is TOML where it parses as such, otherwise text.
+    """Split "key=value"; the value is parsed as TOML if possible, otherwise it is text.
 
     Raises:
         RigFileError: no "=" in the text.
@@ -163,25 +167,30 @@ def parse_setting(text: str) -> tuple[str, Any]:
     return key.strip(), found["v"] if len(found) == 1 else value
 
 
+def _as_table(value: object) -> dict[str, Any] | None:
+    return cast("dict[str, Any]", value) if isinstance(value, dict) else None
+
+
 def apply_setting(raw: dict[str, Any], key: str, value: Any, source: str = "--set") -> None:
-    """Put one value into a raw table by its dotted key; "*1.05" and "+5%" are relative to what is there.
+    """Set one value in a raw table by its dotted key; "*1.05" and "+5%" are relative to the current value.
 
     Raises:
-        RigFileError: the key runs through something that is no table, a relative value has nothing to change, or its
-            number is none.
+        RigFileError: a part of the key is not a table, a relative value has no current number, or its number is
+            invalid.
     """
     table = raw
     *path, last = key.split(".")
     for part in path:
-        table = table.setdefault(part, {})
-        if not isinstance(table, dict):
+        inner = _as_table(table.setdefault(part, {}))
+        if inner is None:
             raise RigFileError(f"{source}: {key}: {part} is a value, not a table")
+        table = inner
     if isinstance(value, str) and _means_relative(value):
         current = table.get(last)
         if isinstance(current, int | float) and not isinstance(current, bool):
             value = _relative(current, value, key, source)
         elif re.fullmatch(_RELATIVE, value.strip()):
-            raise RigFileError(f"{source}: {key}={value}: there is no number at {key} to change")
+            raise RigFileError(f"{source}: {key}={value}: expected a number at {key} to change, found none")
     table[last] = value
 
 
@@ -189,11 +198,11 @@ _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _RELATIVE = re.compile(
     rf"(?P<times>\*)\s*(?P<factor>[+-]?{_NUMBER})|(?P<sign>[+-])\s*(?P<percent>{_NUMBER})\s*%", re.ASCII
 )
-_LONGEST_SHOWN = 60
+_MAX_SHOWN = 60  # letters of a value in a message
 
 
 def _means_relative(text: str) -> bool:
-    """Whether a text is written as a change, well or badly."""
+    """Whether a text is intended as a change, valid or not."""
     text = text.strip()
     return text.startswith("*") or (text[:1] in ("+", "-") and text.endswith("%"))
 
@@ -201,21 +210,21 @@ def _means_relative(text: str) -> bool:
 def _relative(current: float, text: str, key: str, source: str) -> float:
     found = _RELATIVE.fullmatch(text.strip())
     if found is None:
-        raise RigFileError(f"{source}: {key}={text[:_LONGEST_SHOWN]}: expected a change such as *1.05 or +5%")
+        raise RigFileError(f"{source}: {key}={text[:_MAX_SHOWN]}: expected a change such as *1.05 or +5%")
     factor = float(found["factor"]) if found["times"] else 1 + float(found["sign"] + found["percent"]) / 100
     changed = current * factor
     if not math.isfinite(changed):
-        raise RigFileError(f"{source}: {key}={text[:_LONGEST_SHOWN]}: expected a finite number, got {changed}")
+        raise RigFileError(f"{source}: {key}={text[:_MAX_SHOWN]}: expected a finite number, got {changed}")
     return int(changed) if isinstance(current, int) and changed == int(changed) else changed
 
 
 def rig_text(path_or_name: str | Path) -> tuple[str, str]:
-    """Where a rig file is from, and its text.
+    """Return the origin of a rig file and its text.
 
     Args:
         path_or_name: see load_rig.
     Raises:
-        RigFileError: there is no such file, or it cannot be read.
+        RigFileError: the file does not exist, or cannot be read.
     """
     path = Path(path_or_name)
     if not path.suffix and str(path_or_name) in shipped_rigs():
@@ -244,10 +253,10 @@ _PLACES = {
 _SETTINGS_OF = {name: {key} for name, key in _PLACES.items()} | {"SP_kg_m": {"imbalance.mass_kg", "imbalance.radius_m"}}
 
 
-def _lay_imbalance(raw: dict[str, Any], moment_kg_m: float, source: str) -> None:
-    """An identified S_P as the radius of the file's imbalance mass; a mass the schema will refuse is left to it."""
-    table = raw.get("imbalance")
-    mass = table.get("mass_kg") if isinstance(table, dict) else None
+def _apply_imbalance(raw: dict[str, Any], moment_kg_m: float, source: str) -> None:
+    """Set the radius of the file's imbalance mass from an identified S_P; an invalid mass is left to the schema."""
+    table = _as_table(raw.get("imbalance"))
+    mass = None if table is None else table.get("mass_kg")
     if isinstance(mass, bool) or not isinstance(mass, int | float) or not 0 <= mass < math.inf:
         return
     try:
@@ -256,19 +265,19 @@ def _lay_imbalance(raw: dict[str, Any], moment_kg_m: float, source: str) -> None
         raise RigFileError(f"{source} with these parameters: {error}") from error
 
 
-def _lay_parameters(raw: dict[str, Any], known: IdentifiedParameters, source: str) -> None:
+def _apply_parameters(raw: dict[str, Any], known: IdentifiedParameters, source: str) -> None:
     for name, value in known.values.items():
         if name in _PLACES:
             apply_setting(raw, _PLACES[name], value, source)
         elif name == "SP_kg_m":
-            _lay_imbalance(raw, value, source)
+            _apply_imbalance(raw, value, source)
     if drag := Drag.of(known.provenance):
         for part, value in zip("ab", np.maximum(drag.values, 0.0).tolist(), strict=True):
             apply_setting(raw, f"pendulums.{part}.drag_Nms2_per_rad2", value, source)
 
 
 def _sentence(error: ErrorDetails, raw: Mapping[str, Any]) -> str:
-    """One fault in words: key, what was expected, what came, the nearest known name."""
+    """Describe one error: key, expected and actual value, nearest known name."""
     key = ".".join(str(part) for part in error["loc"])
     if error["type"] == "extra_forbidden":
         near = _nearest(error["loc"], raw)
@@ -278,28 +287,29 @@ def _sentence(error: ErrorDetails, raw: Mapping[str, Any]) -> str:
     if error["type"] == "missing":
         return f"{key}: missing; expected {_expectation(error['loc'], raw)}"
     got = error.get("input")
-    if error["type"] == "value_error" and "no driver;" in error["msg"] and len(error["loc"]) == 2:
+    if error["type"] == NO_DRIVER and len(error["loc"]) == 2:
         others = [name for name in raw.get("devices", {}) if name != error["loc"][1]]
         if near := difflib.get_close_matches(str(error["loc"][1]), others, n=1, cutoff=0.7):
             return f"{key}: a device without a driver; did you mean devices.{near[0]}?"
-    if isinstance(got, dict) and error["type"] == "value_error":  # of a whole table; its words tell what came
+    of_whole_table = error["type"] in ("value_error", NO_DRIVER)  # its text contains the value
+    if isinstance(got, dict) and of_whole_table:
         return f"{key}{': ' if key else ''}{error['msg'].removeprefix('Value error, ')}"
     return f"{key}: {error['msg']}, got {_shown(got)}"
 
 
 def _shown(value: Any) -> str:
-    """A value in a message: short, whatever it is."""
+    """Format a value for a message; long values are shortened."""
     if isinstance(value, dict):
         return "a table"
-    text = repr(value[:_LONGEST_SHOWN] if isinstance(value, str | list) else value)
-    return text if len(text) <= 2 * _LONGEST_SHOWN else f"{text[: 2 * _LONGEST_SHOWN]}…"
+    text = repr(cast("Sequence[Any]", value)[:_MAX_SHOWN] if isinstance(value, str | list) else value)
+    return text if len(text) <= 2 * _MAX_SHOWN else f"{text[: 2 * _MAX_SHOWN]}…"
 
 
 def _model_at(path: Sequence[str | int], raw: Mapping[str, Any]) -> type[BaseModel] | None:
     model: type[BaseModel] | None = Rig
     if len(path) > 1 and path[0] == "devices":
         table = raw["devices"][path[1]]
-        return settings_of(table["driver"])  # a fault in it was found by these
+        return settings_of(table["driver"])  # the error was found by this class
     for part in path:
         field = model.model_fields.get(str(part)) if model else None
         if field is None:  # a key of a dict of tables, such as points.A

@@ -1,4 +1,4 @@
-"""parameters.toml: what an identification found, with covariance and where it came from."""
+"""parameters.toml: results of an identification, with covariance and provenance."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import tomlkit
+from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from rig_configs.drag import Drag
@@ -19,6 +20,8 @@ from rig_configs.known import LABEL, Known, KnownSource
 from rig_configs.slow_roll import SlowRoll
 from rig_configs.suspension_terms import SuspensionTerms
 from rig_configs.toml_text import parse_toml, read_text
+
+Array = NDArray[np.float64]
 
 PARAMETER_UNITS: Mapping[str, str] = {
     "k1_N_per_m": "N/m",
@@ -31,7 +34,7 @@ PARAMETER_UNITS: Mapping[str, str] = {
 }
 
 
-_ROUNDING = 1e-6  # of a variance: what printing a covariance with few digits may leave of one
+_ROUNDING = 1e-6  # relative error of a variance that is printed with few digits
 
 
 @dataclass(frozen=True)
@@ -41,25 +44,25 @@ class IdentifiedParameters:
     Attributes:
         values: name to value (SI), in the order of the covariance.
         covariance: shape (n, n), products of the values' units.
-        provenance: free facts kept with the values: logs with digests, method, software version, consistency.
+        provenance: further facts: logs with digests, method, software version, consistency.
         axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty, degrees, not
-            correlated with the values; None where no test showed it.
-        shared: label of an error that other quantities may share → the values' shift for one standard deviation of it,
-            shape (n,), part of the covariance. "gain x" and "known rotor.mass_kg" are such labels.
-        by_number: number of the rig file that was taken as known → derivative of the values by it, shape (n,).
-        slow_roll: run-out and bow as a run-up found them; None where none showed any.
-        terms: how the suspension changes with the motion, as ring-downs found it; None where none showed it.
+            correlated with the values; None if no test identified it.
+        shared: label of an error shared with other quantities → shift of the values per standard deviation of it,
+            shape (n,), part of the covariance; for example "gain x" and "known rotor.mass_kg".
+        by_number: known number of the rig file → derivative of the values by it, shape (n,).
+        slow_roll: run-out and bow identified by a run-up; None without.
+        terms: changes of the suspension with the motion, identified by ring-downs; None without.
     Raises:
         ParametersFileError: unknown names, a covariance of the wrong shape, not symmetric or not positive, or an axis
-            angle that is no finite number with a standard uncertainty.
+            angle that is not a finite number with a standard uncertainty.
     """
 
     values: dict[str, float]
-    covariance: np.ndarray
-    provenance: dict[str, Any] = field(default_factory=dict)
+    covariance: Array
+    provenance: dict[str, Any] = field(default_factory=dict[str, Any])
     axis_angle_deg: tuple[float, float] | None = None
-    shared: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
-    by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+    shared: Mapping[str, Array] = field(default_factory=dict[str, Array])
+    by_number: Mapping[str, Array] = field(default_factory=dict[str, Array])
     slow_roll: SlowRoll | None = None
     terms: SuspensionTerms | None = None
 
@@ -99,7 +102,7 @@ class IdentifiedParameters:
         return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
-    def correlation(self) -> np.ndarray:
+    def correlation(self) -> Array:
         """Correlation matrix, shape (n, n)."""
         s = np.sqrt(np.diag(self.covariance))
         unit = np.where(s > 0, s, 1.0)
@@ -108,11 +111,11 @@ class IdentifiedParameters:
         return correlation
 
     def applied_to(self, physics: RotorParameters) -> RotorParameters:
-        """The rig's numbers with the identified ones in place of the file's."""
+        """Return the rig's parameters with the identified values in place of the file's."""
         return self.with_effects(physics.with_values(**self.values))
 
     def with_effects(self, physics: RotorParameters) -> RotorParameters:
-        """The rig's numbers with what was found beside the values: the suspension's terms, drag, a bow."""
+        """Return the rig's parameters with the identified effects besides the values: suspension terms, drag, bow."""
         if self.terms is not None:
             physics = self.terms.applied_to(physics)
         if drag := Drag.of(self.provenance):
@@ -121,7 +124,7 @@ class IdentifiedParameters:
         return replace(physics, bow_x_m=bow.real, bow_y_m=bow.imag) if bow else physics
 
     def without(self, names: Collection[str]) -> IdentifiedParameters:
-        """Without some of the values: the others keep their own covariance."""
+        """Return the parameters without some of the values; the others keep their own covariance."""
         kept = [j for j, name in enumerate(self.values) if name not in names]
         values = {name: value for name, value in self.values.items() if name not in names}
         shared = {label: shift[kept] for label, shift in self.shared.items()}
@@ -130,7 +133,7 @@ class IdentifiedParameters:
         return replace(self, values=values, covariance=covariance, shared=shared, by_number=by_number)
 
     def completed(self, physics: RotorParameters) -> IdentifiedParameters:
-        """With the parameters that are not among the values as the rig has them, taken as exact."""
+        """Return the parameters with missing values taken from the rig as exact."""
         missing = {name: value for name, value in physics.identified().items() if name not in self.values}
         n, m = len(self.values), len(missing)
         covariance = np.zeros((n + m, n + m))
@@ -143,23 +146,23 @@ class IdentifiedParameters:
         return replace(self, values=values, covariance=covariance, shared=shared, by_number=by_number)
 
     @property
-    def own_covariance(self) -> np.ndarray:
-        """The covariance without the shared errors, shape (n, n), not negative in any direction."""
+    def own_covariance(self) -> Array:
+        """Covariance without the shared errors, shape (n, n), positive semidefinite."""
         own = self.covariance - sum((np.outer(v, v) for v in self.shared.values()), np.zeros_like(self.covariance))
         std = np.sqrt(np.diag(self.covariance))
         unit = np.where(std > 0, std, 1.0)
         sizes, turn = np.linalg.eigh(0.5 * (own + own.T) / np.outer(unit, unit))
         return (turn * np.maximum(sizes, 0.0)) @ turn.T * np.outer(unit, unit)
 
-    def shift_by(self, source: KnownSource) -> np.ndarray:
-        """What one standard deviation of what a rig file takes as known does to the values, shape (n,)."""
+    def shift_by(self, source: KnownSource) -> Array:
+        """Return the shift of the values per standard deviation of a known number's source, shape (n,)."""
         parts = [self.by_number[number] * step for number, step in source.effects.items() if number in self.by_number]
         return np.sum([np.zeros(len(self.values)), *parts], axis=0)
 
-    def shared_with(self, known: Known) -> dict[str, np.ndarray]:
-        """The shared errors where what is taken as known is as uncertain as a rig file has it now.
+    def shared_with(self, known: Known) -> dict[str, Array]:
+        """Return the shared errors with the current uncertainties of the rig file's known numbers.
 
-        Values without derivatives by the rig file's numbers keep the errors that they were identified with.
+        Values without derivatives by these numbers keep the errors of their identification.
         """
         if not self.by_number:
             return dict(self.shared)
@@ -187,7 +190,7 @@ class IdentifiedParameters:
 
     @staticmethod
     def label(path: str | Path) -> str:
-        """Which parameter set a file is, for logs and verdicts: its name and the beginning of its digest."""
+        """Return the name of a parameters file with the start of its digest, for logs and verdicts."""
         return f"{Path(path).name} sha256:{hashlib.sha256(Path(path).read_bytes()).hexdigest()[:12]}"
 
     @classmethod
@@ -195,7 +198,7 @@ class IdentifiedParameters:
         """Read parameters.toml.
 
         Raises:
-            ParametersFileError: the file is absent, not TOML, or lacks values or covariance.
+            ParametersFileError: the file is missing, is not TOML, or has no values or covariance.
         """
         try:
             text = read_text(Path(path))
@@ -207,12 +210,13 @@ class IdentifiedParameters:
 
     @classmethod
     def from_text(cls, text: str, path: str | Path) -> IdentifiedParameters:
-        """The parameters that the text of a parameters.toml holds.
+        """Return the parameters in the text of a parameters.toml.
 
         Args:
-            path: where it is from, for messages.
+            text: TOML.
+            path: origin of the text, for messages.
         Raises:
-            ParametersFileError: it is not TOML, or lacks values or covariance.
+            ParametersFileError: the text is not TOML, or has no values or covariance.
         """
         try:
             raw = parse_toml(text, str(path))
@@ -222,7 +226,7 @@ class IdentifiedParameters:
             order = raw["covariance"]["order"]
             values = {name: _number(raw[name]["value"]) for name in order}
             matrix = np.array([[_number(cell) for cell in row] for row in raw["covariance"]["matrix"]])
-            angle = raw.get("axis_angle")  # older files have none
+            angle = raw.get("axis_angle")  # not in older files
             axis = None if angle is None else (_number(angle["value_deg"]), _number(angle["std_deg"]))
             shared, by_number = (_vectors(raw.get(key, {})) for key in ("shared", "by_number"))
             slow_roll = SlowRoll.of_table(raw["slow_roll"]) if "slow_roll" in raw else None
@@ -242,7 +246,7 @@ def _no_parameters(path: str | Path, error: RigFileError) -> ParametersFileError
     return ParametersFileError(f"{path}: this is a log; `rig identify` makes parameters of it" if log else str(error))
 
 
-def _vectors(table: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _vectors(table: Mapping[str, Any]) -> dict[str, Array]:
     return {str(label): np.array([_number(cell) for cell in cells]) for label, cells in table.items()}
 
 

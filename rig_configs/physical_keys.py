@@ -1,5 +1,5 @@
 # pyright: strict
-"""Physical numbers of a rig file by their dotted keys, changed in the physics without reading the file again."""
+"""Physical numbers of a rig file by their dotted keys, for changes without reading the file again."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rig_configs.errors import RigFileError
 from rig_configs.schema import Imbalance, Pendulums, PendulumTable, Rotor, Suspension
 from rig_configs.table import Table
 
-_IN_THE_ARM = "rolling_resistance_m"  # only as a part of friction_arm_m does the physics have it
+_IN_THE_ARM = "rolling_resistance_m"  # enters the physics only as a part of friction_arm_m
 
 
 def _numbers(table: type[Table]) -> list[str]:
-    """Keys of a table's numbers, without their uncertainties."""
+    """Return the keys of a table's numbers, without their uncertainties."""
     return [
         key
         for key, field in table.model_fields.items()
@@ -30,14 +30,14 @@ PHYSICAL_KEYS: tuple[str, ...] = (
     *(f"pendulums.{key}" for key in _numbers(Pendulums)),
     *(f"suspension.{key}" for key in _numbers(Suspension)),
 )
-"""Every number of the physical part of a rig file."""
+"""All numbers of the physical part of a rig file."""
 
 
 def need_physical_key(key: str) -> None:
-    """Whether a key is one of PHYSICAL_KEYS.
+    """Check that a key is in PHYSICAL_KEYS.
 
     Raises:
-        RigFileError: it is not; the nearest one is named.
+        RigFileError: it is not; the message contains the nearest key.
     """
     if key not in PHYSICAL_KEYS:
         near = difflib.get_close_matches(key, PHYSICAL_KEYS, 1, 0.5)
@@ -46,11 +46,12 @@ def need_physical_key(key: str) -> None:
 
 
 def with_physical(physics: RotorParameters, key: str, value: float) -> RotorParameters:
-    """The rig with one number changed, everything else as it was.
+    """Return the rig with one number changed.
 
     Args:
-        key: of PHYSICAL_KEYS.
-        value: in the key's unit.
+        physics: parameters of the rig.
+        key: key in PHYSICAL_KEYS.
+        value: new value in the key's unit.
     """
     section, _, name = key.partition(".")
     if section in ("rotor", "imbalance"):

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The ports of a rig file: which are placeholders, and which two devices name alike."""
+"""Ports of a rig file: placeholders, and ports of two devices that are equal."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ PRINTED = "printed by `rig virtual`"
 """The port of every device in the shipped rig files."""
 
 _NO_NAME = re.compile(r"(?i)|-+|none|todo|tbd|com|.*[?*…<>\s].*|.*(?:tty[a-z]*|com)x+")
-_WINDOWS_DEVICE = "\\\\?\\"  # begins a path, and means itself
+_WINDOWS_DEVICE = "\\\\?\\"  # start of a path in which a question mark is literal
 
 
 def is_placeholder(port: str) -> bool:
-    """Whether a port is a text that no port bears: it waits for the real one.
+    """Whether a port is a placeholder for the real one: a text that cannot be the name of a port.
 
     Args:
-        port: as in the rig file. In a URL (`socket://…`) a question mark means itself.
+        port: port in the rig file. In a URL (`socket://…`) a question mark is literal.
     """
     if "://" in port or port.startswith(_WINDOWS_DEVICE):
         return " " in port
@@ -28,14 +28,14 @@ def is_placeholder(port: str) -> bool:
 
 
 def refuse_shared_ports(devices: Mapping[str, DeviceSettings], source: str = "") -> None:
-    """Two devices on one line: a bus alone can have several, and a placeholder is no line yet.
+    """Check that no two devices have the same port; buses with several devices and placeholders are allowed.
 
     Args:
-        devices: of a rig file, by name.
-        source: the file, for the message.
+        devices: devices of a rig file by name.
+        source: file, for the message.
 
     Raises:
-        RigFileError: naming both devices and the port.
+        RigFileError: names both devices and the port.
     """
     first: dict[str, str] = {}
     for name, device in devices.items():
@@ -44,6 +44,6 @@ def refuse_shared_ports(devices: Mapping[str, DeviceSettings], source: str = "")
         if (other := first.setdefault(device.port, name)) != name:
             place = f"{source}: " if source else ""
             raise RigFileError(
-                f"{place}devices.{other}.port and devices.{name}.port are both {device.port!r}: a line has one "
+                f"{place}devices.{other}.port and devices.{name}.port are both {device.port!r}: a port has one "
                 "device. Give each the port that it is plugged into"
             )

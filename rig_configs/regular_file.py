@@ -1,7 +1,7 @@
 # pyright: strict
-"""Opening files that somebody else named: only real files, looked at before they are opened.
+"""Opening of files with names from outside: only regular files, checked before they are opened.
 
-Opening a named pipe waits for whoever writes to it, a device may begin to do something, and neither has an end.
+Opening a named pipe waits for its writer, opening a device may start an action, and neither has an end.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _KINDS = (
 
 
 def need_regular(path: str | Path) -> None:
-    """Refuse what is no file.
+    """Check that a path is a regular file.
 
     Raises:
-        OSError: nothing of that name, or something that is no file; its `strerror` says what it is.
+        OSError: the path does not exist, or is not a regular file; its `strerror` contains the kind.
     """
     mode = os.stat(path).st_mode
     if not stat.S_ISREG(mode):
-        what = next((text for is_kind, text in _KINDS if is_kind(mode)), "it is no file")
+        what = next((text for is_kind, text in _KINDS if is_kind(mode)), "it is not a file")
         code = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
         raise OSError(code, what, str(path))

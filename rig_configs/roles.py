@@ -1,8 +1,8 @@
 # pyright: strict
-"""What devices are to a rig: the roles they play, with the calibration that goes with each.
+"""Roles of devices in a rig, with the calibration that belongs to each.
 
-Everything above a driver asks for a role, never for a device's name or its maker's. A device's settings say which roles
-it plays (`rig_configs.device.DeviceSettings.roles`); a log keeps them, so that it can be read where the driver is not.
+All code above the drivers uses roles, never a device's name or manufacturer. A device's settings determine its roles
+(`rig_configs.device.DeviceSettings.roles`). A log contains them, so that it can be read without the driver.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from rig_configs.table import Finite, NotNegative, Positive
 
 Axis = Literal["x", "y"]
 AXIS_TOLERANCE_DEG, SQUARE_TOLERANCE_DEG = 10.0, 3.0
-"""How far a sensor may look off its axis before that is more than mounting; how far two may be off a right angle."""
+"""Largest angle between a sensor and its axis that counts as mounting; largest deviation of two from a right angle."""
 AT_REST_RPM = 1.0
-"""A speed source's reading of a standing rotor may flicker by one count, where nothing else is said of it."""
+"""Default of the reading of a speed source at a standing rotor, which may flicker by one count."""
 USUAL_GAIN_STD, USUAL_ZERO_STD_DEG, USUAL_DIRECTION_STD_DEG = 0.001, 0.05, 1.0
-"""Of a sensor of which nothing is said: also of one that recorded elsewhere and that the rig file does not know."""
+"""Defaults of a sensor, also of one that recorded elsewhere and is not in the rig file."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +30,17 @@ class Displacement:
     """A sensor of the column's motion.
 
     Attributes:
-        topic: the channel its samples are in.
-        axis: which of the two displacements it measures, "x" or "y".
-        rate_Hz: samples a second.
-        range_m: what it measures over; its middle is displacement 0.
+        device: name of the device.
+        topic: channel of its samples.
+        axis: displacement that it measures, "x" or "y".
+        rate_Hz: samples per second.
+        range_m: measuring range; its middle is displacement 0.
         lever_ratio: its displacement over the disk centre's.
         gain_std: relative standard uncertainty of calibration and lever together.
         clock_tolerance_ppm: standard uncertainty of its clock's rate.
         witness: whether another sensor measures the displacement along the axis for the rig, and this one checks it.
-        direction_deg: angle from +x, counter-clockwise, of the direction in which its reading grows; None: its axis'.
-        direction_std_deg: standard uncertainty of how it was mounted against the suspension's axes.
+        direction_deg: angle from +x, counter-clockwise, of the direction of increasing readings; None: its axis'.
+        direction_std_deg: standard uncertainty of the mounting relative to the suspension's axes.
     """
 
     role: ClassVar[str] = "displacement"
@@ -58,13 +59,13 @@ class Displacement:
 
     @property
     def off_axis_deg(self) -> float:
-        """Angle from its axis to its direction, -180 to 180."""
+        """Angle from its axis to its direction, -180 to 180, °."""
         own = 0.0 if self.axis == "x" else 90.0
         return 0.0 if self.direction_deg is None else math.remainder(self.direction_deg - own, 360.0)
 
     @property
     def reach_m(self) -> float:
-        """The largest displacement of the disk centre to either side that it sees, m."""
+        """Largest measurable displacement of the disk centre to either side, m."""
         return 0.5 * self.range_m / self.lever_ratio
 
 
@@ -73,8 +74,8 @@ class PendulumAngles:
     """Encoders of both pendulums.
 
     Attributes:
-        counts_per_revolution: of each encoder.
-        zero_std_deg: standard uncertainty of each encoder's zero against the imbalance direction.
+        counts_per_revolution: counts of each encoder.
+        zero_std_deg: standard uncertainty of each encoder's zero relative to the imbalance direction.
     """
 
     role: ClassVar[str] = "pendulum angles"
@@ -88,16 +89,16 @@ class PendulumAngles:
 
     @property
     def step_rad(self) -> float:
-        """Angle of one count."""
+        """Angle of one count, rad."""
         return 2 * math.pi / self.counts_per_revolution
 
 
 @dataclass(frozen=True)
 class RotorPhase:
-    """A mark once a revolution.
+    """A mark once per revolution.
 
     Attributes:
-        index_angle_deg: ψ (imbalance direction from +x) when the mark fires.
+        index_angle_deg: ψ (imbalance direction from +x) at the mark.
         index_angle_std_deg: its standard uncertainty.
     """
 
@@ -112,11 +113,11 @@ class RotorPhase:
 
 @dataclass(frozen=True)
 class SpeedSource:
-    """What turns the rotor as told, and tells how fast it turns.
+    """Device that turns the rotor by command and reports its speed.
 
     Attributes:
-        ramp_rpm_per_s: how fast it speeds up where a test has no ramp of its own.
-        rest_rpm: its reading of a standing rotor is up to this.
+        ramp_rpm_per_s: acceleration if a test has no ramp of its own.
+        rest_rpm: largest reading at a standing rotor.
     """
 
     role: ClassVar[str] = "speed source"
@@ -129,7 +130,7 @@ class SpeedSource:
 
 @dataclass(frozen=True)
 class PendulumLocks:
-    """What locks and releases the pendulums as told."""
+    """Device that locks and releases the pendulums by command."""
 
     role: ClassVar[str] = "pendulum locks"
 
@@ -138,10 +139,10 @@ class PendulumLocks:
 
 @dataclass(frozen=True)
 class OtherQuantity:
-    """Anything else worth recording: it is kept, plotted and exported, and no test needs it.
+    """Any other quantity: it is recorded, plotted and exported, but no test needs it.
 
     Attributes:
-        fields: what the channel's fields are, by name, with the unit in it.
+        fields: names of the channel's fields, with units.
     """
 
     role: ClassVar[str] = "other quantity"
@@ -158,15 +159,15 @@ _KINDS: dict[str, type[Role]] = {
 
 
 def role_table(role: Role) -> dict[str, Any]:
-    """A role as JSON can hold it."""
+    """Convert a role to JSON values."""
     return {"role": role.role, **asdict(role)}
 
 
 def read_role(table: object) -> Role:
-    """A role from what JSON held.
+    """Return a role from JSON values.
 
     Raises:
-        ValueError: no such role, or numbers that it cannot have.
+        ValueError: an unknown role, or impossible numbers.
     """
     if not isinstance(table, dict):
         raise ValueError(f"expected a role as a table, got {table!r:.60}")
@@ -181,13 +182,13 @@ def read_role(table: object) -> Role:
 
 @dataclass(frozen=True)
 class Roles:
-    """All roles that the devices of a rig play.
+    """All roles of the devices of a rig.
 
     Attributes:
-        displacements: those that measure for the rig, by their axes, each at most once.
-        angles, phase, speed, locks: who plays the role; None where no device does.
-        others: whatever else is recorded.
-        witnesses: further displacements along an axis; each is recorded and held against the axis' own sensor.
+        displacements: measuring sensors by their axes, each at most once.
+        angles, phase, speed, locks: device with the role, or None.
+        others: other recorded quantities.
+        witnesses: further sensors along an axis; each is recorded and compared with the measuring sensor.
     """
 
     displacements: tuple[Displacement, ...] = ()
@@ -200,15 +201,15 @@ class Roles:
 
     @property
     def rest_rpm(self) -> float:
-        """What the speed source's word on a standing rotor is at most."""
+        """Largest reading of the speed source at a standing rotor, rpm."""
         return AT_REST_RPM if self.speed is None else self.speed.rest_rpm
 
     @classmethod
     def of(cls, played: Iterable[Role]) -> Roles:
-        """Roles sorted by kind.
+        """Sort roles by kind.
 
         Raises:
-            ValueError: two devices play one role, or fill one channel.
+            ValueError: two devices have the same role, or the same channel.
         """
         displacements: list[Displacement] = []
         witnesses: list[Displacement] = []
@@ -240,11 +241,11 @@ class Roles:
         return found
 
     def along(self, axis: str) -> Displacement | None:
-        """The sensor that measures along an axis for the rig."""
+        """Return the measuring sensor along an axis."""
         return next((d for d in self.displacements if d.axis == axis), None)
 
     def beside(self, witness: Displacement) -> Displacement | None:
-        """The sensor that measures for the rig what a witness sees too; None where none looks in its direction."""
+        """Return the measuring sensor that a witness is compared with; None if no sensor has its direction."""
         main = self.along(witness.axis)
         if main is None or abs(math.remainder(main.off_axis_deg - witness.off_axis_deg, 360.0)) > SQUARE_TOLERANCE_DEG:
             return None
@@ -252,40 +253,40 @@ class Roles:
 
     @property
     def turn_deg(self) -> float:
-        """Angle from the x axis to sensor x, and from y to sensor y; of one sensor alone, its own."""
+        """Angle from the x axis to sensor x, and from y to sensor y; with one sensor alone, its own."""
         angles = [sensor.off_axis_deg for sensor in self.displacements]
         return angles[0] + 0.5 * math.remainder(angles[-1] - angles[0], 360.0) if angles else 0.0
 
     @property
     def mounted_deg(self) -> tuple[float, float]:
-        """`turn_deg` and its standard uncertainty, one error of both sensors; the usual one where there is none."""
+        """`turn_deg` and its standard uncertainty, one error of both sensors; the default without sensors."""
         stds = [sensor.direction_std_deg for sensor in self.displacements]
         return self.turn_deg, max(stds, default=USUAL_DIRECTION_STD_DEG)
 
     @property
     def duties(self) -> dict[str, str]:
-        """What each displacement sensor measures, in words, by device."""
+        """Measured quantity of each displacement sensor, in words, by device."""
         words = {d.device: f"{d.axis}{_direction(d)}" for d in self.displacements}
         for witness in self.witnesses:
-            beside = self.beside(witness)
-            against = f", held against {beside.device}" if beside else ", held against no other: none looks its way"
+            main = self.beside(witness)
+            against = f", compared with {main.device}" if main else ", compared with no other: none has its direction"
             words[witness.device] = f"witness of {witness.axis}{_direction(witness)}{against}"
         return words
 
     @property
     def gain_stds(self) -> tuple[float, float]:
-        """Relative standard uncertainties of the displacements along x and y; the usual one where no sensor looks."""
+        """Relative standard uncertainties of the displacements along x and y; the default without a sensor."""
         x, y = (USUAL_GAIN_STD if (d := self.along(axis)) is None else d.gain_std for axis in "xy")
         return x, y
 
     @property
     def zero_std_deg(self) -> float:
-        """Standard uncertainty of each encoder's zero; the usual one where the rig has none."""
+        """Standard uncertainty of each encoder's zero; the default without encoders."""
         return self.angles.zero_std_deg if self.angles else USUAL_ZERO_STD_DEG
 
     @property
     def device_of(self) -> dict[str, str]:
-        """Which device fills a channel, by topic."""
+        """Device of each channel, by topic."""
         return dict(self._filled())
 
     def _filled(self) -> Iterator[tuple[str, str]]:
@@ -302,7 +303,7 @@ def _direction(sensor: Displacement) -> str:
 
 
 def _refuse_directions(sensors: tuple[Displacement, ...]) -> None:
-    """Two sensors may stand turned, at right angles; one alone looks along its axis."""
+    """Check directions: two sensors at right angles may be rotated, a single one must be near its axis."""
     if len(sensors) == 2:
         x, y = sensors
         skew = math.remainder(y.off_axis_deg - x.off_axis_deg, 360.0)
@@ -314,8 +315,8 @@ def _refuse_directions(sensors: tuple[Displacement, ...]) -> None:
     elif sensors and abs(sensors[0].off_axis_deg) > AXIS_TOLERANCE_DEG:
         raise ValueError(
             f"{sensors[0].device}: a single sensor must look along its axis within {AXIS_TOLERANCE_DEG:g}°, got "
-            f"direction_deg = {sensors[0].direction_deg:g}: alone it sees both directions mixed. Add a second one at "
-            "right angles, or turn it"
+            f"direction_deg = {sensors[0].direction_deg:g}: alone it measures both directions mixed. Add a second "
+            "one at right angles, or turn it"
         )
 
 

@@ -1,8 +1,8 @@
-"""The rig file's schema. Every number carries its unit in its name; unknown keys are refused.
+"""The schema of the rig file. Every number has its unit in its name; unknown keys are refused.
 
-A file has the physical part (rotor, imbalance, pendulums, suspension), the devices with their calibration, the
-limits that guard the rig, the validation points, and, for a simulated rig, `virtual`: what its wires and sensors
-are like and, under `virtual.truth`, where its true numbers differ from the file's physical part.
+A file has the physical part (rotor, imbalance, pendulums, suspension), the devices with their calibration, the limits
+of the rig, the validation points, and, for a simulated rig, `virtual`: properties of its wires and sensors and, under
+`virtual.truth`, the true numbers that differ from the file's physical part.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import Annotated, Literal, cast
 
 from pydantic import BeforeValidator, Field, SerializeAsAny, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
 from dynamics.equations.parameters import Pendulum, RotorParameters, rolling_arm
 from rig_configs.device import DeviceSettings
@@ -40,7 +41,7 @@ class Rotor(Table):
 
 
 class Imbalance(Table):
-    """The brass weight."""
+    """The imbalance weight."""
 
     mass_kg: Annotated[float, Field(ge=0, le=100)]
     radius_m: Annotated[float, Field(ge=0, le=1)]
@@ -49,13 +50,13 @@ class Imbalance(Table):
 
 
 class PendulumTable(Table):
-    """One pendulum with its magnet pack, or a ball in a channel; mass 0 for none.
+    """One pendulum with its magnet pack, or a ball in a channel; mass 0: does not exist.
 
-    drag_Nms2_per_rad2 is the air's torque over the square of the speed relative to the rotor, friction_arm_m the dry
-    friction torque per contact force; ball_radius_m > 0 makes it a ball whose centre runs
-    at length_m, with ball_inertia_ratio = I/(m r²) (0.4 for a sphere). rolling_resistance_m is a ball's coefficient of
-    rolling resistance as a length: its torque per contact force on the ball; it adds itself times length_m over
-    ball_radius_m to the friction arm.
+    drag_Nms2_per_rad2 is the air drag over the square of the speed relative to the rotor, friction_arm_m the dry
+    friction torque per contact force. With ball_radius_m > 0 it is a ball whose centre is at length_m, with
+    ball_inertia_ratio = I/(m r²) (0.4 for a sphere). rolling_resistance_m is a ball's coefficient of rolling resistance
+    as a length: torque on the ball per contact force. It adds itself times length_m over ball_radius_m to the friction
+    arm.
     """
 
     mass_kg: Annotated[float, Field(ge=0, le=100)]
@@ -73,14 +74,14 @@ class PendulumTable(Table):
     def _only_balls_roll(self) -> PendulumTable:
         if self.rolling_resistance_m and not self.ball_radius_m:
             raise ValueError(
-                f"rolling_resistance_m = {self.rolling_resistance_m:g} is a ball's: expected ball_radius_m above 0 "
-                "beside it, or friction_arm_m for a pendulum"
+                f"rolling_resistance_m = {self.rolling_resistance_m:g} needs a ball: expected ball_radius_m above 0 as "
+                "well, or friction_arm_m for a pendulum"
             )
         return self
 
     @property
     def physics(self) -> Pendulum:
-        """As dynamics takes it."""
+        """Parameters for dynamics."""
         own = self.model_dump(exclude={"mass_std_kg", "length_std_m", "rolling_resistance_m"})
         if self.rolling_resistance_m:
             own["friction_arm_m"] += rolling_arm(self.rolling_resistance_m, self.length_m, self.ball_radius_m)
@@ -108,13 +109,15 @@ class Suspension(Table):
 
 
 def _settings(value: object) -> object:
-    """A device's table as its driver's settings; faults bear the driver's own keys."""
+    """Convert a device's table to its driver's settings; errors contain the driver's own keys."""
     if isinstance(value, DeviceSettings) or not isinstance(value, dict):
         return value
     table = cast("dict[str, object]", value)
     name = table.get("driver")
     if name is None:
-        raise ValueError(f"no driver; expected driver = one of {', '.join(installed())}")
+        raise PydanticCustomError(
+            NO_DRIVER, "no driver; expected driver = one of {drivers}", {"drivers": ", ".join(installed())}
+        )
     if not isinstance(name, str):
         raise ValueError(f"driver: expected one of {', '.join(installed())}, got {name!r}")
     return settings_of(name).model_validate(table)
@@ -122,11 +125,13 @@ def _settings(value: object) -> object:
 
 AnyDevice = Annotated[SerializeAsAny[DeviceSettings], BeforeValidator(_settings)]
 DeviceName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,30}$")]
-_OURS = ("host", "log")  # say in events that no device made them
+NO_DRIVER = "no_driver"
+"""Type of the validation error of a device table without a driver."""
+_RESERVED = ("host", "log")  # devices of events that the suite itself creates
 
 
 class Limits(Table):
-    """Beyond these the rig is stopped."""
+    """Limits beyond which the rotor is stopped."""
 
     speed_rpm: Annotated[float, Field(gt=0, le=3000)] = 1200.0
     amplitude_m: Positive = 0.011
@@ -140,11 +145,11 @@ class Point(Table):
 
 
 class ValidationTable(Table):
-    """What is allowed for in the comparison at the points.
+    """Allowances of the comparison at the points.
 
-    model_std_deg and model_std_mm are standard uncertainties of the model itself, for angles and for amplitudes: what a
-    user grants it beyond what is known of numbers and sensors. 0 grants nothing. releases says whether the first
-    seconds after each release are compared with the model beside the steady states.
+    model_std_deg and model_std_mm are standard uncertainties of the model itself, for angles and for amplitudes, in
+    addition to those of numbers and sensors. releases: whether the first seconds after each release are compared with
+    the model in addition to the steady states.
     """
 
     model_std_deg: NotNegative = 0.0
@@ -153,7 +158,7 @@ class ValidationTable(Table):
 
 
 class Sensors(Table):
-    """How the simulated sensors and wires fall short of ideal; drawn values come from the seed."""
+    """Imperfections of the simulated sensors and wires; random values depend on the seed."""
 
     laser_noise_m: NotNegative = 4e-6
     axis_angle_deg: Finite = 1.0
@@ -164,7 +169,7 @@ class Sensors(Table):
 
 
 class Radio(Table):
-    """The air between node and dongle: a two-state loss model and a delay that jitters."""
+    """Radio link between node and dongle: a two-state loss model and a delay with jitter."""
 
     burst_start: Share = 0.002
     burst_stop: Annotated[float, Field(gt=0, le=1)] = 0.4
@@ -174,7 +179,7 @@ class Radio(Table):
 
 
 class VirtualDrive(Table):
-    """The simulated drive: slip against the commanded speed, the lag of its speed loop, how often it reports."""
+    """The simulated drive: slip relative to the commanded speed, lag of its speed loop, interval of its reports."""
 
     slip: Annotated[float, Field(ge=-0.05, le=0.05)] = 0.002
     lag_s: NotNegative = 0.08
@@ -182,7 +187,7 @@ class VirtualDrive(Table):
 
 
 class TruthPendulum(Table):
-    """True numbers of one pendulum; what is absent is as in the file's physical part."""
+    """True numbers of one pendulum; missing ones are those of the file's physical part."""
 
     mass_kg: Positive | None = None
     length_m: Positive | None = None
@@ -221,7 +226,7 @@ class TruthSuspension(Table):
 
 
 class Truth(Table):
-    """Where the simulated rig differs from the rig file's physical part. Only its bytes tell anyone."""
+    """True numbers of the simulated rig that differ from the rig file's physical part. Only its bytes reveal them."""
 
     rotor: TruthRotor = TruthRotor()
     imbalance: TruthImbalance = TruthImbalance()
@@ -230,7 +235,7 @@ class Truth(Table):
 
 
 class Virtual(Table):
-    """A simulated rig behind the same wires."""
+    """A simulated rig with the same wires as a real one."""
 
     seed: Annotated[int, Field(ge=0)] = 0
     lock_play_deg: NotNegative = 0.2
@@ -241,7 +246,7 @@ class Virtual(Table):
 
 
 class Rig(Table):
-    """A whole rig file."""
+    """A complete rig file."""
 
     name: str
     rotor: Rotor
@@ -257,17 +262,17 @@ class Rig(Table):
 
     @property
     def physics(self) -> RotorParameters:
-        """The physical part as dynamics takes it."""
+        """Physical part as parameters for dynamics."""
         return _physics(self.rotor, self.imbalance, self.pendulums, self.suspension)
 
     @property
     def roles(self) -> Roles:
-        """What its devices are to the rig: all that anything above a driver asks for."""
+        """Roles of its devices, which all code above the drivers uses."""
         return Roles.of(role for name, device in self.devices.items() for role in device.roles(name))
 
     @property
     def known(self) -> Known:
-        """What is taken as known, with standard uncertainties and what they share."""
+        """Known numbers with standard uncertainties and common sources of error."""
         values = physical_numbers(self.physics) | {ZERO_A: 0.0, ZERO_B: 0.0, INDEX: 0.0}
         instrument_of = {name: each for each in self.instruments.values() for name in each.measures}
         found = [own_source(name, std, instrument_of.get(name)) for name, std in self._stds().items() if std]
@@ -275,7 +280,7 @@ class Rig(Table):
         return Known(values, (*found, *(scale for scale in scales if scale is not None)))
 
     def _stds(self) -> dict[str, float]:
-        """Standard uncertainty of each number by itself."""
+        """Return the standard uncertainty of each number alone."""
         a, b, roles = self.pendulums.a, self.pendulums.b, self.roles
         zero = math.radians(roles.zero_std_deg)
         return {
@@ -306,8 +311,8 @@ class Rig(Table):
     @field_validator("devices", mode="after")
     @classmethod
     def _names_are_free(cls, devices: dict[str, AnyDevice]) -> dict[str, AnyDevice]:
-        if taken := [name for name in devices if name in _OURS]:
-            raise ValueError(f"{taken[0]!r} cannot be a device's name: events of the suite itself bear it")
+        if taken := [name for name in devices if name in _RESERVED]:
+            raise ValueError(f"{taken[0]!r} cannot be a device's name: it is reserved for events of the suite itself")
         return devices
 
     @model_validator(mode="after")
@@ -315,23 +320,23 @@ class Rig(Table):
         for sensor in self.roles.displacements:
             if self.limits.amplitude_m >= sensor.reach_m:
                 raise ValueError(
-                    f"limits.amplitude_m = {self.limits.amplitude_m:g} can never be seen: {sensor.device} reaches "
+                    f"limits.amplitude_m = {self.limits.amplitude_m:g} cannot be measured: {sensor.device} reaches "
                     f"± {sensor.reach_m:g} m"
                 )
         return self
 
     @model_validator(mode="after")
     def _has_physics(self) -> Rig:
-        _ = self.physics  # refuses what the single limits let through; a ValueError
+        _ = self.physics  # a ValueError for numbers that are impossible only in combination
         _ = self.physics if self.virtual is None else self.true_physics
         return self
 
     def with_number(self, name: str, value: float) -> Rig:
-        """The rig with one physical number changed, all else as it is.
+        """Return the rig with one physical number changed.
 
         Args:
-            name: of rig_configs.known.PHYSICAL.
-            value: in its unit.
+            name: name in rig_configs.known.PHYSICAL.
+            value: new value in its unit.
         """
         *path, key = name.split(".")
         tables: list[Table] = [self]
@@ -344,17 +349,17 @@ class Rig(Table):
         return changed
 
     def snapshot_json(self) -> bytes:
-        """The rig file as it goes into a log: all a reader of the log needs, nothing only a simulation knows."""
+        """Return the rig file for a log, without the numbers of a simulation."""
         return self.model_dump_json(exclude={"virtual"}).encode()
 
     def roles_json(self) -> bytes:
-        """What its devices are to the rig, for a reader of a log who lacks a driver: by device, their roles."""
+        """Return the roles by device for a reader of a log without the drivers."""
         roles = {name: [role_table(role) for role in device.roles(name)] for name, device in self.devices.items()}
         return json.dumps(roles).encode()
 
     @property
     def true_physics(self) -> RotorParameters:
-        """The simulated rig's own numbers; for the virtual rig and for the demo's closing comparison only."""
+        """Numbers of the simulated rig; only for the virtual rig and the demo's closing comparison."""
         if self.virtual is None:
             raise ValueError(f"rig {self.name} is not simulated: it has no [virtual] table")
         return _laid_over(self.physics, self.virtual.truth)
@@ -374,7 +379,7 @@ def _physics(rotor: Rotor, imbalance: Imbalance, pendulums: Pendulums, suspensio
 
 
 def _laid_over(physics: RotorParameters, truth: Truth) -> RotorParameters:
-    """The physics with every number the truth gives in its place."""
+    """Return the physics with the numbers of the truth in place of its own."""
 
     def given(table: Table) -> dict[str, float]:
         return {k: v for k, v in table if isinstance(v, float)}

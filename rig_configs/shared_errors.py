@@ -1,5 +1,5 @@
 # pyright: strict
-"""Errors that tests share, by the label under which estimates keep them, as sources of uncertainty budgets."""
+"""Errors that tests share, by their labels in estimates, as sources of uncertainty budgets."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from rig_configs.suspension_terms import LABEL as TERMS_LABEL
 from uncertainty import Source
 
 STANDARD = "u"
-"""Unit of a source whose standard uncertainty a parameters file does not keep: multiples of that uncertainty."""
+"""Unit of a source whose standard uncertainty is not stored in a parameters file: multiples of that uncertainty."""
 FRICTION_LABEL = "friction"
-_READ = re.compile(r"clock \S.* in ")  # a rate as one log shows it
+_READ = re.compile(r"clock \S.* in ")  # clock rate in one log
 EXACT_STEP = 1e-3
-"""By how much a number without a standard uncertainty is moved where it is said what taking it as exact leaves out."""
+"""Relative change of a number without a standard uncertainty, for the statement on its effect."""
 
 
 def shared_source(label: str, rig: Rig | None = None) -> Source:
-    """The source of errors kept under a label.
+    """Return the source of errors with a label.
 
-    A gain and a known number get standard uncertainty, type, distribution and degrees of freedom from the rig file. A
-    parameters file keeps a clock's error, the friction's, and all of them where no rig file is at hand, as the shift
-    for one standard deviation only: their unit is that standard deviation.
+    A gain and a known number have standard uncertainty, type, distribution and degrees of freedom from the rig file. A
+    parameters file contains the error of a clock, of friction, and without a rig file of all labels, only as the shift
+    per standard deviation. The unit is then that standard deviation.
 
     Args:
-        label: such as "gain x", "clock laser_x", "clock laser_x in 04-run-up.mcap", "friction 1" or
+        label: for example "gain x", "clock laser_x", "clock laser_x in 04-run-up.mcap", "friction 1" or
             "known rotor.mass_kg".
-        rig: None when it is not at hand.
+        rig: rig file, or None.
     """
     if rig is not None:
         for axis, std in zip("xy", rig.roles.gain_stds, strict=True):
@@ -42,10 +42,10 @@ def shared_source(label: str, rig: Rig | None = None) -> Source:
 
 
 def known_source(known: KnownSource) -> Source:
-    """What a rig file takes as known, as a source under its label."""
+    """Return a known number of a rig file as a source with its label."""
     return Source(known.label, known.std, known.unit, known.kind, known.distribution, known.degrees_of_freedom)
 
 
 def is_known(label: str) -> bool:
-    """Whether a label is that of something a rig file takes as known."""
+    """Whether a label belongs to a known number of a rig file."""
     return label.startswith(f"{LABEL} ")

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What turns with the shaft at any speed, as a run-up found it: run-out of the measured surfaces, and a bent shaft."""
+"""Vectors that turn with the shaft at any speed, identified by a run-up: run-out of the surfaces, and a bent shaft."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from rig_configs.known import INDEX, Known, gain_label
 Array = NDArray[np.float64]
 
 ORDER = ("run_out_x", "run_out_y", "bow")
-"""Complex numbers, in the order of the covariance: real and imaginary part of each."""
+"""Names of the complex numbers, in the order of the covariance: real and imaginary part of each."""
 LABEL = "slow roll"
-"""Begin of the labels under which its errors are kept."""
+"""Start of the labels of its errors."""
 
 
 @dataclass(frozen=True)
 class SlowRollError:
-    """One independent error of what a run-up found.
+    """One independent error of run-out and bow.
 
     Attributes:
-        label: under which it is kept.
-        words: which vector it is in, and along which angle.
-        std_m: standard uncertainty.
+        label: label of the error.
+        words: its vector and angle, in words.
+        std_m: standard uncertainty, m.
         direction: unit vector in the order of SlowRoll.values, shape (6,).
     """
 
@@ -39,29 +39,29 @@ class SlowRollError:
 
 
 _NAMES = ("run-out of x", "run-out of y", "bow")
-_MOST, _LEAST = 0.99, 0.01  # of a direction's square: in one vector alone, in a vector at all
+_MIN_SINGLE, _MIN_PART = 0.99, 0.01  # share of a direction's square: in one vector alone; in a vector that is named
 
 
 def _words(direction: Array) -> str:
-    """Which vectors a direction lies in."""
+    """Describe the vectors of a direction."""
     pairs = direction.reshape(3, 2)
     shares = np.sum(pairs**2, axis=1)
-    if shares.max() > _MOST:
+    if shares.max() > _MIN_SINGLE:
         k = int(shares.argmax())
         return f"{_NAMES[k]} along {math.degrees(math.atan2(pairs[k, 1], pairs[k, 0])) % 180:.0f}°"
-    return " with ".join(name for name, share in zip(_NAMES, shares.tolist(), strict=True) if share > _LEAST)
+    return " with ".join(name for name, share in zip(_NAMES, shares.tolist(), strict=True) if share > _MIN_PART)
 
 
 @dataclass(frozen=True)
 class SlowRoll:
-    """Run-out and bow against the rotor's phase ψ.
+    """Run-out and bow relative to the rotor's phase ψ.
 
     Attributes:
-        run_out_x_m, run_out_y_m: complex; sensor x shows Re(r_x e^{iψ}), sensor y Im(r_y e^{iψ}); 0 for none.
-        bow_m: complex; the springs rest at (Re, Im)(b e^{iψ}) in the stiffness axes; 0 for none.
-        covariance: of their real and imaginary parts without the lasers' gains, shape (6, 6), m².
-        bow_shares: of lasers x and y in the bow, whose gains are in it.
-        log, digest: of the test that found them.
+        run_out_x_m, run_out_y_m: complex; sensor x measures Re(r_x e^{iψ}), sensor y Im(r_y e^{iψ}); 0 without run-out.
+        bow_m: complex; rest position of the springs (Re, Im)(b e^{iψ}) in the stiffness axes; 0 without a bow.
+        covariance: covariance of their real and imaginary parts without the lasers' gains, shape (6, 6), m².
+        bow_shares: shares of lasers x and y in the bow, which contains their gains.
+        log, digest: log of the test that identified them.
     Raises:
         ValueError: numbers that are not finite, or a covariance of the wrong shape or with a negative variance.
     """
@@ -90,7 +90,7 @@ class SlowRoll:
 
     @property
     def own_errors(self) -> tuple[SlowRollError, ...]:
-        """Independent errors, along the covariance's axes."""
+        """Independent errors, along the principal axes of the covariance."""
         sizes, turn = np.linalg.eigh(0.5 * (self.covariance + self.covariance.T))
         kept = [j for j, size in enumerate(sizes.tolist()) if size > 1e-12 * max(float(sizes[-1]), 1e-300)]
         return tuple(
@@ -100,15 +100,15 @@ class SlowRoll:
 
     @property
     def shifts(self) -> dict[str, Array]:
-        """Independent errors: label → shift of `values` for one standard deviation of it, shape (6,)."""
+        """Independent errors: label → shift of `values` per standard deviation, shape (6,)."""
         return {error.label: error.std_m * error.direction for error in self.own_errors}
 
     def errors(self, gain_stds: tuple[float, float], known: Known) -> dict[str, Array]:
-        """All errors that other quantities may share: label → shift of `values` for one standard deviation, shape (6,).
+        """Return all errors shared with other quantities: label → shift of `values` per standard deviation, shape (6,).
 
         Args:
-            gain_stds: relative standard uncertainties of lasers x and y, which read run-out and bow with their gains.
-            known: for the index angle: a larger one leaves the same vector at a smaller angle.
+            gain_stds: relative standard uncertainties of lasers x and y, whose gains scale run-out and bow.
+            known: for the index angle; a larger index angle yields the same vector at a smaller angle.
         """
         found, values = self.shifts, self.values
         for k, axis in enumerate("xy"):
@@ -123,21 +123,21 @@ class SlowRoll:
 
     @property
     def sentences(self) -> list[str]:
-        """Size and angle of what there is, each in a line."""
-        told: list[str] = []
+        """Size and angle of each vector that is not 0, one line each."""
+        lines: list[str] = []
         for k, (name, (real, imaginary)) in enumerate(zip(ORDER, self.values.reshape(3, 2).tolist(), strict=True)):
             size = math.hypot(real, imaginary)
             if size > 0:
                 unit = np.array([real, imaginary]) / size
                 std = math.sqrt(float(unit @ self.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] @ unit))
                 angle = math.degrees(math.atan2(imaginary, real))
-                told.append(
+                lines.append(
                     f"{name:16} {1e6 * size:14.4g} ± {1e6 * std:.2g} µm at {angle:.1f}°, turning with the shaft"
                 )
-        return told
+        return lines
 
     def table(self) -> dict[str, Any]:
-        """As parameters.toml has it."""
+        """Return the table for parameters.toml."""
         values = self.values.reshape(3, 2)
         std = np.sqrt(np.diag(self.covariance)).reshape(3, 2)
         entries: dict[str, Any] = {
@@ -158,10 +158,10 @@ class SlowRoll:
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> SlowRoll:
-        """From parameters.toml.
+        """Return run-out and bow of a table of parameters.toml.
 
         Raises:
-            KeyError, TypeError, ValueError: it is none.
+            KeyError, TypeError, ValueError: the table is invalid.
         """
         x, y, bow = (complex(float(table[n]["real_m"]), float(table[n]["imaginary_m"])) for n in ORDER)
         first, second = (float(share) for share in table["bow_shares"])

@@ -1,8 +1,8 @@
 # pyright: strict
-"""How stiffness and damping of the suspension change with the motion, as ring-downs found it.
+"""Changes of stiffness and damping of the suspension with the motion, identified by ring-downs.
 
-Stretched by u a spring pulls with k u (1 + H u²); at the speed v a damper takes c v (1 + Q |v|). k and c are the values
-at zero amplitude. Source: docs/theory/ring_down.md, "Rates that depend on amplitude".
+At the displacement u a spring pulls with k u (1 + H u²). At the speed v a damper pulls with c v (1 + Q |v|). k and c
+are the values at zero amplitude. Source: docs/theory/ring_down.md, "Rates that depend on amplitude".
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ TERMS = ("hardening1_per_m2", "hardening2_per_m2", "damping_growth1_s_per_m", "d
 """Names of the terms in the order of their covariance: H1, H2, Q1, Q2."""
 UNITS: Mapping[str, str] = dict(zip(TERMS, ("1/m²", "1/m²", "s/m", "s/m"), strict=True))
 LABEL = "suspension"
-"""Begin of the labels under which the terms' errors are kept."""
+"""Start of the labels of the terms' errors."""
 _GAIN_POWERS = (2, 2, 1, 1)
-_NOTHING = 1e-12  # of a variance: what is left of it is rounding
+_ROUNDING = 1e-12  # remainder of a variance that is due to rounding
 
 
 def term_label(name: str) -> str:
-    """Label of the error that a term has beside those of the terms before it."""
+    """Return the label of a term's error that is independent of the terms before it."""
     return f"{LABEL} {name}"
 
 
@@ -39,11 +39,11 @@ class SuspensionTerms:
     """Terms of both directions.
 
     Attributes:
-        values: H1, H2 (1/m²), Q1, Q2 (s/m), shape (4,); 0 where a direction shows none.
-        covariance: of these, without the lasers' gains, shape (4, 4); zeros where a term is taken as none.
-        found: names of the terms that ring-downs show. What is uncertain without being found is only likely to be
-            there, because the other direction has it.
-        logs, digests: of the tests that found them.
+        values: H1, H2 (1/m²), Q1, Q2 (s/m), shape (4,); 0 for a direction without the term.
+        covariance: covariance of these without the lasers' gains, shape (4, 4); zeros for a term that is excluded.
+        found: names of the identified terms. An uncertain term that is not identified is only likely, because the
+            other direction has it.
+        logs, digests: logs of the tests that identified them.
     Raises:
         ValueError: numbers that are not finite, a covariance of the wrong shape or not positive, or an unknown name.
     """
@@ -71,10 +71,10 @@ class SuspensionTerms:
 
     @property
     def shifts(self) -> dict[str, Array]:
-        """Independent errors: label → shift of `values` for one standard deviation of it, shape (4,)."""
+        """Independent errors: label → shift of `values` per standard deviation, shape (4,)."""
         left, found = self.covariance.copy(), dict[str, Array]()
         for i, name in enumerate(TERMS):
-            if left[i, i] <= _NOTHING * self.covariance[i, i]:
+            if left[i, i] <= _ROUNDING * self.covariance[i, i]:
                 continue
             shift = left[i] / math.sqrt(float(left[i, i]))
             found[term_label(name)] = shift
@@ -82,11 +82,11 @@ class SuspensionTerms:
         return found
 
     def errors(self, gain_stds: tuple[float, float]) -> dict[str, Array]:
-        """All errors that other quantities may share: label → shift of `values` for one standard deviation, shape (4,).
+        """Return all errors shared with other quantities: label → shift of `values` per standard deviation, shape (4,).
 
         Args:
-            gain_stds: relative standard uncertainties of lasers x and y: a laser that shows too much makes H and Q of
-                its direction too small.
+            gain_stds: relative standard uncertainties of lasers x and y. A laser whose readings are too large makes H
+                and Q of its direction too small.
         """
         found = self.shifts
         for k, axis in enumerate("xy"):
@@ -95,18 +95,18 @@ class SuspensionTerms:
         return found
 
     def applied_to(self, physics: RotorParameters) -> RotorParameters:
-        """The rig with these terms."""
+        """Return the rig with these terms."""
         h1, h2, q1, q2 = self.values.tolist()
         return replace(physics, hardening_per_m2=(h1, h2), damping_growth_s_per_m=(q1, q2))
 
     @property
     def sentences(self) -> list[str]:
-        """Size of what was found, each in a line."""
+        """Size of each identified term, one line each."""
         rows = zip(TERMS, self.values.tolist(), self.std.tolist(), strict=True)
         return [f"{name:24} {value:14.6g} ± {std:.2g} {UNITS[name]}" for name, value, std in rows if name in self.found]
 
     def table(self) -> dict[str, Any]:
-        """As parameters.toml has it."""
+        """Return the table for parameters.toml."""
         entries: dict[str, Any] = {
             name: {"value": value, "std": std, "unit": UNITS[name], "found": name in self.found}
             for name, value, std in zip(TERMS, self.values.tolist(), self.std.tolist(), strict=True)
@@ -119,10 +119,10 @@ class SuspensionTerms:
 
     @classmethod
     def of_table(cls, table: Mapping[str, Any]) -> SuspensionTerms:
-        """From parameters.toml.
+        """Return the terms of a table of parameters.toml.
 
         Raises:
-            KeyError, TypeError, ValueError: it is none.
+            KeyError, TypeError, ValueError: the table is invalid.
         """
         values = np.array([float(table[name]["value"]) for name in TERMS])
         covariance = np.array([[float(cell) for cell in row] for row in table["covariance"]])
@@ -132,7 +132,7 @@ class SuspensionTerms:
 
 
 def moved_term(physics: RotorParameters, name: str, step: float) -> RotorParameters:
-    """A rig with one of TERMS larger by a step."""
+    """Return a rig with one of TERMS increased by a step."""
     at = TERMS.index(name)
     pairs = [list(physics.hardening_per_m2), list(physics.damping_growth_s_per_m)]
     pairs[at // 2][at % 2] += step

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What every table of a rig file is made of."""
+"""Base class of all tables of a rig file."""
 
 from __future__ import annotations
 
@@ -14,6 +14,6 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Table(BaseModel):
-    """A table of the rig file: frozen, unknown keys refused; a number is a finite number, not true and not a text."""
+    """A table of the rig file: frozen, unknown keys refused; numbers are finite, neither booleans nor texts."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

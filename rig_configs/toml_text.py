@@ -1,5 +1,5 @@
 # pyright: strict
-"""TOML files from outside: read as text and parsed, every way in which they can be wrong an error in words."""
+"""TOML files from outside: reading and parsing, with a message for every possible error."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from typing import Any, cast
 from rig_configs.errors import RigFileError
 from rig_configs.regular_file import need_regular
 
-_LARGEST_BYTES = 32_000_000
-_DEEPEST = 50
+_MAX_BYTES = 32_000_000
+_MAX_DEPTH = 50
 _OTHER_BOMS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def read_text(path: Path) -> str:
-    """A file's text; a byte order mark before it is left out.
+    """Return a file's text without a byte order mark.
 
     Raises:
-        OSError: it cannot be read, or is no file: a named pipe, a device.
-        RigFileError: it is no text of UTF-8, or too large for what it should be.
+        OSError: it cannot be read, or is not a regular file: a named pipe, a device.
+        RigFileError: it is not UTF-8 text, or too large.
     """
     need_regular(path)
     with open(path, "rb") as file:
-        data = file.read(_LARGEST_BYTES + 1)
-    if len(data) > _LARGEST_BYTES:
-        raise RigFileError(f"{path}: expected a TOML file, got more than {_LARGEST_BYTES // 10**6} MB")
+        data = file.read(_MAX_BYTES + 1)
+    if len(data) > _MAX_BYTES:
+        raise RigFileError(f"{path}: expected a TOML file, got more than {_MAX_BYTES // 10**6} MB")
     try:
         return data.decode("utf-16" if data.startswith(_OTHER_BOMS) else "utf-8-sig")
     except UnicodeDecodeError as fault:
@@ -36,14 +36,14 @@ def read_text(path: Path) -> str:
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """The table that a text holds.
+    """Parse a text as TOML.
 
     Args:
         text: TOML.
-        source: where it is from, for messages.
+        source: origin of the text, for messages.
     Raises:
-        RigFileError: no TOML, tables nested deeper than any of ours, whole numbers beyond 64 bits, numbers too small
-            to be kept.
+        RigFileError: not TOML, tables nested too deeply, whole numbers beyond 64 bits, or numbers too small for a
+            float.
     """
     try:
         table = tomllib.loads(text, parse_float=_float)
@@ -51,24 +51,24 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         raise RigFileError(f"{source}: not a TOML file: {fault}") from fault
     except RecursionError:
         raise RigFileError(f"{source}: expected a TOML file, got brackets nested thousands deep") from None
-    except ValueError as fault:  # Python reads no whole number of more than 4300 digits, `_float` none that vanishes
+    except ValueError as fault:  # a whole number of more than 4300 digits, or a number that `_float` refuses
         raise RigFileError(f"{source}: not a TOML file: a number that cannot be read ({fault})") from fault
     _check(table, source)
     return table
 
 
 def _float(text: str) -> float:
-    """A number with a point or an exponent; one that is not zero does not become zero."""
+    """Parse a number with a point or an exponent; a number that is not zero must not become zero."""
     value = float(text)
     if value == 0 and text.lower().partition("e")[0].strip("+-0._"):
-        raise ValueError(f"{text[:40]} is smaller than any that can be kept")
+        raise ValueError(f"{text[:40]} is smaller than the smallest number that can be represented")
     return value
 
 
 def _check(table: dict[str, Any], source: str) -> None:
-    """Refuse what no later step should have to expect; without recursion, which is the point of it."""
+    """Check nesting and whole numbers, without recursion, because deep nesting would exhaust the stack."""
     level: list[tuple[str, Any]] = list(table.items())
-    for _ in range(_DEEPEST):
+    for _ in range(_MAX_DEPTH):
         below: list[tuple[str, Any]] = []
         for name, value in level:
             if isinstance(value, dict):
@@ -81,4 +81,4 @@ def _check(table: dict[str, Any], source: str) -> None:
             return
         level = below
     name = level[0][0][:80]
-    raise RigFileError(f"{source}: {name}: expected tables nested at most {_DEEPEST} deep, got deeper ones")
+    raise RigFileError(f"{source}: {name}: expected tables nested at most {_MAX_DEPTH} deep, got deeper ones")

@@ -1,7 +1,7 @@
 # pyright: strict
-"""Numbers of a rig file that the schema allows and no usual rig has: likely slips of a unit, in words.
+"""Unusual numbers of a rig file that the schema allows: probable unit errors, in words.
 
-A slip warns and refuses nothing: an unusual rig is its owner's right.
+They cause a warning only, because an unusual rig is possible.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from rig_configs.ports import PRINTED, is_placeholder
 from rig_configs.schema import Rig
 
 Slips = tuple[tuple[float, str], ...]
-"""Other units a number may be in: what one of them is in the file's unit, and its name."""
+"""Other units of a number: factor from the other unit to the file's unit, and the unit's name."""
 
 _MASS: Slips = ((1e-3, "grams"), (1e3, "tonnes"))
 _LENGTH: Slips = ((1e-3, "millimetres"), (1e-2, "centimetres"))
@@ -25,13 +25,13 @@ _TORQUE: Slips = ((1e-3, "mN m s"), (1e-2, "N cm s"))
 
 @dataclass(frozen=True)
 class Usual:
-    """What a number usually is.
+    """Usual range of a number.
 
     Attributes:
-        least, most: in its unit, generous on both sides.
-        unit: for the message.
-        slips: other units it may have been written in.
-        zero: what 0 stands for; None where 0 is out of range as any other number.
+        least, most: limits in its unit, generous on both sides.
+        unit: unit for the message.
+        slips: other units that may have been used by mistake.
+        zero: meaning of 0; None if 0 is not special.
     """
 
     least: float
@@ -41,11 +41,11 @@ class Usual:
     zero: str | None = None
 
     def doubt(self, key: str, value: float) -> str | None:
-        """What is odd about a value; None when nothing is.
+        """Describe why a value is unusual; None if it is usual.
 
         Args:
-            key: its place in the rig file.
-            value: in its unit.
+            key: key in the rig file.
+            value: value in its unit.
         """
         if self.least <= value <= self.most or (value == 0 and self.zero is not None):
             return None
@@ -77,7 +77,7 @@ _PENDULUM = {
     "ball_radius_m": Usual(5e-4, 0.1, "m", _LENGTH, "a pendulum"),
     "rolling_resistance_m": Usual(1e-8, 1e-3, "m", _LENGTH, "none"),
 }
-_DEVICE = {  # of sensors and nodes, whatever their driver, that have one of these names
+_DEVICE = {  # numbers of sensors and nodes of any driver
     "rate_Hz": Usual(20, 2e5, "Hz", _FREQUENCY),
     "range_m": Usual(2e-4, 1, "m", _LENGTH),
     "lever_ratio": Usual(0.1, 10, "", _SHARE),
@@ -87,10 +87,10 @@ _DEVICE = {  # of sensors and nodes, whatever their driver, that have one of the
 
 
 def doubts(rig: Rig) -> list[str]:
-    """What of a rig file is likely a slip, one text each: the number, the likely unit, the usual range.
+    """List probable errors of a rig file, one text each: the number, the probable unit, the usual range.
 
     Args:
-        rig: as loaded; the truth of a simulated one is not looked at.
+        rig: loaded rig; the truth of a simulated one is not checked.
     """
     return [*_numbers(rig), *_ports(rig)]
 

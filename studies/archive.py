@@ -1,5 +1,5 @@
 # pyright: strict
-"""Every campaign of an archive identified anew, with today's software or another rig file: what would be found now?"""
+"""New identification of every campaign of an archive, with the current software or another rig file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class ArchivedCampaign:
     """Logs that are identified together.
 
     Attributes:
-        name: the folder they lie in, seen from the archive's.
+        name: folder of the logs, relative to the archive.
         logs: absolute paths, the same on every worker's host.
     """
 
@@ -38,10 +38,10 @@ class ArchivedCampaign:
 
 
 def campaigns_in(archives: Sequence[Path]) -> list[ArchivedCampaign]:
-    """Campaigns of archives: the logs of one folder are one campaign.
+    """Return the campaigns of archives; the logs of one folder are one campaign.
 
     Raises:
-        StudyInputError: there is no log.
+        StudyInputError: the archives contain no log.
     """
     found: list[ArchivedCampaign] = []
     for archive in archives:
@@ -63,17 +63,18 @@ def archive_study(
     campaigns: Sequence[ArchivedCampaign],
     progress: Callable[[float], None] | None = None,
 ) -> Study:
-    """The study that identifies campaigns anew. Every log is read for its digest.
+    """Return the study that identifies campaigns again. Every log is read for its digest.
 
     Args:
-        rig_source: the rig file's name, for messages.
+        rig_source: name of the rig file, for messages.
         rig_text: its text.
-        settings: "key=value" laid over it.
-        progress: told the share of the logs that is read, 0 … 1.
+        settings: "key=value" settings applied to it.
+        campaigns: campaigns of the archives.
+        progress: called with the share of the logs that has been read, 0 … 1.
     Raises:
         LogError: a log cannot be read.
     """
-    total, done, asked = sum(len(one.logs) for one in campaigns), 0, list[dict[str, Any]]()
+    total, done, rows = sum(len(one.logs) for one in campaigns), 0, list[dict[str, Any]]()
     for one in campaigns:
         digests: dict[str, str] = {}
         for log in one.logs:
@@ -81,47 +82,48 @@ def archive_study(
             done += 1
             if progress is not None:
                 progress(done / total)
-        asked.append({"name": one.name, "logs": digests})
-    return Study.of("archive", {"rig": rig_text, "source": rig_source, "settings": list(settings), "campaigns": asked})
+        rows.append({"name": one.name, "logs": digests})
+    return Study.of("archive", {"rig": rig_text, "source": rig_source, "settings": list(settings), "campaigns": rows})
 
 
 @lru_cache(maxsize=4)
-def _asked(text: str) -> Mapping[str, Any]:
+def _question(text: str) -> Mapping[str, Any]:
     return json.loads(text)
 
 
 class Archive:
-    """See Kind: a campaign's parameters as the text of parameters.toml, and warnings; an `error` in words instead
-    where its logs identify nothing.
+    """Kind of study: a campaign's parameters as the text of parameters.toml, and warnings.
+
+    A campaign whose logs identify nothing has an `error` in words instead.
     """
 
     uses_threads = False
 
     def tiles(self, text: str) -> int:
-        """See Kind."""
-        return len(_asked(text)["campaigns"])
+        """Return the number of tiles; see Kind."""
+        return len(_question(text)["campaigns"])
 
     def part(self, text: str, tile: int) -> str:
-        """See Kind: a campaign's logs give the same among any others."""
-        asked = _asked(text)
-        own = {name: value for name, value in asked.items() if name != "campaigns"}
-        return Study.question(own | {"campaign": asked["campaigns"][tile]})
+        """Return the part of one campaign, whose result does not depend on the others; see Kind."""
+        question = _question(text)
+        own = {name: value for name, value in question.items() if name != "campaigns"}
+        return Study.question(own | {"campaign": question["campaigns"][tile]})
 
     def warm_up(self, text: str) -> None:
-        """See Kind: importing is all that can be done beforehand; the first campaign compiles the rest."""
+        """Do nothing: the import is sufficient, and the first campaign compiles the remaining code; see Kind."""
 
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """See Kind."""
-        asked = _asked(text)
-        name, logs = asked["campaigns"][tile]["name"], asked["campaigns"][tile]["logs"]
-        rig = rig_from_text(asked["source"], asked["rig"], None, asked["settings"])
+        """Identify one campaign; see Kind."""
+        question = _question(text)
+        name, logs = question["campaigns"][tile]["name"], question["campaigns"][tile]["logs"]
+        rig = rig_from_text(question["source"], question["rig"], None, question["settings"])
         try:
             runs = load_runs(list(logs))
             for run in runs:
                 if run.metadata["digest"] != logs[run.source]:
                     raise StudyInputError(
-                        f"{run.source}: expected the log with {logs[run.source]}, here it is "
-                        f"{run.metadata['digest']}; have all hosts see the same archive"
+                        f"{run.source}: expected the log with {logs[run.source]}, found "
+                        f"{run.metadata['digest']}; give all hosts access to the same archive"
                     )
             found = identify(runs, rig)
         except (IdentificationError, LogError, RecordingError) as fault:
@@ -142,13 +144,13 @@ def _toml(parameters: IdentifiedParameters) -> str:
 
 @dataclass(frozen=True)
 class Reidentified:
-    """What one campaign's logs give now.
+    """New identification of one campaign.
 
     Attributes:
-        name: of the campaign.
-        parameters: None where they identify nothing.
-        text: of its parameters.toml, or why there is none.
-        warnings: of the identification.
+        name: name of the campaign.
+        parameters: parameters; None if the logs identify nothing.
+        text: text of its parameters.toml, or the reason why it does not exist.
+        warnings: warnings of the identification.
     """
 
     name: str
@@ -158,10 +160,10 @@ class Reidentified:
 
     @classmethod
     def all_of(cls, folder: TileFolder) -> list[Reidentified]:
-        """From the finished tiles of a folder.
+        """Read the finished tiles of a folder.
 
         Raises:
-            FolderFault: one is damaged.
+            FolderFault: a tile is damaged.
         """
         found: list[Reidentified] = []
         for tile in sorted(folder.finished()):

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Basins in tiles: a part of the grid of releases each."""
+"""Basins in tiles: each tile is a part of the grid of releases."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from studies.study import Answer, Study
 from studies.tile_files import TileFolder
 from studies.tiling import Part, parts_of
 
-_MOST, _WIDEST = 2400, 60  # releases of a tile, and along θ3
-_SAME_RAD = 1e-3  # angles of a steady state
+_MAX_RELEASES, _MAX_COLUMNS = 2400, 60  # of one tile; columns along θ3
+_SAME_RAD = 1e-3  # largest difference between the angles of one steady state
 _GRIDS = ("end", "sure", "caught_s", "settled_s", "amplitude_m", "apart_rad", "turns")
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class BasinQuestion:
-    """What decides a basin map.
+    """Inputs that determine a basin map.
 
     Attributes:
-        rig: the rig file.
-        parameters: identified parameters laid over it, or None; a bow among them acts.
-        settings: "key=value", laid over both.
-        speed_rad_s: the rotor's.
-        releases: along θ3 and θ4, over the whole circle.
-        seconds: how long each is followed.
+        rig: rig file.
+        parameters: identified parameters applied to it, or None; a bow is included.
+        settings: "key=value" settings, applied last.
+        speed_rad_s: speed of the rotor.
+        releases: number of releases along θ3 and θ4, over the whole circle.
+        seconds: duration of each release, s.
     """
 
     rig: SourceText
@@ -53,14 +53,14 @@ class BasinQuestion:
 
     @property
     def known(self) -> IdentifiedParameters:
-        """The identified parameters, none where none were given."""
+        """Identified parameters; empty if none were given."""
         if self.parameters is None:
             return IdentifiedParameters({}, np.zeros((0, 0)))
         return IdentifiedParameters.from_text(self.parameters.text, self.parameters.source)
 
     @property
     def physics(self) -> RotorParameters:
-        """The rig that is released."""
+        """Parameters of the released rig."""
         known = self.known
         rig = rig_from_text(self.rig.source, self.rig.text, known, self.settings)
         return known.with_effects(rig.physics)
@@ -73,7 +73,7 @@ class BasinQuestion:
         return np.radians(three), np.radians((np.arange(up) + 0.5) * 360.0 / up)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain numbers and texts; `of_json` takes them back."""
+        """Return plain numbers and texts for `of_json`."""
         return {
             "rig": self.rig.as_json(),
             "parameters": None if self.parameters is None else self.parameters.as_json(),
@@ -85,7 +85,7 @@ class BasinQuestion:
 
     @classmethod
     def of_json(cls, table: dict[str, Any]) -> BasinQuestion:
-        """What `as_json` gave."""
+        """Return the question of an `as_json` table."""
         known = table["parameters"]
         across, up = table["releases"]
         return cls(
@@ -99,38 +99,38 @@ class BasinQuestion:
 
 
 def basin_study(question: BasinQuestion) -> Study:
-    """The study that answers a basin map's question."""
+    """Return the study of a basin map."""
     return Study.of("basins", question.as_json())
 
 
 @lru_cache(maxsize=8)
-def _asked(text: str) -> tuple[BasinQuestion, RotorParameters, list[Part]]:
+def _parsed(text: str) -> tuple[BasinQuestion, RotorParameters, list[Part]]:
     question = BasinQuestion.of_json(json.loads(text))
     across, up = question.releases
-    return question, question.physics, parts_of(across, up, _WIDEST, _MOST)
+    return question, question.physics, parts_of(across, up, _MAX_COLUMNS, _MAX_RELEASES)
 
 
 class Basins:
-    """See Kind: a part of a basin map, and the ends that its releases lead to."""
+    """Kind of study: a part of a basin map, and the end states of its releases."""
 
     uses_threads = True
 
     def tiles(self, text: str) -> int:
-        """See Kind."""
-        return len(_asked(text)[2])
+        """Return the number of tiles; see Kind."""
+        return len(_parsed(text)[2])
 
     def part(self, text: str, tile: int) -> None:
-        """See Kind: a tile's number says it."""
+        """Return None: the tile's number is sufficient; see Kind."""
 
     def warm_up(self, text: str) -> None:
-        """See Kind."""
-        question, physics, _ = _asked(text)
+        """Compile the code of basins; see Kind."""
+        question, physics, _ = _parsed(text)
         three, four = question.angles_rad
         basins(physics, question.speed_rad_s, three[:1], four[:1], 2 * math.pi / question.speed_rad_s, workers=1)
 
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """See Kind."""
-        question, physics, parts = _asked(text)
+        """Compute one part of the grid; see Kind."""
+        question, physics, parts = _parsed(text)
         rows, columns = parts[tile]
         three, four = question.angles_rad
         found = basins(physics, question.speed_rad_s, three[columns], four[rows], question.seconds, workers=threads)
@@ -138,22 +138,22 @@ class Basins:
 
 
 def assembled(folder: TileFolder) -> BasinMap:
-    """The whole of a folder that has every tile.
+    """Assemble the basin map of a folder with all tiles.
 
-    A slipping orbit is known in the tiles whose releases led to it: elsewhere releases that would reach it are "not
-    settled".
+    A slipping orbit is known only in the tiles whose releases led to it. Releases of other tiles that would reach it
+    are "not settled".
 
     Raises:
         FolderFault: a tile is damaged or missing.
     """
-    question, _, parts = _asked(folder.study.text)
+    question, _, parts = _parsed(folder.study.text)
     three, four = question.angles_rad
     grids: dict[str, NDArray[Any]] = {}
     ends: list[End] = []
     for tile, part in enumerate(parts):
         answer = folder.read(tile)
         numbers = [_number_of(end, ends) for end in _unpacked(answer)]
-        answer["end"] = np.array([*numbers, -1], np.int64)[answer["end"]]  # −1 is the last one
+        answer["end"] = np.array([*numbers, -1], np.int64)[answer["end"]]  # index −1 is the last element
         for name in _GRIDS:
             values = answer[name]
             grid = grids.setdefault(name, np.empty((len(four), len(three), *values.shape[2:]), values.dtype))
@@ -225,7 +225,7 @@ def _unpacked(answer: Answer) -> list[End]:
 
 
 def _number_of(end: End, ends: list[End]) -> int:
-    """Its place among ends, at which it is put where it is a new one."""
+    """Return the index of an end state, which is appended if it is new."""
     for i, other in enumerate(ends):
         if end.slipping is not None and other.slipping is not None:
             same = same_orbit(end.slipping, other.slipping)

@@ -1,9 +1,9 @@
 # pyright: strict
-"""Whole campaigns on the virtual rig by the hundred: are stated uncertainties right, do points pass that should?
+"""Hundreds of campaigns on the virtual rig: coverage of the stated uncertainties, and pass rate of valid points.
 
-A tile is a campaign with a seed of its own: every guided test is run on simulated time through drivers, wire bytes and
-logs, parameters are identified from the logs, and the points are judged with them. Nothing but the logs' bytes tells
-identification about the rig.
+A tile is a campaign with a seed of its own. Every guided test runs on simulated time through drivers, wire bytes and
+logs. Parameters are identified from the logs, and the points are validated with them. The identification has no access
+to the simulated rig except through the bytes of the logs.
 """
 
 from __future__ import annotations
@@ -30,64 +30,64 @@ from studies.study import Answer, Study
 from studies.tile_files import TileFolder
 
 _BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
-_USUAL = 1.959963984540054  # of a standard normal variable, 95 % lie within
+_NORMAL_95 = 1.959963984540054  # half width of the 95 % interval of a standard normal variable
 
 
 def campaign_study(rig_text: str, settings: Sequence[str], first_seed: int, campaigns: int) -> Study:
-    """The study of so many campaigns.
+    """Return the study of several campaigns.
 
     Args:
-        rig_text: a rig file's text, with a [virtual] table.
-        settings: "key=value" laid over it.
-        first_seed: of the first campaign; the others' count up from it.
-        campaigns: how many.
+        rig_text: text of a rig file with a [virtual] table.
+        settings: "key=value" settings applied to it.
+        first_seed: seed of the first campaign; the others follow.
+        campaigns: number of campaigns.
     """
-    asked = {"rig": rig_text, "settings": list(settings), "first_seed": first_seed, "campaigns": campaigns}
-    return Study.of("campaigns", asked)
+    question = {"rig": rig_text, "settings": list(settings), "first_seed": first_seed, "campaigns": campaigns}
+    return Study.of("campaigns", question)
 
 
 @lru_cache(maxsize=4)
-def _asked(text: str) -> Mapping[str, Any]:
+def _question(text: str) -> Mapping[str, Any]:
     return json.loads(text)
 
 
 class Campaigns:
-    """See Kind: parameters with truth and standard deviations, points with verdicts and z-scores, warnings.
+    """Kind of study: parameters with truth and standard deviations, points with verdicts and z-scores, warnings.
 
-    A campaign that cannot be ended (a test refused, nothing to be identified) has an `error` in words instead.
+    A campaign that fails (a refused test, nothing to identify) has an `error` in words instead.
     """
 
     uses_threads = False
 
     def tiles(self, text: str) -> int:
-        """See Kind."""
-        return int(_asked(text)["campaigns"])
+        """Return the number of tiles; see Kind."""
+        return int(_question(text)["campaigns"])
 
     def part(self, text: str, tile: int) -> str:
-        """See Kind: a seed's campaign is the same among any number of others."""
-        asked = _asked(text)
-        own = {name: asked[name] for name in ("rig", "settings")}
-        return Study.question(own | {"seed": int(asked["first_seed"]) + tile})
+        """Return the part of one seed, whose campaign does not depend on the number of campaigns; see Kind."""
+        question = _question(text)
+        own = {name: question[name] for name in ("rig", "settings")}
+        return Study.question(own | {"seed": int(question["first_seed"]) + tile})
 
     def warm_up(self, text: str) -> None:
-        """See Kind: importing is all that can be done beforehand; the first campaign compiles the rest."""
+        """Do nothing: the import is sufficient, and the first campaign compiles the remaining code; see Kind."""
 
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """See Kind."""
-        asked = _asked(text)
-        seed = int(asked["first_seed"]) + tile
+        """Run one campaign; see Kind."""
+        question = _question(text)
+        seed = int(question["first_seed"]) + tile
         with tempfile.TemporaryDirectory(prefix="rig-campaign-") as name:
             folder = Path(name)
             rig = folder / "rig.toml"
-            rig.write_text(asked["rig"], encoding="utf-8")
+            rig.write_text(question["rig"], encoding="utf-8")
             try:
-                return {"seed": np.array(seed), **_campaign(rig, [*asked["settings"], f"virtual.seed={seed}"])}
+                return {"seed": np.array(seed), **_campaign(rig, [*question["settings"], f"virtual.seed={seed}"])}
             except (RigError, IdentificationError, AnalysisError) as fault:
                 return {"seed": np.array(seed), "error": np.array(f"{type(fault).__name__}: {fault}")}
 
 
 def _campaign(rig_file: Path, settings: list[str]) -> Answer:
-    """One campaign, its logs in the rig file's folder."""
+    """Run one campaign with its logs in the rig file's folder."""
     with Rehearsal(rig_file, rig_file.parent / "logs", settings) as rehearsal:
         rig, truth = rehearsal.rig, dict(rehearsal.truth)
         tests = possible_tests(rig)
@@ -95,7 +95,7 @@ def _campaign(rig_file: Path, settings: list[str]) -> Answer:
         found = identify(before, rig)
         known = found.parameters
         logs = [rehearsal.record(test, known).log for test in tests if test.startswith("point-")]
-    judged = validated(load_runs(logs), rig, known, _told_nobody)
+    judged = validated(load_runs(logs), rig, known, _ignore)
     names, std = list(known.values), known.std
     z = {(point, name): z for point, one in judged.points.items() for name, z in one.z_scores.items()}
     return {
@@ -114,46 +114,46 @@ def _campaign(rig_file: Path, settings: list[str]) -> Answer:
     }
 
 
-def _told_nobody(text: str) -> None:
+def _ignore(text: str) -> None:
     del text
 
 
 @dataclass(frozen=True)
 class CampaignResults:
-    """What a study of campaigns found.
+    """Results of a study of campaigns.
 
     Attributes:
-        rows: of every campaign, in the order of the seeds.
+        rows: arrays of every campaign, in the order of the seeds.
     """
 
     rows: Sequence[Mapping[str, NDArray[Any]]]
 
     @classmethod
     def of(cls, folder: TileFolder) -> CampaignResults:
-        """From the finished tiles of a folder.
+        """Read the finished tiles of a folder.
 
         Raises:
-            FolderFault: one is damaged.
+            FolderFault: a tile is damaged.
         """
         return cls([folder.read(tile) for tile in sorted(folder.finished())])
 
     @cached_property
     def done(self) -> list[Mapping[str, NDArray[Any]]]:
-        """Campaigns that came to their end."""
+        """Campaigns that were completed."""
         return [row for row in self.rows if "error" not in row]
 
     @property
     def failed(self) -> dict[int, str]:
-        """Seed to the reason of campaigns that did not."""
+        """Seed → reason of campaigns that failed."""
         return {int(row["seed"]): str(row["error"]) for row in self.rows if "error" in row}
 
     @property
     def passed(self) -> int:
-        """Campaigns all of whose points pass."""
+        """Number of campaigns whose points all pass."""
         return sum(bool(row["passed"]) for row in self.done)
 
     def parameter_z(self) -> dict[str, NDArray[np.floating]]:
-        """Parameter to (found − true)/std of every campaign that found it."""
+        """Return parameter → (found − true)/std of every campaign that identified it."""
         found: dict[str, list[float]] = {}
         for row in self.done:
             for name, value, std, truth in zip(row["names"], row["values"], row["std"], row["truth"], strict=True):
@@ -162,7 +162,7 @@ class CampaignResults:
         return {name: np.array(values) for name, values in found.items()}
 
     def point_z(self) -> dict[str, NDArray[np.floating]]:
-        """ "POINT quantity" to z of every campaign."""
+        """Return "POINT quantity" → z of every campaign."""
         found: dict[str, list[float]] = {}
         for row in self.done:
             for name, z in zip(row["quantities"], row["z"], strict=True):
@@ -170,7 +170,7 @@ class CampaignResults:
         return {name: np.array(values) for name, values in found.items()}
 
     def verdicts(self) -> dict[str, dict[str, int]]:
-        """Point to verdict to how many campaigns gave it."""
+        """Return point → verdict → number of campaigns with it."""
         found: dict[str, dict[str, int]] = {}
         for row in self.done:
             for point, verdict in zip(row["points"], row["verdicts"], strict=True):
@@ -180,15 +180,15 @@ class CampaignResults:
 
 
 def within(z: NDArray[np.floating]) -> int:
-    """How many of the z lie within the 95 % of a standard normal variable."""
-    return int(np.sum(np.abs(z) < _USUAL))
+    """Return the number of z within the 95 % interval of a standard normal variable."""
+    return int(np.sum(np.abs(z) < _NORMAL_95))
 
 
 def need_virtual(rig_file: Path | str, settings: Sequence[str]) -> None:
-    """Whether campaigns can be run on a rig.
+    """Check that campaigns can be run on a rig.
 
     Raises:
-        RigFileError: it is no virtual one, or has no test to run.
+        RigFileError: the rig is not virtual, or has no guided test.
     """
     rig = load_rig(rig_file, settings=list(settings))
     if rig.virtual is None:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Which stable motions coexist over two numbers of a rig, a rectangle of neighbours to a tile."""
+"""Coexisting stable motions over two numbers of a rig; a tile is a rectangle of neighbouring points."""
 
 from __future__ import annotations
 
@@ -17,63 +17,64 @@ from studies.study import Answer, Study
 from studies.tile_files import TileFolder
 from studies.tiling import Part, parts_of
 
-_WIDE, _POINTS = 8, 32  # columns and points of a tile: slipping orbits are carried to neighbours within it
+_MAX_COLUMNS, _MAX_POINTS = 8, 32  # of one tile: slipping orbits are continued to neighbours within it
 
 
 def coexistence_study(question: MapQuestion) -> Study:
-    """The study that answers a question of coexisting motions."""
+    """Return the study of coexisting motions."""
     alone = replace(question, quantity="coexisting", borders=False, refine=0, accuracy=1e-8, seconds=20.0)
     return Study.of("coexistence", alone.as_json())
 
 
 @lru_cache(maxsize=8)
-def _asked(text: str) -> tuple[MapQuestion, list[Part]]:
+def _parsed(text: str) -> tuple[MapQuestion, list[Part]]:
     question = MapQuestion.of_json(json.loads(text))
-    return question, parts_of(question.x.count, question.y.count, _WIDE, _POINTS)
+    return question, parts_of(question.x.count, question.y.count, _MAX_COLUMNS, _MAX_POINTS)
 
 
 @lru_cache(maxsize=8)
 def _plane(text: str) -> tuple[Plane, NDArray[np.float64], NDArray[np.float64]]:
-    question = _asked(text)[0]
+    question = _parsed(text)[0]
     return question.plane(), question.x.values, question.y.values
 
 
 class Coexistence:
-    """See Kind: the arrays of `analysis.maps.coexistence.motions_at`, shape (rows, columns)."""
+    """Kind of study: arrays of `analysis.maps.coexistence.motions_at`, shape (rows, columns)."""
 
     uses_threads = True
 
     def tiles(self, text: str) -> int:
-        """See Kind."""
-        return len(_asked(text)[1])
+        """Return the number of tiles; see Kind."""
+        return len(_parsed(text)[1])
 
     def part(self, text: str, tile: int) -> None:
-        """See Kind: a tile's number says it."""
+        """Return None: the tile's number is sufficient; see Kind."""
 
     def warm_up(self, text: str) -> None:
-        """See Kind."""
+        """Compile the code of the motions; see Kind."""
         plane, x, y = _plane(text)
         motions_at(plane, x[:1], y[:1], workers=1)
 
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """See Kind."""
+        """Compute one rectangle; see Kind."""
         plane, x, y = _plane(text)
-        rows, columns = _asked(text)[1][tile]
+        rows, columns = _parsed(text)[1][tile]
         grid = np.meshgrid(x[columns], y[rows])
         found = motions_at(plane, grid[0].ravel(), grid[1].ravel(), len(x[columns]), threads)
         return {name: values.reshape(grid[0].shape) for name, values in found.items()}
 
 
 def assembled(folder: TileFolder, question: MapQuestion) -> CoexistenceMap:
-    """The whole map of a folder that has every tile.
+    """Assemble the map of a folder with all tiles.
 
     Args:
-        question: as it was asked, borders included.
+        folder: folder with all tiles.
+        question: complete question, borders included.
     Raises:
         FolderFault: a tile is damaged or missing.
     """
     arrays = {name: np.empty((question.y.count, question.x.count)) for name in COEXISTENCE_ARRAYS}
-    for tile, part in enumerate(_asked(folder.study.text)[1]):
+    for tile, part in enumerate(_parsed(folder.study.text)[1]):
         answer = folder.read(tile)
         for name, values in arrays.items():
             values[part] = answer[name]

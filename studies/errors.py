@@ -1,25 +1,25 @@
-"""What can go wrong with a study.
+"""Errors of studies.
 
 StudyError
-├── StudyInputError     what was asked cannot be
-├── OtherSoftware       a worker runs other sources than the one who asks
+├── StudyInputError     the question is impossible
+├── OtherSoftware       a worker has other sources than the process that started the study
 ├── EngineMissing       an engine's package is not installed
-├── EngineLost          nobody is there to work, or no longer
-├── TileFailed          a tile cannot be worked out
-└── FolderFault         a finished tile cannot be kept or read
+├── EngineLost          no worker or scheduler is available (any more)
+├── TileFailed          a tile cannot be computed
+└── FolderFault         a finished tile cannot be written or read
 """
 
 
 class StudyError(Exception):
-    """A study cannot go on."""
+    """Root of the errors that end a study."""
 
 
 class StudyInputError(StudyError):
-    """What was asked cannot be."""
+    """The question is impossible."""
 
 
 class OtherSoftware(StudyError):
-    """A worker runs other sources than the one who asks."""
+    """A worker has other sources than the process that started the study."""
 
 
 class EngineMissing(StudyError):
@@ -27,12 +27,12 @@ class EngineMissing(StudyError):
 
 
 class EngineLost(StudyError):
-    """Nobody is there to work, or no longer."""
+    """No worker or scheduler is available (any more)."""
 
 
 class TileFailed(StudyError):
-    """A tile cannot be worked out."""
+    """A tile cannot be computed."""
 
 
 class FolderFault(StudyError):
-    """A finished tile cannot be kept or read."""
+    """A finished tile cannot be written or read."""

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Maps over two numbers of a rig, in rectangles of about a second."""
+"""Maps over two numbers of a rig, in rectangles of about one second of computing time."""
 
 from __future__ import annotations
 
@@ -19,62 +19,62 @@ from studies.study import Answer, Study
 from studies.tile_files import TileFolder
 from studies.tiling import Part, parts_of
 
-_MOST_POINTS = 131_072  # of a tile: about a second of one processor
-_MOST_COLUMNS = 400
-_LARGEST = 200_000_000  # points of a map
+_MAX_TILE_POINTS = 131_072  # about one second of one processor
+_MAX_COLUMNS = 400
+_MAX_MAP_POINTS = 200_000_000
 
 
 def map_study(question: MapQuestion) -> Study:
-    """The study that works out the grid of a map's question; refined grids and borders are not in tiles.
+    """Return the study of a map's grid; refined grids and borders are not computed in tiles.
 
     Raises:
-        StudyInputError: more points than can be put together.
+        StudyInputError: the map has too many points for the memory.
     """
     count = question.x.count * question.y.count
-    if count > _LARGEST:
+    if count > _MAX_MAP_POINTS:
         raise StudyInputError(
-            f"a map holds at most {_LARGEST:.0e} points, all of which are in memory at the end; asked "
-            f"{question.x.count} × {question.y.count}. Ask for parts of the plane, one after the other"
+            f"a map has at most {_MAX_MAP_POINTS:.0e} points, all of which are in memory at the end; got "
+            f"{question.x.count} × {question.y.count}. Compute parts of the plane, one after the other"
         )
     alone = replace(question, quantity="multiplier", borders=False, refine=0, family=None, best=None)
     return Study.of("map", alone.as_json())
 
 
 @lru_cache(maxsize=8)
-def _asked(text: str) -> tuple[MapQuestion, list[Part]]:
-    """The question and its tiles."""
+def _parsed(text: str) -> tuple[MapQuestion, list[Part]]:
+    """Return the question and its tiles."""
     question = MapQuestion.of_json(json.loads(text))
-    return question, parts_of(question.x.count, question.y.count, _MOST_COLUMNS, _MOST_POINTS)
+    return question, parts_of(question.x.count, question.y.count, _MAX_COLUMNS, _MAX_TILE_POINTS)
 
 
 @lru_cache(maxsize=8)
 def _plane(text: str) -> tuple[Plane, NDArray[np.floating], NDArray[np.floating]]:
-    """The plane and the values of its numbers."""
-    question = _asked(text)[0]
+    """Return the plane and the values of its numbers."""
+    question = _parsed(text)[0]
     return question.plane(), question.x.values, question.y.values
 
 
 class Maps:
-    """See Kind: `multiplier_max` and `error_estimate` of a rectangle, shape (rows, columns), and how they were had."""
+    """Kind of study: `multiplier_max`, `error_estimate`, shape (rows, columns), and points by method of a rectangle."""
 
     uses_threads = True
 
     def tiles(self, text: str) -> int:
-        """See Kind."""
-        return len(_asked(text)[1])
+        """Return the number of tiles; see Kind."""
+        return len(_parsed(text)[1])
 
     def part(self, text: str, tile: int) -> None:
-        """See Kind: a tile's number says it."""
+        """Return None: the tile's number is sufficient; see Kind."""
 
     def warm_up(self, text: str) -> None:
-        """See Kind."""
-        compile_maps(_asked(text)[0])
+        """Compile the code of maps; see Kind."""
+        compile_maps(_parsed(text)[0])
 
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """See Kind."""
-        rows, columns = _asked(text)[1][tile]
+        """Compute one rectangle; see Kind."""
+        rows, columns = _parsed(text)[1][tile]
         plane, x, y = _plane(text)
-        accuracy = _asked(text)[0].accuracy
+        accuracy = _parsed(text)[0].accuracy
         found = plane_map(plane, x[columns], y[rows], accuracy, threads=threads)
         return {
             "multiplier_max": found.multiplier_max,
@@ -84,13 +84,13 @@ class Maps:
 
 
 def assembled(folder: TileFolder) -> tuple[MapQuestion, StabilityMap]:
-    """The whole map of a folder that has every tile.
+    """Assemble the map of a folder with all tiles.
 
     Raises:
         FolderFault: a tile is damaged or missing.
     """
     text = folder.study.text
-    question, parts = _asked(text)
+    question, parts = _parsed(text)
     plane, x, y = _plane(text)
     found, errors = np.empty((len(y), len(x))), np.empty((len(y), len(x)))
     counts = np.zeros(3, int)

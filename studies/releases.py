@@ -1,5 +1,5 @@
 # pyright: strict
-"""What releases come to over two numbers of a rig, a few points to a tile."""
+"""End states of releases over two numbers of a rig; a tile contains a few points."""
 
 from __future__ import annotations
 
@@ -19,52 +19,54 @@ from studies.errors import StudyInputError
 from studies.study import Answer, Study
 from studies.tile_files import TileFolder
 
-_POINTS = 24  # of a tile: a second or two
-_LARGEST = 10_000_000  # points of a map
-_MOST_LISTED = 10_000  # points of a refined grid in one study, whose question lists them
+_TILE_POINTS = 24  # one or two seconds of computing time
+_MAX_MAP_POINTS = 10_000_000
+_MAX_LISTED = 10_000  # points of a refined grid in one study, whose question contains their indices
 
 
 def release_study(question: MapQuestion) -> Study:
-    """The study that follows the releases of a map's whole grid.
+    """Return the study of the releases of a map's whole grid.
 
     Raises:
-        StudyInputError: more points than can be put together.
+        StudyInputError: the map has too many points for the memory.
     """
-    if question.x.count * question.y.count > _LARGEST:
+    if question.x.count * question.y.count > _MAX_MAP_POINTS:
         raise StudyInputError(
-            f"a map of releases has at most {_LARGEST:.0e} points, asked {question.x.count} × {question.y.count}; ask "
-            "for fewer, or for parts of the plane"
+            f"a map of releases has at most {_MAX_MAP_POINTS:.0e} points, got {question.x.count} × "
+            f"{question.y.count}; compute fewer, or parts of the plane"
         )
     return Study.of("releases", _question_of(replace(question, refine=0)) | {"at": None})
 
 
 def listed_study(question: MapQuestion, columns: Indices, rows: Indices) -> Study:
-    """The study that follows the releases of some points of a question's finest grid.
+    """Return the study of the releases of some points of a question's finest grid.
 
     Args:
-        columns, rows: of the points, at most 10 000.
+        question: question with the grid.
+        columns, rows: indices of the points, at most 10 000.
     """
     number = len(question.fine[0].values)
     at: list[int] = (np.asarray(rows, np.int64) * number + columns).tolist()
     return Study.of("releases", _question_of(question) | {"at": at})
 
 
-def refined(question: MapQuestion, worked_out: Callable[[Study], TileFolder]) -> tuple[StateMap, list[Study]]:
-    """A map refined where the state changes, point list by point list.
+def refined(question: MapQuestion, run: Callable[[Study], TileFolder]) -> tuple[StateMap, list[Study]]:
+    """Compute a map that is refined where the state changes, in lists of points.
 
     Args:
-        worked_out: works a study out; what is there already is not worked out again.
+        question: question with the grid.
+        run: runs a study; finished tiles are not computed again.
     Returns:
-        The map, and the studies whose tiles it is made of.
+        The map, and the studies whose tiles it consists of.
     """
     studies = list[Study]()
 
     def states(columns: Indices, rows: Indices) -> dict[str, NDArray[np.float64]]:
         tiles = list[Answer]()
-        for first in range(0, len(rows), _MOST_LISTED):
-            part = slice(first, first + _MOST_LISTED)
+        for first in range(0, len(rows), _MAX_LISTED):
+            part = slice(first, first + _MAX_LISTED)
             studies.append(listed_study(question, columns[part], rows[part]))
-            folder = worked_out(studies[-1])
+            folder = run(studies[-1])
             tiles += [folder.read(tile) for tile in range(studies[-1].tiles)]
         return {name: np.concatenate([tile[name] for tile in tiles]) for name in ARRAYS}
 
@@ -76,50 +78,51 @@ def _question_of(question: MapQuestion) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=8)
-def _asked(text: str) -> tuple[MapQuestion, list[int] | None]:
-    asked = json.loads(text)
-    return MapQuestion.of_json(asked["map"]), asked["at"]
+def _parsed(text: str) -> tuple[MapQuestion, list[int] | None]:
+    table = json.loads(text)
+    return MapQuestion.of_json(table["map"]), table["at"]
 
 
 @lru_cache(maxsize=8)
 def _points(text: str) -> tuple[Plane, NDArray[np.float64], NDArray[np.float64]]:
-    """The plane and its points, row by row or as they are listed."""
-    question, at = _asked(text)
+    """Return the plane and its points, row by row or as listed."""
+    question, at = _parsed(text)
     axes = (question.x, question.y) if at is None else question.fine
     x, y = (each.ravel() for each in np.meshgrid(*(axis.values for axis in axes)))
     return (question.plane(), x, y) if at is None else (question.plane(), x[at], y[at])
 
 
 class Releases:
-    """See Kind: the arrays of `analysis.maps.states.states_at`, shape (points,)."""
+    """Kind of study: arrays of `analysis.maps.states.states_at`, shape (points,)."""
 
     uses_threads = True
 
     def tiles(self, text: str) -> int:
-        """See Kind."""
-        question, at = _asked(text)
-        return -(-(question.x.count * question.y.count if at is None else len(at)) // _POINTS)
+        """Return the number of tiles; see Kind."""
+        question, at = _parsed(text)
+        return -(-(question.x.count * question.y.count if at is None else len(at)) // _TILE_POINTS)
 
     def part(self, text: str, tile: int) -> None:
-        """See Kind: a tile's number says it."""
+        """Return None: the tile's number is sufficient; see Kind."""
 
     def warm_up(self, text: str) -> None:
-        """See Kind."""
+        """Compile the code of releases; see Kind."""
         plane, x, y = _points(text)
         states_at(plane, x[:1], y[:1], 1.0, 1)
 
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """See Kind."""
+        """Compute the releases of one tile; see Kind."""
         plane, x, y = _points(text)
-        part = slice(tile * _POINTS, (tile + 1) * _POINTS)
-        return dict(states_at(plane, x[part], y[part], _asked(text)[0].seconds, threads))
+        part = slice(tile * _TILE_POINTS, (tile + 1) * _TILE_POINTS)
+        return dict(states_at(plane, x[part], y[part], _parsed(text)[0].seconds, threads))
 
 
 def assembled(folder: TileFolder, question: MapQuestion) -> StateMap:
-    """The whole map of a folder that has every tile.
+    """Assemble the map of a folder with all tiles.
 
     Args:
-        question: as it was asked, borders and quantity included.
+        folder: folder with all tiles.
+        question: complete question, borders and quantity included.
     Raises:
         FolderFault: a tile is damaged or missing.
     """

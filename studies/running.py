@@ -1,5 +1,5 @@
 # pyright: strict
-"""Work a study out: what its folder lacks, by an engine, each tile kept as it comes."""
+"""Execution of a study: an engine computes the tiles that are missing in a folder, and each is stored at once."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from studies.study import Study
 from studies.tile_files import TileFolder
 
 Progress = Callable[[int, int], None]
-"""Called with tiles done and tiles in all."""
+"""Called with the number of finished tiles and of all tiles."""
 
 
 class Engine(AbstractContextManager["Engine"], Protocol):
-    """Works tiles out; used in a `with` statement."""
+    """Computes tiles; used in a `with` statement."""
 
     name: str
 
     def __enter__(self) -> Self: ...
 
     def answers(self, study: Study, tiles: list[int]) -> Iterator[tuple[int, bytes]]:
-        """Tiles with the contents of their files, in the order in which they are done.
+        """Yield tiles with the contents of their files, in the order of completion.
 
         Raises:
-            EngineLost: nobody works any more.
-            TileFailed: a tile cannot be worked out.
-            OtherSoftware: a worker's sources are others.
+            EngineLost: no worker is available any more.
+            TileFailed: a tile cannot be computed.
+            OtherSoftware: a worker has other sources.
         """
         ...
 
 
 class Lent:
-    """An engine for several studies, begun and ended by whoever lends it."""
+    """An engine for several studies; its owner enters and exits it."""
 
     def __init__(self, engine: Engine) -> None:
         self.name, self._engine = engine.name, engine
@@ -42,35 +42,39 @@ class Lent:
         return self
 
     def __exit__(self, *ending: object) -> None:
-        """It goes on."""
+        """Do nothing: the owner exits the engine."""
 
     def answers(self, study: Study, tiles: list[int]) -> Iterator[tuple[int, bytes]]:
-        """See Engine."""
+        """Compute tiles; see Engine."""
         return self._engine.answers(study, tiles)
 
 
 def run_study(folder: TileFolder, engine: Engine, progress: Progress | None = None) -> int:
-    """Work out every tile that the folder does not have.
+    """Compute every tile that is missing in the folder.
 
-    Whatever ends it early, each tile that was done is in the folder, and the next call goes on from there.
+    If it ends early for any reason, the folder contains each finished tile, and the next call continues there.
 
+    Args:
+        folder: folder of the study.
+        engine: engine that computes the tiles.
+        progress: called with (finished tiles, all tiles).
     Returns:
-        How many tiles were there already.
+        Number of tiles that already existed.
     Raises:
         StudyError: see studies.errors.
     """
     study, there = folder.study, folder.finished()
-    done, tell = len(there), progress or _tell_nobody
-    tell(done, study.tiles)
+    done, notify = len(there), progress or _ignore
+    notify(done, study.tiles)
     left = [tile for tile in range(study.tiles) if tile not in there]
     if left:
         with engine:
             for tile, content in engine.answers(study, left):
                 folder.keep(tile, content)
                 done += 1
-                tell(done, study.tiles)
+                notify(done, study.tiles)
     return len(there)
 
 
-def _tell_nobody(done: int, total: int) -> None:
+def _ignore(done: int, total: int) -> None:
     del done, total

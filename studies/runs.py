@@ -1,4 +1,4 @@
-"""Runs of logs for the commands, their verdicts, and those kept beside them."""
+"""Runs of logs for the commands, their validation, and storage of the verdicts."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def load_runs(logs: Sequence[str | Path]) -> list[Run]:
-    """Runs of several logs, each with its file's digest in its metadata."""
+    """Load the runs of several logs, each with its file's digest in its metadata."""
     return [_with_digest(load_run(path), Path(path)) for path in logs]
 
 
@@ -31,18 +31,21 @@ def validated(
     runs: Sequence[Run],
     rig: Rig,
     known: IdentifiedParameters,
-    tell: Callable[[str], None],
+    notify: Callable[[str], None],
     axis_angle_deg: tuple[float, float] | None = None,
     set_by_hand: Collection[str] = (),
 ) -> Validation:
-    """Points against the model; releases and further run-ups too, where the rig file asks for them.
+    """Validate points, and releases and further run-ups if the rig file requests them.
 
     Args:
-        tell: takes a sentence on what is being done.
-        axis_angle_deg: in place of the identified one, with its standard uncertainty.
-        set_by_hand: parameters that a what-if has set: no run can have identified them.
+        runs: loaded runs.
+        rig: rig file.
+        known: identified parameters.
+        notify: called with a sentence on the current work.
+        axis_angle_deg: replaces the identified angle, with its standard uncertainty.
+        set_by_hand: parameters set by a what-if, which no run has identified.
     Returns:
-        Releases that the model does not follow, and run-ups that show nothing, are among its warnings.
+        Its warnings include releases that deviate from the model, and run-ups that were not compared.
     """
     from analysis.validation import validate  # noqa: PLC0415 (scipy takes a second to import)
 
@@ -50,8 +53,8 @@ def validated(
         return validate(runs, rig, known, axis_angle_deg)
     from identification.release_check import check_releases, check_run_ups  # noqa: PLC0415 (numba takes seconds)
 
-    releases = check_releases(runs, rig, known, tell, set_by_hand)
-    run_ups = check_run_ups(runs, rig, known, tell)
+    releases = check_releases(runs, rig, known, notify, set_by_hand)
+    run_ups = check_run_ups(runs, rig, known, notify)
     found = validate(runs, rig, known, axis_angle_deg, [*releases, *run_ups])
     left_out = [f"release at {each.point}: {each.sentence}" for each in releases if not each.followed]
     left_out += [f"{each.point} not compared: {each.sentence}" for each in run_ups if not each.rows]
@@ -59,19 +62,21 @@ def validated(
 
 
 def keep_verdicts(found: Validation, runs: Sequence[Run], parameters: str) -> list[str]:
-    """Keep each point's verdict beside the log it was found in, for `rig logs`; returns what could not be kept.
+    """Store each point's verdict next to its log, for `rig logs`; return errors in words.
 
     Args:
-        parameters: which parameter set the model had.
+        found: validation.
+        runs: validated runs.
+        parameters: parameter set of the model.
     """
     from analysis.start_ups import START_UPS  # noqa: PLC0415 (scipy takes a second to import)
 
     digests = {run.source: str(run.metadata["digest"]) for run in runs}
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    faults = []
+    faults: list[str] = []
     repeated = [(START_UPS, each) for series in found.start_ups for each in series.results]
     for name, point in [*found.points.items(), *repeated]:
-        if point.source not in digests:  # the point has no log: nothing to keep it beside
+        if point.source not in digests:  # the point has no log
             continue
         verdict = Verdict(
             verdict=point.verdict,

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What is asked of a study, and the digest by which its tiles are known."""
+"""Question of a study, and the digest that identifies its tiles."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from studies.errors import StudyInputError
 
 Answer = dict[str, NDArray[Any]]
-"""What one tile found: arrays by name."""
+"""Result of one tile: arrays by name."""
 
 _KINDS = {
     "basins": "studies.basins",
@@ -34,44 +34,44 @@ _SOURCES = ("dynamics", "uncertainty", "rig_configs", "daq", "identification", "
 class Kind(Protocol):
     """A kind of study: a module's `KIND`.
 
-    A tile's answer follows from the question and the tile's number alone: the same bytes on any machine of one kind,
-    in any order, however many threads there are.
+    A tile's answer depends on the question and the tile's number only: the same bytes on all machines of one kind, in
+    any order, with any number of threads.
     """
 
     uses_threads: bool
-    """Whether its tiles run beside each other in the threads of one process."""
+    """Whether its tiles may run concurrently in the threads of one process."""
 
     def tiles(self, text: str) -> int:
-        """How many there are."""
+        """Return the number of tiles."""
         ...
 
     def part(self, text: str, tile: int) -> str | None:
-        """All of the question that decides one tile's answer: other questions with this part have the tile in common.
+        """Return the part of the question that determines one tile's answer; tiles with equal parts are shared.
 
-        None: the whole question, of which the tile has its number.
+        None: the whole question and the tile's number.
         """
         ...
 
     def warm_up(self, text: str) -> None:
-        """Import and compile what a tile needs."""
+        """Import and compile the code of a tile."""
         ...
 
     def answer(self, text: str, tile: int, threads: int) -> Answer:
-        """Work one tile out.
+        """Compute one tile.
 
         Args:
-            text: the question as JSON.
-            tile: 0 … tiles − 1.
-            threads: that it may use.
+            text: question as JSON.
+            tile: number of the tile, 0 … tiles − 1.
+            threads: number of threads that it may use.
         """
         ...
 
 
 def kind_named(name: str) -> Kind:
-    """A kind of study by its name.
+    """Return a kind of study by name.
 
     Raises:
-        StudyInputError: there is no such kind.
+        StudyInputError: the kind does not exist.
     """
     if name not in _KINDS:
         raise StudyInputError(f"no kind of study {name!r}; known: {', '.join(sorted(_KINDS))}")
@@ -80,12 +80,12 @@ def kind_named(name: str) -> Kind:
 
 @dataclass(frozen=True)
 class Study:
-    """What is asked.
+    """A question in tiles.
 
     Attributes:
-        kind: name of a kind of study.
-        text: the question as JSON, all that decides the answer but the software.
-        software: digest of the sources that are to answer it.
+        kind: name of the kind of study.
+        text: question as JSON; it determines the answer together with the software.
+        software: digest of the sources.
     """
 
     kind: str
@@ -94,25 +94,26 @@ class Study:
 
     @classmethod
     def of(cls, kind: str, question: Mapping[str, Any]) -> Study:
-        """A study by the sources that run here.
+        """Return a study with the sources of this process.
 
         Args:
-            question: what JSON can hold; numbers finite.
+            kind: name of the kind of study.
+            question: JSON values with finite numbers.
         """
         return cls(kind, cls.question(question), software_digest())
 
     @classmethod
     def question(cls, question: Mapping[str, Any]) -> str:
-        """A question as the one text that stands for it."""
+        """Return the canonical text of a question."""
         return json.dumps(question, sort_keys=True, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
 
     @cached_property
     def digest(self) -> str:
-        """Twenty hexadecimal digits that change with anything that could change an answer."""
+        """Twenty hexadecimal digits that depend on everything that could change an answer."""
         return self._digest_of(self.text)
 
     def name_of(self, tile: int) -> str:
-        """A tile's name: with the same name the same answer."""
+        """Return a tile's name; equal names have equal answers."""
         part = kind_named(self.kind).part(self.text, tile)
         return f"{self.digest}-{tile:06d}" if part is None else self._digest_of(part)
 
@@ -122,13 +123,13 @@ class Study:
 
     @cached_property
     def tiles(self) -> int:
-        """How many parts it has."""
+        """Number of tiles."""
         return kind_named(self.kind).tiles(self.text)
 
 
 @lru_cache(maxsize=1)
 def software_digest() -> str:
-    """Sixteen hexadecimal digits that change with any source a tile's answer can depend on."""
+    """Return sixteen hexadecimal digits that depend on all sources that can change a tile's answer."""
     root, found = Path(__file__).parents[1], hashlib.sha256()
     for package in _SOURCES:
         for path in sorted((root / package).rglob("*.py")):

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Finished tiles on the disk: one file each, whole or not there, named by the digest of what was asked."""
+"""Finished tiles on disk: one file each, complete or absent, named by the digest of the question."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ import numpy as np
 from studies.errors import FolderFault
 from studies.study import Answer, Study
 
-_SEAL = 64  # hexadecimal digits of a SHA-256
+_SEAL_DIGITS = 64  # hexadecimal digits of a SHA-256
 
 
 def packed(answer: Answer) -> bytes:
-    """A tile's arrays as the bytes of its file, an .npz: the same arrays give the same bytes.
+    """Return a tile's arrays as the bytes of an .npz file; equal arrays yield equal bytes.
 
-    The archive's comment is the SHA-256 of all before it: what is damaged anywhere is found, its directory included.
+    The archive's comment is the SHA-256 of everything before it, so that all damage is found, also in its directory.
     """
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
@@ -31,28 +31,28 @@ def packed(answer: Answer) -> bytes:
             np.lib.format.write_array(content, np.asanyarray(values), allow_pickle=False)
             archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getvalue(), zipfile.ZIP_DEFLATED)
     whole = stream.getvalue()  # it ends with the length of its comment, 0
-    return whole[:-2] + _SEAL.to_bytes(2, "little") + hashlib.sha256(whole).hexdigest().encode()
+    return whole[:-2] + _SEAL_DIGITS.to_bytes(2, "little") + hashlib.sha256(whole).hexdigest().encode()
 
 
 def _need_whole(content: bytes) -> None:
-    """Whether a file's content is what was written.
+    """Check that a file's content is as written.
 
     Raises:
-        ValueError: it is not.
+        ValueError: the checksum differs.
     """
-    whole = content[: -_SEAL - 2] + b"\0\0"
-    if hashlib.sha256(whole).hexdigest().encode() != content[-_SEAL:]:
-        raise ValueError("its checksum is another")
+    whole = content[: -_SEAL_DIGITS - 2] + b"\0\0"
+    if hashlib.sha256(whole).hexdigest().encode() != content[-_SEAL_DIGITS:]:
+        raise ValueError("its checksum differs")
 
 
 class TileFolder:
     """A folder with the finished tiles of one study, or of several.
 
     Args:
-        path: made where it is missing.
-        study: whose tiles are read and written.
+        path: folder; created if missing.
+        study: study of the tiles.
     Raises:
-        FolderFault: it cannot be made or written to.
+        FolderFault: the folder cannot be created or written to.
     """
 
     def __init__(self, path: Path, study: Study) -> None:
@@ -62,7 +62,7 @@ class TileFolder:
             self._write(f"{study.digest}.json", study.text.encode())
 
     def finished(self) -> set[int]:
-        """Numbers of the tiles that are there."""
+        """Return the numbers of the finished tiles."""
         with self._faults():
             there = frozenset(os.listdir(self.path))
         return {tile for tile in range(self.study.tiles) if self._name(tile) in there}
@@ -71,16 +71,16 @@ class TileFolder:
         """Write a tile's file.
 
         Raises:
-            FolderFault: the disk is full, or gone.
+            FolderFault: the disk is full or not available.
         """
         with self._faults():
             self._write(self._name(tile), content)
 
     def read(self, tile: int) -> Answer:
-        """A finished tile's arrays.
+        """Return a finished tile's arrays.
 
         Raises:
-            FolderFault: the file is not there or is damaged; it says what to do.
+            FolderFault: the file is missing or damaged; the text contains what to do.
         """
         path = self.path / self._name(tile)
         try:
@@ -96,11 +96,11 @@ class TileFolder:
         except (OSError, ValueError, zipfile.BadZipFile) as fault:
             raise FolderFault(
                 f"{path}: expected a finished tile, it cannot be read ({fault}); delete it and give the same command "
-                "again: this tile alone is worked out anew"
+                "again: only this tile is computed again"
             ) from fault
 
     def forget(self) -> None:
-        """Remove the tiles, and the folder when nothing else is in it."""
+        """Remove the tiles, and the folder if it is empty then."""
         with self._faults():
             for tile in self.finished():
                 (self.path / self._name(tile)).unlink(missing_ok=True)
@@ -131,5 +131,5 @@ class TileFolder:
         except OSError as fault:
             raise FolderFault(
                 f"{self.path}: a finished tile cannot be kept ({fault.strerror or fault}); make room or choose another "
-                "folder, and give the same command again: what is there is not worked out anew"
+                "folder, and give the same command again: finished tiles are not computed again"
             ) from fault

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A grid cut into nearly equal rectangles: the same ones wherever it is cut."""
+"""Reproducible division of a grid into nearly equal rectangles."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ Part = tuple[slice, slice]
 """Rows and columns of a grid."""
 
 
-def parts_of(columns: int, rows: int, widest: int, most: int) -> list[Part]:
-    """The rectangles of a grid, row by row.
+def parts_of(columns: int, rows: int, max_columns: int, max_points: int) -> list[Part]:
+    """Return the rectangles of a grid, row by row.
 
     Args:
         columns, rows: points of the grid.
-        widest: columns of a rectangle, at most.
-        most: points of a rectangle, about, at most.
+        max_columns: largest number of columns of a rectangle.
+        max_points: approximate largest number of points of a rectangle.
     """
-    across = _cuts(columns, -(-columns // widest))
+    across = _cuts(columns, -(-columns // max_columns))
     wide = max(part.stop - part.start for part in across)
-    up = _cuts(rows, min(rows, -(-rows * wide // most)))
+    up = _cuts(rows, min(rows, -(-rows * wide // max_points)))
     return [(some_rows, some_columns) for some_rows in up for some_columns in across]
 
 
 def _cuts(count: int, parts: int) -> list[slice]:
-    """Nearly equal parts."""
+    """Divide a range into nearly equal parts."""
     return [slice(a, b) for a, b in pairwise(count * i // parts for i in range(parts + 1))]

@@ -1,8 +1,8 @@
 # pyright: strict
-"""What a worker does: compile once, then work tiles out.
+"""Work of a worker: compile once, then compute tiles.
 
-Compiled code is kept in one folder per host (dynamics.compiled_code). Where many workers begin at once on a host with
-nothing compiled, one compiles and the others wait for it, by a lock that ends with the process that holds it.
+Compiled code is stored in one folder per host (dynamics.compiled_code). If many workers start at once on a host without
+compiled code, one compiles and the others wait, by a lock that ends with the process that holds it.
 """
 
 from __future__ import annotations
@@ -21,34 +21,34 @@ from studies.errors import OtherSoftware
 from studies.study import kind_named, software_digest
 from studies.tile_files import packed
 
-_LONGEST_COMPILATION_S = 600.0
+_COMPILATION_TIMEOUT_S = 600.0
 _warm: set[tuple[str, str]] = set()
 _warming = threading.Lock()
 
 
 def answer_tile(kind: str, text: str, software: str, tile: int, threads: int = 1) -> bytes:
-    """Work one tile out.
+    """Compute one tile.
 
     Args:
-        kind, text, software: the study's.
-        tile: its number.
-        threads: that it may use.
+        kind, text, software: fields of the study.
+        tile: number of the tile.
+        threads: number of threads that it may use.
     Returns:
         The content of its file.
     Raises:
-        OtherSoftware: this worker's sources are not those of the one who asks.
+        OtherSoftware: this worker has other sources than the process that started the study.
     """
     warm_up(kind, text, software)
     return packed(kind_named(kind).answer(text, tile, threads))
 
 
 def warm_up(kind: str, text: str, software: str) -> None:
-    """Import and compile what the tiles of a study need, once in a process and one process of a host at a time."""
+    """Import and compile the code of a study's tiles, once per process and by one process of a host at a time."""
     own = software_digest()
     with _warming:
         if own != software:
             raise OtherSoftware(
-                f"worker {os.getpid()} on {platform.node()}: expected the sources {software} of whoever asks, it runs "
+                f"worker {os.getpid()} on {platform.node()}: expected the sources {software} of the study, it runs "
                 f"{own}; install the same version on all hosts and start the workers again"
             )
         if (kind, text) in _warm:
@@ -61,14 +61,14 @@ def warm_up(kind: str, text: str, software: str) -> None:
 
 @contextlib.contextmanager
 def _alone(place: Path) -> Generator[None]:
-    """Hold a folder against other processes of this host that want to compile into it.
+    """Lock a folder against other processes of this host that compile into it.
 
-    A database's lock is had on all systems and falls with its process. A folder that cannot hold one is used unheld:
-    each process then compiles for itself.
+    The lock of a database works on all systems and ends with its process. If a folder does not support it, no lock is
+    used, and each process compiles for itself.
     """
     try:
         lock = sqlite3.connect(
-            place / f"compiling-{source_digest()}.lock", timeout=_LONGEST_COMPILATION_S, isolation_level=None
+            place / f"compiling-{source_digest()}.lock", timeout=_COMPILATION_TIMEOUT_S, isolation_level=None
         )
     except (sqlite3.Error, OSError):
         yield

@@ -1,1 +1,1 @@
-"""Figures: drawn as SVG text for the report, small enough to print and alike in look."""
+"""Figures as SVG text for the report and as files, in one common style."""

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Two runs over each other in time: by what happened in both, not by when their logs began."""
+"""Alignment of two runs in time by common events instead of the starts of their logs."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from daq.signals.run import Run
 
 Array = NDArray[np.float64]
 
-_SMOOTH_S = 5e-3  # far below a swing of the column, far above a sample of a laser
-_SEEN = 30.0  # times its noise, the deflection of something that was plucked
+_SMOOTH_S = 5e-3  # much shorter than a swing of the column, much longer than a laser's sample interval
+_MIN_PLUCK_NOISE = 30.0  # deflection of a pluck over the noise
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """How a second run lies over a first.
+    """Position of a second run relative to a first.
 
     Attributes:
-        shift_s: to be added to the second run's times.
-        words: what coincides, a sentence.
+        shift_s: time to be added to the second run's times.
+        words: sentence about the common event.
     """
 
     shift_s: float
@@ -32,10 +32,11 @@ class Alignment:
 
 
 def aligned(run: Run, over: Run, name: str) -> Alignment:
-    """The second run's shift: releases coincide, else first motor commands, else plucks, else the logs' starts.
+    """Return the second run's shift: releases coincide, else first motor commands, else plucks, else the logs' starts.
 
     Args:
-        name: of the second run, for the sentence.
+        run, over: first and second run.
+        name: name of the second run for the sentence.
     """
     for (what, own), (_, other) in zip(_events(run), _events(over), strict=True):
         if math.isfinite(own) and math.isfinite(other):
@@ -46,7 +47,7 @@ def aligned(run: Run, over: Run, name: str) -> Alignment:
 
 
 def _events(run: Run) -> tuple[tuple[str, float], ...]:
-    """What may coincide, the best first, and when it happened, s since the run's start; nan: it did not."""
+    """Return possible common events, the best first, with their times, s since the run's start; NaN if missing."""
     return (
         ("first releases", _release_s(run)),
         ("first motor commands", run.motor_start_s),
@@ -63,9 +64,9 @@ def _release_s(run: Run) -> float:
 
 
 def _pluck_s(run: Run) -> float:
-    """When the standing rotor first swung through rest after its largest deflection; nan: it was not plucked.
+    """Return the time of the standing rotor's first swing through rest after its largest deflection; NaN if none.
 
-    That is the first swing after it was let go, however long it was held.
+    This is the first swing after the rotor was released, independent of how long it was held.
     """
     there = displacements(run)
     if len(run.mark_time_s) >= LEAST_MARKS or not there:
@@ -81,7 +82,7 @@ def _pluck_s(run: Run) -> float:
     noise = float(np.median(np.abs(np.diff(values, 3)))) / 0.6745 / math.sqrt(20) / math.sqrt(width)
     largest = int(np.argmax(np.abs(smooth)))
     across = np.flatnonzero(smooth[largest:] * smooth[largest] < 0)
-    if not len(across) or abs(smooth[largest]) < _SEEN * noise:
+    if not len(across) or abs(smooth[largest]) < _MIN_PLUCK_NOISE * noise:
         return math.nan
     before, after = largest + int(across[0]) - 1, largest + int(across[0])
     share = abs(smooth[before]) / (abs(smooth[before]) + abs(smooth[after]))

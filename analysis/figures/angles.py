@@ -1,5 +1,5 @@
 # pyright: strict
-"""Pendulum angles for figures: both unwrapped alike, so that the end lies within 0…360°."""
+"""Pendulum angles for figures: both unwrapped, with the end within 0…360°."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ ANGLE_FOOT = (
     "end within 0…360°."
 )
 _END_S = 1.0
-_BESIDE_ZERO_DEG = 5.0  # an angle that ends a little below 0° is drawn there, not at 355°
+_NEAR_ZERO_DEG = 5.0  # an angle that ends slightly below 0° is drawn there, not at 355°
 
 
 def whole_turns(time_s: Array, angle_rad: Array) -> Array:
-    """Whole turns to take off θ3 and θ4 so that their ends lie within 0…360°, rad, shape (2,); 0 without samples."""
+    """Return whole turns to subtract so that the ends of θ3 and θ4 lie within 0…360°, rad, (2,); 0 without samples."""
     found = np.zeros(2)
     for j in range(2):
         good = np.isfinite(angle_rad[:, j])
         if good.any():
             late: NDArray[np.bool_] = good & (time_s >= time_s[good][-1] - _END_S)
             end = math.degrees(float(np.mean(np.asarray(angle_rad[late, j], np.float64))))
-            found[j] = 2 * math.pi * math.floor((end + _BESIDE_ZERO_DEG) / 360.0)
+            found[j] = 2 * math.pi * math.floor((end + _NEAR_ZERO_DEG) / 360.0)
     return found
 
 
 def degree_ticks(low_deg: float, high_deg: float) -> tuple[Array, tuple[float, float]]:
-    """Ticks at 45°, 90°, 180° or whole turns, four to seven of them, and limits of the axis with a margin."""
+    """Return four to seven ticks at 45°, 90°, 180° or whole turns, and limits of the axis with a margin."""
     steps = np.array(
         [0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 45.0, 90.0, 180.0, 360.0, 720.0, 1800.0, 3600.0, 18000.0]
     )

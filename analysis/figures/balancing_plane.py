@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""The plane of the pendulums' first mass moments: what can be balanced, and rings of the centre of gravity in it."""
+"""Plane of the pendulums' first mass moments with its balancing regions, and rings of the centre of gravity in it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _GRAMS = 1e3
 
 
 def draw_regions(axes: Axes, imbalance_kg_m: float, upto_kg_m: float) -> None:
-    """Regions of the plane for one imbalance, their corners and the line of equal moments; axes in g m."""
+    """Draw the regions of the plane for one imbalance, their borders and the line of equal moments; axes in g m."""
     s, most = _GRAMS * imbalance_kg_m, _GRAMS * upto_kg_m
     corners = {
         UNDERSIZED: [[(0, 0), (s, 0), (0, s)]],
@@ -44,7 +44,7 @@ def draw_regions(axes: Axes, imbalance_kg_m: float, upto_kg_m: float) -> None:
 
 
 def name_corners(axes: Axes, imbalance_kg_m: float, upto_kg_m: float) -> None:
-    """The source's letters at the corners of its rectangle."""
+    """Write the source's letters at the corners of its rectangle."""
     s, most = _GRAMS * imbalance_kg_m, _GRAMS * upto_kg_m
     away = 0.03 * most
     for letter, x, y in (("A", 0, s), ("B", s, 0), ("C", most, most - s), ("D", most - s, most), ("O", 0, 0)):
@@ -53,11 +53,12 @@ def name_corners(axes: Axes, imbalance_kg_m: float, upto_kg_m: float) -> None:
 
 
 def draw_ring(axes: Axes, moments_kg_m: tuple[float, float, float], scale: float) -> None:
-    """A ring of the centre of gravity whose rotor axis stands at its set's place in the plane.
+    """Draw a ring of the centre of gravity whose rotor axis is at its moments' point of the plane.
 
     Args:
+        axes: plane in g m.
         moments_kg_m: S_A, S_B, S_P.
-        scale: g m of the plane for each g m of the ring: the ring is M_S times what the centre of gravity reaches.
+        scale: g m of the plane per g m of the ring; the ring is M_S times the positions of the centre of gravity.
     """
     a, b, s = (_GRAMS * moment for moment in moments_kg_m)
     holds = balancing_region(*moments_kg_m) == PROPERLY_OVERSIZED
@@ -72,13 +73,14 @@ def draw_ring(axes: Axes, moments_kg_m: tuple[float, float, float], scale: float
 def draw_balancing(
     physics: RotorParameters, title: str, std_kg_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Figure:
-    """A rig's place in the plane of first mass moments, and the ring its centre of gravity can reach.
+    """Draw a rig's point in the plane of first mass moments, and the ring of its centre of gravity.
 
     Args:
+        physics: parameters of the rig.
+        title: title of the figure.
         std_kg_m: standard uncertainties of S_A, S_B, S_P; crosses and bands show two of them.
     Returns:
-        Left: the plane with the rig's point. Right: the ring about the rotor axis, with the balanced pose where there
-        is one.
+        Left: the plane with the rig's point. Right: the ring about the rotor axis, with a balanced pose if one exists.
     """
     a, b = physics.a.first_moment_kg_m, physics.b.first_moment_kg_m
     s = physics.imbalance_moment_kg_m
@@ -87,7 +89,7 @@ def draw_balancing(
         left, right = figure.subplots(1, 2).tolist()
         draw_regions(left, s, upto)
         if std_kg_m[2] > 0:
-            _draw_doubt(left, s, std_kg_m[2], upto)
+            _draw_uncertainty(left, s, std_kg_m[2], upto)
         wide = [2 * _GRAMS * u for u in std_kg_m]
         left.errorbar(
             [_GRAMS * a],
@@ -111,7 +113,7 @@ def _foot(std_kg_m: tuple[float, float, float]) -> list[str]:
     return [about, *(["Crosses and dotted borders: ± 2 standard uncertainties."] if any(std_kg_m) else [])]
 
 
-def _draw_doubt(axes: Axes, s: float, std: float, upto: float) -> None:
+def _draw_uncertainty(axes: Axes, s: float, std: float, upto: float) -> None:
     most = _GRAMS * upto
     for value in (_GRAMS * (s - 2 * std), _GRAMS * (s + 2 * std)):
         axes.plot((0, value), (value, 0), color="black", lw=0.7, ls=":")
@@ -120,7 +122,7 @@ def _draw_doubt(axes: Axes, s: float, std: float, upto: float) -> None:
 
 
 def _draw_own_ring(axes: Axes, physics: RotorParameters) -> None:
-    """The ring in millimetres about the rotor axis; each pendulum's share of the centre of gravity head to tail."""
+    """Draw the ring in millimetres about the rotor axis, with both pendulums' contributions as connected vectors."""
     per = 1e3 / physics.total_mass_kg
     a, b, s = (
         per * m for m in (physics.a.first_moment_kg_m, physics.b.first_moment_kg_m, physics.imbalance_moment_kg_m)

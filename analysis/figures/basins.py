@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Basins: which stable motion each release of a grid ends in, and how long that takes."""
+"""Basins: end state of each release of a grid, and time until it is reached."""
 
 from __future__ import annotations
 
@@ -34,20 +34,21 @@ _LOCKS_DEG = (0.0, 180.0)
 
 
 def colour_of(end: End) -> str:
-    """Of an end: its type's, lighter for the second of two mirror images."""
+    """Return the colour of an end state: that of its type, lighter for the second of two mirror images."""
     own = _COLOURS.get(end.name, ("#999933", "#DDCC77"))
     return own[end.mirror % len(own)]
 
 
 def draw_basins(found: BasinMap, title: str, play_deg: float = 0.2) -> Figure:
-    """A figure of a basin map.
+    """Draw a basin map.
 
     Args:
-        title: stands above.
-        play_deg: of the locks, for the note on where the real release is.
+        found: basin map.
+        title: title of the figure.
+        play_deg: play of the locks, for the note on the real release.
     Returns:
-        Left: the end of each release over the angles at which the locks hold A and B, hatched at a boundary. Right: how
-        long it takes until the motion stays near that end.
+        Left: end state of each release over the lock angles of A and B, hatched at a boundary. Right: time until the
+        motion stays near that state.
     """
     with drawing(10.6, 5.9) as figure:
         grid = figure.add_gridspec(1, 2, left=0.065, right=0.945, top=0.88, bottom=0.27, wspace=0.2)
@@ -96,7 +97,7 @@ def _ends(axes: Axes, found: BasinMap) -> None:
 
 
 def _borders(x: Array, y: Array, end: NDArray[np.int64]) -> list[list[tuple[float, float]]]:
-    """Sides between cells that end differently."""
+    """Return the sides between cells with different end states."""
     across, up = _sides(x), _sides(y)
     lines = list[list[tuple[float, float]]]()
     for i, j in np.argwhere(end[:, 1:] != end[:, :-1]).tolist():
@@ -107,7 +108,7 @@ def _borders(x: Array, y: Array, end: NDArray[np.int64]) -> list[list[tuple[floa
 
 
 def cells_of(x: Array, y: Array, chosen: NDArray[np.bool_]) -> list[list[tuple[float, float]]]:
-    """Corners of the chosen cells; of a whole row of neighbours in one, so that the hatch runs through."""
+    """Return the corners of the chosen cells; neighbours in a row are merged so that the hatching is continuous."""
     across, up = _sides(x), _sides(y)
     found = list[list[tuple[float, float]]]()
     for i, row in enumerate(chosen):

@@ -30,26 +30,25 @@ from analysis.rig_model import RigModel
 from analysis.simulated_run import NOT_FOLLOWED
 from daq.signals.run import Run
 
-_HEADROOM = 1.35  # of the largest measured amplitude; a steady resonance may leave the plot
+_HEADROOM = 1.35  # upper limit over the largest measured amplitude; a steady resonance may exceed it
 
 
 def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
-    """Phase (above) and amplitude (below) of x (left) and y (right) over speed.
+    """Draw phase (above) and amplitude (below) of x (left) and y (right) over speed.
 
     Args:
-        run: a run-up or run-down.
-        model: its run with the same speed history is tracked in the same way; its steady response is drawn too.
-        over: another run, drawn over it.
+        run: run-up or run-down.
+        model: model; its simulation of the run is tracked in the same way, and its steady response is drawn too.
+        over: another run, drawn over the first.
     Raises:
+        NotEnoughData: the run stays at one speed, or has no index marks.
         NotEnoughData: a run that stays at one speed, or has no index marks.
     """
     own = passed_vectors(run, model)
     other = passed_vectors(over, None) if over is not None else None
     foot = [PHASE_FOOT]
     if own.steady:
-        foot.append(
-            "Steady response: what the model would show at rest at each speed; a run-up's peak is lower and late."
-        )
+        foot.append("Steady response: steady vibration of the model at each speed; a run-up's peak is lower and later.")
     if model is not None and not own.simulated:
         foot.append(NOT_FOLLOWED)
     tops = {name: _HEADROOM * float(np.max(np.abs(seen.amplitude_m))) for name, seen in own.measured.items()}
@@ -89,7 +88,7 @@ def _draw(upper: Axes, lower: Axes, found: Vectors, level: Vectors, look: Look, 
 
 
 def _degrees(panels: Sequence[Axes]) -> None:
-    """Ticks at multiples of 180°, 90° or 45°, by the widest range: one step, so that panels can be compared."""
+    """Set ticks at multiples of 180°, 90° or 45° by the widest range; equal steps make the panels comparable."""
     widest = max(high - low for low, high in (axes.get_ylim() for axes in panels))
     step = 180.0 if widest > 500 else 90.0 if widest > 150 else 45.0
     for axes in panels:

@@ -20,11 +20,13 @@ A_COLOUR, B_COLOUR = MEASURED, MODEL
 
 
 def draw_branches(found: SteadyBranches, name: str, title: str, *, logarithmic: bool = False) -> Figure:
-    """Amplitude and angles of the stable states over the number, the unstable ones thin, borders dashed.
+    """Draw amplitude and angles of the stable states over a number, unstable states thin, break points dashed.
 
     Args:
-        name: of the number, with its unit.
-        logarithmic: whether the number's axis is.
+        found: steady states.
+        name: name of the number with its unit.
+        title: title of the figure.
+        logarithmic: whether the number's axis is logarithmic.
     """
     with sheet(WIDTH_IN, 5.8, title) as figure:
         rows: list[Axes] = figure.subplots(2, 1, sharex=True).tolist()
@@ -40,11 +42,13 @@ def draw_branches(found: SteadyBranches, name: str, title: str, *, logarithmic: 
 
 
 def draw_amplitudes(axes: Axes, found: SteadyBranches, scale: float, *, unstable: bool = True) -> None:
-    """Amplitudes in mm.
+    """Draw amplitudes in mm.
 
     Args:
-        scale: of the number, for the axis.
-        unstable: whether those are drawn too, thin.
+        axes: axes over the number.
+        found: steady states.
+        scale: displayed value over value of the number.
+        unstable: whether unstable states are drawn too, thin.
     """
     if unstable:
         for b in found.branches:
@@ -57,7 +61,7 @@ def draw_amplitudes(axes: Axes, found: SteadyBranches, scale: float, *, unstable
 
 
 def draw_angles(axes: Axes, found: SteadyBranches, scale: float) -> None:
-    """Angles θ3 of A and θ4 of B in degrees, 0 … 360, of the stable states; of mirror images the other one thin."""
+    """Draw θ3 of A and θ4 of B in degrees, 0 … 360, of the stable states; second mirror images thin."""
     drawn = list[Branch]()
     for b in found.stable_branches():
         first = not any(_overlap(b, other) for other in drawn)
@@ -76,19 +80,19 @@ def draw_angles(axes: Axes, found: SteadyBranches, scale: float) -> None:
 
 
 def _overlap(one: Branch, other: Branch) -> bool:
-    """Whether two stable branches of one type lie over the same values: mirror images."""
+    """Whether two stable branches of one type overlap, as mirror images do."""
     least, most = max(one.values[0], other.values[0]), min(one.values[-1], other.values[-1])
     return one.type == other.type and bool(least < most)
 
 
 def wrapped_deg(angle_rad: Array) -> Array:
-    """Degrees in [0, 360), nan where the curve leaves one side for the other."""
+    """Return degrees in [0, 360), NaN where the curve crosses 0° or 360°."""
     degrees = np.degrees(angle_rad) % 360
     return np.where(np.abs(np.diff(degrees, prepend=degrees[:1])) > 180, np.nan, degrees)
 
 
 def mark_borders(rows: Sequence[Axes], found: SteadyBranches, scale: float) -> None:
-    """A dashed line at each break point, and the stable types' names above each stretch."""
+    """Draw a dashed line at each break point, and the stable types' names above each interval."""
     edges = [float(found.values[0]), *(b.value for b in found.break_points), float(found.values[-1])]
     types = [found.break_points[0].before, *(b.after for b in found.break_points)] if found.break_points else [()]
     for axes in rows:
@@ -113,5 +117,5 @@ def mark_borders(rows: Sequence[Axes], found: SteadyBranches, scale: float) -> N
 
 
 def stable_line(found: SteadyBranches, type_: str) -> Branch | None:
-    """The first stable branch of a type."""
+    """Return the first stable branch of a type."""
     return next((b for b in found.stable_branches() if b.type == type_), None)

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""The figure of `rig map --quantity coexisting`: which stable motions there are at every point."""
+"""Figure of `rig map --quantity coexisting`: the stable motions at every point."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ _KNOWN = {
 
 
 def draw_coexistence(found: CoexistenceMap, borders: Borders | None = None) -> tuple[Figure, Readout | None]:
-    """The figure of a map of coexisting motions, and what a page reads out under the pointer.
+    """Draw a map of coexisting motions, and return the values that a page displays at the pointer.
 
     Args:
-        borders: of the balanced state's stability, drawn over it.
+        found: map.
+        borders: borders of the balanced state's stability, drawn over the map.
     """
     question, rig = found.question, found.question.loaded()
     title = f"{rig.name}: which motions are stable{what_if(question)}"

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Pendulum dial: where the pendulums stand on the rotor, held, measured at the end and predicted."""
+"""Pendulum dial: angles of the pendulums on the rotor, held, measured at the end and predicted."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from daq.signals.run import Run
 
 Angles = tuple[float, float]
 
-_RADII = (1.0, 0.8)  # of A and B: they may stand on top of each other
+_RADII = (1.0, 0.8)  # of A and B: their angles may be equal
 _MARKERS = "os"
 _TIMES = 1.96
-_ROOM_IN = 0.2  # above and below the dial: the layout takes 90° and 270° for narrower than they are
+_PADDING_IN = 0.2  # above and below the dial: the layout underestimates the labels of 90° and 270°
 _OVER = "#009E73"
 
 
 @dataclass(frozen=True)
 class _Hands:
-    """θ3 and θ4 with 95 % half widths (nan: unknown), rad; what they are."""
+    """θ3 and θ4 with 95 % half widths (NaN: unknown), rad, and the state's name."""
 
     theta: Angles
     half_width: Angles
@@ -44,12 +44,12 @@ class _Hands:
 
 
 def draw_dial(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
-    """The rotor seen from above, imbalance to the right; beside it the angles as numbers.
+    """Draw the rotor from above, imbalance to the right, with the angles as numbers next to it.
 
     Args:
-        run: with pendulum angles; of one that ends in no steady state the last revolutions' mean is drawn, and said.
-        model: its stable steady state at the measured speed; with identified parameters its 95 % interval.
-        over: another run, its end drawn on the same rotor.
+        run: run with pendulum angles. If it has not settled, the mean of the last revolutions is drawn and labelled.
+        model: model; its stable steady state at the measured speed, with a 95 % interval for identified parameters.
+        over: another run whose end is drawn on the same rotor.
     Raises:
         NotEnoughData: no pendulum angles, or the rotor did not turn.
     """
@@ -63,7 +63,7 @@ def draw_dial(run: Run, model: RigModel | None = None, over: Run | None = None) 
     with sheet(7.2 + extra, 4.2, title, foot) as figure:
         engine = figure.get_layout_engine()
         assert isinstance(engine, ConstrainedLayoutEngine)
-        engine.set(h_pad=_ROOM_IN)
+        engine.set(h_pad=_PADDING_IN)
         grid = figure.add_gridspec(1, 2, width_ratios=(4.1, 3.1 + extra))
         axes = figure.add_subplot(grid[0], projection="polar")
         _rotor(axes)

@@ -1,4 +1,4 @@
-"""A fitted curve over its data, with what is left."""
+"""A fitted curve over its data, with the residuals."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.figures.style import GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline, pin, to_svg
 from daq.signals.run import point_of
 
-_FINE = 1e3  # a residual so much smaller than its curve is shown in thousandths of the unit
+Array = NDArray[np.float64]
+
+_FINE_RATIO = 1e3  # curve over residual above which the residual is shown in thousandths of the unit
 _SMALLER = {"mm": ("µm", 1e3), "°": ("m°", 1e3)}
 _TURN = {"°": 360.0}
 
@@ -21,18 +24,18 @@ class FitCurve:
     """One signal of one fit.
 
     Attributes:
-        title: what was fitted, for example "ring-down x".
-        time_s, measured, fitted: shape (n,); the values in `unit`; nan where nothing was measured.
+        title: title of the fit, for example "ring-down x".
+        time_s, measured, fitted: shape (n,); values in `unit`; NaN where nothing was measured.
         unit: unit of the values, for example "mm".
-        y_label: what the values are.
-        notes: a sentence for the caption.
-        aside: whether it belongs behind the main figures, as a release at a point does.
+        y_label: quantity of the values.
+        notes: sentence for the caption.
+        aside: whether the figure belongs to the appendix, as that of a release at a point.
     """
 
     title: str
-    time_s: np.ndarray
-    measured: np.ndarray
-    fitted: np.ndarray
+    time_s: Array
+    measured: Array
+    fitted: Array
     unit: str
     y_label: str
     notes: str = ""
@@ -40,54 +43,76 @@ class FitCurve:
 
     @property
     def residual_rms(self) -> float:
-        """Root mean square of measured − fitted, in `unit`; nan without a common sample."""
+        """Root mean square of measured − fitted, in `unit`; NaN without a common sample."""
         rest = self.measured - self.fitted
         rest = rest[np.isfinite(rest)]
         return float(np.sqrt(np.mean(rest**2))) if len(rest) else float("nan")
 
     @property
     def residual_unit(self) -> tuple[str, float]:
-        """The residual's unit, a thousand times smaller where the residual is, and its factor."""
+        """Unit of the residual (1/1000 of `unit` for small residuals) and the factor to it."""
         rest = np.abs(self.measured - self.fitted)
         if self.unit not in _SMALLER or not np.isfinite(rest).any():
             return self.unit, 1.0
         size, swing = float(np.nanmax(rest)), float(np.nanmax(np.abs(self.measured)))
-        return _SMALLER[self.unit] if size < 0.1 * max(1.0, swing / _FINE) and size < 0.1 else (self.unit, 1.0)
+        fine = size < 0.1 * max(1.0, swing / _FINE_RATIO) and size < 0.1
+        return _SMALLER[self.unit] if fine else (self.unit, 1.0)
 
 
 class Fitted(Protocol):
-    """A measured signal beside its fit, as identification gives it."""
+    """A measured signal with its fit, as returned by the identification."""
 
     @property
-    def label(self) -> str: ...  # noqa: D102
+    def label(self) -> str:
+        """Name of the signal."""
+        ...
+
     @property
-    def unit(self) -> str: ...  # noqa: D102
+    def unit(self) -> str:
+        """Unit of the values."""
+        ...
+
     @property
-    def time_s(self) -> np.ndarray: ...  # noqa: D102
+    def time_s(self) -> Array:
+        """Times, shape (n,), s."""
+        ...
+
     @property
-    def measured(self) -> np.ndarray: ...  # noqa: D102
+    def measured(self) -> Array:
+        """Measured values, shape (n,)."""
+        ...
+
     @property
-    def fitted(self) -> np.ndarray: ...  # noqa: D102
+    def fitted(self) -> Array:
+        """Fitted values, shape (n,)."""
+        ...
 
 
 class Fit(Protocol):
     """A fit with its signals."""
 
     @property
-    def curves(self) -> Sequence[Fitted]: ...  # noqa: D102
+    def curves(self) -> Sequence[Fitted]:
+        """Signals of the fit."""
+        ...
 
 
 class TestFit(Protocol):
     """The fit of one test, as in `Identification.fits`."""
 
     @property
-    def test(self) -> str: ...  # noqa: D102
+    def test(self) -> str:
+        """Name of the test."""
+        ...
+
     @property
-    def fit(self) -> Fit: ...  # noqa: D102
+    def fit(self) -> Fit:
+        """Fit of the test."""
+        ...
 
 
 def fit_curves(fits: Sequence[TestFit]) -> list[FitCurve]:
-    """The signals of all fits in the units that figures have: mm and degrees, angles ending in 0…360°.
+    """Convert the signals of all fits to the units of figures: mm and degrees, angles ending in 0…360°.
 
     Args:
         fits: `Identification.fits`; their curves in m and rad.
@@ -109,8 +134,8 @@ def fit_curves(fits: Sequence[TestFit]) -> list[FitCurve]:
     ]
 
 
-def _whole_turns(fitted: np.ndarray, unit: str) -> float:
-    """What is to be taken off for the last value to lie within a turn; 0 for what does not turn."""
+def _whole_turns(fitted: Array, unit: str) -> float:
+    """Return the whole turns to subtract so that the last value lies within one turn; 0 for other units."""
     last = fitted[np.isfinite(fitted)][-1:]
     return float(np.floor(last[0] / _TURN[unit]) * _TURN[unit]) if unit in _TURN and len(last) else 0.0
 
@@ -120,7 +145,7 @@ def _shown(unit: str) -> tuple[float, str, str]:
 
 
 def draw_fit(curve: FitCurve, name: str) -> str:
-    """SVG: the whole record and a stretch near its start, each with its residuals below."""
+    """Return an SVG of the whole record and an interval near its start, each with its residuals below."""
     time, (unit, scale) = np.asarray(curve.time_s, float), curve.residual_unit
     rest = scale * (curve.measured - curve.fitted)
     with drawing(8.6, 3.4) as figure:
@@ -143,13 +168,13 @@ def draw_fit(curve: FitCurve, name: str) -> str:
         return to_svg(figure, name, f"Measured and fitted curve of {curve.title} with residuals")
 
 
-def _crossings(fitted: np.ndarray) -> np.ndarray:
-    """Samples at which the fit passes its mean."""
+def _crossings(fitted: Array) -> NDArray[np.intp]:
+    """Return the samples at which the fit passes its mean."""
     swing = np.nan_to_num(fitted - np.nanmean(fitted))
     return np.flatnonzero(np.diff(np.signbit(swing)))
 
 
-def _stretch(samples: int, crossings: np.ndarray) -> int:
-    """How many samples hold about eight swings of the fit, or an eighth of the record."""
+def _stretch(samples: int, crossings: NDArray[np.intp]) -> int:
+    """Return the number of samples in about eight swings of the fit, or in an eighth of the record."""
     end = int(crossings[16]) if len(crossings) > 24 else samples // 8
     return min(max(end, 16), samples)

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Stream health of a log over time: rates, gaps, ages of the samples, losses counted, what waits for the disk."""
+"""Stream health of a log over time: rates, gaps, ages of samples, counted losses, backlog of the disk."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from daq.log.snapshot import rig_of
 
 Array = NDArray[np.float64]
 
-_MOST_BINS = 240
-_LEAST_BIN_S = 0.5
+_MAX_BINS = 240
+_MIN_BIN_S = 0.5
 _LOOKS: tuple[Look, ...] = (
     {"color": "#0072B2", "ls": "-"},
     {"color": "#D55E00", "ls": "--"},
@@ -37,19 +37,19 @@ _LOOKS: tuple[Look, ...] = (
     {"color": "#CC79A7", "ls": (0, (6, 1.5, 1, 1.5))},
     {"color": "#8C6D1F", "ls": (0, (1, 2.5))},
 )
-_LEAST_COUNT = 20
+_MIN_COUNT = 20
 _GAPS = ("gap", "damage", "silence")
 _UNUSABLE = ("invalid", "suspect")
 _FOOT = (
     "Rate: samples in each stretch over the stream's median stretch. Age: from a sample's own time on the common clock "
-    "until the host had it, largest of each stretch; a little below 0 while the clock map learns. Lost: counted while "
-    "recording."
+    "until the host had it, largest of each stretch; slightly below 0 until the clock map has settled. Lost: counted "
+    "while recording."
 )
 
 
 @dataclass
 class _Stream:
-    """One channel, bin by bin: samples, and their largest age in s (nan: none)."""
+    """One channel by bins: number of samples, and their largest age in s (NaN without samples)."""
 
     count: Array
     age_s: Array
@@ -57,7 +57,7 @@ class _Stream:
 
 @dataclass
 class _Gathered:
-    """A log's health, gathered stretch by stretch."""
+    """Health of a log, accumulated part by part."""
 
     edges_s: Array
     streams: dict[str, _Stream] = field(default_factory=dict[str, _Stream])
@@ -68,21 +68,21 @@ class _Gathered:
     device_of: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def channels(self, device: str) -> list[str]:
-        """What a device measures; empty where no role tells."""
+        """Return the channels of a device; empty if no role contains them."""
         return [topic for topic in self.streams if self.device_of.get(topic) == device]
 
     def name(self, device: str) -> str:
-        """A device by its channels, as they are called in the other panels."""
+        """Return the name of a device by its channels, as in the other panels."""
         return ", ".join(self.channels(device)) or device
 
     def look(self, device: str, spare: int) -> Look:
-        """That of its first channel; of a device without any, a `spare` beyond the channels'."""
+        """Return the style of the device's first channel; without one a style beyond those of the channels."""
         own = self.channels(device)
         at = list(self.streams).index(own[0]) if own else len(self.streams) + spare
         return _LOOKS[at % len(_LOOKS)]
 
     def add(self, part: Log, origin_ns: int) -> None:
-        """Take a stretch of the log."""
+        """Add a part of the log."""
         for topic in part:
             self._count(topic, part[topic], origin_ns)
         for event in part.events:
@@ -102,16 +102,16 @@ class _Gathered:
 
 
 def draw_health(log: Log) -> Figure:
-    """Rates, ages, losses and the disk's backlog over a log; gaps shaded over its whole length.
+    """Draw rates, ages, losses and the disk's backlog over a log, with gaps shaded.
 
     Args:
-        log: whole or not, of any length: it is read stretch by stretch.
+        log: log of any length, complete or damaged; it is read part by part.
     Raises:
         NotEnoughData: the log has no samples.
     """
     found = _gathered(log)
     if not any(stream.count.any() for stream in found.streams.values()):
-        raise NotEnoughData(f"{log.path}: expected samples, the log has none: nothing to say of its streams")
+        raise NotEnoughData(f"{log.path}: expected samples, the log has none; give a log with samples")
     width = float(found.edges_s[1] - found.edges_s[0])
     title = f"Stream health: {Path(log.path).name}"
     with sheet(WIDTH_IN, 5.6, title, [f"{_FOOT} Stretches of {width:.2g} s."]) as figure:
@@ -128,14 +128,14 @@ def draw_health(log: Log) -> Figure:
 
 
 def _gathered(log: Log) -> _Gathered:
-    span = max((log.end_ns - log.start_ns) * 1e-9, _LEAST_BIN_S)
-    bins = max(1, min(_MOST_BINS, int(span / _LEAST_BIN_S)))
+    span = max((log.end_ns - log.start_ns) * 1e-9, _MIN_BIN_S)
+    bins = max(1, min(_MAX_BINS, int(span / _MIN_BIN_S)))
     found = _Gathered(np.linspace(0.0, span, bins + 1))
-    with suppress(LogError):  # of another version: devices keep their own names
+    with suppress(LogError):  # a log of another version: devices are shown by their own names
         found.device_of = rig_of(log).roles.device_of
     for _, part in stretches(log):
         found.add(part, log.start_ns)
-    for place in log.missing:  # of the file itself
+    for place in log.missing:  # missing in the file itself
         if place.start_ns is not None:
             end_ns = log.end_ns if place.end_ns is None else place.end_ns
             found.gaps["file"].append(((place.start_ns - log.start_ns) * 1e-9, (end_ns - log.start_ns) * 1e-9))
@@ -148,7 +148,7 @@ def _rates(axes: Axes, found: _Gathered) -> None:
     lowest = 90.0
     for look, (topic, stream) in zip(cycle(_LOOKS), found.streams.items(), strict=False):
         usual = float(np.median(stream.count[1:-1])) if len(stream.count) > 2 else float(stream.count.max())
-        if usual < _LEAST_COUNT:  # marks of the rotor, say: one more or less in a stretch means nothing
+        if usual < _MIN_COUNT:  # for example the rotor's marks: the share of so few samples is not meaningful
             axes.plot([], [], lw=1.4, label=f"{topic}, {usual / width:.4g} a second, age only", **look)
             continue
         share = 100 * stream.count / usual
@@ -186,7 +186,7 @@ def _ages(axes: Axes, found: _Gathered) -> None:
 
 
 def _losses(axes: Axes, found: _Gathered, origin_ns: int) -> None:
-    """Counts of what was lost, device by device; what a sensor called invalid did arrive and is left out."""
+    """Draw the counted losses by device; samples that a sensor marked invalid did arrive and are left out."""
     time = np.array([(report["time_ns"] - origin_ns) * 1e-9 for report in found.reports])
     devices = sorted({str(name) for report in found.reports for name in report.get("losses", {})})
     most, whole = 0, list[str]()

@@ -1,4 +1,5 @@
-"""Work–precision of the estimators: time against error over the bound, a panel for each case."""
+# pyright: strict, reportUnknownMemberType=false
+"""Work–precision of the estimators: time over error in units of the bound, one panel per case."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from analysis.figures.work_precision import COLOURS, draw_front
 
 _COLUMNS, _ROW_IN, _FOOT_IN = 3, 2.7, 1.4
 _OWN_MARKERS, _PEER_MARKERS = "osD", "^vPXh<>*d"
-_WORST = 1e6  # bounds; errors above are drawn here
+_MAX_ERROR = 1e6  # in units of the bound; larger errors are drawn here
 
 
 @dataclass(frozen=True)
@@ -24,13 +25,13 @@ class Mark:
     """One method in one case.
 
     Attributes:
-        case: the panel.
-        method, setting: peers are told apart by method, ours by setting.
+        case: case of the panel.
+        method, setting: method and its setting; peers are labelled by method, our estimators by setting.
         error: largest rms error over its bound.
-        seconds: a record takes.
-        peer: somebody else's work.
-        fails: on some of the records; drawn hollow.
-        front, front_of_all: on the front of our settings, of everything.
+        seconds: computing time per record, s.
+        peer: whether the method is from another project.
+        fails: whether it failed on some records; drawn hollow.
+        front, front_of_all: whether it is on the front of our settings, and on that of all methods.
     """
 
     case: str
@@ -45,12 +46,12 @@ class Mark:
 
 
 def draw_identification_precision(marks: Sequence[Mark], alike: float, machine: str = "") -> Figure:
-    """Times against errors over the bound, both logarithmic.
+    """Draw times over errors in units of the bound, both logarithmic.
 
     Args:
-        marks: in the order panels and legend shall have.
-        alike: errors below count as equal; shaded.
-        machine: a line under the figure.
+        marks: methods in the order of panels and legend.
+        alike: error below which methods count as equal; shaded.
+        machine: line below the figure.
     """
     cases: dict[str, list[Mark]] = {}
     for mark in marks:
@@ -80,7 +81,7 @@ def draw_identification_precision(marks: Sequence[Mark], alike: float, machine: 
 
 
 def _looks(marks: Sequence[Mark]) -> dict[str, dict[str, Any]]:
-    """Marker and colour by the legend's name: ours black, peers coloured."""
+    """Return marker and colour by name in the legend: ours black, peers coloured."""
     looks: dict[str, dict[str, Any]] = {}
     for peer in (False, True):
         for i, name in enumerate(dict.fromkeys(_name(m) for m in marks if m.peer == peer)):
@@ -102,9 +103,9 @@ def _panel(axes: Axes, marks: Sequence[Mark], looks: dict[str, dict[str, Any]], 
     draw_front(axes, [(_shown(m), m.seconds) for m in marks if m.front], "-")
     draw_front(axes, [(_shown(m), m.seconds) for m in marks if m.front_of_all], ":")
     for mark in marks:
-        look = {**looks[_name(mark)], **({"mfc": "none"} if mark.fails else {})}
+        look: dict[str, Any] = {**looks[_name(mark)], **({"mfc": "none"} if mark.fails else {})}
         axes.plot([_shown(mark)], [mark.seconds], **look)
 
 
 def _shown(mark: Mark) -> float:
-    return min(mark.error, _WORST)
+    return min(mark.error, _MAX_ERROR)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""All kinds of figures of logs, by name: what each shows, and where it is drawn."""
+"""All kinds of figures of logs by name, with their contents and drawing functions."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from daq.signals.run import Run
 
 
 class DrawRun(Protocol):
-    """A figure of one run, beside the model, with another run over it."""
+    """Function that draws one run."""
 
-    def __call__(self, run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure: ...  # noqa: D102
+    def __call__(self, run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
+        """Draw a run, with the model and another run over it if they are given."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -25,9 +27,9 @@ class FigureKind:
     """A kind of figure.
 
     Attributes:
-        name: as `rig plot` takes it.
-        shows: a line.
-        of: what it is made of: each run by itself, each log as recorded, or all of them together.
+        name: name as an argument of `rig plot`.
+        shows: contents in one line.
+        of: input: each run, each log as recorded, or all of them together.
         overlays: whether a second run may be drawn over it.
     """
 
@@ -38,7 +40,7 @@ class FigureKind:
 
     @property
     def draw(self) -> DrawRun:
-        """The function of a kind that shows runs: `analysis.figures.<module>.draw_<name>`."""
+        """Drawing function of a kind that shows runs: `analysis.figures.<module>.draw_<name>`."""
         module = importlib.import_module(f"analysis.figures.{_MODULES.get(self.name, self.name)}")
         return cast("DrawRun", getattr(module, f"draw_{self.name}"))
 

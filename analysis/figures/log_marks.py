@@ -1,4 +1,5 @@
-"""What happened during a log, marked in its overview: losses shaded, locks, faults and restarts as dotted lines."""
+# pyright: strict, reportUnknownMemberType=false
+"""Events of a log in its overview: losses shaded, locks, faults and restarts as dotted lines."""
 
 from __future__ import annotations
 
@@ -7,32 +8,32 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.font_manager import findfont, get_font
+from matplotlib.font_manager import findfont, get_font  # pyright: ignore[reportUnknownVariableType]  # partly typed
 from numpy.typing import NDArray
 
 from analysis.figures.style import GREY
 from daq.log.content import seconds
 
-_LETTER = 0.0082  # width of one of the size below, of the axes' width
+_LETTER_WIDTH = 0.0082  # of one letter of size _SIZE, relative to the axes' width
 _SIZE = 7.5
-_NEAR = 0.004  # of the time shown: what happens so close together gets one mark
-_MOST_WORDS = 28
+_SAME_MARK_SHARE = 0.004  # of the displayed time: events within it have one mark
+_MAX_LETTERS = 28
 _TROUBLE = "#CC3311"
 
 
 class Marks:
-    """Losses and happenings on the figure's time, s; as many as may come, they take the room of the figure's columns.
+    """Losses and events over the figure's time, s, in memory bounded by the figure's columns.
 
     Args:
         span: first and last instant of the figure, s.
-        columns: how finely losses are shaded.
+        columns: number of columns for the shading of losses.
     """
 
     def __init__(self, span: tuple[float, float], columns: int) -> None:
         self._start, self._length, self._columns = span[0], span[1] - span[0], columns
         self._lost: dict[str, NDArray[np.bool_]] = {}
         self._missing = np.zeros(columns, bool)
-        self._happened: dict[int, dict[str, bool]] = {}  # by place: texts, and whether they are trouble
+        self._happened: dict[int, dict[str, bool]] = {}  # by position: texts, and whether they are faults
 
     @property
     def has_losses(self) -> bool:
@@ -40,7 +41,7 @@ class Marks:
         return bool(self._missing.any() or any(lost.any() for lost in self._lost.values()))
 
     def add(self, event: Mapping[str, Any], time: float) -> None:
-        """Take an event of the log; those that tell nothing of the run (replies, status …) are left out."""
+        """Add an event of the log; events without information on the run (replies, status …) are ignored."""
         kind, device, text = event.get("kind"), str(event.get("device", "")), str(event.get("text", ""))
         if kind in ("gap", "damage"):
             lost = self._lost.setdefault(device, np.zeros(self._columns, bool))
@@ -56,7 +57,7 @@ class Marks:
             self._mark(time, words, True)
 
     def add_missing(self, start: float, end: float | None) -> None:
-        """Shade a time that the file itself lacks; mark where it was cut when that has no end."""
+        """Shade a time that is missing in the file; mark the position of the cut if the time has no end."""
         if end is None:
             self._mark(start, "log cut here", True)
         else:
@@ -67,11 +68,11 @@ class Marks:
         lost[int(first) : int(last) + 1] = True
 
     def _mark(self, time: float, text: str, trouble: bool) -> None:
-        place = int(np.clip((time - self._start) / self._length, 0, 1) / _NEAR)
-        self._happened.setdefault(place, {})[drawable(text[:_MOST_WORDS])] = trouble
+        place = int(np.clip((time - self._start) / self._length, 0, 1) / _SAME_MARK_SHARE)
+        self._happened.setdefault(place, {})[drawable(text[:_MAX_LETTERS])] = trouble
 
     def shade(self, axes: Axes, device: str | None, colour: str) -> None:
-        """Shade what a device lost, and what the file lacks; every loss where it is not known whose they are."""
+        """Shade losses of a device and of the file; all losses if the device is not known."""
         lost = self._missing.copy()
         for name, columns in self._lost.items():
             if device in (None, name):
@@ -81,15 +82,15 @@ class Marks:
             axes.axvspan(first, last, color=colour, alpha=0.25, lw=0, zorder=2.5)
 
     def draw(self, grid: list[Axes]) -> None:
-        """Dotted lines through all axes; above them what happened, wherever there is room for the words."""
+        """Draw dotted lines through all axes, with the events' texts above them where there is room."""
         free = 0.0
         for place, texts in sorted(self._happened.items()):
-            share = min((place + 0.5) * _NEAR, 1.0)
+            share = min((place + 0.5) * _SAME_MARK_SHARE, 1.0)
             colour = _TROUBLE if any(texts.values()) else GREY
             for axes in grid:
                 axes.axvline(self._start + share * self._length, color=colour, lw=0.8, ls=":")
             words = _joined(list(texts))
-            width = len(words) * _LETTER
+            width = len(words) * _LETTER_WIDTH
             rightmost = min(share, 1.0 - width)
             left = max(free, min(share - width / 2, rightmost))
             if left > rightmost:
@@ -105,17 +106,17 @@ class Marks:
                 parse_math=False,
                 annotation_clip=False,
             )
-            free = left + width + 2 * _LETTER
+            free = left + width + 2 * _LETTER_WIDTH
 
 
 def drawable(text: str) -> str:
-    """Text of any origin with a "?" for each letter that the figures' font does not have."""
+    """Return a text with "?" for each letter that is missing in the figures' font."""
     font = get_font(findfont("DejaVu Sans"))
     return "".join(letter if letter.isprintable() and font.get_char_index(ord(letter)) else "?" for letter in text)
 
 
 def _joined(texts: list[str]) -> str:
-    """ "A released", "B released" as "A, B released"."""
+    """ "A released", "B released" → "A, B released"."""
     pairs = [text.split(" ", 1) for text in texts]
     if len(texts) > 1 and all(len(pair) == 2 and pair[1] == pairs[0][1] for pair in pairs):
         return f"{', '.join(sorted(pair[0] for pair in pairs))} {pairs[0][1]}"

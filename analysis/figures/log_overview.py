@@ -1,7 +1,8 @@
-"""One log at a glance: displacements, pendulum angles, speed; what was lost and what happened.
+# pyright: strict, reportUnknownMemberType=false
+"""Overview of one log: displacements, pendulum angles and speed, with losses and events.
 
-A log of any length is drawn in bounded memory: it is read stretch by stretch, and of a channel with more samples than
-the figure has columns only the least and the largest value of each column are kept.
+A log of any length is drawn in bounded memory. It is read part by part. For a channel with more samples than the figure
+has columns, only the least and the largest value of each column are kept.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from daq.log.snapshot import rig_of
 
 COLUMNS = 900
 _LOST = "#CC3311"
-_BREAK = 8.0  # times the usual distance of samples
-_LATE_S = 0.5  # the drive's samples have the host's time, and come late together
-_SLOWEST_MARK_S = 3.0  # between two marks of a turning rotor
+_BREAK_RATIO = 8.0  # gap over the mean distance of samples above which the line is interrupted
+_DRIVE_BREAK_S = 0.5  # the drive's samples have host time and arrive in groups
+_MAX_MARK_S = 3.0  # between two marks of a turning rotor
 
 Progress = Callable[[float], None]
 
 
 class Trace:
-    """One signal over the figure's time, s: its samples as long as they are few, then what each column holds.
+    """One signal over the figure's time, s: few samples are kept, many are reduced to columns.
 
     Args:
         span: first and last instant of the figure, s.
-        least_break_s: a line is drawn across shorter times without a sample.
+        least_break_s: shortest time without a sample that interrupts the line, s.
     """
 
     def __init__(self, span: tuple[float, float], least_break_s: float = 0.1) -> None:
@@ -48,7 +49,7 @@ class Trace:
         self._low, self._high = np.full(COLUMNS, np.nan), np.full(COLUMNS, np.nan)
 
     def add(self, time: NDArray[np.floating], values: NDArray[np.floating]) -> None:
-        """Take samples; those that are no number, or lie outside of the figure, are left out."""
+        """Add samples; values that are not finite, or lie outside the figure, are ignored."""
         shown = np.isfinite(values) & (time >= self._start) & (time <= self._start + COLUMNS * self._width)
         time, values = time[shown], values[shown]
         self._count += len(time)
@@ -69,11 +70,11 @@ class Trace:
 
     @property
     def is_empty(self) -> bool:
-        """Nothing to draw."""
+        """Whether the trace has no samples."""
         return self._count == 0
 
     def band(self) -> tuple[NDArray[np.floating], NDArray[np.floating], NDArray[np.floating]]:
-        """Times and the least and largest value at each; nan between two times across which nothing is drawn."""
+        """Return times with least and largest value at each; NaN at interruptions of the line."""
         if self._are_many:
             filled = np.flatnonzero(np.isfinite(self._low))
             time, low, high = self._start + (filled + 0.5) * self._width, self._low[filled], self._high[filled]
@@ -86,16 +87,16 @@ class Trace:
         if len(time) == 0:
             return time, low, high
         usual = (time[-1] - time[0]) / self._count
-        longest = max(_BREAK * usual, self._least_break_s, 1.5 * self._width)
+        longest = max(_BREAK_RATIO * usual, self._least_break_s, 1.5 * self._width)
         after = np.flatnonzero(np.diff(time) > longest) + 1
         return np.insert(time, after, time[after]), np.insert(low, after, np.nan), np.insert(high, after, np.nan)
 
 
 @dataclass
 class _Tacho:
-    """Speed from the marks of the rotor, across stretches.
+    """Speed from the marks of the rotor, across parts of the log.
 
-    The node's own clock times the marks: the map to the common clock still learns in a log's first second.
+    The marks are timed by the node's own clock, because the map to the common clock settles in a log's first second.
     """
 
     trace: Trace
@@ -108,7 +109,7 @@ class _Tacho:
         if len(marks):
             self.last = tuple(marks[-1].tolist())
         steps = np.diff(marks, axis=0)
-        good = (steps[:, 1] > 0) & (steps[:, 1] < _SLOWEST_MARK_S)
+        good = (steps[:, 1] > 0) & (steps[:, 1] < _MAX_MARK_S)
         middle = marks[:-1, 0] + steps[:, 0] / 2
         self.trace.add(middle[good], 60 * steps[good, 2] / steps[good, 1])
 
@@ -117,20 +118,20 @@ def draw_log_overview(log: Log, path: Path, title: str = "", progress: Progress 
     """Draw a log into a .svg, .png or .pdf file.
 
     Args:
-        log: whole or not; what is known to be missing from it is shaded.
-        path: the figure.
-        title: stands above.
-        progress: told the share read, 0 … 1.
+        log: log, complete or damaged; parts known to be missing are shaded.
+        path: file of the figure.
+        title: title of the figure.
+        progress: called with the share that has been read, 0 … 1.
 
     Raises:
-        BadFigureName: another suffix.
-        LogError: a channel does not hold what its schema says.
+        BadFigureName: an unsupported suffix.
+        LogError: a channel does not match its schema.
     """
     origin_ns = log.start_ns
     span = (0.0, max((log.end_ns - origin_ns) * 1e-9, 1e-3))
     traces = {name: Trace(span) for name in ("x", "y", "theta3", "theta4")}
-    traces["motor"] = Trace(span, _LATE_S)
-    traces["tacho"] = Trace(span, _SLOWEST_MARK_S)
+    traces["motor"] = Trace(span, _DRIVE_BREAK_S)
+    traces["tacho"] = Trace(span, _MAX_MARK_S)
     marks = Marks(span, COLUMNS)
     tacho = _Tacho(trace=traces["tacho"])
     for share, part in stretches(log):
@@ -170,7 +171,7 @@ def _seconds(samples: Samples, origin_ns: int) -> NDArray[np.floating]:
 
 
 def _devices(log: Log) -> dict[str, str]:
-    """Which device fills each channel; empty where the log does not say."""
+    """Return the device of each channel; empty if the log does not contain it."""
     try:
         return rig_of(log).roles.device_of
     except LogError:
@@ -229,7 +230,7 @@ def _plain(colour: str, name: str) -> Callable[[Axes, Trace], None]:
 
 
 def _speed(colour: str, name: str) -> Callable[[Axes, Trace], None]:
-    """As `_plain`; a constant speed looks constant."""
+    """As `_plain`, with limits that show a constant speed as constant."""
     draw_plain = _plain(colour, name)
 
     def draw(axes: Axes, trace: Trace) -> None:
@@ -242,7 +243,7 @@ def _speed(colour: str, name: str) -> Callable[[Axes, Trace], None]:
 
 
 def _turning(colour: str, name: str) -> Callable[[Axes, Trace], None]:
-    """An angle on a circle: what leaves the axes at 180° comes in at −180°."""
+    """Draw an angle on a circle: a curve that leaves the axes at 180° continues at −180°."""
 
     def draw(axes: Axes, trace: Trace) -> None:
         time, low, high = trace.band()

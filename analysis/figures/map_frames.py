@@ -1,5 +1,5 @@
 # pyright: strict
-"""The frame of a map that was asked for: its axes, and over speed and stiffness ratio the rig's own points."""
+"""Frame of a map: its axes, and over speed ratio and stiffness ratio the rig's own points."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from analysis.maps.question import MapQuestion
 
 
 def frame_of(question: MapQuestion) -> MapFrame:
-    """Axes as they were asked for; points and the rig's line where they are speed ratio and stiffness ratio."""
+    """Return the axes of a question; over speed ratio and stiffness ratio also the rig's points and line."""
     names, logarithmic = (question.x.name, question.y.name), (question.x.logarithmic, question.y.logarithmic)
     if (question.x.keys, question.y.keys) != ((SPEED_RATIO,), (STIFFNESS_RATIO,)):
         return MapFrame(names, logarithmic)
@@ -19,5 +19,5 @@ def frame_of(question: MapQuestion) -> MapFrame:
 
 
 def what_if(question: MapQuestion) -> str:
-    """What was laid over the rig file, for the end of a title."""
+    """Return the settings applied to the rig file, for the end of a title."""
     return f"; {', '.join(question.settings)}" if question.settings else ""

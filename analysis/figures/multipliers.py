@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Multipliers over one revolution: in the plane at the runs' speeds, and the largest ones along the speed."""
+"""Multipliers over one revolution: in the complex plane at the runs' speeds, and the largest ones over the speed."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _STYLES = {
     "II": (GREY, ":", "opposed (II)"),
     "III": ("#D55E00", "--", "together (III)"),
 }
-_TOP = 3.0  # largest multiplier shown
+_MAX_MULTIPLIER = 3.0  # upper limit of the axis
 
 
 @dataclass(frozen=True)
 class SpeedPoint:
-    """A speed at which multipliers are drawn; `near_rad`: measured θ3, θ4 where there are any."""
+    """A speed at which multipliers are drawn; `near_rad`: measured θ3, θ4, or None."""
 
     name: str
     speed_rad_s: float
@@ -43,7 +43,7 @@ class SpeedPoint:
 
 
 def speed_point(run: Run) -> SpeedPoint:
-    """The speed at the end of a run, and where its pendulums stand on the mean.
+    """Return the speed at the end of a run, and its mean pendulum angles.
 
     Raises:
         NotEnoughData: the rotor did not turn.
@@ -58,11 +58,11 @@ def speed_point(run: Run) -> SpeedPoint:
 
 
 def draw_multipliers(points: Sequence[SpeedPoint], model: RigModel) -> Figure:
-    """Left: all multipliers of each point's state and the unit circle. Right: the largest modulus along the speed.
+    """Left: all multipliers of each point's state and the unit circle. Right: the largest modulus over the speed.
 
     Args:
-        points: speeds, with where the pendulums were measured; without that the stable state's are drawn.
-        model: whose motions are judged.
+        points: speeds with measured pendulum angles; without angles the stable state is drawn.
+        model: model whose motions are evaluated.
     """
     first = model.speeds_rad_s[0]
     top = max([1.1 * p.speed_rad_s for p in points] + [1.5 * model.speeds_rad_s[1]])
@@ -93,7 +93,7 @@ def draw_multipliers(points: Sequence[SpeedPoint], model: RigModel) -> Figure:
 
 
 def _state(model: RigModel, point: SpeedPoint) -> SteadyState | None:
-    """The state nearest to what was measured, else the stable one, else the balanced one."""
+    """Return the state nearest to the measured angles, else the stable one, else the balanced one."""
     try:
         states = steady_states(model.physics, point.speed_rad_s, 1e-6)
     except (DynamicsError, np.linalg.LinAlgError):
@@ -105,7 +105,7 @@ def _state(model: RigModel, point: SpeedPoint) -> SteadyState | None:
 
 
 def _along(axes: Axes, swept: Sequence[SweptState], model: RigModel, top: float) -> None:
-    """One curve for each branch: the states of a type at one speed, ordered by their largest multiplier."""
+    """Draw one curve per branch: states of one type at one speed are ordered by their largest multiplier."""
     speeds = sorted({s.speed_rad_s for s in swept})
     for kind, (colour, dashes, text) in _STYLES.items():
         for rank in range(2):
@@ -128,4 +128,4 @@ def _along(axes: Axes, swept: Sequence[SweptState], model: RigModel, top: float)
 
 def _least_top(swept: Sequence[SweptState]) -> float:
     largest = max((s.state.multiplier_max for s in swept if s.state.type == "I"), default=1.5)
-    return min(max(1.6, math.ceil(10 * largest) / 10), _TOP)
+    return min(max(1.6, math.ceil(10 * largest) / 10), _MAX_MULTIPLIER)

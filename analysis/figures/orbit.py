@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Orbits: the disk centre's path with the index mark, measured beside the model's ellipse."""
+"""Orbits: path of the disk centre with the index mark, measured, with the model's ellipse."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ Array = NDArray[np.float64]
 
 _ELLIPSE_LOOK: Look = {"color": MEASURED, "ls": "-", "lw": 2.6, "alpha": 0.6}
 _RAW_TURNS = 3
-_RAW_POINTS = 400  # drawn of them
+_RAW_POINTS = 400  # drawn samples of these turns
 _PANELS = 6
 _MARGIN = 0.1  # of the larger extent, on either side
 _INTERVALS = 5  # of ticks
-_ROUND = 2e-3  # difference of the axes over the major one below which an orbit has no inclination worth a number
+_MIN_ECCENTRIC_SHARE = 2e-3  # difference of the axes over the major one below which no inclination is written
 _AT_REST_M = 1e-8
-_SMALL_M = 1e-4  # written in µm below
-_ABOVE_NOISE = 3.5  # deviations of a semi-axis: noise alone gives a longer one once in a hundred times
-_CLEAR = 0.99  # of a tube's radius, the least way from its inner edge to its middle
+_SMALL_M = 1e-4  # semi-axis below which µm are used
+_NOISE_STDS = 3.5  # semi-axis in deviations: noise alone exceeds it with a probability of 1 %
+_MIN_TUBE_SHARE = 0.99  # least distance from a tube's inner edge to its middle over its radius
 _FOOT = (
-    "Index mark (filled measured, hollow model): where the disk centre is when the imbalance points along +x. Arrow: "
-    "sense of motion; the rotor turns counterclockwise, from x to y."
+    "Index mark (filled measured, hollow model): position of the disk centre when the imbalance points along +x. "
+    "Arrow: sense of motion; the rotor turns counterclockwise, from x to y."
 )
 
 
 @dataclass(frozen=True)
 class OrbitPanel:
-    """One speed's orbit: measured samples of some revolutions (mm), 1× ellipses, deviations of the measured vectors."""
+    """Orbit at one speed: measured samples of some revolutions (mm), 1× ellipses, deviations of measured vectors."""
 
     speed_rad_s: float
     raw_mm: tuple[Array, Array]
@@ -64,11 +64,11 @@ class OrbitPanel:
 
 
 def draw_orbit(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
-    """The orbit at the end of a run at one speed; of a run-up six orbits through its resonances.
+    """Draw the orbit at the end of a run at one speed; of a run-up six orbits through its resonances.
 
     Args:
-        run, over: with both displacements and index marks; the second is drawn over the first.
-        model: its steady state at the measured speed with the pendulums as they were; of a run-up its own run-up.
+        run, over: runs with both displacements and index marks; the second is drawn over the first.
+        model: model; its steady state at the measured speed and pendulum angles, for a run-up its simulation.
     Raises:
         NotEnoughData: a displacement is missing, or the rotor did not turn.
     """
@@ -92,9 +92,9 @@ def draw_orbit(run: Run, model: RigModel | None = None, over: Run | None = None)
 
 
 def _steady(run: Run, model: RigModel | None, over: Run | None) -> tuple[list[OrbitPanel], PassedVectors]:
-    """The orbit of the last seconds, and its vectors beside the model's."""
+    """Return the orbit of the last seconds, and its measured vectors with those of the model."""
     part = steady_part(run)
-    measured, beside = vectors_at_end(run, part), _steady_model(run, part, model)
+    measured, predicted = vectors_at_end(run, part), _steady_model(run, part, model)
     other = None
     if over is not None:
         need_vectors(over, "an orbit", both=True)
@@ -105,14 +105,14 @@ def _steady(run: Run, model: RigModel | None, over: Run | None) -> tuple[list[Or
         _raw(run, last.from_s, last.to_s),
         _ellipse_of(measured),
         _stds(measured),
-        _ellipse_of(beside) if beside else None,
+        _ellipse_of(predicted) if predicted else None,
         other,
     )
-    return [panel], PassedVectors(measured, beside, {})
+    return [panel], PassedVectors(measured, predicted, {})
 
 
 def _steady_model(run: Run, part: SteadyPart, model: RigModel | None) -> ByName:
-    """The model's vectors at the part's speed, one row each; empty without a steady state."""
+    """Return the model's vectors at the part's speed, one row each; empty without a steady state."""
     if model is None:
         return {}
     if run.releases:
@@ -131,13 +131,13 @@ def _steady_model(run: Run, part: SteadyPart, model: RigModel | None) -> ByName:
 
 
 def _ellipse_of(found: ByName, speed_rad_s: float | None = None) -> OrbitEllipse:
-    """The ellipse at a speed, by default the only one."""
+    """Return the ellipse at a speed, by default the only one."""
     at = float(found["x"].speed_rad_s[0]) if speed_rad_s is None else speed_rad_s
     return orbit_ellipse(_at(found["x"], at), _at(found["y"], at), *_stds(found, at))
 
 
 def _stds(found: ByName, speed_rad_s: float | None = None) -> tuple[float, float]:
-    """Standard deviations of x's and y's vectors at a speed, by default the only one, m."""
+    """Return standard deviations of x's and y's vectors at a speed, by default the only one, m."""
     x, y = (
         float(np.interp(v.speed_rad_s[0] if speed_rad_s is None else speed_rad_s, v.speed_rad_s, v.std_m))
         for v in (found["x"], found["y"])
@@ -146,7 +146,7 @@ def _stds(found: ByName, speed_rad_s: float | None = None) -> tuple[float, float
 
 
 def _raw(run: Run, start: float, end: float) -> tuple[Array, Array]:
-    """Samples about their mean, y's taken at x's instants, mm."""
+    """Return samples about their mean, y interpolated at the times of x, mm."""
     inside = (run.x_time_s >= start) & (run.x_time_s <= end)
     times = run.x_time_s[inside]
     x, y = run.x_m[inside], np.interp(times, run.y_time_s, run.y_m)
@@ -155,7 +155,7 @@ def _raw(run: Run, start: float, end: float) -> tuple[Array, Array]:
 
 
 def _passing(run: Run, model: RigModel | None, over: Run | None) -> tuple[list[OrbitPanel], PassedVectors]:
-    """Orbits below, at and above both resonances of a run-up, as many as there are panels, and all vectors."""
+    """Return orbits below, at and above both resonances of a run-up, one per panel, and all vectors."""
     found = passed_vectors(run, model)
     other = None
     if over is not None:
@@ -166,13 +166,13 @@ def _passing(run: Run, model: RigModel | None, over: Run | None) -> tuple[list[O
     low, high = max(x.speed_rad_s[0], y.speed_rad_s[0]), min(x.speed_rad_s[-1], y.speed_rad_s[-1])
     middle = math.sqrt(peaks[0] * peaks[1])
     speeds = np.clip([0.8 * peaks[0], peaks[0], middle, 0.92 * peaks[1], peaks[1], high], low, high)
-    beside = found.simulated or found.steady
+    predicted = found.simulated or found.steady
     panels: list[OrbitPanel] = []
     marks = np.diff(run.mark_phase_rad) / np.diff(run.mark_time_s)
     for speed in speeds.tolist():
         at = int(np.argmin(np.abs(marks - speed)))
         raw = _raw(run, float(run.mark_time_s[max(at - 1, 0)]), float(run.mark_time_s[min(at + 2, len(marks))]))
-        shown = _ellipse_of(beside, speed) if beside else None
+        shown = _ellipse_of(predicted, speed) if predicted else None
         second = None if other is None or not _within(other, speed) else _ellipse_of(other, speed)
         own, std = _ellipse_of(found.measured, speed), _stds(found.measured, speed)
         panels.append(OrbitPanel(speed, raw, own, std, shown, second))
@@ -185,7 +185,7 @@ def _within(found: ByName, speed_rad_s: float) -> bool:
 
 
 def _at(found: Vectors, speed: float) -> complex:
-    """The vector at a speed."""
+    """Return the vector at a speed."""
     return complex(
         np.interp(speed, found.speed_rad_s, found.amplitude_m.real),
         np.interp(speed, found.speed_rad_s, found.amplitude_m.imag),
@@ -206,17 +206,17 @@ def _panel(axes: Axes, panel: OrbitPanel, model: str, over: str) -> None:
 
 
 def _interval(axes: Axes, panel: OrbitPanel) -> None:
-    """A band along the measured ellipse, and where the index mark lies with 95 %."""
+    """Draw a band along the measured ellipse, and the 95 % area of the index mark."""
     turn = np.linspace(0, 2 * math.pi, 361)
     path = np.array(_path(panel.measured, turn))
     scale = np.array([[max(1e3 * TIMES * std, 1e-9)] for std in panel.std_m])
-    scaled = path / scale  # in which the band is a tube of radius 1
+    scaled = path / scale  # scaled so that the band is a tube of radius 1
     along = np.gradient(scaled, axis=1)
     across = np.array([-along[1], along[0]]) / np.maximum(np.hypot(along[0], along[1]), 1e-12)
     outer, inner = sorted((scaled + across, scaled - across), key=_extent, reverse=True)
     way = inner[:, :, None] - scaled[:, None, :]
     apart: Array = np.asarray(np.min(np.hypot(way[0], way[1]), axis=1), np.float64)
-    inner = inner[:, apart > _CLEAR]  # elsewhere the tube has no hole
+    inner = inner[:, apart > _MIN_TUBE_SHARE]  # elsewhere the tube has no hole
     around = scale * np.concatenate([outer, inner[:, ::-1]], axis=1)
     area(axes, around[0], around[1], MEASURED)
     mark = _path(panel.measured, np.zeros(1))
@@ -225,12 +225,12 @@ def _interval(axes: Axes, panel: OrbitPanel) -> None:
 
 
 def _extent(path: Array) -> float:
-    """How far a closed path reaches, for telling the outer from the inner one."""
+    """Return the extent of a closed path, to distinguish the outer from the inner one."""
     return float(np.sum(np.ptp(path, axis=1)))
 
 
 def _square(axes: Axes) -> None:
-    """Equal limits about the drawn paths, and ticks that stay when the layout widens one of them: it left them room."""
+    """Set equal limits about the drawn paths, and fixed ticks that remain valid when the layout widens one axis."""
     drawn = axes.dataLim
     half = 0.5 * max(drawn.width, drawn.height)
     x, y = 0.5 * (drawn.x0 + drawn.x1), 0.5 * (drawn.y0 + drawn.y1)
@@ -244,13 +244,13 @@ def _square(axes: Axes) -> None:
 
 
 def _words(orbit: OrbitEllipse) -> tuple[str, str]:
-    """Sense; semi-axes and inclination."""
+    """Return the sense of rotation, and semi-axes with inclination."""
     if orbit.major_m < _AT_REST_M:
         return "at rest", ""
-    sense = orbit.precession if orbit.major_m > _ABOVE_NOISE * orbit.std_m else "lost in noise"
+    sense = orbit.precession if orbit.major_m > _NOISE_STDS * orbit.std_m else "lost in noise"
     at = (
         f" at {round(math.degrees(orbit.inclination_rad))}°".replace("-", "−")
-        if orbit.major_m - abs(orbit.minor_m) > _ROUND * orbit.major_m
+        if orbit.major_m - abs(orbit.minor_m) > _MIN_ECCENTRIC_SHARE * orbit.major_m
         else ""
     )
     unit, times = ("µm", 1e6) if orbit.major_m < _SMALL_M else ("mm", 1e3)
@@ -258,7 +258,7 @@ def _words(orbit: OrbitEllipse) -> tuple[str, str]:
 
 
 def _path(orbit: OrbitEllipse, phase: Array) -> tuple[Array, Array]:
-    """x and y at phases, mm."""
+    """Return x and y at phases, mm."""
     x, y = orbit.points(phase)
     return 1e3 * x, 1e3 * y
 

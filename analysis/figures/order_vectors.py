@@ -1,5 +1,5 @@
 # pyright: strict
-"""Once-per-revolution vectors of a run over speed, measured and of the model, for Bode and polar plots."""
+"""Once-per-revolution vectors of a run over speed, measured and simulated, for Bode and polar plots."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 RPM = 30 / math.pi
-_SPREAD = 0.05  # of the mean speed: below it a run has one speed
+_MAX_SPREAD = 0.05  # of the speed, relative to its median: below it a run has one speed
 _STEADY_POINTS = 1500
-_WINDOW_TURNS = 4  # of the windows over which a vector at one speed is averaged
-_SEEN = 3.0  # standard deviations above which a vector has a phase
+_WINDOW_TURNS = 4  # revolutions per window of the average at one speed
+_MIN_PHASE_STDS = 3.0  # amplitude in standard deviations above which a vector has a phase
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Vectors:
     """Complex 1× amplitudes of one displacement over speed.
 
     Attributes:
-        speed_rad_s: shape (n,).
-        amplitude_m: complex, shape (n,), x = Re(X e^{iψ}).
-        std_m: of real and imaginary part each, shape (n,); 0 for a model's.
+        speed_rad_s: speeds, shape (n,).
+        amplitude_m: complex amplitudes, shape (n,), x = Re(X e^{iψ}).
+        std_m: standard deviation of real and imaginary part each, shape (n,); 0 for a model's.
     """
 
     speed_rad_s: Array
@@ -46,10 +46,10 @@ class Vectors:
     std_m: Array
 
     def phase_deg(self, near: Vectors | None = None) -> Array:
-        """Phase, unwrapped along the speed; nan where the amplitude is lost in its noise.
+        """Return the phase, unwrapped along the speed; NaN where the amplitude is lost in its noise.
 
         Args:
-            near: vectors whose turn is taken, so that both lie in the same turn.
+            near: vectors whose phase determines the turn, so that both phases lie in the same turn.
         """
         phase = np.degrees(np.unwrap(np.angle(self.amplitude_m)))
         if near is not None and len(near.speed_rad_s):
@@ -57,7 +57,7 @@ class Vectors:
             phase = level + (np.degrees(np.angle(self.amplitude_m)) - level + 180.0) % 360.0 - 180.0
         else:
             phase -= 360.0 * np.round(phase[np.isfinite(phase)][:1] / 360.0) if np.isfinite(phase).any() else 0.0
-        return np.where(np.abs(self.amplitude_m) > _SEEN * self.std_m, phase, np.nan)
+        return np.where(np.abs(self.amplitude_m) > _MIN_PHASE_STDS * self.std_m, phase, np.nan)
 
 
 ByName = dict[str, Vectors]
@@ -65,12 +65,12 @@ ByName = dict[str, Vectors]
 
 @dataclass(frozen=True)
 class PassedVectors:
-    """Vectors of "x" and "y" in one run, of those that were recorded: over its speeds, or one of its last seconds.
+    """Vectors of the recorded displacements ("x", "y") of one run: over its speeds, or one in its last seconds.
 
     Attributes:
-        measured: as the sensors saw them.
-        simulated: of the same run simulated; empty without.
-        steady: of the model's steady motion at each speed; empty without.
+        measured: measured vectors.
+        simulated: vectors of the simulated run; empty without simulation.
+        steady: vectors of the model's steady motion at each speed; empty without.
     """
 
     measured: ByName
@@ -79,10 +79,11 @@ class PassedVectors:
 
 
 def cut_words(found: PassedVectors, tops_m: Mapping[str, float]) -> list[str]:
-    """Where the steady response goes beyond its plot, a sentence.
+    """Describe in a sentence where the steady response exceeds its plot.
 
     Args:
-        tops_m: up to where a plot goes, by displacement, m.
+        found: vectors of the plot.
+        tops_m: upper limit of each displacement's plot, m.
     """
     cut = [
         f"{name} reaches {1e3 * float(size.max()):.3g} mm at {RPM * steady.speed_rad_s[int(np.argmax(size))]:.1f} rpm"
@@ -93,9 +94,9 @@ def cut_words(found: PassedVectors, tops_m: Mapping[str, float]) -> list[str]:
 
 
 def amplification_words(run: Run) -> list[str]:
-    """Amplification factors on the suspension's principal axes, as a sentence.
+    """Return the amplification factors on the suspension's principal axes as a sentence.
 
-    None where a resonance is not whole, and where only one displacement was recorded.
+    The result is empty if no resonance is complete, or if only one displacement was recorded.
     """
     seen = displacements(run)
     if len(seen) < 2:
@@ -103,19 +104,21 @@ def amplification_words(run: Run) -> list[str]:
     x, y = (order_track(time, values, phase_at(run, time)) for time, values in seen.values())
     try:
         found = [each for each in amplification_factors(x, y) if each is not None]
-    except ValueError:  # too few rows of speeds that both have
+    except ValueError:  # too few rows of common speeds
         return []
     if not found:
         return []
-    told = ", ".join(
+    factors = ", ".join(
         f"{with_std(each.factor, each.std)} at {RPM * each.peak_rad_s:.1f} rpm, {math.degrees(each.axis_rad):.1f}°"
         for each in sorted(found, key=lambda one: one.peak_rad_s)
     ).replace("-", "−")
-    return [f"Amplification factors on the principal axes (at their angle from x towards y), as run through: {told}."]
+    return [
+        f"Amplification factors on the principal axes (at their angle from x towards y), as run through: {factors}."
+    ]
 
 
 def speed_range(run: Run) -> tuple[float, float]:
-    """Least and largest speed between marks, rad/s.
+    """Return the least and the largest speed between marks, rad/s.
 
     Raises:
         NotEnoughData: fewer than three marks.
@@ -130,16 +133,16 @@ def speed_range(run: Run) -> tuple[float, float]:
 
 
 def changes_speed(run: Run) -> bool:
-    """Whether a run goes through speeds rather than staying at one; a stop at its end is none."""
+    """Whether a run passes through speeds rather than staying at one; a stop at its end does not count."""
     speed_range(run)
     time = np.linspace(float(run.mark_time_s[0]), float(run.mark_time_s[-1]), 400)
     speeds = np.diff(np.interp(time, run.mark_time_s, run.mark_phase_rad))
     low, middle, high = np.quantile(speeds, [0.1, 0.5, 0.9]).tolist()
-    return high - low > _SPREAD * middle
+    return high - low > _MAX_SPREAD * middle
 
 
 def need_speeds(run: Run, what: str) -> None:
-    """Refuse a run at one speed.
+    """Check that a run passes through speeds.
 
     Raises:
         NotEnoughData: it stays at one speed, or does not turn.
@@ -153,7 +156,7 @@ def need_speeds(run: Run, what: str) -> None:
 
 
 def vectors_of(run: Run) -> ByName:
-    """Measured 1× vectors of those of x and y that were recorded, one a revolution.
+    """Return the measured 1× vectors of the recorded displacements, one per revolution.
 
     Raises:
         NotEnoughData: no displacement, no marks, or too few samples between them.
@@ -165,7 +168,7 @@ def vectors_of(run: Run) -> ByName:
 
 
 def simulated_vectors(simulated: SimulatedRun) -> ByName:
-    """The same of a simulated run, tracked in the same way."""
+    """Return the 1× vectors of a simulated run, tracked in the same way."""
     return {
         name: _tracked("simulated run", simulated.time_s, values, simulated.phase_rad)
         for name, values in (("x", simulated.x_m), ("y", simulated.y_m))
@@ -181,7 +184,7 @@ def _tracked(source: str, time: Array, values: Array, phase: Array) -> Vectors:
 
 
 def steady_vectors(model: RigModel, run: Run) -> ByName:
-    """The model's steady 1× vectors with the pendulums where the run's locks hold them, over the run's speeds."""
+    """Return the model's steady 1× vectors with the pendulums at the run's lock angles, over the run's speeds."""
     low, high = speed_range(run)
     speed = np.linspace(max(low, 1e-3 * high), high, _STEADY_POINTS)
     x, y = model.locked(speed, locked_angles(run))
@@ -191,7 +194,7 @@ def steady_vectors(model: RigModel, run: Run) -> ByName:
 
 
 def vectors_at_end(run: Run, part: SteadyPart) -> ByName:
-    """Measured 1× vectors in a part at one speed, of those displacements that were recorded: one row each.
+    """Return the measured 1× vectors of the recorded displacements in a part at one speed, one row each.
 
     Raises:
         NotEnoughData: too few samples or revolutions.
@@ -204,10 +207,10 @@ def vectors_at_end(run: Run, part: SteadyPart) -> ByName:
 
 
 def compared_vectors(run: Run, simulated: SimulatedRun | None) -> PassedVectors | None:
-    """Measured vectors beside those of the same run simulated: over the speeds it goes through, or at its end.
+    """Return measured and simulated vectors of a run: over the speeds it passes through, or at its end.
 
     Returns:
-        None where there is nothing to compare: not simulated, no displacement, too few revolutions.
+        None if the run was not simulated, or has no displacement or too few revolutions.
     """
     if simulated is None:
         return None
@@ -215,7 +218,7 @@ def compared_vectors(run: Run, simulated: SimulatedRun | None) -> PassedVectors 
         if changes_speed(run):
             return PassedVectors(vectors_of(run), simulated_vectors(simulated), {})
         part = steady_part(run)
-        beside = {
+        predicted = {
             name: _mean(
                 "simulated run",
                 *part.cut(simulated.time_s, values),
@@ -224,7 +227,7 @@ def compared_vectors(run: Run, simulated: SimulatedRun | None) -> PassedVectors 
             )
             for name, values in (("x", simulated.x_m), ("y", simulated.y_m))
         }
-        return PassedVectors(vectors_at_end(run, part), beside, {})
+        return PassedVectors(vectors_at_end(run, part), predicted, {})
     except NotEnoughData:
         return None
 
@@ -239,10 +242,10 @@ def _mean(source: str, time: Array, values: Array, phase: Array, speed_rad_s: fl
 
 
 def passed_vectors(run: Run, model: RigModel | None) -> PassedVectors:
-    """All vectors that a Bode or polar plot of one run shows.
+    """Return all vectors of a Bode or polar plot of one run.
 
     Raises:
-        NotEnoughData: the run does not go through speeds, or lacks displacements or index marks.
+        NotEnoughData: the run does not pass through speeds, or has no displacements or index marks.
     """
     need_vectors(run, "a plot of 1× vectors")
     need_speeds(run, "1× vectors over speed")

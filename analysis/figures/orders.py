@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Order map: amplitude over order and speed (time at one speed), measured beside the model's run."""
+"""Order map: amplitude over order and speed (time at one speed), measured and simulated."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ Array = NDArray[np.float64]
 
 _HIGHEST = 4.0
 _REVOLUTIONS = 8
-_DECADES = 3.5  # of the colours, below the largest amplitude
+_DECADES = 3.5  # range of the colours below the largest amplitude
 
 
 def draw_orders(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
-    """Rows x and y; columns measured, the other run, the same run simulated; one scale of colours a row.
+    """Rows x and y; columns measured, other run, simulated run; one colour scale per row.
 
     Args:
-        run: with index marks; of one at one speed the map goes over time.
-        model: its motion with the same speed history.
+        run: run with index marks; at one speed the map is over time.
+        model: model; its motion with the same speed history.
         over: another run, in a column of its own.
     Raises:
         NotEnoughData: no index marks, no displacement, or fewer revolutions than a window has.
@@ -70,7 +70,7 @@ def draw_orders(run: Run, model: RigModel | None = None, over: Run | None = None
 
 
 def _rising(level: Array) -> Array:
-    """Levels that rise: on a plateau at the end of a run-up the speed goes up and down by nothing."""
+    """Return rising levels; on a plateau the speed varies slightly up and down."""
     if level[-1] < level[0]:
         return -_rising(-level)
     least = 1e-6 * max(float(np.ptp(level)), 1e-9) * np.arange(len(level))
@@ -87,7 +87,7 @@ def _map(passage: Passage, signal: Displacement) -> OrderMap:
 
 
 def _naturals(axes: Axes, passage: Passage, model: RigModel | None, level: Array) -> None:
-    """Orders at which the column's natural frequencies lie."""
+    """Draw the orders of the column's natural frequencies."""
     if model is None:
         return
     marks = passage.run.mark_time_s

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A figure as one HTML file that needs no network: the SVG, and a script of our own that zooms and pans it."""
+"""A figure as one HTML file without network access: the SVG, and a script that zooms and pans it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ def write_figure(path: str | Path, figure: Figure, title: str, readout: Readout 
     """Write a figure in the format of the file's suffix: .svg, .png, .pdf or .html.
 
     Args:
-        path: the file; its folder must exist.
-        title: of an HTML page, also read out by screen readers.
-        readout: values that an HTML page shows under the pointer.
+        path: file to write; its folder must exist.
+        figure: figure to write.
+        title: title of an HTML page, also read by screen readers.
+        readout: values that an HTML page displays at the pointer.
     Raises:
-        BadFigureName: another suffix.
+        BadFigureName: an unsupported suffix.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -37,7 +38,7 @@ def write_figure(path: str | Path, figure: Figure, title: str, readout: Readout 
 
 
 def page(figure: Figure, title: str, readout: Readout | None = None) -> str:
-    """The HTML text: wheel, pinch or + and − zoom, dragging or arrow keys pan, double click or 0 shows all."""
+    """Return the HTML text. Wheel, pinch, + and − zoom, dragging and arrow keys pan, double click or 0 resets."""
     text = resources.files("analysis.figures").joinpath(_TEMPLATE).read_text(encoding="utf-8")
     text = text.replace("{{title}}", escape(title)).replace("{{readout}}", readout.as_json() if readout else "null")
     return text.replace("{{figure}}", to_svg(figure, "figure", title))

@@ -1,42 +1,48 @@
-"""A rig's parameters over time: a panel each, joint values with their 95 % intervals, each log's own values beside."""
+# pyright: strict, reportUnknownMemberType=false
+"""Parameters of a rig over time: one panel each, joint values with 95 % intervals, and values of single logs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any, cast
 
 import numpy as np
+from matplotlib import dates
 from matplotlib.axes import Axes
-from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from analysis.figures.log_marks import drawable
 from analysis.figures.sheet import LEAST_FONT_PT
 from analysis.figures.style import GREY, MEASURED, MODEL, drawing, label
 
+Array = NDArray[np.float64]
+
 _TIMES = 1.96  # standard deviations of a 95 % interval
 _COLUMNS = 2
 _OUT = "#CC3311"
-_WIDEST = 9.0  # times the joint intervals, the highest panel: these still are a tenth of it
+_MAX_PANEL_RATIO = 9.0  # panel height over the range of the joint intervals, so that these remain readable
 _MARGIN = 0.08
-_TOLD = 2  # values off the scale that are written out
+_MAX_WRITTEN = 2  # off-scale values that are written out
 _FOOT = (
-    "Panels go as far as single logs' values, up to nine times the joint intervals; an interval may leave its panel. "
-    "Arrows at an edge: values off the scale."
+    "Panels contain single logs' values up to nine times the range of the joint intervals; an interval may leave its "
+    "panel. Arrows at an edge: values off the scale."
 )
 
 
 @dataclass(frozen=True)
 class Value:
-    """A parameter's value at an instant.
+    """Value of a parameter at an instant.
 
     Attributes:
-        name: of the parameter, as in parameters.toml.
-        time: when.
-        value, std: SI.
-        text: the file's or test's name; of a marked change, how large it is.
-        left_out: the joint estimate goes without it.
+        name: name of the parameter, as in parameters.toml.
+        time: time of the value.
+        value, std: value and standard uncertainty, SI.
+        text: name of the file or test; size of the change for a marked change.
+        left_out: whether the joint estimate excludes it.
     """
 
     name: str
@@ -50,14 +56,14 @@ class Value:
 def draw_parameter_history(
     joint: Sequence[Value], single: Sequence[Value], changes: Sequence[Value], units: Mapping[str, str], rig: str = ""
 ) -> Figure:
-    """Panels over time.
+    """Draw one panel per parameter over time.
 
     Args:
-        joint: the joint estimates.
-        single: each log's own values, drawn small.
-        changes: significant changes, marked at the instant from which on they are there.
-        units: the parameters to draw, in order, with their units.
-        rig: for the title.
+        joint: joint estimates.
+        single: values of single logs, drawn small.
+        changes: significant changes, marked at the first instant after them.
+        units: parameters to draw, in order, with their units.
+        rig: name of the rig for the title.
     """
     rows = -(-len(units) // _COLUMNS)
     with drawing(10.4, 1.15 + 1.9 * rows) as figure:
@@ -139,20 +145,20 @@ def _panel(
     axes.margins(x=0.04)
 
 
-def _days(values: Sequence[Value]) -> np.ndarray:
-    """Times as matplotlib counts them."""
-    return np.array([date2num(v.time) for v in values])
+def _days(values: Sequence[Value]) -> Array:
+    """Return times in the units of matplotlib."""
+    return np.array([float(cast("Any", dates).date2num(v.time)) for v in values])
 
 
 def _limits(axes: Axes, own: Sequence[Value], single: Sequence[Value]) -> None:
-    """All joint intervals and the values of single logs, as far as the joint ones stay readable beside them.
+    """Include all joint intervals, and values of single logs as far as the joint ones remain readable.
 
-    What lies beyond is marked by an arrow at the edge, its numbers stand above the panel.
+    Values beyond the limits are marked by an arrow at the edge, and their numbers are written above the panel.
     """
     low = min(v.value - _TIMES * v.std for v in own)
     high = max(v.value + _TIMES * v.std for v in own)
     span = (high - low) or 1e-6 * abs(high)
-    room = 0.5 * (_WIDEST - 1) * span
+    room = 0.5 * (_MAX_PANEL_RATIO - 1) * span
     shown = [v for v in single if low - room <= v.value <= high + room]
     ends = [low, high, *(end for v in shown for end in (v.value - _TIMES * v.std, v.value + _TIMES * v.std))]
     bottom, top = max(min(ends), low - room), min(max(ends), high + room)
@@ -177,7 +183,7 @@ def _limits(axes: Axes, own: Sequence[Value], single: Sequence[Value]) -> None:
 
 
 def _beyond_words(beyond: Sequence[Value]) -> str:
-    """Values that lie off the scale, as far as there is room for them."""
+    """List values off the scale, as far as there is room."""
     numbers = list(dict.fromkeys(f"{v.value:.5g} ± {_TIMES * v.std:.2g}" for v in beyond))  # a log may be in two files
-    more = f" and {len(numbers) - _TOLD} more" if len(numbers) > _TOLD else ""
-    return f"off scale: {', '.join(numbers[:_TOLD])}{more}"
+    more = f" and {len(numbers) - _MAX_WRITTEN} more" if len(numbers) > _MAX_WRITTEN else ""
+    return f"off scale: {', '.join(numbers[:_MAX_WRITTEN])}{more}"

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Runs side by side for cascades and order maps: measured, another run, the same run simulated."""
+"""Runs side by side for cascades and order maps: measured, another run, simulated."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class Passage:
     """One run as a column of a figure.
 
     Attributes:
-        title: what it is.
+        title: title of the column.
         signals: "x", "y" → displacement.
-        run: whose speed it has.
-        by_speed: whether it goes through speeds; else it is seen over time.
+        run: run with the speed history.
+        by_speed: whether the axis is the speed; else it is time.
         is_model: whether it is simulated.
     """
 
@@ -48,20 +48,20 @@ class Passage:
 
     @property
     def level_label(self) -> str:
-        """Of the axis along which the run goes."""
+        """Label of the axis along the run."""
         return "speed, rpm" if self.by_speed else "time since the run's start, s"
 
     def level(self, time_s: Array) -> Array:
-        """Where on that axis times lie."""
+        """Return the positions of times on that axis."""
         return RPM * speed_at(self.run, time_s) if self.by_speed else time_s
 
     def orders_Hz(self, time_s: Array) -> Array:
-        """1× in Hz at times."""
+        """Return the frequency of 1× at times, Hz."""
         return speed_at(self.run, time_s) / (2 * np.pi)
 
 
 def passages(run: Run, model: RigModel | None, over: Run | None) -> list[Passage]:
-    """Columns: measured, the other run, the same run simulated, as many as there are.
+    """Return the columns: measured, other run, simulated run, as far as they exist.
 
     Raises:
         NotEnoughData: no index marks, or no displacement.

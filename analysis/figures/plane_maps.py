@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""The figure of `rig map`: the map or a family of borders, below it the stable share over a number."""
+"""Figure of `rig map`: the map or a family of borders, with the stable share over a number below."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from analysis.maps.families import BestValue, SearchRange
 from daq.version import software_version
 
 _HEIGHT_IN, _BELOW_IN = 4.4, 2.0
-_MOST_READ = 400  # points a side that a page holds for reading
+_MAX_READOUT = 400  # points per side in a page's readout
 
 
 def draw_map(found: MapAnswer) -> tuple[Figure, Readout | None]:
-    """The figure of a map, and what a page reads out under the pointer (None of a map of one row or column)."""
+    """Draw a map, and return the values that a page displays at the pointer (None for one row or column)."""
     question, rig, frame = found.question, found.question.loaded(), frame_of(found.question)
     varied = f", for values of {symbol_of(question.family.keys)[0]}" if question.family else ""
     turns = question.x.is_speed or question.y.is_speed
@@ -55,7 +55,7 @@ def draw_map(found: MapAnswer) -> tuple[Figure, Readout | None]:
 
 
 def _draw_family(axes: Axes, found: MapAnswer) -> None:
-    """Borders of each value, hatched where the balanced state is unstable, darker for smaller values."""
+    """Draw the borders of each value, with ticks on the unstable side, darker for smaller values."""
     family = found.question.family
     assert family is not None
     symbol, unit = symbol_of(family.keys)
@@ -73,11 +73,11 @@ def _draw_family(axes: Axes, found: MapAnswer) -> None:
         axes.plot(branch.x, branch.y, color="black", lw=2.2, label="the rig as it is")
 
 
-_HATCHED = [withTickedStroke(spacing=9, angle=-90, length=0.45)]  # of a line with what is stable on its left
+_HATCHED = [withTickedStroke(spacing=9, angle=-90, length=0.45)]  # for a line with the stable side on its left
 
 
 def _draw_shares(axes: Axes, best: BestValue, within: SearchRange, members: Sequence[FamilyMember]) -> None:
-    """The stable share over the number, the best value with its interval, the members of a family."""
+    """Draw the stable share over the number, the best value with its interval, and the members of a family."""
     axes.plot(
         best.values, 100 * best.shares, color=MODEL, lw=1.2, marker="o", ms=2.5, label="stable share of the plane"
     )
@@ -115,7 +115,7 @@ def _draw_shares(axes: Axes, best: BestValue, within: SearchRange, members: Sequ
 
 def _foot(found: MapAnswer, usual: bool) -> list[str]:
     question, notes = found.question, list[str]()
-    sides = "The balanced state is stable where the map is blue, lighter where it is more so."
+    sides = "The balanced state is stable where the map is blue; a lighter blue is more stable."
     kinds = {kind for branch in (found.borders.branches if found.borders else ()) for kind in branch.kind}
     if found.family:
         notes.append("Lines: borders of stability; the balanced state is unstable on the side with the ticks.")
@@ -136,7 +136,7 @@ def _foot(found: MapAnswer, usual: bool) -> list[str]:
         share = 100 * found.computed.mean()
         notes.append(f"{share:.1f} % of the points are computed, along borders; values between them are interpolated.")
     if found.best is not None:
-        notes.append("Grey band: values whose stable shares cannot be told from the largest one.")
+        notes.append("Grey band: values whose stable share does not differ significantly from the largest one.")
     known = "" if question.parameters is None else f", {question.parameters.source} {question.parameters.digest[:19]}"
     notes.append(
         f"Made by pendulum-balancer-rig {software_version()} of {question.rig.source} {question.rig.digest[:19]}{known}"
@@ -146,10 +146,10 @@ def _foot(found: MapAnswer, usual: bool) -> list[str]:
 
 
 def _readout(found: MapAnswer, axes: Axes) -> Readout:
-    """What lies under the pointer, from at most 400 points a side."""
+    """Return the values at the pointer, with at most 400 points per side."""
     grid = found.grid
     columns, rows = (
-        np.unique(np.linspace(0, n - 1, min(n, _MOST_READ)).astype(int)) for n in (len(grid.x), len(grid.y))
+        np.unique(np.linspace(0, n - 1, min(n, _MAX_READOUT)).astype(int)) for n in (len(grid.x), len(grid.y))
     )
     place = np.ix_(rows, columns)
     x, y = found.question.axes

@@ -1,13 +1,16 @@
-"""One point over time: displacements and pendulum angles, measured and simulated, and the end seen closely."""
+# pyright: strict, reportUnknownMemberType=false
+"""One point over time: displacements and pendulum angles, measured and simulated, with a close view of the end."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from analysis.figures.style import MEASURED, MODEL, band, bins_for, drawing, label, outline, pin, to_svg
 from analysis.prediction import Prediction
@@ -17,35 +20,37 @@ from dynamics import RotorParameters, Scene, SpeedHistory, simulate
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import locked_state
 
+Array = NDArray[np.floating]
+
 _BEFORE_S = 3.0
-_PER_TURN = 24
+_SAMPLES_PER_TURN = 24
 _TURNS_SHOWN = 4
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """The model's motion after a release, in sensor axes: shapes (n,), (n,), (n,), (n, 2); s, m, rad."""
+    """Motion of the model after a release in sensor axes: shapes (n,), (n,), (n,), (n, 2); s, m, rad."""
 
-    time_s: np.ndarray
-    x_m: np.ndarray
-    y_m: np.ndarray
-    angle_rad: np.ndarray
+    time_s: Array
+    x_m: Array
+    y_m: Array
+    angle_rad: Array
 
 
 def simulate_release(
     run: Run, measured: SteadyMeasurement, physics: RotorParameters, axis_angle_rad: float
 ) -> Simulated | None:
-    """The motion from the measured locked angles at release, with the measured speed history.
+    """Simulate the motion from the measured lock angles at release, with the measured speed history.
 
     Returns:
-        None when the marks or the motion do not allow it.
+        None if the marks or the motion do not allow it.
     """
     inside = (run.mark_time_s > measured.release_s - 2.0) & (run.mark_time_s <= measured.to_s + 1.0)
     try:
         history = SpeedHistory.from_phases(run.mark_time_s[inside], run.mark_phase_rad[inside])
         psi, speed, _ = history.phase(measured.release_s)[0]
         start = locked_state(physics, speed, psi, *(float(a) for a in measured.locked_rad))
-        rate = _PER_TURN * measured.speed_rad_s.value / (2 * np.pi)
+        rate = _SAMPLES_PER_TURN * measured.speed_rad_s.value / (2 * np.pi)
         time = np.arange(measured.release_s, measured.to_s, 1 / rate)
         motion = simulate(physics, Scene(history, (True, True), start), time, 1e-3)
     except DynamicsError:
@@ -58,7 +63,7 @@ def simulate_release(
 def draw_point(
     run: Run, measured: SteadyMeasurement, prediction: Prediction | None, simulated: Simulated | None, name: str
 ) -> str:
-    """SVG of `point_figure`."""
+    """Return the SVG of `point_figure`."""
     figure = point_figure(run, measured, prediction, simulated)
     return to_svg(figure, name, "Displacements and pendulum angles over time, measured and simulated")
 
@@ -66,7 +71,7 @@ def draw_point(
 def point_figure(
     run: Run, measured: SteadyMeasurement, prediction: Prediction | None, simulated: Simulated | None
 ) -> Figure:
-    """x, y, θ3, θ4 from 3 s before release (left) and at the end (right)."""
+    """Draw x, y, θ3, θ4 from 3 s before release (left) and at the end (right)."""
     zero, end = measured.release_s, measured.to_s
     close = end - 2 * np.pi * _TURNS_SHOWN / measured.speed_rad_s.value
     with drawing(8.6, 4.7) as figure:
@@ -98,29 +103,29 @@ def point_figure(
 
 def _displacements(
     run: Run, measured: SteadyMeasurement, simulated: Simulated | None
-) -> list[tuple[np.ndarray, np.ndarray, np.ndarray | None, str]]:
-    """Times, mm about the mean, and the simulated mm, for x and y."""
-    rows = []
+) -> list[tuple[Array, Array, Array | None, str]]:
+    """Return times, mm about the mean, and simulated mm, for x and y."""
+    rows: list[tuple[Array, Array, Array | None, str]] = []
     for time, values, model, text in (
         (run.x_time_s, run.x_m, simulated and simulated.x_m, "x, mm"),
         (run.y_time_s, run.y_m, simulated and simulated.y_m, "y, mm"),
     ):
         late = values[(time >= measured.from_s) & (time <= measured.to_s)]
-        shown = 1e3 * (values - np.nanmean(late))
+        shown: Array = 1e3 * (values - float(np.nanmean(late)))
         rows.append((time, shown, None if model is None else 1e3 * model, text))
     return rows
 
 
 def _pair(
     axes: Axes,
-    time: np.ndarray,
-    values: np.ndarray,
+    time: Array,
+    values: Array,
     simulated: Simulated | None,
-    model: np.ndarray | None,
+    model: Array | None,
     span: tuple[float, float],
     bins: int,
 ) -> None:
-    """Measured and simulated values in a span of times after release."""
+    """Draw measured and simulated values in an interval of time after release."""
     part = (time >= span[0]) & (time <= span[1])
     if part.sum() > 1:
         step = max(1, int(part.sum() // 600)) if span[1] - span[0] < 3 else 1
@@ -133,7 +138,7 @@ def _pair(
 
 
 def _angle_row(
-    axes: np.ndarray,
+    axes: NDArray[Any],
     run: Run,
     measured: SteadyMeasurement,
     prediction: Prediction | None,
@@ -141,17 +146,17 @@ def _angle_row(
     j: int,
     times: tuple[float, float, float],
 ) -> None:
-    """One pendulum's angle, both columns; right with the predicted steady value and its ± 2 deviations."""
+    """Draw one pendulum's angle in both columns, with the predicted steady value ± 2 deviations on the right."""
     zero, close, end = times
     settled = run.angle_rad[(run.angle_time_s >= measured.from_s) & (run.angle_time_s <= end), j]
     base = 2 * np.pi * np.floor(np.nanmean(settled) / (2 * np.pi))  # both end between 0 and 360°
     angle = np.degrees(run.angle_rad[:, j] - base)
     model = None if simulated is None else np.degrees(simulated.angle_rad[:, j] - base)
-    for axis, start in zip(axes, (zero - _BEFORE_S, close), strict=True):
+    for axis, start in zip(cast("list[Axes]", axes.tolist()), (zero - _BEFORE_S, close), strict=True):
         _pair(axis, run.angle_time_s - zero, angle, simulated, model, (start - zero, end - zero), 400)
     if prediction is None or measured.state not in ("I", "II", "III"):
         return
-    late = angle[(run.angle_time_s >= measured.from_s) & (run.angle_time_s <= end)]
+    late: Array = angle[(run.angle_time_s >= measured.from_s) & (run.angle_time_s <= end)]
     value = math.degrees(prediction.values[j])
     value += 360 * round((float(np.nanmean(late)) - value) / 360)
     std = math.degrees(prediction.std[j])

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Where a rig's singular points are lost, over speed and over how much of its damping it has."""
+"""Loss of a rig's singular points over speed and over its damping."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _COLOURS = {"II": MODEL, "III": MEASURED}
 
 
 def draw_point_loss(physics: RotorParameters, title: str) -> Figure:
-    """Bands of lost speed ratios by damping: both damping ratios of the rig are multiplied by the same number.
+    """Draw the bands of lost speed ratios over damping; both damping ratios are multiplied by the same number.
 
     Raises:
         OutsideDomain: as point_losses.
@@ -29,7 +29,7 @@ def draw_point_loss(physics: RotorParameters, title: str) -> Figure:
     wide = natural[1] / natural[0]
     speeds = np.linspace(0.0, max(2.5, 1.6 * wide), 600)[1:]
     foot = (
-        "Coloured: no singular point of the type at all. Line: the rig as it is. Damping ratios along x and y are "
+        "Coloured: no singular point of the type exists. Line: damping of this rig. Damping ratios along x and y are "
         "multiplied by the same number."
     )
     with sheet(8.6, 3.8, title, (foot,)) as figure:
@@ -49,7 +49,7 @@ def draw_point_loss(physics: RotorParameters, title: str) -> Figure:
 
 
 def _lost(bands: Sequence[tuple[float, float]], speeds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """1 where a speed ratio is within a band, else 0."""
+    """Return 1 where a speed ratio is within a band, else 0."""
     found = np.zeros(len(speeds))
     for low, high in bands:
         found[(speeds > low) & (speeds < high)] = 1.0

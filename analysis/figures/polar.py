@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Polar plot: the 1× vectors of x and y in the plane, speeds along the curve, beside the model's."""
+"""Polar plot: 1× vectors of x and y in the plane, with speeds along the curve, measured and simulated."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ from daq.signals.run import Run
 Complex = NDArray[np.complex128]
 
 _RAYS = tuple(22.5 + 45.0 * k for k in range(8))
-_MANY, _BETWEEN, _CURVE_POINTS = 1200, 8, 200
+_MAX_VECTORS, _BETWEEN, _CURVE_POINTS = 1200, 8, 200
 _NICE_RPM = np.array([5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0])
-_APART = 0.17  # of the radius, between two speeds that are written
-_BESIDE = 0.085  # of the radius, from the curve to its speed's number
+_MIN_DISTANCE = 0.17  # between two written speeds, relative to the radius
+_TEXT_DISTANCE = 0.085  # from the curve to its speed's number, relative to the radius
 
-_HEADROOM = 1.12  # of the largest measured amplitude; a steady resonance may leave the plot
-_LEAST_CIRCLE = 0.011  # of the radius: half the width of the measured curve
-_CIRCLES = "Circles: where a vector lies with 95 %, about those for which that is wider than the line."
+_HEADROOM = 1.12  # radius over the largest measured amplitude; a steady resonance may exceed it
+_MIN_CIRCLE = 0.011  # relative to the radius: half the width of the measured curve
+_CIRCLES = "Circles: 95 % areas of the vectors, drawn where they are wider than the line."
 
 
 def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
-    """x's vectors (left) and y's (right): radius 0–peak amplitude in mm, angle phase, counterclockwise lead.
+    """Draw the vectors of x (left) and y (right): radius 0–peak amplitude in mm, angle phase, counterclockwise lead.
 
     Args:
-        run: a run-up or run-down.
-        model: its run with the same speed history, and its steady response, which may leave the figure at resonance.
-        over: another run, drawn over it.
+        run: run-up or run-down.
+        model: model; its simulation of the run, and its steady response, which may leave the figure at resonance.
+        over: another run, drawn over the first.
     Raises:
-        NotEnoughData: a run that stays at one speed, or has no index marks.
+        NotEnoughData: the run stays at one speed, or has no index marks.
     """
     own = passed_vectors(run, model)
     other = None if over is None else passed_vectors(over, None)
@@ -88,17 +88,17 @@ def _curve(axes: Axes, found: Vectors, look: Look, text: str, top: float) -> Non
 
 
 def _circles(axes: Axes, found: Vectors, top: float, colour: str) -> None:
-    """95 % of a vector: a circle about each that is large enough to be seen beside the curve."""
+    """Draw a 95 % circle about each vector whose circle is wider than the curve."""
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
     for amplitude, std in zip(found.amplitude_m.tolist(), found.std_m.tolist(), strict=True):
-        if 1e3 * TIMES_IN_PLANE * std > _LEAST_CIRCLE * top:
+        if 1e3 * TIMES_IN_PLANE * std > _MIN_CIRCLE * top:
             edge = 1e3 * (amplitude + TIMES_IN_PLANE * std * turn)
             area(axes, np.angle(edge), np.abs(edge), colour)
 
 
 def _smooth(vectors: Complex) -> Complex:
-    """Vectors of each revolution with some between them: the envelope they are of is a spline."""
-    if not 4 <= len(vectors) <= _MANY:
+    """Return the vectors with interpolated ones between them; the tracked envelope is a spline."""
+    if not 4 <= len(vectors) <= _MAX_VECTORS:
         return vectors
     at = np.arange(len(vectors))
     between = np.linspace(0, len(vectors) - 1, _BETWEEN * len(vectors))
@@ -106,7 +106,7 @@ def _smooth(vectors: Complex) -> Complex:
 
 
 def _scales(axes: Axes, top: float, written: Sequence[complex]) -> None:
-    """Radius and angle; the radii are written along the ray that is farthest from numbers and curve."""
+    """Set radius and angle; the radii are written along the ray that is farthest from numbers and curve."""
     assert isinstance(axes, PolarAxes)
     axes.set_ylim(0, top)
     axes.set_xticks(np.radians(np.arange(0, 360, 45)))
@@ -121,7 +121,7 @@ def _scales(axes: Axes, top: float, written: Sequence[complex]) -> None:
 
 
 def _speeds(axes: Axes, found: Vectors, top: float) -> list[complex]:
-    """Speeds along the curve wherever their numbers do not touch; what takes room, by the radius: numbers and curve."""
+    """Write speeds along the curve without overlap; return the positions of numbers and curve, by the radius."""
     vectors = _smooth(found.amplitude_m)
     rows = np.arange(len(found.speed_rad_s))
     speed = RPM * np.interp(np.linspace(0, len(rows) - 1, len(vectors)), rows, found.speed_rad_s)
@@ -132,8 +132,8 @@ def _speeds(axes: Axes, found: Vectors, top: float) -> list[complex]:
     written: list[complex] = []
     for rpm in np.arange(step * np.ceil(speed[0] / step), speed[-1], step).tolist():
         at = complex(np.interp(rpm, speed, vectors.real), np.interp(rpm, speed, vectors.imag)) * 1e3 / top
-        out = at * (1 + _BESIDE / abs(at)) if abs(at) > _APART else at + _BESIDE
-        if any(abs(out - other) < _APART for other in written):
+        out = at * (1 + _TEXT_DISTANCE / abs(at)) if abs(at) > _MIN_DISTANCE else at + _TEXT_DISTANCE
+        if any(abs(out - other) < _MIN_DISTANCE for other in written):
             continue
         written.append(out)
         axes.plot([np.angle(at)], [abs(at) * top], marker="o", ms=3.5, color="black", ls="", zorder=6)
@@ -148,4 +148,4 @@ def _speeds(axes: Axes, found: Vectors, top: float) -> list[complex]:
             zorder=7,
         )
     curve = vectors[:: max(1, len(vectors) // _CURVE_POINTS)] * 1e3 / top
-    return [*written, *(complex(at) for at in curve.tolist() if abs(at) > _APART)]
+    return [*written, *(complex(at) for at in curve.tolist() if abs(at) > _MIN_DISTANCE)]

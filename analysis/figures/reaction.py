@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""The figure of `rig react`: vibration and pendulums after a sudden change."""
+"""Figure of `rig react`: vibration and pendulums after a sudden change."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from dynamics.steady.reaction import Reaction
 
 
 def draw_reaction(found: Reaction, title: str, share: float) -> Figure:
-    """Rms vibration of each revolution and the pendulums' mean angles over the time since the change.
+    """Draw rms vibration and mean pendulum angles of each revolution over the time since the change.
 
     Args:
-        share: of the largest deviation at which the reaction is over.
+        found: reaction.
+        title: title of the figure.
+        share: share of the largest deviation at which the reaction is over.
     """
     foot = ["Each point is a revolution: rms distance of the disk's centre from its mean, means of the angles."]
     with sheet(WIDTH_IN, 4.0, title, foot) as figure:

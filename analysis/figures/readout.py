@@ -1,5 +1,5 @@
 # pyright: strict
-"""Values that a page shows under the pointer."""
+"""Values that a page displays at the pointer."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Readout:
-    """Values over the axes of a figure; the nearest point's are shown.
+    """Values over the axes of a figure; those of the nearest point are displayed.
 
     Attributes:
         box: left, bottom, right and top of the axes as shares of the figure.
-        names: of x and y.
-        logarithmic: whether an axis is.
-        x, y: of the points, shapes (n,) and (m,), rising from one side of the axes to the other.
-        layers: name to values, shape (m, n); NaN: none there.
+        names: names of x and y.
+        logarithmic: whether each axis is logarithmic.
+        x, y: coordinates of the points, shapes (n,) and (m,), rising from one side of the axes to the other.
+        layers: name to values, shape (m, n); NaN where no value exists.
     """
 
     box: tuple[float, float, float, float]
@@ -32,7 +32,7 @@ class Readout:
     layers: Mapping[str, NDArray[np.floating]]
 
     def as_json(self) -> str:
-        """For the page's script; values as base64 of 32-bit numbers, little end first."""
+        """Return JSON for the page's script; values as base64 of 32-bit little-endian floats."""
 
         def packed(values: NDArray[np.floating]) -> str:
             return base64.b64encode(np.ascontiguousarray(values, "<f4").tobytes()).decode("ascii")
@@ -45,4 +45,4 @@ class Readout:
             "y": packed(self.y),
             "layers": [{"name": name, "values": packed(values)} for name, values in self.layers.items()],
         }
-        return json.dumps(held).replace("<", "\\u003c")  # nothing in it ends the script
+        return json.dumps(held).replace("<", "\\u003c")  # the text cannot end the script element

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a run has recorded of what a figure needs, and the words for what it lacks."""
+"""Recorded signals that a figure needs, and messages about missing ones."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ LEAST_MARKS = 3
 
 
 def displacements(run: Run) -> dict[str, tuple[Array, Array]]:
-    """Times and values of the displacements there are: "x", "y"."""
+    """Return times and values of the recorded displacements: "x", "y"."""
     both = {"x": (run.x_time_s, run.x_m), "y": (run.y_time_s, run.y_m)}
     return {name: pair for name, pair in both.items() if np.isfinite(pair[1]).any()}
 
 
 def need_vectors(run: Run, what: str, *, both: bool = False) -> None:
-    """Refuse a run of which no vectors can be had, and say all that is missing.
+    """Check that 1× vectors can be calculated; the error lists all missing signals.
 
     Args:
-        what: that is to be drawn, for the message.
-        both: whether x and y are needed; else one is enough.
+        run: run to be drawn.
+        what: name of the figure for the message.
+        both: whether x and y are needed; else one suffices.
     Raises:
         NotEnoughData: displacements or index marks are missing.
     """
@@ -48,10 +49,10 @@ def need_vectors(run: Run, what: str, *, both: bool = False) -> None:
 
 
 def marks_words(run: Run) -> str:
-    """Of a run with too few index marks: what that says, by what else is known."""
+    """Describe too few index marks of a run, with the probable reason."""
     marks = len(run.mark_time_s)
     if marks:
         return f"only {marks} index mark{'s' if marks > 1 else ''}"
     if math.isfinite(run.motor_start_s):
-        return "no index mark, though its motor was told to turn: the tachometer saw nothing"
+        return "no index mark, although its motor was commanded to turn: the tachometer detected nothing"
     return "no index mark (the rotor stood, or no tachometer was recorded)"

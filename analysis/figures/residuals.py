@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Fit residuals: what identification fitted to each test, measured under fitted, and what it left, with units."""
+"""Fit residuals: signals fitted by the identification in each test, measured and fitted, with residuals and units."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ Array = NDArray[np.float64]
 _CLOSE_CYCLES = 8
 _CLOSE_SAMPLES = 900
 _HEIGHT_IN = 2.6
-_LONGEST = 14  # letters of a label
+_MAX_LABEL = 14  # letters
 
 
 def draw_residuals(curves: Sequence[FitCurve]) -> Figure:
-    """A block for each curve: the whole record (left) and some cycles (right), residuals below in their own unit.
+    """One block per curve: whole record (left) and some cycles (right), residuals below in their own unit.
 
     Args:
         curves: `fit_curves(found.fits)` of an identification.
     Raises:
-        NotEnoughData: there is none.
+        NotEnoughData: `curves` is empty.
     """
     if not curves:
         raise NotEnoughData("expected logs of tests that identification fits (ring-down, spin-down, run-up), got none")
@@ -74,14 +74,14 @@ def _block(upper: Axes, lower: Axes, curve: FitCurve, *, close: bool) -> None:
     reach = 1.15 * scale * float(np.nanmax(np.abs(rest))) or 1.0
     lower.set_ylim(-reach, reach)
     if not close:
-        label(upper, y=f"{curve.y_label[:_LONGEST]}, {curve.unit}", title=curve.title)
+        label(upper, y=f"{curve.y_label[:_MAX_LABEL]}, {curve.unit}", title=curve.title)
         label(lower, y=f"rest, {unit}")
     else:
         label(upper, title=f"rms {scale * curve.residual_rms:.3g} {unit}")
 
 
 def _close(fitted: Array, crossings: NDArray[np.intp]) -> slice:
-    """Some cycles about the fit's largest swing, or an eighth of the record."""
+    """Return some cycles about the fit's largest swing, or an eighth of the record."""
     n = len(fitted)
     if len(crossings) < 3 * _CLOSE_CYCLES:
         return slice(0, max(16, n // 8))

@@ -1,7 +1,7 @@
 # pyright: strict, reportUnknownMemberType=false
-"""A figure with its head and foot: title, a legend that covers no curve, and what its axes mean.
+"""A figure with head and foot: title, a legend outside the plots, and the meaning of its axes.
 
-The plots keep the size asked for; head and foot add to it as much as their text needs.
+The plots keep the requested size; head and foot are added with the height of their text.
 """
 
 from __future__ import annotations
@@ -21,34 +21,34 @@ from analysis.figures.log_marks import drawable
 from analysis.figures.style import GOOD, GREY, MEASURED, MODEL, drawing
 
 LEAST_FONT_PT = 7.5
-"""Smallest size of any letter when the figure is printed at its own size."""
+"""Smallest font size when the figure is printed at its own size."""
 WIDTH_IN = 8.6
 
 PHASE = "phase, ° (lead positive)"
 """Label of every axis of phase; `PHASE_FOOT` is its long form."""
 PHASE_FOOT = (
     "Phase: x = Re(X e^{iψ}), ψ = 0 where the imbalance (index mark) points along +x; positive: the displacement's "
-    "peak leads the mark. Displacements count as in the rig file; a laser's distance grows away from it."
+    "peak leads the mark. Displacements are positive as in the rig file; a laser's distance increases away from it."
 )
 AMPLITUDE = "amplitude, mm (0–peak)"
 
 Look = dict[str, Any]
-MEASURED_LOOK: Look = {"color": MEASURED, "ls": "-", "lw": 3.0, "alpha": 0.55}  # wide: seen under a model on it
+MEASURED_LOOK: Look = {"color": MEASURED, "ls": "-", "lw": 3.0, "alpha": 0.55}  # wide, to be visible under a model
 MODEL_LOOK: Look = {"color": MODEL, "ls": (0, (5, 2)), "lw": 1.2}
 STEADY_LOOK: Look = {"color": "black", "ls": (0, (1, 1.5)), "lw": 1.0}
 OVER_LOOK: Look = {"color": GOOD, "ls": (0, (6, 1.5, 1, 1.5)), "lw": 1.2}
 
 _TITLE_PT, _FOOT_PT, _LEGEND_PT = 10.0, LEAST_FONT_PT, 8.5
 _MARGIN_IN, _GAP_IN = 0.08, 0.06
-_TITLE_LETTERS, _FOOT_LETTERS = 12.5, 17.0  # an inch
-_LINE = 1.3  # height of a line in its letters' size
+_TITLE_LETTERS, _FOOT_LETTERS = 12.5, 17.0  # per inch
+_LINE = 1.3  # height of a line over its font size
 
 
 @contextmanager
 def sheet(width_in: float, height_in: float, title: str, foot: Sequence[str] = ()) -> Generator[Figure]:
-    """A figure whose plots take the size asked for; on leaving the block title, legend and foot are put around them.
+    """Create a figure whose plots have the requested size; on exit title, legend and foot are placed around them.
 
-    The legend holds every labelled artist of all axes once, in their order.
+    The legend contains every labelled artist of all axes once, in their order.
     """
     with drawing(width_in, height_in) as figure:
         FigureCanvasAgg(figure)
@@ -90,11 +90,11 @@ def sheet(width_in: float, height_in: float, title: str, foot: Sequence[str] = (
         assert isinstance(engine, ConstrainedLayoutEngine)
         engine.set(rect=(0, foot_in / whole_in, 1, 1 - (foot_in + head_in) / whole_in))
         figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # as it is now, wherever it is drawn
+        figure.set_layout_engine("none")  # the layout is final on every canvas
 
 
 def _legend(figure: Figure, room_in: float) -> Legend | None:
-    """The legend in as few lines as the width allows; None without labelled artists."""
+    """Create the legend with as few lines as the width allows; None without labelled artists."""
     shown: dict[str, Artist] = {}
     for axes in figure.axes:
         for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):

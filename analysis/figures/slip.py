@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Pendulum angles and slip order over speed: where runs end, and the model's steady states along the speed."""
+"""Pendulum angles and slip order over speed: ends of runs, and the model's steady states over the speed."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ Array = NDArray[np.float64]
 
 _SPEEDS = 48
 _STILL_RAD = 0.05
-_BELOW, _ABOVE = 0.6, 1.12  # how far the model's curves go beyond the runs' speeds
+_BELOW, _ABOVE = 0.6, 1.12  # range of the model's curves relative to the runs' speeds
 _FOOT = (
-    "Slip order: a pendulum's speed against the rotor, turns a revolution; 0 stands still on the rotor, −1 stands "
-    "still in the laboratory. Angles: 0° at the imbalance, both within 0…360°. Bars: swing in the last seconds."
+    "Slip order: a pendulum's speed against the rotor, turns a revolution; 0 is at rest on the rotor, −1 is at rest "
+    "in the laboratory. Angles: 0° at the imbalance, both within 0…360°. Bars: swing in the last seconds."
 )
 
 
 @dataclass(frozen=True)
 class _End:
-    """How a run at one speed ends: mean angles ([0, 2π)) and their swing, rad, and slip orders of the last seconds."""
+    """End of a run at one speed: mean angles ([0, 2π)) and their swing, rad, and slip orders of the last seconds."""
 
     name: str
     speed_rad_s: float
@@ -47,11 +47,11 @@ class _End:
 
 
 def draw_slip(runs: Sequence[Run], model: RigModel | None = None) -> Figure:
-    """θ3, θ4 (above, middle) and slip orders (below) over speed.
+    """Draw θ3, θ4 (above, middle) and slip orders (below) over speed.
 
     Args:
-        runs: with pendulum angles; those at one speed give a point each, those through speeds a curve.
-        model: its stable and unstable steady states along the speed.
+        runs: runs with pendulum angles; runs at one speed yield a point each, runs through speeds a curve.
+        model: model; its stable and unstable steady states over the speed.
     Raises:
         NotEnoughData: a run without pendulum angles or index marks.
     """
@@ -80,10 +80,10 @@ def draw_slip(runs: Sequence[Run], model: RigModel | None = None) -> Figure:
 
 
 def slips_of(run: Run) -> SlipTrack:
-    """Angles and slip orders in rows of whole revolutions.
+    """Return angles and slip orders in rows of whole revolutions.
 
     Raises:
-        NotEnoughData: too few readings, or no phase beside them.
+        NotEnoughData: too few readings, or readings without a phase.
     """
     try:
         return slip_track(run.angle_time_s, run.angle_rad, phase_at(run, run.angle_time_s))
@@ -92,7 +92,7 @@ def slips_of(run: Run) -> SlipTrack:
 
 
 def _locked(run: Run) -> bool:
-    """Whether no pendulum was let go, nor moved on the rotor."""
+    """Whether no pendulum was released or moved on the rotor."""
     moved = np.nanmax(run.angle_rad, axis=0) - np.nanmin(run.angle_rad, axis=0)
     return not run.releases and bool(np.all(moved < _STILL_RAD))
 
@@ -117,7 +117,7 @@ def _end(run: Run) -> _End:
 
 
 def _branches(grid: Sequence[Axes], found: Sequence[SweptState], name: str) -> None:
-    """Dots for every steady state: filled for stable ones, open for unstable ones."""
+    """Draw a dot for every steady state: filled if stable, open if unstable."""
     for j in range(2):
         for stable, text in ((True, f"stable, {name}"), (False, f"unstable, {name}")):
             chosen = [s for s in found if s.state.stable == stable]

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Spectra of a run's end: the full spectrum, forward and backward, and the power densities of x and y."""
+"""Spectra of a run's end: full spectrum, forward and backward, and power densities of x and y."""
 
 from __future__ import annotations
 
@@ -26,37 +26,37 @@ from daq.signals.run import Run
 
 Array = NDArray[np.float64]
 
-_AVERAGES = 4  # windows overlapping by half: so many lengths of half a window and one more
-_LEAST_AROUND_Hz = 15.0
+_AVERAGES = 4  # half-overlapping windows in the interval
+_MIN_RANGE_Hz = 15.0
 _ORDERS_SHOWN = 3.5
 _LOG_POINTS = 700
 
 
 @dataclass(frozen=True)
 class _Part:
-    """What spectra are drawn of: times and samples of x and y, 1× in Hz (nan: at rest or changing)."""
+    """Interval of the spectra: times and samples of x and y, 1× in Hz (NaN: at rest or changing)."""
 
     x: tuple[Array, Array]
     y: tuple[Array, Array]
     turns_Hz: float
     words: str
     steady: SteadyPart | None
-    passing: bool = False  # the run goes through speeds beside it
+    passing: bool = False  # whether the run passes through speeds outside the interval
 
 
-_MODEL_FOOT = "Simulated: without the sensors' noise, so it goes below the measured floor and beyond the axis."
+_MODEL_FOOT = "Simulated: without the sensors' noise, so that it is below the measured floor and leaves the axis."
 
 
 def draw_spectrum(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
-    """Full spectrum (above) and power densities (below).
+    """Draw full spectrum (above) and power densities (below).
 
     Args:
-        run: with both displacements; of one that turns its last seconds at one speed or, of a run-up, its longest
-            stretch at one speed; of one at rest the whole.
-        model: the same of the same run simulated, 1× amplitudes of its steady state, natural frequencies.
-        over: another run, drawn over it.
+        run: run with both displacements. The interval is its last seconds at one speed; for a run-up its longest
+            interval at one speed; for a standing rotor the whole run.
+        model: model; the spectra of its simulation, 1× amplitudes of its steady state, natural frequencies.
+        over: another run, drawn over the first.
     Raises:
-        NotEnoughData: a displacement is missing, or no stretch at one speed is long enough.
+        NotEnoughData: a displacement is missing, or no interval at one speed is long enough.
     """
     part = _part(run)
     other = None if over is None else _part(over)
@@ -70,7 +70,7 @@ def draw_spectrum(run: Run, model: RigModel | None = None, over: Run | None = No
     title = f"Spectra: {Path(run.source).name} ({run.test})"
     with sheet(WIDTH_IN, 5.4, title, foot) as figure:
         upper, lower = figure.subplots(2, 1)
-        around = max(_LEAST_AROUND_Hz, _ORDERS_SHOWN * part.turns_Hz if math.isfinite(part.turns_Hz) else 0.0)
+        around = max(_MIN_RANGE_Hz, _ORDERS_SHOWN * part.turns_Hz if math.isfinite(part.turns_Hz) else 0.0)
         if model is not None:
             around = max(around, 1.3 * model.speeds_rad_s[1] / (2 * math.pi))
         _full(upper, part, around, MEASURED, "full spectrum, measured")
@@ -123,7 +123,7 @@ def _window_s(part: _Part) -> float:
 
 
 def _full(axes: Axes, part: _Part, around: float, colour: str, text: str) -> None:
-    time, x = part.x  # y at x's instants: the straight line between y's samples is good far beyond what is shown
+    time, x = part.x  # linear interpolation of y at the times of x is accurate far beyond the displayed range
     try:
         found = full_spectrum(time, x, np.interp(time, *part.y), window_s=_window_s(part))
     except ValueError as error:
@@ -155,7 +155,7 @@ def _densities(axes: Axes, part: _Part, names: tuple[str, str], *, over: bool = 
 
 
 def _by_octaves(found: Spectrum) -> tuple[Array, Array]:
-    """Frequencies and mm²/Hz; means where many lines share a pixel of the logarithmic axis."""
+    """Return frequencies and mm²/Hz, averaged where many lines share a pixel of the logarithmic axis."""
     frequency, values = found.frequency_Hz[1:], 1e6 * found.values[1:]
     wanted = np.geomspace(float(frequency[0]), float(frequency[-1]), _LOG_POINTS)
     edges: NDArray[np.int64] = np.asarray(np.unique(np.searchsorted(frequency, wanted)), np.int64)
@@ -164,7 +164,7 @@ def _by_octaves(found: Spectrum) -> tuple[Array, Array]:
 
 
 def _simulated(panels: tuple[Axes, Axes], part: _Part, simulated: SimulatedRun, around: float, name: str) -> None:
-    """Both spectra of the simulated run in the same stretch; the axes stay as the measured ones need them."""
+    """Draw both spectra of the simulated run in the same interval; the limits of the axes do not change."""
     assert part.steady is not None
     limits = [axes.get_ylim() for axes in panels]
     time, x = part.steady.cut(simulated.time_s, simulated.x_m)
@@ -182,7 +182,7 @@ def _simulated(panels: tuple[Axes, Axes], part: _Part, simulated: SimulatedRun, 
 
 
 def _model(axes: Axes, part: _Part, model: RigModel, run: Run) -> None:
-    """Forward and backward 1× amplitudes of the model's steady state, where the run is steady."""
+    """Draw forward and backward 1× amplitudes of the model's steady state, if the run is steady."""
     if part.steady is None:
         return
     if run.releases:
@@ -213,7 +213,7 @@ def _model(axes: Axes, part: _Part, model: RigModel, run: Run) -> None:
 
 
 def _orders(axes: Axes, turns_Hz: float, around: float) -> None:
-    """Orders on an axis above."""
+    """Draw a second axis with orders above the plot."""
     if not math.isfinite(turns_Hz):
         return
     orders = np.arange(-math.floor(around / turns_Hz), math.floor(around / turns_Hz) + 1)

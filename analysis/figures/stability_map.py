@@ -1,4 +1,5 @@
-"""The stability map: where the balanced state holds, with the points that were run."""
+# pyright: strict, reportUnknownMemberType=false
+"""Stability map of the balanced state, with the measured points."""
 
 from __future__ import annotations
 
@@ -9,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
 
 from analysis.figures.sheet import LEAST_FONT_PT
 from analysis.figures.style import GREY, MODEL, drawing, label, to_svg
@@ -16,14 +18,16 @@ from dynamics import RotorParameters
 from dynamics.stability.borders import Borders
 from dynamics.stability.stability_map import StabilityMap, stability_map
 
+Array = NDArray[np.floating]
+
 _LEVELS = (0.6, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 1.4, 1.8, 2.5)
 USUAL = ("speed ratio Ω = ω/ω_n1", "stiffness ratio K = k2/k1")
 _SHORT: dict[str, str] = {USUAL[0]: "Ω", USUAL[1]: "K"}
-_HALO = [withStroke(linewidth=2.5, foreground="white")]  # letters are read on any ground
+_HALO = [withStroke(linewidth=2.5, foreground="white")]  # keeps letters readable on any background
 _MARKS = {"I": "o", "II": "s", "III": "^", "slipping": "X", "not settled": "P"}
 
 
-_COLOURS = (  # of the levels' bands, each darker than the one before: stable stays light in grey print
+_COLOURS = (  # of the levels' bands, each darker than the one before; stable bands are light in grey print
     "#fbfcff",
     "#f0f3fb",
     "#e4e9f6",
@@ -55,13 +59,14 @@ class MapPoint:
 
 @dataclass(frozen=True)
 class MapFrame:
-    """What a map stands in.
+    """Axes and marks of a map.
 
     Attributes:
-        names: of the axes.
-        logarithmic: whether an axis is.
-        points: marked on the rig's line.
-        own: the rig's stiffness ratio, where y is one and x the speed ratio; else neither points nor lines are drawn.
+        names: names of the axes.
+        logarithmic: whether each axis is logarithmic.
+        points: points marked on the rig's line.
+        own: stiffness ratio of the rig, if y is the stiffness ratio and x the speed ratio; else neither points nor
+            lines are drawn.
     """
 
     names: tuple[str, str] = USUAL
@@ -71,7 +76,7 @@ class MapFrame:
 
 
 def draw_stability_map(physics: RotorParameters, points: Sequence[MapPoint], name: str = "map") -> str:
-    """SVG of the largest Type I multiplier over Ω × K around the line of the points, for a report.
+    """Return an SVG of the largest Type I multiplier over Ω × K around the line of the points, for a report.
 
     Raises:
         NoBalancedState: the rig has no balanced state.
@@ -81,10 +86,12 @@ def draw_stability_map(physics: RotorParameters, points: Sequence[MapPoint], nam
 
 
 def draw_points_on_map(physics: RotorParameters, points: Sequence[MapPoint], title: str = "") -> Figure:
-    """The same as a figure of its own.
+    """Draw the same map as a separate figure.
 
     Args:
-        title: stands above.
+        physics: parameters of the rig.
+        points: measured points.
+        title: title of the figure.
     Raises:
         NoBalancedState: the rig has no balanced state.
     """
@@ -110,7 +117,7 @@ def draw_points_on_map(physics: RotorParameters, points: Sequence[MapPoint], tit
 
 
 def stability_map_figure(physics: RotorParameters, found: StabilityMap, points: Sequence[MapPoint]) -> Figure:
-    """The largest Type I multiplier as filled contours, with both resonance lines and the points on the rig's line."""
+    """Draw the largest Type I multiplier as filled contours, with both resonance lines and the rig's points."""
     own = physics.k2_N_per_m / physics.k1_N_per_m
     grid = MapGrid(found.x, found.y, found.multiplier_max)
     return _figure(grid, points, own)
@@ -121,27 +128,27 @@ class MapGrid:
     """Values over x and y, shape (len(y), len(x)).
 
     Attributes:
-        is_rate: whether they are decay rates, 1/s, and no multipliers.
+        is_rate: whether the values are decay rates, 1/s, instead of multipliers.
     """
 
-    x: np.ndarray
-    y: np.ndarray
-    values: np.ndarray
+    x: Array
+    y: Array
+    values: Array
     is_rate: bool = False
 
     @property
     def border(self) -> float:
-        """The value at which stability ends."""
+        """Value at the border of stability."""
         return 0.0 if self.is_rate else 1.0
 
     @property
     def name(self) -> str:
-        """For the bar."""
+        """Label of the colour bar."""
         return "decay rate, 1/s" if self.is_rate else "largest |multiplier|"
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """Twelve bands, five of them stable, darker where it is less so."""
+        """Levels of twelve bands, five of them stable; less stable bands are darker."""
         if not self.is_rate:
             return _LEVELS
         stable, unstable = (float(np.nanmax(sign * self.values, initial=0.0)) or 1.0 for sign in (1, -1))
@@ -157,10 +164,13 @@ def _figure(grid: MapGrid, points: Sequence[MapPoint], own: float) -> Figure:
 
 
 def draw_grid(axes: Axes, grid: MapGrid, frame: MapFrame, borders: Borders | None = None) -> None:
-    """Values as filled contours with a bar, white where there are none; of one row or column a curve.
+    """Draw values as filled contours with a bar, white where no value exists; one row or column as a curve.
 
     Args:
-        borders: drawn in place of the map's own contour, a line each for flutter, divergence and period doubling.
+        axes: axes of the map.
+        grid: values.
+        frame: axes and marks.
+        borders: drawn instead of the map's own contour, with line styles for flutter, divergence and period doubling.
     """
     x, y = grid.x, grid.y
     axes.grid(False)
@@ -180,8 +190,8 @@ def draw_grid(axes: Axes, grid: MapGrid, frame: MapFrame, borders: Borders | Non
     bar.set_label("decay rate, 1/s" if grid.is_rate else "largest |multiplier| over one revolution")
 
 
-def set_plane(axes: Axes, grid: tuple[np.ndarray, np.ndarray], frame: MapFrame) -> None:
-    """Ranges and names of a map's axes, and over speed and stiffness ratio both resonances and the rig's line."""
+def set_plane(axes: Axes, grid: tuple[Array, Array], frame: MapFrame) -> None:
+    """Set ranges and names of a map's axes; over speed and stiffness ratio also draw resonances and the rig's line."""
     x, y = grid
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     if frame.logarithmic[0]:
@@ -200,12 +210,12 @@ _LINES = {"flutter": "-", "divergence": "--", "period doubling": ":"}
 
 
 def draw_borders(axes: Axes, borders: Borders) -> None:
-    """Each border, its line by how stability is lost."""
+    """Draw each border with the line style of its kind of instability."""
     for branch in borders.branches:
         kinds = np.array(branch.kind)
         for kind in dict.fromkeys(branch.kind):
             here = kinds == kind
-            here[:-1] |= here[1:]  # up to where the next kind begins
+            here[:-1] |= here[1:]  # up to the start of the next kind
             axes.plot(
                 np.where(here, branch.x, np.nan),
                 np.where(here, branch.y, np.nan),
@@ -216,7 +226,7 @@ def draw_borders(axes: Axes, borders: Borders) -> None:
 
 
 def _one_line(axes: Axes, grid: MapGrid, frame: MapFrame) -> None:
-    """A map of one row or one column is a curve."""
+    """Draw a map of one row or one column as a curve."""
     along_x = len(grid.x) > 1 or len(grid.y) == 1
     x, fixed = (grid.x, grid.y[0]) if along_x else (grid.y, grid.x[0])
     axes.grid(True)
@@ -228,8 +238,8 @@ def _one_line(axes: Axes, grid: MapGrid, frame: MapFrame) -> None:
     label(axes, name, f"{grid.name} at {_SHORT.get(other, other)} = {fixed:g}")
 
 
-def _resonances(axes: Axes, omega: np.ndarray, ratio: np.ndarray) -> None:
-    """Ω = 1 and Ω = √K."""
+def _resonances(axes: Axes, omega: Array, ratio: Array) -> None:
+    """Draw Ω = 1 and Ω = √K."""
     if omega[0] <= 1 <= omega[-1]:
         axes.plot([1, 1], [ratio[0], ratio[-1]], color="#333333", ls="--", lw=1)
         axes.annotate(

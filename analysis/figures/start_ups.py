@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Where repeated start-ups came to rest, and what vibration each has left."""
+"""Final angles of repeated start-ups, and the remaining vibration of each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from analysis.settled_scatter import SettledScatter
 Array = NDArray[np.float64]
 
 SYMBOLS = "osD^v<>pPX*hH8d"
-"""Of start-ups, one each; they begin again after the last."""
+"""Markers of the start-ups, one each; repeated after the last."""
 _LEVELS = ((0, (6, 1.5, 1, 1.5)), (0, (1, 1.5)), (0, (4, 1.2)))
 
 
@@ -30,15 +30,15 @@ def draw_start_ups(
     std: tuple[Array, Array] | None = None,
     zoom: bool = False,
 ) -> Figure:
-    """Resting places across, amplitude up; the two of a start-up have one symbol and are joined.
+    """Draw final angles (x) and amplitude (y); the two angles of a start-up have one marker and are joined.
 
     Args:
-        found: of the start-ups.
-        title: of the figure.
-        levels: name to amplitude of vibration, 0–peak, m: drawn across.
-        foot: sentences below.
-        std: standard uncertainties of the places, rad, (n, 2), and of the amplitudes, m, (n,).
-        zoom: one plot around each of the two places rather than one of all angles.
+        found: scatter of the start-ups.
+        title: title of the figure.
+        levels: name to amplitude of vibration, 0–peak, m; drawn as horizontal lines.
+        foot: sentences below the figure.
+        std: standard uncertainties of the angles, rad, (n, 2), and of the amplitudes, m, (n,).
+        zoom: whether to draw one plot around each of the two angles instead of one of all angles.
     """
     with sheet(WIDTH_IN, 4.4, title, foot) as figure:
         if zoom:

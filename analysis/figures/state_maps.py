@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""The figure of `rig map --quantity state|amplitude|settling-time`: what a release comes to at every point."""
+"""Figure of `rig map --quantity state|amplitude|settling-time`: end state of a release at every point."""
 
 from __future__ import annotations
 
@@ -47,10 +47,11 @@ _SHOWN = {
 
 
 def draw_states(found: StateMap, borders: Borders | None = None) -> tuple[Figure, Readout | None]:
-    """The figure of a map of releases, and what a page reads out under the pointer.
+    """Draw a map of releases, and return the values that a page displays at the pointer.
 
     Args:
-        borders: of the balanced state's stability, drawn over it.
+        found: map.
+        borders: borders of the balanced state's stability, drawn over the map.
     """
     question, rig = found.question, found.question.loaded()
     title = f"{rig.name}: where a release ends{what_if(question)}"
@@ -103,11 +104,13 @@ def _foot(found: StateMap, borders: Borders | None) -> list[str]:
     ]
     if found.unsure_share > 0:
         unsure = f"{100 * found.unsure_share:.1f} %"
-        notes.append(f"Hatched: {unsure} of the points, where less than the stated error changes the end.")
+        notes.append(f"Hatched: {unsure} of the points, whose end state changes within the stated error.")
     if borders is not None:
         notes.append("Black line: border of the balanced state's stability.")
     if found.computed is not None:
-        notes.append(f"{100 * found.computed.mean():.1f} % of the points are computed, the others are as those around.")
+        notes.append(
+            f"{100 * found.computed.mean():.1f} % of the points are computed, the others are as their neighbours."
+        )
     notes.append(
         f"Made by pendulum-balancer-rig {software_version()} of {question.rig.source} {question.rig.digest[:19]}."
     )
@@ -115,7 +118,7 @@ def _foot(found: StateMap, borders: Borders | None) -> list[str]:
 
 
 def _readout(found: StateMap, axes: Axes) -> Readout:
-    """Numbers under the pointer; the state by its number."""
+    """Return the values at the pointer; the state by its number."""
     question, arrays = found.question, found.arrays
     named = ", ".join(f"{code} {name}" for code, name in enumerate(STATES) if name in found.shares)
     layers = {

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The part of a run at one speed that figures of a steady motion show: its last seconds."""
+"""Interval of a run at one speed for figures of a steady motion: its last seconds."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from daq.signals.run import Run
 
 Array = NDArray[np.float64]
 
-_LEAST_TURNS = 4.0
-_HELD = 0.01  # of the speed, from the slowest to the fastest turn of a stretch at one speed
-_LEAST_HELD_S = 3.0  # gives spectra lines of less than 1 Hz
+_MIN_TURNS = 4.0
+_MAX_SPEED_RANGE = 0.01  # relative range of the revolutions' speeds in an interval at one speed
+_MIN_HELD_S = 3.0  # yields spectra with a resolution better than 1 Hz
 _RPM = 30 / math.pi
 
 
 @dataclass(frozen=True)
 class SteadyPart:
-    """The last seconds of a run at one speed.
+    """Last seconds of a run at one speed.
 
     Attributes:
-        from_s, to_s: since the run's start.
-        speed_rad_s: mean speed in them.
-        release_s: last release of a pendulum; nan without one.
+        from_s, to_s: start and end, s since the run's start.
+        speed_rad_s: mean speed.
+        release_s: last release of a pendulum; NaN without one.
     """
 
     from_s: float
@@ -38,22 +38,22 @@ class SteadyPart:
     release_s: float
 
     def cut(self, time: Array, values: Array) -> tuple[Array, Array]:
-        """Finite samples in it."""
+        """Return the finite samples in the interval."""
         good = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
         inside = (time >= self.from_s) & (time <= self.to_s) & good
         return time[inside], values[inside]
 
     def last_turns(self, turns: float) -> SteadyPart:
-        """Only so many revolutions at its end."""
+        """Return the interval of the last `turns` revolutions."""
         start = max(self.from_s, self.to_s - 2 * math.pi * turns / self.speed_rad_s)
         return SteadyPart(start, self.to_s, self.speed_rad_s, self.release_s)
 
 
 def steady_part(run: Run) -> SteadyPart:
-    """The last seconds at the run's last speed, the stop left out.
+    """Return the last seconds at the run's last speed, without the stop.
 
     Raises:
-        NotEnoughData: the rotor did not turn, or hardly.
+        NotEnoughData: the rotor did not turn, or turned fewer than four revolutions.
     """
     if len(run.mark_time_s) < LEAST_MARKS:
         raise NotEnoughData(
@@ -64,7 +64,7 @@ def steady_part(run: Run) -> SteadyPart:
     end = plateau_end(run.mark_time_s, run.mark_phase_rad, min(begin, float(run.mark_time_s[-3])))
     start = max(end - AVERAGE_S, float(run.mark_time_s[0]), -math.inf if math.isnan(release) else release)
     first, last = np.interp([start, end], run.mark_time_s, run.mark_phase_rad).tolist()
-    if last - first < 2 * math.pi * _LEAST_TURNS:
+    if last - first < 2 * math.pi * _MIN_TURNS:
         raise NotEnoughData(
             f"{run.source}: {(last - first) / (2 * math.pi):.1f} revolutions at its end, at least 4 needed"
         )
@@ -72,23 +72,23 @@ def steady_part(run: Run) -> SteadyPart:
 
 
 def held_part(run: Run) -> SteadyPart:
-    """The longest stretch at one speed of a run that goes through speeds.
+    """Return the longest interval at one speed of a run that passes through speeds.
 
     Raises:
-        NotEnoughData: none is long enough for a spectrum; the text says what the run does instead.
+        NotEnoughData: no interval is long enough for a spectrum; the text contains the speeds of the run.
     """
     time, phase = run.mark_time_s, run.mark_phase_rad
     speed = np.diff(phase) / np.diff(time)
     best, first = (0, 0), 0
     for last in range(len(speed)):
-        while np.ptp(speed[first : last + 1]) > _HELD * abs(float(np.mean(speed[first : last + 1]))):
+        while np.ptp(speed[first : last + 1]) > _MAX_SPEED_RANGE * abs(float(np.mean(speed[first : last + 1]))):
             first += 1
         if time[last + 1] - time[first] > time[best[1]] - time[best[0]]:
             best = (first, last + 1)
     start, end = float(time[best[0]]), float(time[best[1]])
-    if end - start < _LEAST_HELD_S:
+    if end - start < _MIN_HELD_S:
         raise NotEnoughData(
-            f"{run.source} ({run.test}): expected a speed that stays within 1 % for {_LEAST_HELD_S:g} s, it goes from "
+            f"{run.source} ({run.test}): expected a speed that stays within 1 % for {_MIN_HELD_S:g} s, it goes from "
             f"{_RPM * float(speed[0]):.1f} to {_RPM * float(speed[-1]):.1f} rpm and stays for {end - start:.1f} s at "
             "most: one spectrum of it would smear every order; draw its waterfall or its orders instead"
         )

@@ -1,3 +1,4 @@
+# pyright: strict, reportUnknownMemberType=false
 """Steady states at one speed: pendulum poses, orbits of the disk centre, multipliers on the unit circle."""
 
 from __future__ import annotations
@@ -9,10 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from numpy.typing import NDArray
 
 from analysis.figures.style import GOOD, GREY, MODEL, drawing, label
 from dynamics import RotorParameters, SteadyState
 from dynamics.steady.outcome import ReleaseOutcome
+
+Array = NDArray[np.floating]
 
 _STYLES = ("-", "--", ":", "-.")
 _COLOURS = {"stable": GOOD, "unstable": MODEL, "undecided": GREY}
@@ -21,14 +25,16 @@ _COLOURS = {"stable": GOOD, "unstable": MODEL, "undecided": GREY}
 def draw_steady_states(
     physics: RotorParameters, states: Sequence[SteadyState], title: str, outcome: ReleaseOutcome | None = None
 ) -> Figure:
-    """One figure of all steady states at a speed.
+    """Draw all steady states at a speed.
 
     Args:
-        states: as dynamics.steady_states gives them.
-        outcome: where a release ends; its state is marked.
+        physics: parameters of the rig.
+        states: result of dynamics.steady_states.
+        title: title of the figure.
+        outcome: end of a release; its state is marked.
     Returns:
-        Left: each state's pose seen from above in the rotor's frame (imbalance to the right). Middle: orbits of the
-        disk centre in the space-fixed frame. Right: multipliers over one revolution and the unit circle.
+        Above: pose of each state from above in the rotor's frame (imbalance to the right). Below left: orbits of the
+        disk centre in the space-fixed frame. Below right: multipliers over one revolution and the unit circle.
     """
     shown = _without_mirror_images(states, None if outcome is None else outcome.reached)
     with drawing(10.4, 7.2) as figure:
@@ -47,12 +53,12 @@ def draw_steady_states(
 
 
 def _is_reached(state: SteadyState, outcome: ReleaseOutcome | None) -> bool:
-    """Whether a release ends in this very state, not in its mirror image."""
+    """Whether a release ends in this state, not in its mirror image."""
     return outcome is not None and outcome.reached is state
 
 
 def _without_mirror_images(states: Sequence[SteadyState], reached: SteadyState | None) -> list[SteadyState]:
-    """One of each pair of balanced states, the one that is reached; everything else as it is."""
+    """Return one of each pair of balanced mirror images, preferably the reached one, and all other states."""
     shown: list[SteadyState] = []
     for state in sorted(states, key=lambda s: s is not reached):
         if state.type == "I" and any(s.type == "I" for s in shown):
@@ -62,7 +68,7 @@ def _without_mirror_images(states: Sequence[SteadyState], reached: SteadyState |
 
 
 def _pose(axes: Axes, physics: RotorParameters, state: SteadyState, *, reached: bool) -> None:
-    """Imbalance (black, right) and pendulums A, B in the rotor's frame; disk centre's forward whirl as an arrow."""
+    """Draw imbalance (black, right) and pendulums A, B in the rotor's frame."""
     axes.set_aspect("equal")
     axes.axis("off")
     axes.set_xlim(-1.35, 1.35)
@@ -74,7 +80,7 @@ def _pose(axes: Axes, physics: RotorParameters, state: SteadyState, *, reached: 
     for name, theta, pendulum, colour in pair:
         if not pendulum.present:
             continue
-        reach = 1.0 if name == "A" else 0.86  # so that pendulums on top of each other both show
+        reach = 1.0 if name == "A" else 0.86  # keeps both visible if their angles are equal
         x, y = reach * math.cos(theta), reach * math.sin(theta)
         axes.plot([0, x], [0, y], color=colour, lw=1.5)
         size = 5 + 5 * math.sqrt(pendulum.first_moment_kg_m / largest)
@@ -94,8 +100,8 @@ def _pose(axes: Axes, physics: RotorParameters, state: SteadyState, *, reached: 
         axes.text(0, -1.45, "a release ends here", fontsize=8, ha="center", va="top", color=_COLOURS[state.stability])
 
 
-def _smooth(values: np.ndarray) -> np.ndarray:
-    """A closed curve's trigonometric interpolant at 361 phases."""
+def _smooth(values: Array) -> Array:
+    """Return the trigonometric interpolant of a closed curve at 361 phases."""
     n = len(values)
     spectrum = np.fft.rfft(values) / n
     spectrum[1:] *= 2

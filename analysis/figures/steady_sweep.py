@@ -1,5 +1,5 @@
 # pyright: strict
-"""The model's steady states along the speed."""
+"""Steady states of the model over the speed."""
 
 from __future__ import annotations
 
@@ -26,12 +26,15 @@ class SweptState:
     state: SteadyState
 
 
-def steady_sweep(model: RigModel, speeds_rad_s: Array, tell: Callable[[float], None] | None = None) -> list[SweptState]:
-    """All steady states at each speed; a speed at which the search fails has none.
+def steady_sweep(
+    model: RigModel, speeds_rad_s: Array, progress: Callable[[float], None] | None = None
+) -> list[SweptState]:
+    """Return all steady states at each speed; speeds at which the search fails are left out.
 
     Args:
-        speeds_rad_s: shape (n,).
-        tell: told the share done.
+        model: model.
+        speeds_rad_s: speeds, shape (n,).
+        progress: called with the completed share.
     """
     found: list[SweptState] = []
     for i, speed in enumerate(speeds_rad_s.tolist()):
@@ -39,6 +42,6 @@ def steady_sweep(model: RigModel, speeds_rad_s: Array, tell: Callable[[float], N
             found += [SweptState(speed, state) for state in steady_states(model.physics, speed, _ACCURACY)]
         except (DynamicsError, np.linalg.LinAlgError):
             continue
-        if tell is not None:
-            tell((i + 1) / len(speeds_rad_s))
+        if progress is not None:
+            progress((i + 1) / len(speeds_rad_s))
     return found

@@ -1,28 +1,32 @@
-"""One look for every figure: colours a colour-blind reader can tell apart, thin lines, light ground."""
+# pyright: strict, reportUnknownMemberType=false
+"""Common style of all figures: colours that colour-blind readers can distinguish, thin lines, light background."""
 
 from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
+from numpy.typing import NDArray
 
 from analysis.errors import BadFigureName
+
+Array = NDArray[np.floating]
 
 MEASURED = "#0072B2"
 MODEL = "#D55E00"
 GOOD = "#009E73"
 GREY = "#666666"
 DASHES = (0, (5, 2))
-"""Of what is computed: what was measured shows between them."""
+"""Dashes of computed curves; measured curves remain visible between them."""
 
 _SETTINGS: dict[Any, Any] = {
     "svg.hashsalt": "rig-report",
@@ -50,8 +54,8 @@ _SETTINGS: dict[Any, Any] = {
 
 
 @contextmanager
-def drawing(width_in: float, height_in: float) -> Iterator[Figure]:
-    """A figure in the report's style; no window, no global state left behind."""
+def drawing(width_in: float, height_in: float) -> Generator[Figure]:
+    """Create a figure in the report's style, without a window and without changes of global state."""
     with mpl.rc_context(_SETTINGS):
         yield Figure(figsize=(width_in, height_in))
 
@@ -60,7 +64,7 @@ def save(path: Path, figure: Figure) -> None:
     """Write a figure in the format of the file's suffix.
 
     Raises:
-        BadFigureName: a suffix that is none of .svg, .png, .pdf.
+        BadFigureName: the suffix is not .svg, .png or .pdf.
     """
     if path.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise BadFigureName(f"figure {path}: expected a name ending in .svg, .png or .pdf")
@@ -72,11 +76,12 @@ def save(path: Path, figure: Figure) -> None:
 
 
 def to_svg(figure: Figure, name: str, description: str) -> str:
-    """The figure as one <svg> element whose ids start with `name`, so that many fit on one page.
+    """Return the figure as one <svg> element whose ids start with `name`, so that a page can contain many.
 
     Args:
+        figure: figure.
         name: letters and digits, different for each figure of a page.
-        description: read out by screen readers.
+        description: text for screen readers.
     """
     out = io.StringIO()
     with mpl.rc_context(_SETTINGS):
@@ -91,7 +96,7 @@ def to_svg(figure: Figure, name: str, description: str) -> str:
 
 
 def _short(svg: str) -> str:
-    """Paths to a hundredth of a point: a third of the size, and nothing to be seen of it."""
+    """Round paths to a hundredth of a point, which reduces the size to a third without a visible change."""
     return re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d{2})\d+", r"\1", path[0]), svg)
 
 
@@ -102,18 +107,20 @@ def _attribute(text: str) -> str:
 
 
 def label(axes: Axes, x: str | None = None, y: str | None = None, title: str | None = None) -> None:
-    """Labels as plain text: a dollar sign in a name is a dollar sign."""
-    for text, put in ((x, axes.set_xlabel), (y, axes.set_ylabel), (title, axes.set_title)):
+    """Set labels as plain text, so that a dollar sign in a name is not parsed."""
+    drawn = cast("Any", axes)
+    for text, put in ((x, drawn.set_xlabel), (y, drawn.set_ylabel), (title, drawn.set_title)):
         if text is not None:
             put(text, parse_math=False)
 
 
-def pin(figure: Figure, grid: np.ndarray, left: float, bottom: float) -> None:
-    """Labels of the first column and the last row where they stand in the figure, titles on their axes.
+def pin(figure: Figure, grid: NDArray[Any], left: float, bottom: float) -> None:
+    """Fix the labels of the first column and the last row in the figure, and titles on their axes.
 
-    Else each drawing looks for places that cover no tick: that takes a third of its time.
+    Otherwise each drawing searches positions that cover no tick, which takes a third of its time.
 
     Args:
+        figure: figure of the axes.
         grid: axes in rows and columns.
         left, bottom: middle of the labels, share of the figure.
     """
@@ -125,11 +132,11 @@ def pin(figure: Figure, grid: np.ndarray, left: float, bottom: float) -> None:
         axes.xaxis.set_label_coords(0.5, bottom, blended_transform_factory(axes.transAxes, figure.transFigure))
 
 
-def envelope(time: np.ndarray, values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Least and largest value per bin: what a plot of every sample would cover; empty bins stay nan."""
-    edges = np.linspace(time[0], time[-1], bins + 1)
+def envelope(time: Array, values: Array, bins: int) -> tuple[Array, Array, Array]:
+    """Return middle, least and largest value of each bin; empty bins are NaN."""
+    edges = np.asarray(np.linspace(time[0], time[-1], bins + 1), np.float64)
     low, high = np.full(bins, np.nan), np.full(bins, np.nan)
-    where = np.searchsorted(time, edges[1:-1])
+    where: NDArray[np.intp] = np.searchsorted(time, edges[1:-1])
     for i, part in enumerate(np.split(values, where)):
         finite = part[np.isfinite(part)]
         if len(finite):
@@ -138,12 +145,12 @@ def envelope(time: np.ndarray, values: np.ndarray, bins: int) -> tuple[np.ndarra
 
 
 def bins_for(cycles: float, most: int = 400) -> int:
-    """Bins for an envelope: none shorter than a cycle of the vibration, or the bins beat with it."""
+    """Return the number of bins of an envelope: bins shorter than a vibration cycle would cause beats."""
     return int(min(most, cycles)) if cycles > 60 else most
 
 
-def band(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: str, *, bins: int = 420) -> None:
-    """Measured samples: all of them when few, otherwise the band they fill (see `bins_for`)."""
+def band(axes: Axes, time: Array, values: Array, colour: str, name: str, *, bins: int = 420) -> None:
+    """Draw measured samples: all of them if few, otherwise the band that they fill (see `bins_for`)."""
     if len(time) <= 2 * bins:
         axes.plot(time, values, color=colour, lw=2.6, alpha=0.55, label=name)
         return
@@ -151,8 +158,8 @@ def band(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: st
     axes.fill_between(middle, low, high, color=colour, alpha=0.5, lw=2.0, label=name)
 
 
-def outline(axes: Axes, time: np.ndarray, values: np.ndarray, colour: str, name: str, *, bins: int = 420) -> None:
-    """A computed motion over a measured band, dashed: its envelope as two lines, or the curve itself when smooth."""
+def outline(axes: Axes, time: Array, values: Array, colour: str, name: str, *, bins: int = 420) -> None:
+    """Draw a computed motion dashed over a measured band: its envelope as two lines, or the curve if it is short."""
     if len(time) <= 2 * bins:
         axes.plot(time, values, color=colour, ls=DASHES, lw=0.9, label=name)
         return

@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Time history: displacements, pendulum angles and speed over a whole run, and a few revolutions of it."""
+"""Time history: displacements, pendulum angles and speed over a whole run, with a close view of a few revolutions."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from daq.signals.run import Run
 Array = NDArray[np.float64]
 Pair = tuple[Array, Array]
 
-_TURNS = 4  # of the close view
-_CYCLES = 8  # of the close view where the rotor stands
-_STILL_HZ = 3.0  # taken for a cycle's length there
+_CLOSE_TURNS = 4  # of the close view
+_CLOSE_CYCLES = 8  # of the close view of a standing rotor
+_STANDING_HZ = 3.0  # assumed vibration frequency of a standing rotor
 _CLOSE_SAMPLES = 700
 
 
 @dataclass(frozen=True)
 class _Row:
-    """One signal: times and values as shown; the same of the model and of the other run; whether it is an angle."""
+    """One signal: times and displayed values; those of the model and of the other run; whether it is an angle."""
 
     text: str
     own: Pair
@@ -45,12 +45,12 @@ class _Row:
 
 
 def draw_time(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
-    """Whole run (left) and some revolutions (right): the last at one speed, else those of the largest displacement.
+    """Draw the whole run (left) and some revolutions (right): the last at one speed, else at the largest displacement.
 
     Args:
-        run: any; what was not recorded has no row.
-        model: the same run simulated: measured speed, measured locks and releases. Where the rotor stands, nothing.
-        over: another run, laid over this one by what happened in both (`alignment`).
+        run: any run; signals that were not recorded have no row.
+        model: model; its simulation with measured speed, lock angles and releases. A standing rotor is not simulated.
+        over: another run, aligned by common events (`alignment`).
     Raises:
         NotEnoughData: the run has neither displacements nor angles.
     """
@@ -130,19 +130,19 @@ def _speed(run: Run, shift: float = 0.0) -> Pair:
 
 
 def _turns_Hz(run: Run) -> float:
-    """How fast the rotor turns on the whole, for bins no shorter than a cycle; 0: it does not."""
+    """Return the mean frequency of rotation, for bins no shorter than a cycle; 0 if the rotor does not turn."""
     if len(run.mark_time_s) < 3:
         return 0.0
     return float((len(run.mark_time_s) - 1) / (run.mark_time_s[-1] - run.mark_time_s[0]))
 
 
 def _spans(run: Run) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The whole run, and the stretch that is seen closely, s."""
+    """Return the whole run and the interval of the close view, s."""
     times = [t for t in (run.x_time_s, run.y_time_s, run.angle_time_s, run.mark_time_s) if len(t)]
     whole = (min(float(t[0]) for t in times), max(float(t[-1]) for t in times))
     if len(run.mark_time_s) > 2 and not changes_speed(run):
         try:
-            part = steady_part(run).last_turns(_TURNS)
+            part = steady_part(run).last_turns(_CLOSE_TURNS)
         except NotEnoughData:
             return whole, whole
         return whole, (part.from_s, part.to_s)
@@ -152,7 +152,7 @@ def _spans(run: Run) -> tuple[tuple[float, float], tuple[float, float]]:
     time, values = max(largest, key=lambda pair: pair[0])[1]
     at = float(time[np.nanargmax(np.abs(values))])
     turns_Hz = float(np.interp(at, *_speed(run))) / 60 if len(run.mark_time_s) > 2 else 0.0
-    width = _TURNS / turns_Hz if turns_Hz > 0 else _CYCLES / _STILL_HZ
+    width = _CLOSE_TURNS / turns_Hz if turns_Hz > 0 else _CLOSE_CYCLES / _STANDING_HZ
     start = min(max(at - (width / 2 if turns_Hz > 0 else 0.0), whole[0]), max(whole[1] - width, whole[0]))
     return whole, (start, min(start + width, whole[1]))
 

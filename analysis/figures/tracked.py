@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""A tracked run over time: measured points under the estimated line with its 95 % band, and both dampings."""
+"""A tracked run over time: measured points with the estimate and its 95 % band, and both dampings."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from analysis.figures.style import GOOD, GREY, MEASURED, MODEL, band, bins_for, 
 Array = NDArray[np.float64]
 
 _TIMES = 1.96  # standard deviations of a 95 % interval
-_POINTS = 4000  # of a measured signal drawn one by one; more as the band they fill
+_MAX_POINTS = 4000  # of a measured signal drawn as points; more are drawn as a band
 _UNTRUSTED = "#CC3311"
 
 
 @dataclass(frozen=True)
 class TrackedState:
-    """A panel of the motion.
+    """One panel of the motion.
 
     Attributes:
-        text: the axis' label, with the unit.
-        time_s, value, std: estimated, shape (n,), in the label's unit.
-        measured_time_s, measured: readings, shape (m,), in the label's unit; empty without any.
-        turning_Hz: how often the signal may swing in a second, for the bins of its envelope.
+        text: label of the axis with its unit.
+        time_s, value, std: estimate, shape (n,), in the label's unit.
+        measured_time_s, measured: readings, shape (m,), in the label's unit; empty without readings.
+        turning_Hz: highest frequency of the signal, for the bins of its envelope.
     """
 
     text: str
@@ -54,15 +54,15 @@ class TrackedDamping:
 
 @dataclass(frozen=True)
 class TrackedPicture:
-    """All that the figure shows.
+    """Contents of the figure.
 
     Attributes:
-        title: stands above.
+        title: title of the figure.
         states: panels of the motion, in order.
         dampings: "c3", "c4" → estimates, the last one drawn on top.
-        known: "c3", "c4" → value and 95 % interval to hold them against; empty without.
-        known_text: where these come from.
-        time_s, trusted: rows, and whether the filter followed the readings then, shape (n,).
+        known: "c3", "c4" → value and 95 % interval for comparison; empty without.
+        known_text: origin of these values.
+        time_s, trusted: times, and whether the filter followed the readings, shape (n,).
     """
 
     title: str
@@ -75,7 +75,7 @@ class TrackedPicture:
 
 
 def draw_tracked(picture: TrackedPicture) -> Figure:
-    """One panel for each state and each damping, on one axis of time."""
+    """Draw one panel for each state and each damping over a common time axis."""
     rows = len(picture.states) + len(picture.dampings)
     with drawing(8.6, 1.4 + 1.3 * rows) as figure:
         height = figure.get_figheight()
@@ -110,7 +110,7 @@ def _draw_state(axes: Axes, state: TrackedState) -> None:
     inside = (state.measured_time_s >= time[0]) & (state.measured_time_s <= time[-1]) & np.isfinite(state.measured)
     own_time, own = state.measured_time_s[inside], state.measured[inside]
     bins = bins_for(span * state.turning_Hz)
-    if 0 < len(own) <= _POINTS:
+    if 0 < len(own) <= _MAX_POINTS:
         axes.plot(own_time, own, ".", color=MEASURED, ms=1.6, alpha=0.6, label="measured", rasterized=False)
     elif len(own):
         band(axes, own_time, own, MEASURED, "measured", bins=bins)
@@ -144,7 +144,7 @@ def _draw_damping(axes: Axes, name: str, estimates: Sequence[TrackedDamping], pi
 
 
 def _shade(axes: Axes, picture: TrackedPicture) -> None:
-    """Times at which the filter does not follow the readings."""
+    """Shade times at which the filter does not follow the readings."""
     if np.all(picture.trusted):
         return
     low, high = axes.get_ylim()

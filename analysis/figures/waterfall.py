@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownMemberType=false
-"""Waterfall: a cascade of amplitude spectra over speed (over time at one speed), measured beside the model's run."""
+"""Waterfall: a cascade of amplitude spectra over speed (over time at one speed), measured and simulated."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from daq.signals.run import Run
 Array = NDArray[np.float64]
 
 _SPECTRA, _POINTS = 27, 200
-_FLAT = 0.01  # of the tallest line
-_TALLEST = 0.28  # of the axis, the largest line
-_TITLE_PAD_PT = 14.0  # names of natural frequencies stand below the title
+_MIN_PEAK_SHARE = 0.01  # of the tallest line: lower lines do not hide the spectra behind them
+_TALLEST = 0.28  # height of the largest line over that of the axis
+_TITLE_PAD_PT = 14.0  # names of natural frequencies are below the title
 _ORDERS = (1, 2, 3)
-_NEAR = 0.03  # of the frequency axis, half the width of an order's label
-_STRIP = 0.08  # of the axis, above all spectra, for the orders' labels
-_ORDER_SHARE = 2.6  # how far the frequency axis goes beyond 1× at the top
-_CHIRP = 1.6  # window by 1/√(change of frequency per second): the shortest that a passing line fills
+_LABEL_HALF_WIDTH = 0.03  # of an order's label over the frequency axis
+_STRIP = 0.08  # height above all spectra for the orders' labels over that of the axis
+_ORDER_SHARE = 2.6  # largest frequency of the axis over the largest 1×
+_CHIRP = 1.6  # window times √(change of frequency per second): the shortest that a passing line fills
 _WINDOW_S = (0.6, 8.0)
 
 
@@ -47,7 +47,7 @@ class _Cascade:
 
 @dataclass(frozen=True)
 class _Row:
-    """What the panels of one displacement share: levels from `low` to `high`, level units per mm."""
+    """Common scale of one displacement's panels: levels from `low` to `high`, level units per mm."""
 
     low: float
     high: float
@@ -61,17 +61,17 @@ class _Row:
         return cls(low, high, _TALLEST * (high - low) / tallest, tallest)
 
     def heights(self, cascade: _Cascade) -> Array:
-        """Spectra as they stand on the axis, shape (n, m)."""
+        """Return the spectra as positions on the axis, shape (n, m)."""
         return cascade.levels[:, None] + self.scale * cascade.amplitude_mm
 
 
 def draw_waterfall(run: Run, model: RigModel | None = None, over: Run | None = None) -> Figure:
-    """Rows x and y; columns measured, the other run, the same run simulated.
+    """Rows x and y; columns measured, other run, simulated run.
 
     Args:
-        run: with index marks; of one at one speed the spectra follow one another in time.
-        model: its motion with the same speed history.
-        over: another run, in a column of its own: cascades on top of each other cannot be read.
+        run: run with index marks; at one speed the spectra are over time.
+        model: model; its motion with the same speed history.
+        over: another run in a column of its own, because overlaid cascades are unreadable.
     Raises:
         NotEnoughData: no index marks, no displacement, or a run shorter than a few windows.
     """
@@ -133,7 +133,7 @@ def _cascade(passage: Passage, signal: Displacement, window_s: float, top_Hz: fl
         try:
             found = amplitude_spectrum(signal.time_s[inside], signal.value_m[inside], window_s=window_s)
         except ValueError:
-            continue  # a gap: this spectrum is left out
+            continue  # the interval has a gap: this spectrum is left out
         grid = np.linspace(0.0, top_Hz, _POINTS)
         frequency = grid
         levels.append(value)
@@ -146,8 +146,8 @@ def _cascade(passage: Passage, signal: Displacement, window_s: float, top_Hz: fl
 def _draw(axes: Axes, cascade: _Cascade, shared: _Row, colour: str) -> None:
     levels, heights = cascade.levels, shared.heights(cascade)
     for i, (level, row, height) in enumerate(zip(levels, cascade.amplitude_mm, heights, strict=True)):
-        order = 2.0 + 0.01 * (len(levels) - i)  # what is lower stands in front
-        for part in _peaks(row, _FLAT * shared.tallest_mm):  # only these stand before what is behind
+        order = 2.0 + 0.01 * (len(levels) - i)  # lower spectra are in front
+        for part in _peaks(row, _MIN_PEAK_SHARE * shared.tallest_mm):  # only peaks hide the spectra behind them
             axes.fill_between(
                 cascade.frequency_Hz[part], level, height[part], fc="white", ec="none", alpha=0.85, zorder=order
             )
@@ -171,13 +171,13 @@ def _draw(axes: Axes, cascade: _Cascade, shared: _Row, colour: str) -> None:
 
 
 def _peaks(row: Array, least: float) -> list[slice]:
-    """Stretches in which a spectrum rises above its baseline, with one value on either side."""
+    """Return the intervals in which a spectrum exceeds its baseline, with one value on either side."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], row > least, [False]]).astype(int)))
     return [slice(max(int(a) - 1, 0), int(b) + 1) for a, b in edges.reshape(-1, 2)]
 
 
 def _orders(axes: Axes, passage: Passage, cascade: _Cascade, shared: _Row) -> None:
-    """Orders along the run, each named where its line ends: above the spectra, or at the right where it leaves them."""
+    """Draw orders along the run, each named at the end of its line: above the spectra, or at the right edge."""
     time = np.linspace(float(passage.run.mark_time_s[1]), float(passage.run.mark_time_s[-2]), 300)
     level, turns = passage.level(time), passage.orders_Hz(time)
     rising = np.argsort(level)
@@ -190,14 +190,14 @@ def _orders(axes: Axes, passage: Passage, cascade: _Cascade, shared: _Row) -> No
         axes.plot(k * turns, level, color="#555555", lw=0.8, ls=(0, (4, 3)), zorder=1.5)
         end_Hz, end = float(k * turns[inside[-1]]), float(level[inside[-1]])
         if inside[-1] == len(turns) - 1:
-            near = np.abs(cascade.frequency_Hz - end_Hz) <= _NEAR * top_Hz
+            near = np.abs(cascade.frequency_Hz - end_Hz) <= _LABEL_HALF_WIDTH * top_Hz
             _name(axes, f"{k}×", (end_Hz, max(end, float(np.max(heights[:, near])))), (0, 2), "center", "bottom")
         else:
             _name(axes, f"{k}×", (top_Hz, end), (3, 0), "left", "center")
 
 
 def _natural(axes: Axes, model: RigModel | None, top_Hz: float) -> None:
-    """The column's natural frequencies, named above the plot."""
+    """Draw the column's natural frequencies, named above the plot."""
     natural: Sequence[float] = () if model is None else [w / (2 * math.pi) for w in model.speeds_rad_s]
     for i, value in enumerate(natural):
         if value < top_Hz:

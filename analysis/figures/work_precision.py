@@ -1,8 +1,10 @@
-"""Work–precision: time against true error, one marker per method, the front of what nothing beats."""
+# pyright: strict, reportUnknownMemberType=false
+"""Work–precision: time over true error, one marker per method, with the front of the best methods."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,18 +15,18 @@ from dynamics.bench.records import ROUNDING, Measurement
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C6D1F", "#444444")
 _OWN_MARKERS, _PEER_MARKERS = "osD^vPXh", "1234"
-_LEAST = ROUNDING / 10  # errors below are drawn here: rounding, not method
+_MIN_ERROR = ROUNDING / 10  # smaller errors are due to rounding and are drawn here
 
 
 def draw_work_precision(
     rows: Sequence[Measurement], multipliers_case: str, motion_case: str, machine: str = ""
 ) -> Figure:
-    """Left: largest multiplier; right: motion. Times against true errors, both logarithmic.
+    """Draw times over true errors, both logarithmic. Left: largest multiplier; right: motion.
 
     Args:
-        rows: compared rows (dynamics.bench.records.compared); those without a true error are left out.
-        multipliers_case, motion_case: the case shown in each panel.
-        machine: a line under the figure.
+        rows: compared rows (dynamics.bench.records.compared); rows without a true error are left out.
+        multipliers_case, motion_case: case of each panel.
+        machine: line below the figure.
     """
     with drawing(10.4, 5.4) as figure:
         left, right = figure.subplots(1, 2)
@@ -55,16 +57,21 @@ def _panel(axes: Axes, rows: Sequence[Measurement], title: str, error: str, per:
     methods = dict.fromkeys((r.method, r.peer) for r in known if not r.automatic)
     own = [m for m, peer in methods if not peer]
     peers = [m for m, peer in methods if peer]
-    handles = []
+    handles: list[Line2D] = []
     for names, markers, peer in ((own, _OWN_MARKERS, False), (peers, _PEER_MARKERS, True)):
         for i, name in enumerate(names):
             colour = GREY if peer else COLOURS[i % len(COLOURS)]
-            look = {"marker": markers[i % len(markers)], "ls": "", "color": colour, "ms": 9 if peer else 5}
+            look: dict[str, Any] = {
+                "marker": markers[i % len(markers)],
+                "ls": "",
+                "color": colour,
+                "ms": 9 if peer else 5,
+            }
             same = [r for r in known if r.method == name and not r.automatic]
             axes.plot([_shown(r) for r in same], [r.seconds for r in same], **look)
             handles.append(Line2D([], [], label=f"{name} (peer)" if peer else name, **look))
     chosen = [r for r in known if r.automatic]
-    star = {"marker": "*", "ls": "", "color": "black", "ms": 11, "mfc": "#F0E442"}
+    star: dict[str, Any] = {"marker": "*", "ls": "", "color": "black", "ms": 11, "mfc": "#F0E442"}
     axes.plot([_shown(r) for r in chosen], [r.seconds for r in chosen], **star)
     taken = ", ".join(dict.fromkeys(part for r in chosen for part in r.method.replace("automatic: ", "").split(", ")))
     handles += [
@@ -76,10 +83,10 @@ def _panel(axes: Axes, rows: Sequence[Measurement], title: str, error: str, per:
 
 
 def _shown(row: Measurement) -> float:
-    return max(row.true_error or 0.0, _LEAST)
+    return max(row.true_error or 0.0, _MIN_ERROR)
 
 
 def draw_front(axes: Axes, points: Sequence[tuple[float, float]], dashes: str) -> None:
-    """The front as steps through (error, seconds): what the error costs at the least."""
+    """Draw the front as steps through (error, seconds): least time for each error."""
     front = sorted(points, key=lambda p: p[1])
     axes.step([p[0] for p in front], [p[1] for p in front], "k", ls=dashes, lw=1.2, where="pre", zorder=1)

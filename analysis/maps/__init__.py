@@ -1,4 +1,4 @@
-"""Maps of stability: what is asked (`question`), how it is answered (`answers`), which files hold it (`files`)."""
+"""Maps of stability: question (`question`), computation (`answers`), files (`files`)."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
-    """A public name from its module, loaded when first used."""
+    """Return a public name from its module, which is loaded at first use."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A map's question answered: the largest multipliers on its grid, borders of stability, families of them, the best."""
+"""Computation of a map: largest multipliers on its grid, borders of stability, families of borders, best value."""
 
 from __future__ import annotations
 
@@ -21,26 +21,35 @@ from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_tiles import compile_tiles
 from dynamics.stability.stability_map import StabilityMap, multipliers_at_points, plane_map
 
-Told = Callable[[float], None]
-_BORDER_POINTS = 4000  # at least, of a border as long as a side of the map
-_FINER = 3  # halvings of the borders' grid, at least one more than it has by itself
-_REST = 4 / 3  # what all further halvings change, in what one does: an area by chords converges with the square
+ShareProgress = Callable[[float], None]
+"""Called with the completed share, 0 … 1."""
+_MIN_BORDER_POINTS = 4000  # of a border as long as a side of the map
+_ERROR_LEVELS = 3  # halvings of the borders' grid for the error estimate, at least one more than without it
+_ERROR_FACTOR = 4 / 3  # change by all further halvings over that by one: the area by chords converges quadratically
 
 
 class Progress(Protocol):
-    """Begins to show a piece of work, and takes the share of it that is done."""
+    """Display of the progress of one piece of work."""
 
-    def __call__(self, text: str, count: float | None = None, unit: str = "") -> AbstractContextManager[Told]:
-        """The text says what is done; all of it is so many of a unit, None where nothing is counted."""
+    def __call__(self, text: str, count: float | None = None, unit: str = "") -> AbstractContextManager[ShareProgress]:
+        """Begin the display.
+
+        Args:
+            text: description of the work.
+            count: total amount in `unit`; None if nothing is counted.
+            unit: unit of the amount.
+        """
         ...
 
 
 @dataclass(frozen=True)
 class FamilyMember:
-    """The borders for one value of a family's number.
+    """Borders for one value of a family's number.
 
     Attributes:
-        unresolved: share of the plane about which they say nothing.
+        value: value of the number.
+        borders: borders of stability with it.
+        unresolved: share of the plane that the borders leave undecided.
     """
 
     value: float
@@ -50,18 +59,18 @@ class FamilyMember:
 
 @dataclass(frozen=True)
 class MapAnswer:
-    """What was found.
+    """Computed map.
 
     Attributes:
-        question: what was asked.
-        grid: the largest multipliers; of a refined map on its finest grid.
-        computed: of a refined map which points of the grid were computed, the others are interpolated and have no error
-            estimate, shape (m, n); None where all were.
-        borders: of the rig itself; None where none were asked for.
-        unresolved: share of the plane about which they say nothing.
-        family: borders of each value of a family's number.
-        best: where the stable share is greatest; None where it was not asked for.
-        seconds: that the grid took.
+        question: question that was answered.
+        grid: largest multipliers; of a refined map on its finest grid.
+        computed: computed points of a refined map, shape (m, n); the others are interpolated and have no error
+            estimate. None if all were computed.
+        borders: borders of the rig itself; None if not requested.
+        unresolved: share of the plane that the borders leave undecided.
+        family: borders for each value of a family's number.
+        best: value with the greatest stable share; None if not requested.
+        seconds: computing time of the grid, s.
     """
 
     question: MapQuestion
@@ -75,7 +84,7 @@ class MapAnswer:
 
     @property
     def method(self) -> str:
-        """How many points which method served."""
+        """Method of the grid, with the number of points."""
         if self.computed is None:
             return self.grid.method
         count, total = int(np.count_nonzero(self.computed)), self.computed.size
@@ -83,10 +92,10 @@ class MapAnswer:
 
 
 def compile_maps(question: MapQuestion) -> None:
-    """Have the code of maps compiled, which a first answer would wait for, and the question's values checked.
+    """Compile the code of maps in advance, and check the question's values.
 
     Raises:
-        RigFileError, DynamicsError: the question has no answer.
+        RigFileError, DynamicsError: the question cannot be answered.
     """
     plane = question.plane()
     plane_map(plane, question.x.values[:1], question.y.values[:1], question.accuracy)
@@ -104,43 +113,44 @@ def answer(
     """Compute a map.
 
     Args:
-        progress: shows how far it is.
-        grid_of: works the grid out where it is not to be done at once, here.
+        question: question to be answered.
+        progress: display of the progress.
+        grid_of: computes the grid elsewhere; None computes it here.
     Raises:
-        RigFileError, DynamicsError: the question has no answer.
+        RigFileError, DynamicsError: the question cannot be answered.
     """
-    shown, plane = progress or _unseen, question.plane()
+    display, plane = progress or _no_display, question.plane()
     started = time.perf_counter()
     computed = None
     if question.refine:
-        grid, computed = _refined(question, plane, shown)
+        grid, computed = _refined(question, plane, display)
     else:
-        grid = _full(question, plane, shown) if grid_of is None else grid_of()
+        grid = _full(question, plane, display) if grid_of is None else grid_of()
     seconds = time.perf_counter() - started
     borders, unresolved, members, best = None, 0.0, list[FamilyMember](), None
     if question.borders:
-        with shown("borders") as told:
-            borders = borders_of(question, plane, told)
+        with display("borders") as notify:
+            borders = borders_of(question, plane, notify)
         unresolved = unresolved_share(plane, borders, question.axes)
     if (family := question.family) is not None:
-        with shown(f"borders for {len(family.values)} values of {family.key}") as told:
+        with display(f"borders for {len(family.values)} values of {family.key}") as notify:
             for i, value in enumerate(family.values):
                 one = question.plane(_settings(family.keys, value))
-                found = borders_of(question, one, _part(told, i, len(family.values)))
+                found = borders_of(question, one, _part(notify, i, len(family.values)))
                 members.append(FamilyMember(value, found, unresolved_share(one, found, question.axes)))
     if question.best is not None:
-        with shown(f"best value of {question.best.key}") as told:
-            best = _best(question, told)
+        with display(f"best value of {question.best.key}") as notify:
+            best = _best(question, notify)
     return MapAnswer(question, grid, computed, borders, unresolved, tuple(members), best, seconds)
 
 
-def _full(question: MapQuestion, plane: Plane, shown: Progress) -> StabilityMap:
+def _full(question: MapQuestion, plane: Plane, display: Progress) -> StabilityMap:
     count = question.x.count * question.y.count
-    with shown(f"{count} points", count, "points") as told:
-        return plane_map(plane, question.x.values, question.y.values, question.accuracy, told)
+    with display(f"{count} points", count, "points") as notify:
+        return plane_map(plane, question.x.values, question.y.values, question.accuracy, notify)
 
 
-def _refined(question: MapQuestion, plane: Plane, shown: Progress) -> tuple[StabilityMap, NDArray[np.bool_]]:
+def _refined(question: MapQuestion, plane: Plane, display: Progress) -> tuple[StabilityMap, NDArray[np.bool_]]:
     x, y = (axis.values for axis in question.fine)
     errors = np.full((len(y), len(x)), np.nan)
 
@@ -149,61 +159,65 @@ def _refined(question: MapQuestion, plane: Plane, shown: Progress) -> tuple[Stab
         errors[np.searchsorted(y, at_y), np.searchsorted(x, at_x)] = bounds
         return np.asarray(found, np.float64)
 
-    with shown(f"{question.x.count * question.y.count} points and what lies between them at borders") as told:
-        found = refined_grid(evaluate, x, y, question.refine, _classes, progress=told)
+    with display(f"{question.x.count * question.y.count} points and what lies between them at borders") as notify:
+        found = refined_grid(evaluate, x, y, question.refine, _classes, progress=notify)
     counts = 0, int(np.count_nonzero(found.computed)), 0
     return StabilityMap(plane, x, y, found.values, errors, counts, question.accuracy), found.computed
 
 
 def _classes(multipliers: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Stable, unstable, without a balanced state."""
+    """Return 1 for stable, 0 for unstable, 2 without a balanced state."""
     return np.where(np.isnan(multipliers), 2, multipliers < 1.0).astype(np.intp)
 
 
-def borders_of(question: MapQuestion, plane: Plane, told: Told, levels: int = LEVELS) -> Borders:
-    """The borders of stability over a question's plane, as fine as its map.
+def borders_of(question: MapQuestion, plane: Plane, progress: ShareProgress, levels: int = LEVELS) -> Borders:
+    """Follow the borders of stability over a question's plane, as finely as its map.
 
     Args:
+        question: question with the axes.
+        plane: rigs over the axes.
+        progress: called with the completed share.
         levels: halvings of the first grid's cells, see `stability_borders`.
     """
     x, y = question.axes
     logarithmic = x.logarithmic, y.logarithmic
-    spacing = 1 / max(_BORDER_POINTS, x.count, y.count)  # no wider than the map's pitch
+    spacing = 1 / max(_MIN_BORDER_POINTS, x.count, y.count)  # at most the distance of the map's points
     return stability_borders(
-        plane, x.span, y.span, levels=levels, spacing=spacing, logarithmic=logarithmic, progress=told
+        plane, x.span, y.span, levels=levels, spacing=spacing, logarithmic=logarithmic, progress=progress
     )
 
 
-def _best(question: MapQuestion, told: Told) -> BestValue:
+def _best(question: MapQuestion, progress: ShareProgress) -> BestValue:
     within = question.best
     assert within is not None
     shares = dict[float, float]()
 
     def share(value: float) -> tuple[float, float]:
         plane = question.plane(_settings(within.keys, value))
-        found = borders_of(question, plane, _unheard)
+        found = borders_of(question, plane, _ignore)
         shares[value] = found.stable_share
         return found.stable_share, unresolved_share(plane, found, question.axes)
 
     def error(value: float) -> float:
         plane = question.plane(_settings(within.keys, value))
-        return _REST * abs(borders_of(question, plane, _unheard, levels=_FINER).stable_share - shares[value])
+        finer = borders_of(question, plane, _ignore, levels=_ERROR_LEVELS)
+        return _ERROR_FACTOR * abs(finer.stable_share - shares[value])
 
-    return best_value(share, error, within, told)
+    return best_value(share, error, within, progress)
 
 
 def _settings(keys: tuple[str, ...], value: float) -> list[str]:
     return [f"{key}={value!r}" for key in keys]
 
 
-def _part(told: Told, i: int, count: int) -> Told:
-    return lambda share: told((i + share) / count)
+def _part(progress: ShareProgress, i: int, count: int) -> ShareProgress:
+    return lambda share: progress((i + share) / count)
 
 
-def _unseen(text: str, count: float | None = None, unit: str = "") -> AbstractContextManager[Told]:
+def _no_display(text: str, count: float | None = None, unit: str = "") -> AbstractContextManager[ShareProgress]:
     del text, count, unit
-    return nullcontext(_unheard)
+    return nullcontext(_ignore)
 
 
-def _unheard(share: float) -> None:
+def _ignore(share: float) -> None:
     del share

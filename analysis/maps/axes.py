@@ -1,5 +1,5 @@
 # pyright: strict
-"""A number of a rig, or several that change alike, and the values it takes on a map."""
+"""Axes of a map: one number of a rig, or several with equal values, and its values."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAMES = {
     SPEED_RPM: "speed, rpm",
     STIFFNESS_RATIO: "stiffness ratio K = k2/k1",
 }
-"""Numbers that no rig file has, and what a figure calls them."""
+"""Numbers that are not in a rig file, with their names in figures."""
 SPEEDS = (SPEED_RATIO, SPEED_RPM)
 _SYMBOLS = {
     "suspension.k1_N_per_m": ("k1", "N/m"),
@@ -33,20 +33,20 @@ _SYMBOLS = {
 }
 _QUANTITIES = {"k": "stiffness", "ζ": "damping ratio", "c": "pendulum damping"}
 _ROOTS = (STIFFNESS_RATIO, "suspension.k1_N_per_m", "suspension.k2_N_per_m")
-_MOST = 10_000_000
+_MAX_COUNT = 10_000_000
 
 
 @dataclass(frozen=True)
 class MapAxis:
-    """One number, or several that change alike, from a first value to a last.
+    """One number, or several with equal values, from a first value to a last.
 
     Attributes:
         keys: dotted keys of the rig file, or speed_ratio, speed_rpm, stiffness_ratio.
         low, high: first and last value.
-        count: how many values.
-        logarithmic: spaced evenly in the logarithm.
+        count: number of values.
+        logarithmic: whether the values are spaced evenly in the logarithm.
     Raises:
-        RigFileError: no such number, numbers that cannot change alike, or a range that the number cannot have.
+        RigFileError: an unknown number, numbers that cannot have equal values, or an impossible range.
     """
 
     keys: tuple[str, ...]
@@ -58,14 +58,14 @@ class MapAxis:
     def __post_init__(self) -> None:
         need_alike(self.keys)
         least = 0.0 if self.is_positive or self.logarithmic else -math.inf
-        fits = least < self.low <= self.high < math.inf and 1 <= self.count <= _MOST
+        fits = least < self.low <= self.high < math.inf and 1 <= self.count <= _MAX_COUNT
         if not fits or (self.count > 1 and self.low == self.high):
             above = "0 < A < B" if least == 0.0 else "A < B, both finite,"
             raise RigFileError(f"{self.key}: expected {above} and N from 1 to ten million, got {self.text!r}")
 
     @property
     def key(self) -> str:
-        """The keys as the command line has them."""
+        """The keys as on the command line."""
         return "+".join(self.keys)
 
     @property
@@ -75,24 +75,24 @@ class MapAxis:
 
     @property
     def values(self) -> NDArray[np.float64]:
-        """Shape (count,), rising."""
+        """Values of the number, rising, shape (count,)."""
         if self.logarithmic:
             return np.geomspace(self.low, self.high, self.count)
         return np.linspace(self.low, self.high, self.count)
 
     @property
     def name(self) -> str:
-        """For an axis of a figure."""
+        """Label of a figure's axis."""
         return name_of(self.keys)
 
     @property
     def is_speed(self) -> bool:
-        """Whether it is how fast the rotor turns."""
+        """Whether the number is the rotor's speed."""
         return self.keys[0] in SPEEDS
 
     @property
     def is_positive(self) -> bool:
-        """Whether the number lies above 0 by its nature."""
+        """Whether the number is positive by definition."""
         return self.keys[0] in NAMES or self.keys[0] in _ROOTS
 
     @property
@@ -102,11 +102,11 @@ class MapAxis:
 
     @property
     def coordinate(self) -> Coordinate:
-        """In which the half-turn matrix is smooth."""
+        """Coordinate in which the half-turn matrix is smooth."""
         return INVERSE if self.is_speed else ROOT if self.keys[0] in _ROOTS else SAME
 
     def as_json(self) -> dict[str, Any]:
-        """Plain numbers and texts; `of_json` takes them back."""
+        """Return plain numbers and texts for `of_json`."""
         return {
             "keys": list(self.keys),
             "from": self.low,
@@ -117,16 +117,16 @@ class MapAxis:
 
     @classmethod
     def of_json(cls, table: Mapping[str, Any]) -> MapAxis:
-        """What `as_json` gave."""
+        """Return the axis of an `as_json` table."""
         keys, count = tuple(map(str, table["keys"])), int(table["count"])
         return cls(keys, float(table["from"]), float(table["to"]), count, bool(table["logarithmic"]))
 
 
 def need_alike(keys: tuple[str, ...]) -> None:
-    """Whether all keys exist and can change together.
+    """Check that all keys exist and can have equal values.
 
     Raises:
-        RigFileError: the first that does not, with the nearest known one.
+        RigFileError: names the first unknown key, with the nearest known one.
     """
     for key in keys:
         if key not in NAMES:
@@ -136,14 +136,14 @@ def need_alike(keys: tuple[str, ...]) -> None:
 
 
 def symbol_of(keys: tuple[str, ...]) -> tuple[str, str]:
-    """The numbers' symbols, joined by =, and their unit with a space before it; keys where there is no symbol."""
+    """Return the numbers' symbols, joined by =, and their unit after a space; the key replaces a missing symbol."""
     found = [_SYMBOLS.get(key, (key, "")) for key in keys]
     unit = found[0][1]
     return " = ".join(symbol for symbol, _ in found), f" {unit}" if unit else ""
 
 
 def name_of(keys: tuple[str, ...]) -> str:
-    """The numbers' name for an axis of a figure."""
+    """Return the numbers' name for an axis of a figure."""
     if keys[0] not in _SYMBOLS:
         return " = ".join(NAMES.get(key, key) for key in keys)
     symbol, unit = symbol_of(keys)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Which stable motions coexist over two numbers of a rig: balance, the other steady states, slipping orbits."""
+"""Coexisting stable motions over two numbers of a rig: balance, other steady states, slipping orbits."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class CoexistenceMap:
     """Stable motions at every point of a grid.
 
     Attributes:
-        question: what was asked.
+        question: question that was answered.
         x, y: values of its numbers, shapes (n,) and (m,).
-        arrays: by the names of COEXISTENCE_ARRAYS, shape (m, n); see `motions_at`.
+        arrays: arrays by the names of COEXISTENCE_ARRAYS, shape (m, n); see `motions_at`.
     """
 
     question: MapQuestion
@@ -49,13 +49,13 @@ class CoexistenceMap:
 
     @property
     def shares(self) -> dict[str, float]:
-        """Which motions coexist, as "I + slipping", to the share of the points where they do, the largest first."""
+        """Coexisting motions, as "I + slipping", to their share of the points, the largest first."""
         counts = Counter(words_of(value) for value in self.arrays["stable"].ravel().tolist())
         return {name: count / self.arrays["stable"].size for name, count in counts.most_common()}
 
 
 def words_of(stable: float) -> str:
-    """The motions of a value of `stable`."""
+    """Return the names of the motions in a value of `stable`."""
     if np.isnan(stable):
         return "no answer"
     bits = int(stable)
@@ -70,18 +70,19 @@ def motions_at(
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Array]:
-    """The stable motions of the points of a grid: slipping orbits are carried to every neighbour.
+    """Find the stable motions at the points of a grid. Slipping orbits are continued to every neighbour.
 
     Args:
-        x, y: of the points, row by row, shape (points,).
-        columns: points in a row; None: all are one row.
-        workers: threads; None: one a core.
-        progress: called with the share done, 0 … 1.
+        plane: rigs over the axes.
+        x, y: coordinates of the points, row by row, shape (points,).
+        columns: points in a row; None treats all points as one row.
+        workers: number of threads; None for one per core.
+        progress: called with the completed share, 0 … 1.
     Returns:
-        Arrays of shape (points,): `stable`, the sum of 2ⁿ over the motions of MOTIONS that are there and stable, NaN
-        where there is no answer; the largest multiplier of the most stable motion of each kind over one revolution,
-        across the orbit for a slipping one; how many slipping orbits were found, and turns of A and B against the
-        rotor in one of its revolutions on the most stable of them. NaN where there is none.
+        Arrays of shape (points,): `stable`, the sum of 2ⁿ over the existing stable motions of MOTIONS, NaN if the
+        search failed; the largest multiplier over one revolution of the most stable motion of each kind, across the
+        orbit for a slipping one; the number of slipping orbits, and turns of A and B against the rotor per revolution
+        on the most stable of them. NaN where no such motion exists.
     """
     points = [plane.rig_at(a, b) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
     found = stable_motions(

@@ -1,5 +1,5 @@
 # pyright: strict, reportMissingTypeStubs=false
-"""Borders of stability for several values of a number, and the value at which most of a map is stable."""
+"""Borders of stability for several values of a number, and the value with the greatest stable share of a map."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from scipy.optimize import minimize_scalar  # pyright: ignore[reportUnknownVaria
 from rig_configs import RigFileError
 from rig_configs.physical_keys import need_physical_key
 
-_SCAN = 9  # values between which a search begins
-_CLOSE = 2e-3  # of two of the scan's steps: how near the search gets
+_SCAN_VALUES = 9  # values of the scan before the bounded search
+_SEARCH_TOLERANCE = 2e-3  # of the bounded search, relative to its interval
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class Family:
     """Values of a number for which borders are followed.
 
     Attributes:
-        keys: of the rig file; several change alike.
-        values: at least one, rising.
+        keys: keys of the rig file; several have equal values.
+        values: at least one value, rising.
     Raises:
-        RigFileError: no such number, no values, values that do not rise.
+        RigFileError: an unknown number, no values, or values that do not rise.
     """
 
     keys: tuple[str, ...]
@@ -41,29 +41,29 @@ class Family:
 
     @property
     def key(self) -> str:
-        """The keys as the command line has them."""
+        """The keys as on the command line."""
         return "+".join(self.keys)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain numbers and texts."""
+        """Return plain numbers and texts for `of_json`."""
         return {"keys": list(self.keys), "values": list(self.values)}
 
     @classmethod
     def of_json(cls, table: Mapping[str, Any]) -> Family:
-        """What `as_json` gave."""
+        """Return the family of an `as_json` table."""
         return cls(tuple(map(str, table["keys"])), tuple(map(float, table["values"])))
 
 
 @dataclass(frozen=True)
 class SearchRange:
-    """Between which values of a number the largest stable share is looked for.
+    """Range of a number in which the largest stable share is searched.
 
     Attributes:
-        keys: of the rig file; several change alike.
-        low, high: the range's ends.
-        logarithmic: whether the search steps evenly in the logarithm.
+        keys: keys of the rig file; several have equal values.
+        low, high: ends of the range.
+        logarithmic: whether the scan is even in the logarithm.
     Raises:
-        RigFileError: no such number, an empty range, a logarithm of what is not above 0.
+        RigFileError: an unknown number, an empty range, or a logarithm of a number that is not positive.
     """
 
     keys: tuple[str, ...]
@@ -79,34 +79,34 @@ class SearchRange:
 
     @property
     def key(self) -> str:
-        """The keys as the command line has them."""
+        """The keys as on the command line."""
         return "+".join(self.keys)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain numbers and texts."""
+        """Return plain numbers and texts for `of_json`."""
         return {"keys": list(self.keys), "from": self.low, "to": self.high, "logarithmic": self.logarithmic}
 
     @classmethod
     def of_json(cls, table: Mapping[str, Any]) -> SearchRange:
-        """What `as_json` gave."""
+        """Return the range of an `as_json` table."""
         keys = tuple(map(str, table["keys"]))
         return cls(keys, float(table["from"]), float(table["to"]), bool(table["logarithmic"]))
 
 
 @dataclass(frozen=True)
 class BestValue:
-    """The value of a number at which the stable share of a map is greatest.
+    """Value of a number with the greatest stable share of a map.
 
     Attributes:
-        values, shares: every value that was tried, rising, and the stable share at it, shape (n,).
-        unresolved: share of the plane about which the borders say nothing at each value, shape (n,); it may be stable.
-        value: the best one.
-        interval: the nearest values on both sides, or ends of the range, whose shares are smaller by more than
-            `share_error`, what is unresolved counted as stable: with one maximum in the range it lies between them,
-            whether the share bends there or has a corner.
-        share: at the best value.
-        share_error: how far that may be off, from what another halving of the borders' grid changes.
-        at_end: whether the range's end is the best, so that a wider range may hold a better one.
+        values, shares: all computed values, rising, and the stable share at each, shape (n,).
+        unresolved: share of the plane that the borders leave undecided at each value, shape (n,); it may be stable.
+        value: best value.
+        interval: nearest values on both sides, or ends of the range, whose shares are smaller by more than
+            `share_error` with the unresolved share counted as stable. A single maximum in the range lies between them,
+            smooth or at a corner.
+        share: stable share at the best value.
+        share_error: error bound of that share, from its change by another halving of the borders' grid.
+        at_end: whether the best value is an end of the range, so that a wider range may contain a better one.
     """
 
     values: NDArray[np.float64]
@@ -125,21 +125,22 @@ def best_value(
     within: SearchRange,
     progress: Callable[[float], None],
 ) -> BestValue:
-    """Search the greatest share: nine values spread over the range, then a bounded search beside the best of them.
+    """Search the greatest share: nine values over the range, then a bounded search around the best of them.
 
     A second, higher maximum narrower than an eighth of the range may be missed.
 
     Args:
-        share: stable share at a value, 0 … 1, and the share about which nothing is said.
-        share_error: how far that may be off.
-        progress: called with the share of the work done.
+        share: returns the stable share at a value, 0 … 1, and the undecided share.
+        share_error: returns the error of the stable share at a value.
+        within: range of the search.
+        progress: called with the completed share.
     """
     to, back = (math.log, math.exp) if within.logarithmic else (float, float)
     ends = to(within.low), to(within.high)
     known = dict[float, tuple[float, float]]()
-    expected = _SCAN + 18
+    expected = _SCAN_VALUES + 18
 
-    def value_of(place: float) -> float:  # exp(log(A)) may be one rounding off A
+    def value_of(place: float) -> float:  # exp(log(A)) may differ from A by rounding
         return within.low if place == ends[0] else within.high if place == ends[1] else back(place)
 
     def at(place: float) -> float:
@@ -148,14 +149,15 @@ def best_value(
             progress(min(0.95, len(known) / expected))
         return known[place][0]
 
-    scan = np.linspace(*ends, _SCAN)
+    scan = np.linspace(*ends, _SCAN_VALUES)
     top = int(np.argmax([at(place) for place in scan.tolist()]))
-    beside = float(scan[max(top - 1, 0)]), float(scan[min(top + 1, _SCAN - 1)])
+    bounds = float(scan[max(top - 1, 0)]), float(scan[min(top + 1, _SCAN_VALUES - 1)])
 
     def lost(place: float) -> float:
         return -at(float(place))
 
-    minimize_scalar(lost, bounds=beside, method="bounded", options={"xatol": _CLOSE * (beside[1] - beside[0])})
+    tolerance = _SEARCH_TOLERANCE * (bounds[1] - bounds[0])
+    minimize_scalar(lost, bounds=bounds, method="bounded", options={"xatol": tolerance})
     places = sorted(known)
     shares, unresolved = (np.array(found) for found in zip(*(known[place] for place in places), strict=True))
     best = int(np.argmax(shares))

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Maps in files: .npz, .parquet and .zarr, each with its borders and its provenance."""
+"""Files of maps: .npz, .parquet and .zarr, each with its borders and its provenance."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ SUFFIXES = (".npz", ".parquet", ".zarr")
 
 
 def need_map_suffix(path: Path) -> None:
-    """Whether a map can be written under a name, asked before it is made.
+    """Check before the computation that a map can be written under a name.
 
     Raises:
-        NoMapFile: another ending; a .zarr without the package for it; a folder that is no zarr store.
+        NoMapFile: an unsupported suffix, a .zarr without its package, or a folder that is not a zarr store.
     """
     if path.suffix not in SUFFIXES:
         raise NoMapFile(f"{path}: expected a name ending in {', '.join(SUFFIXES)}")
@@ -39,13 +39,13 @@ def need_map_suffix(path: Path) -> None:
 
 
 def write_map(path: str | Path, kept: MapRecord) -> list[Path]:
-    """Write a map in the format of the name's suffix; the names appear when all of it is written.
+    """Write a map in the format of the name's suffix. The files appear only when they are complete.
 
     Returns:
-        What was written: the file or the store, and of a .parquet with borders NAME.borders.parquet too.
+        Paths written: the file or the store, and NAME.borders.parquet for a .parquet with borders.
     Raises:
         NoMapFile: see `need_map_suffix`.
-        OSError: the disk.
+        OSError: an error of the disk.
     """
     path = Path(path)
     need_map_suffix(path)
@@ -63,11 +63,11 @@ def write_map(path: str | Path, kept: MapRecord) -> list[Path]:
 
 
 def load_map(path: str | Path) -> MapRecord:
-    """Read what `write_map`, or `rig map -o`, has written.
+    """Read a file written by `write_map` or `rig map -o`.
 
     Raises:
-        NoMapFile: another ending, or no map in it.
-        OSError: it is absent, or cannot be read.
+        NoMapFile: an unsupported suffix, or a file that does not contain a map.
+        OSError: the file is missing or cannot be read.
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
@@ -87,7 +87,7 @@ def load_map(path: str | Path) -> MapRecord:
 
 
 def keys_of(provenance: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The keys of x and of y."""
+    """Return the keys of x and of y."""
     if provenance.get("format") != FORMAT:
         raise ValueError(f"format {provenance.get('format')!r}, known is {FORMAT!r}")
     question = MapQuestion.of_json(provenance["question"])
@@ -95,7 +95,7 @@ def keys_of(provenance: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, 
 
 
 def replaced(path: Path, write: Callable[[Path], None]) -> None:
-    """Write beside a file or store, then put it in its place."""
+    """Write under a temporary name in the same folder, then replace the file or store."""
     part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
         write(part)

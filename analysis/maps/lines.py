@@ -1,5 +1,5 @@
 # pyright: strict
-"""The line that one number of a rig spans: what a rig is, and how fast it turns, at a value."""
+"""Line over one number of a rig: rig and speed at each value."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from rig_configs.physical_keys import with_physical
 
 @dataclass(frozen=True)
 class RigLine:
-    """A rig along one axis.
+    """Rigs along one axis.
 
     Attributes:
-        physics: the rig where nothing is changed.
-        axis: the number, its first and last value.
-        speed_rad_s, speed_ratio: of the rotor where the axis is no speed; one of them. A speed ratio is that of the
-            changed rig: a heavier or stiffer one turns at another speed.
+        physics: parameters of the unchanged rig.
+        axis: number with its first and last value.
+        speed_rad_s, speed_ratio: speed of the rotor if the axis is not a speed; one of the two. A speed ratio refers
+            to the changed rig: a heavier or stiffer rig turns at another speed.
     """
 
     physics: RotorParameters
@@ -31,7 +31,7 @@ class RigLine:
     speed_ratio: float | None = None
 
     def at(self, value: float) -> tuple[RotorParameters, float]:
-        """The rig and its speed in rad/s at a value of the axis."""
+        """Return the rig and its speed in rad/s at a value of the axis."""
         changed = self.physics
         for key in self.axis.keys:
             if key == STIFFNESS_RATIO:
@@ -45,13 +45,13 @@ class RigLine:
         assert self.speed_ratio is not None
         return changed, changed.speed_rad_s(self.speed_ratio)
 
-    def branches(self, accuracy: float = 1e-9, tell: Callable[[float], None] | None = None) -> SteadyBranches:
-        """Steady states at the axis's values.
+    def branches(self, accuracy: float = 1e-9, progress: Callable[[float], None] | None = None) -> SteadyBranches:
+        """Return the steady states at the axis's values.
 
         Raises:
             DynamicsError: as `steady_branches`.
         """
-        return steady_branches(self.at, self.axis.values, accuracy, tell)
+        return steady_branches(self.at, self.axis.values, accuracy, progress)
 
 
 def line_over(
@@ -61,20 +61,21 @@ def line_over(
     speed_ratio: float | None,
     effects: Callable[[RotorParameters], RotorParameters] = lambda physics: physics,
 ) -> RigLine:
-    """The line along an axis, the rigs at its ends checked by what a rig file may hold.
+    """Return the line along an axis. The rigs at its ends are checked against the limits of a rig file.
 
     Args:
-        rig_with: the rig, with further settings laid over all else.
-        speed_rad_s, speed_ratio: the rotor's where the axis is no speed; one of them.
-        effects: what was found beside a rig file's numbers, laid over its physics.
+        rig_with: returns the rig with further settings applied.
+        axis: number and its values.
+        speed_rad_s, speed_ratio: speed of the rotor if the axis is not a speed; one of the two.
+        effects: applies identified effects that are not in a rig file to its physics.
     Raises:
-        RigFileError: a value that no rig has, no speed, or two.
+        RigFileError: an impossible value, a missing speed, or two speeds.
     """
     given: Sequence[float] = [one for one in (speed_rad_s, speed_ratio) if one is not None]
     if axis.is_speed and given:
         raise RigFileError("rig predict: --sweep goes over the speed; leave out --point, --speed-rpm, --speed-ratio")
     if not axis.is_speed and len(given) != 1:
-        raise RigFileError("rig predict: --sweep needs one of --point, --speed-rpm, --speed-ratio beside it")
+        raise RigFileError("rig predict: --sweep needs one of --point, --speed-rpm, --speed-ratio in addition")
     if axis.count < 2:
         raise RigFileError(f"rig predict: --sweep expected N of 2 or more values, got {axis.text!r}")
     for value in axis.span:

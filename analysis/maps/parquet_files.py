@@ -1,6 +1,6 @@
 # pyright: strict, reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportMissingTypeStubs=false
-"""A map as a table, one row a point, and its borders as another beside it, one row a point of a line."""
+"""A map as a table with one row per point, and its borders as a second table with one row per point of a line."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from analysis.maps.records import MapRecord, RecordedBorder
 _KEY = b"rig map"
 
 
-def borders_beside(path: Path) -> Path:
-    """Where the borders of a map are: map.parquet has them in map.borders.parquet."""
+def borders_path(path: Path) -> Path:
+    """Return the path of a map's borders: map.borders.parquet for map.parquet."""
     return path.with_suffix(".borders.parquet")
 
 
 def write_parquet(path: Path, kept: MapRecord) -> list[Path]:
-    """Write the map, and its borders where it has any; a table of borders that an older map left is removed."""
+    """Write the map and its borders; without borders the borders file of an earlier map is removed."""
     x_keys, y_keys = keys_of(kept.provenance)
     x, y = np.meshgrid(kept.x, kept.y)
     columns = {key: x.ravel() for key in x_keys} | {key: y.ravel() for key in y_keys}
     columns |= {name: values.ravel() for name, values in kept.grid.items()}
     shape = {"columns": len(kept.x), "rows": len(kept.y), "borders": len(kept.borders)}
     lines = _lines(kept.borders, x_keys, y_keys)
-    beside = borders_beside(path)
+    borders = borders_path(path)
     if kept.borders:
-        replaced(beside, lambda part: _write(part, lines, kept.provenance, {}))
+        replaced(borders, lambda part: _write(part, lines, kept.provenance, {}))
     else:
-        beside.unlink(missing_ok=True)
+        borders.unlink(missing_ok=True)
     replaced(path, lambda part: _write(part, columns, kept.provenance, shape))
-    return [path, beside] if kept.borders else [path]
+    return [path, borders] if kept.borders else [path]
 
 
 def read_parquet(path: Path) -> MapRecord:
-    """The map and its borders.
+    """Read the map and its borders.
 
     Raises:
-        KeyError, ValueError: there is none.
-        FileNotFoundError: its borders are not beside it.
+        KeyError, ValueError: the file does not contain a map.
+        FileNotFoundError: the file of its borders is missing.
     """
     columns, provenance, shape = _read(path)
     x_keys, y_keys = keys_of(provenance)
@@ -55,7 +55,7 @@ def read_parquet(path: Path) -> MapRecord:
     grid = {name: column.reshape(size) for name, column in columns.items() if name not in {*x_keys, *y_keys}}
     borders: tuple[RecordedBorder, ...] = ()
     if shape["borders"]:
-        lines, _, _ = _read(borders_beside(path))
+        lines, _, _ = _read(borders_path(path))
         borders = tuple(_line(lines, lines["border"] == n, x_keys[0], y_keys[0]) for n in np.unique(lines["border"]))
     x, y = (columns[keys[0]].reshape(size) for keys in (x_keys, y_keys))
     return MapRecord(provenance, x[0], y[:, 0], grid, borders)
@@ -76,7 +76,7 @@ def _read(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any], dict[str
 
 
 def _lines(borders: tuple[RecordedBorder, ...], x_keys: tuple[str, ...], y_keys: tuple[str, ...]) -> dict[str, Any]:
-    """One row a point: which border, its family's number (NaN: the rig itself), x, y, multiplier."""
+    """Return one row per point: number of the border, family value (NaN: the rig itself), x, y, multiplier."""
     sizes = [len(line.x) for line in borders]
 
     def joined(parts: list[NDArray[Any]]) -> NDArray[Any]:

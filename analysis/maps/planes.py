@@ -1,5 +1,5 @@
 # pyright: strict
-"""The plane that two numbers of a rig span: what a rig is at a pair of values."""
+"""Plane over two numbers of a rig: the rig at each pair of values."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from rig_configs.physical_keys import with_physical
 
 
 def plane_over(rig_with: Callable[[list[str]], Rig], axes: tuple[MapAxis, MapAxis], speed_rad_s: float | None) -> Plane:
-    """The plane that two axes span, the rigs at its ends checked by what a rig file may hold.
+    """Return the plane over two axes. The rigs at its ends are checked against the limits of a rig file.
 
     Args:
-        rig_with: the rig, with further settings laid over all else.
-        speed_rad_s: the rotor's where neither axis is a speed.
+        rig_with: returns the rig with further settings applied.
+        axes: both numbers with their values.
+        speed_rad_s: speed of the rotor if neither axis is a speed.
     Raises:
-        RigFileError: a value that no rig has, a number on both axes, or no speed.
+        RigFileError: an impossible value, a number on both axes, or a missing speed.
     """
     x, y = axes
     both = sorted({*x.keys} & {*y.keys}) or [key for key in SPEEDS if x.is_speed and y.is_speed]
     if both:
-        raise RigFileError(f"rig map: {both[0]} stands on both axes; give two different numbers")
+        raise RigFileError(f"rig map: {both[0]} is on both axes; give two different numbers")
     if not (x.is_speed or y.is_speed) and speed_rad_s is None:
         raise RigFileError("rig map: neither axis is a speed; give one of --point, --speed-ratio, --speed-rpm")
     for axis in axes:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""What a map is asked for: everything that decides its arrays, with the rig file's own text, JSON both ways."""
+"""Question of a map: all inputs that determine its arrays, with the text of the rig file; JSON in both directions."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from rig_configs.toml_text import read_text
 
 Quantity = Literal["multiplier", "decay-rate", "state", "amplitude", "settling-time", "coexisting"]
 NONLINEAR: tuple[Quantity, ...] = ("state", "amplitude", "settling-time", "coexisting")
-"""Quantities of the whole motion, that take much longer: what a release comes to, which motions there are."""
-_FINEST = 8
+"""Quantities of the nonlinear motion, which take much longer: end states of releases, coexisting motions."""
+_MAX_REFINE = 8
 _K2 = "suspension.k2_N_per_m"
 
 
 @dataclass(frozen=True)
 class SourceText:
-    """A file that a map is made of, by its text: so the map can be made anew where the file is not.
+    """Text of an input file, so that the map can be computed again without the file.
 
     Attributes:
-        source: the file, or the shipped rig's name.
-        text: all of it.
+        source: path of the file, or name of the shipped rig.
+        text: complete text.
     """
 
     source: str
@@ -40,38 +40,39 @@ class SourceText:
 
     @property
     def digest(self) -> str:
-        """Of the text in UTF-8: "sha256:" and 64 hexadecimal digits."""
+        """Digest of the text in UTF-8: "sha256:" and 64 hexadecimal digits."""
         return f"sha256:{hashlib.sha256(self.text.encode()).hexdigest()}"
 
     def as_json(self) -> dict[str, str]:
-        """With the digest, for readers; `of_json` does not need it."""
+        """Return plain texts with the digest for readers; `of_json` does not need the digest."""
         return {"source": self.source, "digest": self.digest, "text": self.text}
 
     @classmethod
     def of_json(cls, table: Mapping[str, Any]) -> SourceText:
-        """What `as_json` gave."""
+        """Return the text of an `as_json` table."""
         return cls(str(table["source"]), str(table["text"]))
 
 
 @dataclass(frozen=True)
 class MapQuestion:
-    """What decides a map's arrays.
+    """Inputs that determine a map's arrays.
 
     Attributes:
-        rig: the rig file.
-        x, y: the map's two numbers and their values.
-        parameters: identified parameters laid over the rig file, or None.
-        settings: "key=value", laid over both.
-        speed_rad_s: the rotor's where neither axis is a speed.
-        quantity: what is shown.
-        accuracy: of the largest multiplier, relative to max(1, its modulus).
+        rig: rig file.
+        x, y: numbers of the axes with their values.
+        parameters: identified parameters applied to the rig file, or None.
+        settings: "key=value" settings, applied last.
+        speed_rad_s: speed of the rotor if neither axis is a speed.
+        quantity: quantity of the map.
+        accuracy: accuracy of the largest multiplier, relative to max(1, its modulus).
         borders: whether the borders of stability are followed too.
-        refine: how often cells of the grid are halved both ways where stability changes; x and y are the coarse grid's.
+        refine: number of halvings of the grid's cells in both directions where stability changes; x and y are those of
+            the coarse grid.
         family: values of a further number for which borders are followed, or None.
-        best: between which values of a further number the largest stable share is looked for, or None.
-        seconds: how long a release is followed, of the quantities that ask for one.
+        best: range of a further number in which the largest stable share is searched, or None.
+        seconds: duration of a release for quantities that need one, s.
     Raises:
-        RigFileError: what does not go together.
+        RigFileError: incompatible inputs.
     """
 
     rig: SourceText
@@ -93,12 +94,12 @@ class MapQuestion:
             raise RigFileError(f"rig map: --family and --best are of borders; --quantity {self.quantity} has none")
         if not 0 < self.seconds < math.inf:
             raise RigFileError(f"rig map: --seconds expected a number above 0, got {self.seconds!r}")
-        asked = {"--borders": self.borders, "--refine": self.refine, "--family": self.family, "--best": self.best}
-        for option in (option for option, value in asked.items() if value):
+        requested = {"--borders": self.borders, "--refine": self.refine, "--family": self.family, "--best": self.best}
+        for option in (option for option, value in requested.items() if value):
             if min(self.x.count, self.y.count) < 2:
                 raise RigFileError(f"rig map: {option} needs both axes to span a range, A < B and N of at least 2")
-        if not 0 <= self.refine <= _FINEST:
-            raise RigFileError(f"rig map: --refine expected 0 … {_FINEST}, got {self.refine}")
+        if not 0 <= self.refine <= _MAX_REFINE:
+            raise RigFileError(f"rig map: --refine expected 0 … {_MAX_REFINE}, got {self.refine}")
         on_axes = {_K2 if key == STIFFNESS_RATIO else key for key in (*self.x.keys, *self.y.keys)}
         for option, varied in (("--family", self.family), ("--best", self.best)):
             if varied and (both := sorted({*varied.keys} & on_axes)):
@@ -106,51 +107,51 @@ class MapQuestion:
 
     @property
     def is_nonlinear(self) -> bool:
-        """Whether the quantity is one of the whole motion."""
+        """Whether the quantity is one of the nonlinear motion."""
         return self.quantity in NONLINEAR
 
     @property
     def axes(self) -> tuple[MapAxis, MapAxis]:
-        """Both numbers."""
+        """Both axes."""
         return self.x, self.y
 
     @property
     def fine(self) -> tuple[MapAxis, MapAxis]:
-        """Both numbers with the values of the finest grid."""
+        """Both axes with the values of the finest grid."""
         x, y = (replace(axis, count=((axis.count - 1) << self.refine) + 1) for axis in self.axes)
         return x, y
 
     @cached_property
     def known(self) -> IdentifiedParameters | None:
-        """The identified parameters.
+        """Identified parameters.
 
         Raises:
-            ParametersFileError: the text holds none.
+            ParametersFileError: the text contains no parameters.
         """
         if self.parameters is None:
             return None
         return IdentifiedParameters.from_text(self.parameters.text, self.parameters.source)
 
     def loaded(self, further: Sequence[str] = ()) -> Rig:
-        """The rig, with settings beyond the question's own.
+        """Return the rig, with further settings after the question's own.
 
         Raises:
-            RigFileError: what a rig file cannot hold.
+            RigFileError: a setting that a rig file cannot contain.
         """
         return rig_from_text(self.rig.source, self.rig.text, self.known, [*self.settings, *further])
 
     def plane(self, further: Sequence[str] = ()) -> Plane:
-        """What a rig is at a pair of values.
+        """Return the plane of rigs over both axes.
 
         Args:
-            further: settings beyond the question's own.
+            further: settings after the question's own.
         Raises:
-            RigFileError: a value that no rig has, a number on both axes, or no speed.
+            RigFileError: an impossible value, a number on both axes, or a missing speed.
         """
         return plane_over(lambda more: self.loaded([*further, *more]), self.axes, self.speed_rad_s)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain numbers and texts; `of_json` takes them back."""
+        """Return plain numbers and texts for `of_json`."""
         return {
             "rig": self.rig.as_json(),
             "parameters": None if self.parameters is None else self.parameters.as_json(),
@@ -169,10 +170,10 @@ class MapQuestion:
 
     @classmethod
     def of_json(cls, table: Mapping[str, Any]) -> Self:
-        """What `as_json` gave.
+        """Return the question of an `as_json` table.
 
         Raises:
-            KeyError: something is missing.
+            KeyError: a key is missing.
         """
         known, speed, family, best = (table[key] for key in ("parameters", "speed_rad_per_s", "family", "best"))
         return cls(
@@ -193,23 +194,23 @@ class MapQuestion:
 
 
 def rig_source(path_or_name: str) -> SourceText:
-    """A rig file, or a shipped rig.
+    """Read a rig file or a shipped rig.
 
     Raises:
-        RigFileError: there is none.
+        RigFileError: it does not exist.
     """
     return SourceText(*rig_text(path_or_name))
 
 
 def parameters_source(path: Path | None) -> SourceText | None:
-    """A parameters file; None of None.
+    """Read a parameters file; None for None.
 
     Raises:
-        ParametersFileError: it cannot be read, or holds no parameters.
+        ParametersFileError: it cannot be read, or contains no parameters.
     """
     if path is None:
         return None
-    IdentifiedParameters.load(path)  # says what is wrong, with the file's name
+    IdentifiedParameters.load(path)  # its error contains the name of the file
     try:
         return SourceText(str(path), read_text(path))
     except OSError as error:
@@ -217,10 +218,10 @@ def parameters_source(path: Path | None) -> SourceText | None:
 
 
 def speed_of(rig: Rig, point: str | None, speed_ratio: float | None, speed_rpm: float | None) -> float | None:
-    """The speed given beside the axes, rad/s.
+    """Return the speed that is given in addition to the axes, rad/s.
 
     Raises:
-        RigFileError: more than one is given, or no such point.
+        RigFileError: more than one speed, or an unknown point.
     """
     if sum(given is not None for given in (point, speed_ratio, speed_rpm)) > 1:
         raise RigFileError("rig map: give only one of --point, --speed-ratio, --speed-rpm")

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A map as files hold it: arrays over x and y, borders as lines, and where all of it is from."""
+"""Contents of a map's file: arrays over x and y, borders as lines, and their provenance."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from daq.version import software_version
 from dynamics.stability.borders import Borders
 
 FORMAT = "rig map 1"
-"""Kind and version of the files; a later layout has a later number."""
+"""Kind and version of the files; a later layout has a higher version."""
 
 
 @dataclass(frozen=True)
 class RecordedBorder:
-    """One branch.
+    """One branch of a border.
 
     Attributes:
-        x, y: its points in order, shape (n,); what is stable lies on the left hand.
-        multiplier: that crosses the unit circle, complex, shape (n,).
-        closed: whether it is an island.
-        value: of a family's number; None of the rig itself.
+        x, y: coordinates of its points in order, shape (n,); the stable side is on the left.
+        multiplier: multiplier on the unit circle, complex, shape (n,).
+        closed: whether the branch is a closed curve.
+        value: value of a family's number; None for the rig itself.
     """
 
     x: NDArray[np.floating]
@@ -42,15 +42,15 @@ class RecordedBorder:
 
 @dataclass(frozen=True)
 class MapRecord:
-    """What a file of a map holds.
+    """Contents of a map's file.
 
     Attributes:
         provenance: JSON: format, software and version, date, rig and parameters with their digests, settings, method,
-            accuracy, `question` (which `rig map` was asked, rig file included) and what was found in numbers.
-        x, y: shapes (n,) and (m,).
+            accuracy, `question` (inputs of `rig map`, rig file included) and the numerical results.
+        x, y: values of the axes, shapes (n,) and (m,).
         grid: arrays over them, shape (m, n): multiplier_max, error_estimate, decay_rate_per_s, and of a refined map
             `computed`, False where a value is interpolated.
-        borders: of the rig itself first, then of each value of a family.
+        borders: borders of the rig itself first, then of each value of a family.
     """
 
     provenance: Mapping[str, Any]
@@ -61,15 +61,16 @@ class MapRecord:
 
     @property
     def question(self) -> MapQuestion:
-        """What was asked: `analysis.maps.answers.answer` of it makes the map anew."""
+        """Question of the map; `analysis.maps.answers.answer` computes the map again from it."""
         return MapQuestion.of_json(self.provenance["question"])
 
 
 def record(found: MapAnswer, numbers: Mapping[str, Any]) -> MapRecord:
-    """A map to be kept.
+    """Return the record of a map.
 
     Args:
-        numbers: what `rig map --json` says of it.
+        found: computed map.
+        numbers: result of `rig map --json`.
     """
     question, grid = found.question, found.grid
     arrays: dict[str, NDArray[Any]] = {
@@ -86,11 +87,12 @@ def record(found: MapAnswer, numbers: Mapping[str, Any]) -> MapRecord:
 
 
 def motion_record(found: StateMap | CoexistenceMap, borders: Borders | None, numbers: Mapping[str, Any]) -> MapRecord:
-    """A map of motions to be kept: the arrays of `states_at` or of `motions_at`.
+    """Return the record of a map of motions: the arrays of `states_at` or of `motions_at`.
 
     Args:
-        borders: of the balanced state's stability.
-        numbers: what `rig map --json` says of it.
+        found: computed map.
+        borders: borders of the balanced state's stability.
+        numbers: result of `rig map --json`.
     """
     arrays: dict[str, NDArray[Any]] = dict(found.arrays)
     method = "stable motions by Newton's method and their own multipliers"

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A map refined where its class changes: a coarse grid, and finer ones only along the borders between classes."""
+"""Refinement of a map where its class changes: a coarse grid, with finer grids only along the borders of classes."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class RefinedGrid:
     """Values on the finest grid.
 
     Attributes:
-        values: shape (m, n); where not `computed` between those of the coarser grid (means, or of `interpolated` False
-            those of a neighbour of the same class).
-        computed: which points were evaluated, shape (m, n).
+        values: shape (m, n); values that are not `computed` follow from the coarser grid (means, or with
+            `interpolated` False those of a neighbour of the same class).
+        computed: whether each point was evaluated, shape (m, n).
     """
 
     values: Array
@@ -37,39 +37,38 @@ def refined_grid(
     interpolated: bool = True,
     progress: Callable[[float], None] | None = None,
 ) -> RefinedGrid:
-    """Evaluate a coarse grid, and halve its cells both ways wherever the classes of their corners differ.
+    """Evaluate a coarse grid, and halve its cells in both directions where the classes of their corners differ.
 
-    At each level every cell of the new grid whose corners differ, whether they were evaluated or stand for what was
-    found around them, has all its corners evaluated, until none is left: so a border that leaves a cell is followed
-    into cells whose corners gave no sign of it. **What may be missed**: at the finest grid, patches of one class that
-    touch neither an evaluated point nor another border, that is islands between the points of the coarse grid.
-    Everything else is as on the full grid.
+    At each level, all corners of every cell of the new grid whose corners differ (evaluated or interpolated) are
+    evaluated, until no such cell remains. A border that leaves a cell is thereby followed into cells whose corners had
+    equal classes. **Missed at the finest grid** are only areas of one class that touch neither an evaluated point nor
+    another border: islands between the points of the coarse grid. Everything else is as on the full grid.
 
     Args:
-        evaluate: values at points, (points,) and (points,) to (points,); NaN where there is none.
-        x, y: the finest grid, shapes (n,) and (m,) with n − 1 and m − 1 multiples of 2**levels.
-        levels: how often cells are halved.
-        classes: of values, any shape.
-        interpolated: whether values may be averaged; False where they are names of classes.
-        progress: called with the share done, as far as that can be seen ahead.
+        evaluate: returns values at points, (points,) and (points,) to (points,); NaN where no value exists.
+        x, y: finest grid, shapes (n,) and (m,) with n − 1 and m − 1 multiples of 2**levels.
+        levels: number of halvings.
+        classes: returns the classes of values, any shape.
+        interpolated: whether values may be averaged; False for class numbers.
+        progress: called with the completed share, as far as it can be estimated.
     Raises:
-        ValueError: sizes that are no multiples.
+        ValueError: the sizes are not such multiples.
     """
     stride = 1 << levels
     if (len(x) - 1) % stride or (len(y) - 1) % stride or len(x) < 2 or len(y) < 2:
         raise ValueError(f"expected {stride} k + 1 points a side, k ≥ 1, got {len(x)} and {len(y)}")
-    tell = progress or _unheard
+    notify = progress or _ignore
     at = _Level(x[::stride], y[::stride], evaluate, classes)
     at.compute(np.ones(at.values.shape, bool))
     for level in range(levels):
-        tell((1 + level) / (2 + levels))
+        notify((1 + level) / (2 + levels))
         at = at.halved(x[:: stride >> level + 1], y[:: stride >> level + 1], interpolated)
-    tell(1.0)
+    notify(1.0)
     return RefinedGrid(at.values, at.computed)
 
 
 class _Level:
-    """One grid with what is known on it."""
+    """One grid with its known values."""
 
     def __init__(
         self, x: Array, y: Array, evaluate: Callable[[Array, Array], Array], classes: Callable[[Array], Classes]
@@ -80,7 +79,7 @@ class _Level:
         self._evaluate, self._classes = evaluate, classes
 
     def compute(self, wanted: NDArray[np.bool_]) -> bool:
-        """Evaluate those wanted points that are not; whether there were any."""
+        """Evaluate the wanted points that are not computed yet; return whether there were any."""
         rows, columns = np.nonzero(wanted & ~self.computed)
         if len(rows) == 0:
             return False
@@ -89,7 +88,7 @@ class _Level:
         return True
 
     def corners_that_differ(self) -> NDArray[np.bool_]:
-        """Corners of cells whose corners are not all of one class, shape (m, n)."""
+        """Return the corners of cells whose corners differ in class, shape (m, n)."""
         found = self._classes(self.values)
         first = found[:-1, :-1]
         cells = (first != found[1:, :-1]) | (first != found[:-1, 1:]) | (first != found[1:, 1:])
@@ -100,7 +99,7 @@ class _Level:
         return corners
 
     def halved(self, x: Array, y: Array, interpolated: bool) -> _Level:
-        """The next grid, evaluated wherever classes change."""
+        """Return the next grid, evaluated where classes change."""
         fine = _Level(x, y, self._evaluate, self._classes)
         v = self.values
         fine.values[::2, ::2], fine.computed[::2, ::2] = v, self.computed
@@ -130,5 +129,5 @@ def _first(a: Array, b: Array) -> Array:
     return a
 
 
-def _unheard(share: float) -> None:
+def _ignore(share: float) -> None:
     del share

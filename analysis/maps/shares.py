@@ -1,5 +1,5 @@
 # pyright: strict
-"""How much of a plane is stable, and of how much the borders say nothing."""
+"""Stable share of a plane, and share that the borders leave undecided."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from dynamics.stability.map_plane import Plane
 
 
 def unresolved_share(plane: Plane, borders: Borders, axes: tuple[MapAxis, MapAxis]) -> float:
-    """Share of the plane in which a balanced state exists, but no border was looked for.
+    """Return the share of the plane in which a balanced state exists but no border was searched.
 
-    There the matrix cannot be interpolated: pendulums damped so much that they creep, for example. The borders' stable
-    share counts it as not stable. A rectangle counts whole, by its middle.
+    The matrix cannot be interpolated there, for example if pendulums creep because of strong damping. The stable share
+    of the borders counts this area as not stable. A rectangle counts as a whole, by its middle.
     """
     lost = 0.0
     for spans in borders.bare:
@@ -33,7 +33,7 @@ def unresolved_share(plane: Plane, borders: Borders, axes: tuple[MapAxis, MapAxi
 
 
 def _part(axis: MapAxis, low: float, high: float) -> float:
-    """Which share of an axis lies between two values."""
+    """Return the share of an axis between two values."""
     of: Callable[[float], float] = math.log if axis.logarithmic else float
     first, last = axis.span
     inside = of(min(high, last)) - of(max(low, first))

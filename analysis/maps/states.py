@@ -1,5 +1,5 @@
 # pyright: strict
-"""What the pendulums really do over two numbers of a rig: the state that the real locks' release reaches, and how."""
+"""End states of releases over two numbers of a rig: state reached from the real locks, and the approach to it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ StateArrays = Mapping[str, NDArray[np.floating]]
 """Arrays by name, see `states_at`."""
 
 STATES = ("refused", "not settled", "I", "II", "III", "one", "slipping")
-"""States by their code in arrays and files."""
+"""States in the order of their numbers in arrays and files."""
 RELEASED_RAD = (PLAY_RAD, np.pi - 0.5 * PLAY_RAD)
-"""Angles at which the locks hold A and B: 0° and 180°, and some play, without which an unstable rest is kept."""
+"""Angles of A and B at the locks: 0° and 180°, with some play, because an exact unstable equilibrium never ends."""
 ARRAYS = (
     "state",
     "sure",
@@ -39,14 +39,14 @@ ARRAYS = (
 
 @dataclass(frozen=True)
 class StateMap:
-    """Where a release ends at every point of a grid.
+    """End state of a release at every point of a grid.
 
     Attributes:
-        question: what was asked.
+        question: question that was answered.
         x, y: values of its numbers, shapes (n,) and (m,).
-        arrays: by the names of ARRAYS, shape (m, n); see `states_at`.
-        computed: of a refined map which points were computed, the others have the state of those around them and
-            nothing else; None where all were.
+        arrays: arrays by the names of ARRAYS, shape (m, n); see `states_at`.
+        computed: computed points of a refined map; the others have the state of their neighbours and no further
+            values. None if all were computed.
     """
 
     question: MapQuestion
@@ -62,13 +62,13 @@ class StateMap:
 
     @property
     def shares(self) -> dict[str, float]:
-        """State to its share of the points, those that are there."""
+        """Share of the points of each state that occurs."""
         counts = np.bincount(self.state.ravel(), minlength=len(STATES))
         return {name: float(count) / self.state.size for name, count in zip(STATES, counts, strict=True) if count}
 
     @property
     def unsure_share(self) -> float:
-        """Share of the points that were computed whose end hangs on less than the stated error."""
+        """Share of the computed points whose end state changes within the stated error."""
         sure = self.arrays["sure"]
         return float(np.count_nonzero(sure == 0)) / max(1, int(np.count_nonzero(np.isfinite(sure))))
 
@@ -81,18 +81,19 @@ def states_at(
     workers: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Array]:
-    """What a release comes to at each of many points.
+    """Compute the end state of a release at each of many points.
 
     Args:
-        x, y: of the points, shape (points,).
-        seconds: how long a release is followed.
-        workers: threads; None: one a core.
-        progress: called with the share done, 0 … 1.
+        plane: rigs over the axes.
+        x, y: coordinates of the points, shape (points,).
+        seconds: duration of a release, s.
+        workers: number of threads; None for one per core.
+        progress: called with the completed share, 0 … 1.
     Returns:
         Arrays of shape (points,): `state`, an index into STATES; `sure`, 0 at a boundary and NaN where refused; mean
-        angles in degrees of a state at rest; turns of A and B against the rotor in one of its revolutions; the largest
-        multiplier of what was reached; time until the motion stayed near it, s; rms distance of the disk's centre from
-        the middle of its orbit at the end, m. NaN where there is none.
+        angles in degrees of a state at rest; turns of A and B against the rotor per revolution; largest multiplier of
+        the state reached; time until the motion stays near it, s; rms distance of the disk's centre from the middle of
+        its orbit at the end, m. NaN where a value does not exist.
     """
     points = [plane.rig_at(a, b) for a, b in zip(x.tolist(), y.tolist(), strict=True)]
     rigs, speeds = [rig for rig, _ in points], [speed for _, speed in points]
@@ -115,11 +116,12 @@ def refined_states(
     states: Callable[[Indices, Indices], Mapping[str, Array]] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> StateMap:
-    """The states on the question's finest grid, computed where they change.
+    """Compute the states on the question's finest grid where they change.
 
     Args:
-        states: works points of that grid out, by their columns and rows, see `states_at`; None: this process.
-        progress: called with the share done, as far as it can be foreseen.
+        question: question with the grid.
+        states: computes points of that grid by their columns and rows, see `states_at`; None: in this process.
+        progress: called with the completed share, as far as it can be estimated.
     """
     x, y = (axis.values for axis in question.fine)
     arrays = {name: np.full((len(y), len(x)), np.nan) for name in ARRAYS}

@@ -14,14 +14,14 @@ from analysis.errors import NoMapFile
 from analysis.maps.files import keys_of
 from analysis.maps.records import MapRecord, RecordedBorder
 
-_CHUNK = 512  # points a side
+_CHUNK = 512  # points per side
 
 
 def need_zarr(path: Path) -> None:
-    """Whether a store can be written.
+    """Check that a store can be written.
 
     Raises:
-        NoMapFile: the package is absent, or the folder is something else.
+        NoMapFile: the package is missing, or the folder is not a zarr store.
     """
     if find_spec("zarr") is None:
         raise NoMapFile(
@@ -60,12 +60,12 @@ def write_zarr(path: Path, kept: MapRecord) -> None:
 
 
 def read_zarr(path: Path) -> MapRecord:
-    """What `write_zarr` wrote.
+    """Read a store written by `write_zarr`.
 
     Raises:
-        NoMapFile: the package is absent.
-        KeyError, ValueError: there is no map.
-        FileNotFoundError: there is no store.
+        NoMapFile: the package is missing.
+        KeyError, ValueError: the store does not contain a map.
+        FileNotFoundError: the store does not exist.
     """
     if find_spec("zarr") is None:
         need_zarr(path)

@@ -1,1 +1,1 @@
-"""What is measured of a rotating machine: order vectors, orbits, spectra, slip; from roles, not devices."""
+"""Quantities of a rotating machine: order vectors, orbits, spectra, slip; from roles, not devices."""

@@ -1,8 +1,8 @@
 # pyright: strict, reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
 """Amplification factors of a run-up, on the suspension's principal axes.
 
-With two different stiffnesses a sensor between the principal axes sees both resonances, and what it says of their
-sharpness depends on its angle. Turned to the principal axes (virtual sensors) each resonance stands alone.
+With two different stiffnesses a sensor between the principal axes measures both resonances, and their apparent
+sharpness depends on its angle. In the principal axes (virtual sensors) each resonance appears alone.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Amplification:
-    """One resonance as a run-up shows it.
+    """One resonance in a run-up.
 
     Attributes:
         peak_rad_s, peak_m: speed and amplitude of the largest response.
-        lower_rad_s, upper_rad_s: speeds at 0.707 of it, beside it.
+        lower_rad_s, upper_rad_s: speeds on both sides at 0.707 of the largest response.
         factor: peak speed / (upper − lower).
         std: standard deviation of the factor.
         axis_rad: angle of the principal axis from the sensors' x towards y.
@@ -42,10 +42,10 @@ class Amplification:
 
 
 def principal_axis(x: OrderTrack, y: OrderTrack) -> float:
-    """Angle of one principal axis from x towards y, −π/4 … π/4, at which the two motions are told apart best, rad.
+    """Return the angle of one principal axis from x towards y, −π/4 … π/4, with the best separation, rad.
 
     On a principal axis the response over the speed is that of one resonance, u (ω0² + 2 i ζ ω0 ω − ω²) = e ω²: linear
-    in ω0², 2ζω0 and e. The angle is where both axes together fit that best.
+    in ω0², 2ζω0 and e. The returned angle minimises the residual of both axes together.
     """
     speed, vx, vy = _common(x, y)
     coarse = np.linspace(-math.pi / 4, math.pi / 4, 91)
@@ -62,13 +62,13 @@ def principal_axis(x: OrderTrack, y: OrderTrack) -> float:
 def amplification_factors(
     x: OrderTrack, y: OrderTrack, *, axis_rad: float | None = None, draws: int = 200, seed: int = 0
 ) -> tuple[Amplification | None, Amplification | None]:
-    """Amplification factor of the resonance along each principal axis; None where the run-up does not show it whole.
+    """Return the amplification factor of the resonance along each principal axis; None if the run-up is incomplete.
 
     Args:
-        x, y: 1× of two sensors at right angles through the run-up, slow roll taken off.
-        axis_rad: angle of the first principal axis from x towards y; by default found (`principal_axis`).
-        draws: for the standard deviation: the vectors are drawn anew within theirs.
-        seed: of the draws.
+        x, y: 1× of two sensors at right angles through the run-up, without slow roll.
+        axis_rad: angle of the first principal axis from x towards y; by default found by `principal_axis`.
+        draws: number of draws of the vectors within their deviations, for the standard deviation of the factor.
+        seed: seed of the draws.
     """
     axis = principal_axis(x, y) if axis_rad is None else axis_rad
     speed, vx, vy = _common(x, y)
@@ -98,7 +98,7 @@ def _over_speed(track: OrderTrack, values: Complex) -> tuple[Array, Complex]:
 
 
 def _common(x: OrderTrack, y: OrderTrack) -> tuple[Array, Complex, Complex]:
-    """Speeds that both have, and the vectors of both there."""
+    """Return the common speeds of both tracks and the vectors of both at these speeds."""
     (sx, vx), (sy, vy) = (_over_speed(track, track.of(1)[0]) for track in (x, y))
     speed = np.asarray(sx[(sx >= sy[0]) & (sx <= sy[-1])], np.float64)
     if len(speed) < 8:
@@ -108,7 +108,7 @@ def _common(x: OrderTrack, y: OrderTrack) -> tuple[Array, Complex, Complex]:
 
 
 def _misfit(speed: Array, x: Complex, y: Complex, angle: float) -> float:
-    """What one resonance on each axis leaves of both motions, by the whole."""
+    """Return the relative residual of both motions with one resonance on each axis."""
     left = 0.0
     scale = float(np.median(speed))
     w = speed / scale
@@ -124,7 +124,7 @@ def _misfit(speed: Array, x: Complex, y: Complex, angle: float) -> float:
 
 
 def _half_power(speed: Array, size: Array) -> tuple[float, float, float, float, float] | None:
-    """Factor, speed and size of the peak, speeds at 0.707 of it; None where one side does not come down to it."""
+    """Return factor, speed and size of the peak, speeds at 0.707 of it; None if one side stays above that level."""
     top = int(np.argmax(size))
     if not 0 < top < len(size) - 1:
         return None

@@ -1,15 +1,15 @@
 # pyright: strict, reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
-"""Order envelopes that change with time: Vold–Kalman filtering whose bandwidths the data choose.
+"""Order envelopes that change with time: Vold–Kalman filtering with bandwidths estimated from the data.
 
-A signal is o(t) + Σ_k Re A_k(t) e^{ikψ(t)} + noise. Each envelope is a cubic spline with a knot every h seconds whose
-third differences are drawn from a normal distribution of unknown variance: Vold and Leuridan's structural equation with
-the data equation in its exact form, for all orders together. The variances, which are the filters' bandwidths, and that
-of the noise maximise the restricted likelihood (Fellner–Schall steps), so that no bandwidth is asked for, and the
-envelopes' posterior covariance is their uncertainty. Derivation: docs/theory/order_tracking.md.
+A signal is o(t) + Σ_k Re A_k(t) e^{ikψ(t)} + noise. Each envelope is a cubic spline with a knot every h seconds, whose
+third differences have a normal distribution of unknown variance. This is the structural equation of Vold and Leuridan
+with the data equation in its exact form, for all orders together. The variances (the bandwidths of the filters) and
+that of the noise maximise the restricted likelihood (Fellner–Schall steps), so that no bandwidth has to be chosen. The
+posterior covariance of the envelopes is their uncertainty. Derivation: docs/theory/order_tracking.md.
 
-The moments Σ u^p e^{ijψ} of each knot interval are all that is taken of the samples: the normal equations of any number
-of iterations follow from these, are banded, and so is what is wanted of their inverse.
+The samples enter only through the moments Σ u^p e^{ijψ} of each knot interval. The normal equations of any number of
+iterations follow from these and are banded, as is the required part of their inverse.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from scipy.ndimage import gaussian_filter1d
 Array = NDArray[np.float64]
 
 _BASIS = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6.0
-"""Cubic B-splines by powers of u within one interval: row a is the spline that began a intervals before … at it."""
+"""Cubic B-splines by powers of u within one interval: row a is the spline that began 3 − a intervals before it."""
 _PENALTY = np.array([-1.0, 3.0, -3.0, 1.0])
-_STEPS = 40
-_SETTLED = 0.1
-_STIFFEST = 1e7
-_RESOLVED = 300.0
-_AROUND_KNOTS = 8.0
+_MAX_STEPS = 40
+_MAX_LOG_CHANGE = 0.1  # of a weight at convergence
+_MAX_STIFFNESS = 1e7  # weight of a third difference over that of the data
+_RESOLVED = 300.0  # weight over that of the data above which the knots are dense enough
+_ROUGHNESS_KNOTS = 8.0  # width of the average of the roughness
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,13 @@ class Envelopes:
     """Envelopes of one signal, by knots.
 
     Attributes:
-        start_s, knot_s: first knot and their distance, s.
-        coefficients: of the splines, shape (knots + 3, 1 + 2 K): offset, then real and imaginary parts of each order.
+        start_s, knot_s: first knot and distance between knots, s.
+        coefficients: spline coefficients, shape (knots + 3, 1 + 2 K): offset, then real and imaginary part of each
+            order.
         blocks: covariance of the coefficients of four neighbouring splines, shape (knots, 4 m, 4 m), m = 1 + 2 K.
         noise: standard deviation of one sample.
         freedom: effective degrees of freedom of the offset and of each order, shape (1 + K,).
-        roughness: of each coefficient's envelope about each knot by what it is on the whole, shape (m, knots).
+        roughness: roughness of each coefficient's envelope about each knot over its mean roughness, shape (m, knots).
     """
 
     start_s: float
@@ -57,7 +58,7 @@ class Envelopes:
     roughness: Array
 
     def values_at(self, time_s: Array) -> Array:
-        """Offset, then real and imaginary parts of each order at times, shape (n, m)."""
+        """Return offset, then real and imaginary part of each order at times, shape (n, m)."""
         interval, weights = self._place(time_s)
         out = weights[:, :1] * self.coefficients[interval]
         for a in range(1, 4):
@@ -65,10 +66,10 @@ class Envelopes:
         return out
 
     def at(self, time_s: Array) -> tuple[Array, Array]:
-        """Values at times and their variances, shapes (n, m).
+        """Return values at times and their variances, shapes (n, m).
 
-        Of a posterior variance 5/6 is the noise that passes the filter and 1/6 what the filter takes off the envelope,
-        on the whole (theory/order_tracking.md); the latter goes with the envelope's roughness about the time.
+        On average 5/6 of a posterior variance is noise that passes the filter and 1/6 is the part of the envelope that
+        the filter removes (theory/order_tracking.md). The latter is scaled with the envelope's roughness at the time.
         """
         interval, weights = self._place(time_s)
         m = self.coefficients.shape[1]
@@ -77,7 +78,7 @@ class Envelopes:
         return self.values_at(time_s), np.maximum(variance, 0.0) * (5.0 + self.roughness[:, interval].T) / 6.0
 
     def residuals(self, time_s: Array, signal: Array, phase_rad: Array) -> Array:
-        """What the envelopes leave of samples, shape (n,)."""
+        """Return the samples minus the envelopes' signal, shape (n,)."""
         return _residuals(time_s, signal, phase_rad, self.start_s, self.knot_s, self.coefficients)
 
     def _place(self, time_s: Array) -> tuple[NDArray[np.int64], Array]:
@@ -96,16 +97,16 @@ def fit_envelopes(
     *,
     least_noise: float = 0.0,
 ) -> Envelopes:
-    """Envelopes of the offset and of orders 1 … `orders`.
+    """Fit the envelopes of the offset and of orders 1 … `orders`.
 
     Args:
         time_s, signal, phase_rad: finite samples in order of time, shapes (n,); s, any unit, rad.
         orders: highest order.
-        knot_s: distance wanted of the knots.
-        widths: of the offset's and each order's filter at most, in orders, shape (1 + `orders`,).
-        least_noise: standard deviation of one sample at least, where noise near the orders is known to be more.
+        knot_s: requested distance between knots, s.
+        widths: greatest filter width of the offset and of each order, in orders, shape (1 + `orders`,).
+        least_noise: lower bound of one sample's standard deviation, if noise near the orders is known to be larger.
     Raises:
-        ValueError: the samples do not tell the orders apart.
+        ValueError: the samples do not separate the orders.
     """
     duration = float(time_s[-1] - time_s[0])
     scale, middle = float(np.std(signal)) or 1.0, float(np.mean(signal))
@@ -113,7 +114,7 @@ def fit_envelopes(
     m = 1 + 2 * orders
     begin: Array | None = None
     found_step = 1.0
-    for finer in (25, 5, 1):  # a coarse grid finds the bandwidths where a step costs little, and may be fine enough
+    for finer in (25, 5, 1):  # a coarse grid finds the bandwidths at low cost, and may be fine enough
         knots = max(8, math.ceil(duration / (finer * knot_s)))
         step = duration / knots * (1 + 1e-12)
         phasors, products = _moments(time_s, normalised, phase_rad, float(time_s[0]), step, knots, orders)
@@ -141,7 +142,7 @@ def fit_envelopes(
 
 @dataclass(frozen=True)
 class Equations:
-    """Normal equations: lower band of XᵀX by columns (N, 4 m), Xᵀx (N,), xᵀx, number of samples, variance at least."""
+    """Normal equations: lower band of XᵀX by columns (N, 4 m), Xᵀx (N,), xᵀx, number of samples, least variance."""
 
     gram: Array
     right: Array
@@ -152,12 +153,12 @@ class Equations:
 
 @dataclass(frozen=True)
 class _Posterior:
-    """The envelopes at given weights: coefficients and the band of their covariance, and what these ask of the weights.
+    """Envelopes at given weights: coefficients, the band of their covariance, and the terms of the next weights.
 
     Attributes:
         freedom: effective degrees of freedom of each part.
-        free, taken: of each part and knot, the degrees of freedom of its third difference that the data have found, and
-            its square by its prior variance; their sums are alike where the restricted likelihood is largest.
+        free, taken: for each part and knot, the degrees of freedom of its third difference determined by the data, and
+            its square over its prior variance; their sums are equal where the restricted likelihood is largest.
     """
 
     coefficients: Array
@@ -169,12 +170,14 @@ class _Posterior:
 
 
 def _least_weights(turns: Array, width: float) -> Array:
-    """Weight of each third difference, by that of the data, which ends a filter at 0.4 of the rotor's frequency.
+    """Return the least weight of each third difference over that of the data: it limits the filter's width.
 
-    Beyond half of it an envelope could be one of the next order, or the offset.
+    A filter must end at 0.4 of the rotor's frequency. Beyond half of it an envelope could be one of the next order, or
+    the offset.
 
     Args:
-        turns: of the rotor from knot to knot, shape (n,).
+        turns: turns of the rotor between knots, shape (n,).
+        width: greatest width of the filter, in orders.
     """
     edge = 2 * np.sin(np.pi * np.clip(width * turns, 0.0, 0.5))
     return np.clip(edge, 0.05, 2.0) ** -6
@@ -183,39 +186,43 @@ def _least_weights(turns: Array, width: float) -> Array:
 def _restricted_likelihood(
     equations: Equations, least: Array, m: int, begin: Array | None
 ) -> tuple[_Posterior, Array, bool]:
-    """The envelopes at the weights that maximise the restricted likelihood, these, and whether knots are enough.
+    """Return the envelopes at the weights that maximise the restricted likelihood, the weights, and whether to stop.
 
     Args:
-        least: weight of each third difference by that of the data, at least, shape (parts, knots).
-        begin: weights to begin with, shape (parts,).
+        equations: normal equations of the samples.
+        least: least weight of each third difference over that of the data, shape (parts, knots).
+        m: coefficients per knot.
+        begin: initial weights, shape (parts,).
+    Returns:
+        The third value states whether the knots are dense enough.
     """
-    owner = np.concatenate([[0], np.repeat(np.arange(1, (m + 1) // 2), 2)])  # offset, then two columns an order
+    owner = np.concatenate([[0], np.repeat(np.arange(1, (m + 1) // 2), 2)])  # offset, then two columns per order
     diagonal = equations.gram[:, 0].reshape(-1, m)
     data = np.array([diagonal[:, owner == j].mean() for j in range(len(least))])
     floor = data[:, None] * least
     weights = data if begin is None else begin
     found = _posterior(equations, weights, floor, owner)
     old = np.zeros(len(data))
-    for _ in range(_STEPS):
+    for _ in range(_MAX_STEPS):
         change = np.log(np.maximum(found.free.sum(axis=1), 1e-3) / np.maximum(found.taken.sum(axis=1), 1e-30))
-        change = np.log(np.clip(weights * np.exp(change), data / _STIFFEST**2, data * _STIFFEST) / weights)
-        if np.abs(change).max() < _SETTLED:
+        change = np.log(np.clip(weights * np.exp(change), data / _MAX_STIFFNESS**2, data * _MAX_STIFFNESS) / weights)
+        if np.abs(change).max() < _MAX_LOG_CHANGE:
             break
-        longer = weights * np.exp(np.where(change * old > 0, 1.6, 1.0) * change)  # steps of one sense are too short
-        weights, old = np.clip(longer, data / _STIFFEST**2, data * _STIFFEST), change
+        longer = weights * np.exp(np.where(change * old > 0, 1.6, 1.0) * change)  # steps in one direction are too short
+        weights, old = np.clip(longer, data / _MAX_STIFFNESS**2, data * _MAX_STIFFNESS), change
         found = _posterior(equations, weights, floor, owner)
     return found, weights, bool((weights > _RESOLVED * data).all())
 
 
 def _posterior(equations: Equations, weights: Array, floor: Array, owner: NDArray[np.int64]) -> _Posterior:
-    """The envelopes at weights of their parts, (parts,), above a floor, (parts, knots)."""
+    """Return the envelopes at weights of their parts, (parts,), above a floor, (parts, knots)."""
     own = weights[:, None] + floor
     m, columns = len(owner), np.bincount(owner)
     matrix = equations.gram + _penalty_band(own[owner])
     try:
         factor = cholesky_banded(matrix.T, lower=True, check_finite=False)
     except LinAlgError as fault:
-        raise ValueError("order tracking: the samples do not tell the orders apart") from fault
+        raise ValueError("order tracking: the samples do not separate the orders") from fault
     beta = cho_solve_banded((factor, True), equations.right, check_finite=False)
     inverse = _band_of_inverse(np.ascontiguousarray(factor.T))
     spread, energy = _differences(inverse, beta, owner, m, len(columns))
@@ -228,13 +235,13 @@ def _posterior(equations: Equations, weights: Array, floor: Array, owner: NDArra
 
 
 def _roughness(free: Array, taken: Array) -> Array:
-    """How rough each part is about each knot, by what its one weight supposes: 1 on the whole; shape (parts, knots)."""
-    around = _AROUND_KNOTS
+    """Return the roughness of each part about each knot over that of its single weight, shape (parts, knots)."""
+    around = _ROUGHNESS_KNOTS
     return (gaussian_filter1d(taken, around, axis=1) + 1e-9) / (gaussian_filter1d(free, around, axis=1) + 1e-9)
 
 
 def _penalty_band(rows: Array) -> Array:
-    """Lower band of Dᵀ W D by columns, shape (N, 4 m), for third differences over knots; weights (m, knots)."""
+    """Return the lower band of Dᵀ W D by columns, (N, 4 m), for third differences over knots; weights (m, knots)."""
     m, knots = rows.shape
     band = np.zeros((knots + 3, m, 4, m))
     for a in range(4):
@@ -247,7 +254,7 @@ def _penalty_band(rows: Array) -> Array:
 def _residuals(
     time: Array, signal: Array, phase: Array, start: float, step: float, coefficients: Array
 ) -> Array:  # pragma: no cover (compiled)
-    """Signal without offset and orders."""
+    """Return the signal without offset and orders."""
     out = np.empty(len(time))
     knots, m = len(coefficients) - 3, coefficients.shape[1]
     for i in range(len(time)):
@@ -273,7 +280,7 @@ def _residuals(
 def _differences(
     inverse: Array, beta: Array, owner: NDArray[np.int64], m: int, parts: int
 ) -> tuple[Array, Array]:  # pragma: no cover (compiled)
-    """Of each third difference, the variance (in that of the noise) and the square, summed over a part's columns."""
+    """Return variance (in units of the noise) and square of each third difference, summed over a part's columns."""
     knots = len(beta) // m - 3
     spreads, energies = np.zeros((parts, knots)), np.zeros((parts, knots))
     for row in range(knots):
@@ -292,7 +299,7 @@ def _differences(
 
 @njit(cache=True, nogil=True)
 def _band_of_inverse(factor: Array) -> Array:  # pragma: no cover (compiled)
-    """Lower band of (L Lᵀ)⁻¹ by columns, from that of L, both of shape (N, width) (Takahashi's recursion)."""
+    """Return the lower band of (L Lᵀ)⁻¹ by columns from that of L, both (N, width) (Takahashi's recursion)."""
     total, width = factor.shape
     out = np.zeros((total, width))
     for j in range(total - 1, -1, -1):
@@ -317,7 +324,7 @@ def _band_of_inverse(factor: Array) -> Array:  # pragma: no cover (compiled)
 def _moments(
     time: Array, signal: Array, phase: Array, start: float, step: float, knots: int, orders: int
 ) -> tuple[Array, Array]:  # pragma: no cover (compiled)
-    """Of each interval Σ u^p cos jψ and Σ u^p sin jψ (j to 2 K, p to 6), and Σ u^p x r (p to 3)."""
+    """Return for each interval Σ u^p cos jψ and Σ u^p sin jψ (j to 2 K, p to 6), and Σ u^p x r (p to 3)."""
     highest = 2 * orders
     phasors = np.zeros((knots, highest + 1, 2, 7))
     products = np.zeros((knots, 2 * orders + 1, 4))
@@ -347,7 +354,7 @@ def _moments(
 
 
 def _normal_equations(phasors: Array, products: Array, orders: int) -> tuple[Array, Array]:
-    """Lower band of XᵀX by columns, (N, 4 m), and Xᵀx, (N,); unknowns knot by knot, regressors 1, cos kψ, −sin kψ."""
+    """Return lower band of XᵀX by columns, (N, 4 m), and Xᵀx, (N,); unknowns by knot, regressors 1, cos kψ, −sin kψ."""
     knots, m = len(phasors), 1 + 2 * orders
     pair = np.zeros((4, 4, 7))  # powers of u in the product of two splines
     for a in range(4):
@@ -375,7 +382,7 @@ def _regressors(orders: int) -> list[tuple[int, str]]:
 
 
 def _product(by_order: Array, k: int, kind: str, n: int, other: str) -> Array:
-    """Σ of the product of two regressors, cos kψ or −sin kψ, from the sums of cos jψ and sin jψ."""
+    """Return the sum of products of two regressors, cos kψ or −sin kψ, from the sums of cos jψ and sin jψ."""
     low, high = abs(k - n), k + n
     sign = 1.0 if k >= n else -1.0
     if kind == other == "cos":
@@ -388,7 +395,7 @@ def _product(by_order: Array, k: int, kind: str, n: int, other: str) -> Array:
 
 
 def _blocks(inverse: Array, knots: int, m: int) -> Array:
-    """Of each interval the covariance of its four splines' coefficients, shape (knots, 4 m, 4 m)."""
+    """Return the covariance of the four splines' coefficients of each interval, shape (knots, 4 m, 4 m)."""
     out = np.zeros((knots, 4 * m, 4 * m))
     for column in range(4 * m):
         for row in range(column, 4 * m):

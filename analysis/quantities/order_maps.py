@@ -1,8 +1,8 @@
 # pyright: strict, reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
 """Angular resampling: order vectors and order maps by Fourier transforms over whole revolutions.
 
-The usual way, beside which `order_track` is measured: a signal read at even angles of the rotor has its orders in bins,
-whatever the speed does; an amplitude that changes within the window is smeared over it.
+The conventional method, with which `order_track` is compared. A signal sampled at even angles of the rotor has its
+orders in bins at any speed. An amplitude that changes within the window is smeared over it.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ class OrderMap:
     """Amplitudes over time and order.
 
     Attributes:
-        time_s, speed_rad_s: of each window's middle, shapes (n,).
-        order: shape (m,), in steps of one over the revolutions of a window.
-        vectors_m: complex amplitudes against the rotor's phase, shape (n, m).
+        time_s, speed_rad_s: time and speed of each window's middle, shapes (n,).
+        order: orders, shape (m,), in steps of one over the revolutions of a window.
+        vectors_m: complex amplitudes relative to the rotor's phase, shape (n, m).
     """
 
     time_s: Array
@@ -37,21 +37,21 @@ class OrderMap:
 
     @property
     def amplitude_m(self) -> Array:
-        """Sizes of the vectors, m."""
+        """Absolute values of the vectors, m."""
         return np.abs(self.vectors_m)
 
 
 def order_map(
     time_s: ArrayLike, displacement_m: ArrayLike, phase_rad: ArrayLike, *, revolutions: int = 8, highest: float = 8.0
 ) -> OrderMap:
-    """Amplitudes by order, in windows of whole revolutions (Hann, half of each new).
+    """Return amplitudes by order in windows of whole revolutions (Hann, overlap of one half).
 
     Args:
         time_s, displacement_m, phase_rad: samples, shapes (n,); NaN are left out, the phase rises or falls.
-        revolutions: of a window; orders are told apart that differ by two over this.
-        highest: order; lower where samples are too few in the fastest turn.
+        revolutions: length of a window; orders are resolved that differ by two over this.
+        highest: highest order; reduced if the fastest turn has too few samples.
     Raises:
-        ValueError: shapes differ, or there is no whole window.
+        ValueError: shapes differ, or no window is complete.
     """
     time, signal, turned = _by_angle(time_s, displacement_m, phase_rad)
     fastest = float(np.max(np.diff(turned) / np.diff(time)))
@@ -69,7 +69,7 @@ def order_map(
     parts = parts - parts.mean(axis=1, keepdims=True)
     lines = np.fft.rfft(parts * window, axis=1) * 2 / window.sum()
     order = np.arange(lines.shape[1]) / revolutions
-    lines = lines * np.exp(-2j * np.pi * order * even[starts][:, None])  # against the phase, not the window's begin
+    lines = lines * np.exp(-2j * np.pi * order * even[starts][:, None])  # relative to the phase, not the window's start
     kept = order <= min(highest, a_turn / 2.5)
     ends = np.minimum(starts + length, len(at) - 1)
     speed = 2 * np.pi * (even[ends] - even[starts]) / (at[ends] - at[starts])
@@ -84,9 +84,9 @@ def resampled_order_track(
     *,
     revolutions: int = 4,
 ) -> OrderTrack:
-    """Order vectors by angular resampling; deviations from what stands between the orders.
+    """Return order vectors by angular resampling; their deviations follow from the lines between the orders.
 
-    Args and errors as `order_map`.
+    Arguments and errors as for `order_map`.
     """
     found = order_map(time_s, displacement_m, phase_rad, revolutions=revolutions, highest=max(orders) + 1)
     at = [round(k * revolutions) for k in orders]
@@ -108,7 +108,7 @@ def resampled_order_track(
 
 
 def _by_angle(time_s: ArrayLike, values: ArrayLike, phase_rad: ArrayLike) -> tuple[Array, Array, Array]:
-    """Times, values and turns of the rotor, which rise."""
+    """Return times, values and turns of the rotor with rising turns."""
     time, signal, psi = (np.asarray(a, np.float64) for a in (time_s, values, phase_rad))
     if not time.shape == signal.shape == psi.shape or time.ndim != 1:
         raise ValueError(f"time, displacement and phase must be alike, got {time.shape}, {signal.shape}, {psi.shape}")
@@ -117,5 +117,5 @@ def _by_angle(time_s: ArrayLike, values: ArrayLike, phase_rad: ArrayLike) -> tup
     highest = np.maximum.accumulate(turned) if len(turned) else turned
     rising = np.diff(highest, prepend=-np.inf) > 1e-9
     if rising.sum() < 16:
-        raise ValueError(f"order map: expected a phase that rises, got {int(rising.sum())} samples on its way")
+        raise ValueError(f"order map: expected a rising phase, got {int(rising.sum())} samples with one")
     return time[rising], signal[rising], turned[rising]

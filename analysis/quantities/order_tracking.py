@@ -1,5 +1,5 @@
 # pyright: strict, reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
-"""Order vectors: the complex amplitude of what turns with the rotor, over time."""
+"""Order vectors: complex amplitudes of signal components synchronous with the rotor, over time."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ Complex = NDArray[np.complex128]
 class OrderTrack:
     """Order vectors over time; the signal is offset + Re Σ A_k e^{ikψ} about each row's time.
 
-    A positive angle of A_k leads: the signal is largest where kψ = −arg A_k. The sense is the signal's own: a laser's
-    distance grows away from the sensor.
+    A positive angle of A_k leads: the signal is largest where kψ = −arg A_k. The sign is that of the signal: a laser's
+    distance increases away from the sensor.
 
     Attributes:
-        time_s: of each row, shape (n,), s.
-        orders: the orders asked for.
+        time_s: time of each row, shape (n,), s.
+        orders: requested orders.
         amplitude_m: complex amplitudes A_k, shape (n, len(orders)), m.
         std_m: standard deviation of the real and of the imaginary part, each.
         offset_m: mean of the signal, shape (n,), m.
-        residual_m: rms of what the fit leaves, shape (n,), m.
-        samples: finite samples of each row, shape (n,).
-        speed_rad_s: of the rotor, shape (n,), rad/s.
-        independent: how many independent rows each order has, shape (len(orders),).
+        residual_m: rms residual of the fit, shape (n,), m.
+        samples: number of finite samples of each row, shape (n,).
+        speed_rad_s: speed of the rotor, shape (n,), rad/s.
+        independent: number of independent rows of each order, shape (len(orders),).
     """
 
     time_s: Array
@@ -47,9 +47,9 @@ class OrderTrack:
     independent: Array
 
     def mean(self, order: int) -> tuple[complex, float]:
-        """Mean amplitude of one order over the rows and the standard deviation of its real or imaginary part.
+        """Return the mean amplitude of one order over the rows, and the standard deviation of its parts.
 
-        The deviation is the larger of what the residuals and what the rows' scatter say.
+        The deviation is the larger of that from the residuals and that from the rows' scatter.
         """
         j = self.orders.index(order)
         track = self.amplitude_m[:, j]
@@ -59,7 +59,7 @@ class OrderTrack:
         return complex(track.mean()), max(white, scatter)
 
     def of(self, order: int) -> tuple[Complex, Array]:
-        """Amplitudes of one order and the standard deviations of their parts, shapes (n,)."""
+        """Return amplitudes of one order and the standard deviations of their parts, shapes (n,)."""
         j = self.orders.index(order)
         return self.amplitude_m[:, j], self.std_m[:, j]
 
@@ -73,17 +73,18 @@ def order_track(
     revolutions: int | None = None,
     harmonics: int = 3,
 ) -> OrderTrack:
-    """Complex order amplitudes, at constant speed, through a run-up or a run-down.
+    """Return complex order amplitudes at constant speed, through a run-up or through a run-down.
 
-    Without `revolutions` the amplitudes follow every change (`analysis.quantities.envelopes`): one row a revolution,
-    with bandwidths that the data choose. With it they are means over consecutive windows of so many revolutions.
+    Without `revolutions` the amplitudes may change at any time (`analysis.quantities.envelopes`): one row per
+    revolution, with bandwidths estimated from the data. With it they are means over consecutive windows of so many
+    revolutions.
 
     Args:
         time_s, displacement_m: samples, shape (n,); NaN displacements are left out.
         phase_rad: rotor phase ψ at the samples (unwrapped), shape (n,), rad.
-        orders: whole orders wanted, 1 for once per revolution.
+        orders: requested whole orders, 1 for once per revolution.
         revolutions: length of a window.
-        harmonics: orders 0 … harmonics are fitted together, so that none leaks into another when samples are lost.
+        harmonics: orders 0 … harmonics are fitted together, so that lost samples cause no leakage between them.
     Raises:
         ValueError: shapes differ, an order is not positive, or there are less than four revolutions (one window).
     Source: docs/theory/order_tracking.md.
@@ -101,27 +102,27 @@ def order_track(
     return _in_windows(time, x, psi, tuple(orders), highest, revolutions)
 
 
-_ROWS_LEAST, _MOST_KNOTS, _SAMPLES_A_KNOT = 4, 1600, 8.0
-_KNOTS_A_TURN = 2.0
+_MIN_ROWS, _MAX_KNOTS, _SAMPLES_PER_KNOT = 4, 1600, 8.0
+_KNOTS_PER_TURN = 2.0
 _OWN_WIDTH, _OTHER_WIDTH, _OFFSET_WIDTH = 1.2, 0.3, 0.15
 
 
 def _followed(time: Array, x: Array, psi: Array, orders: tuple[int, ...], highest: int) -> OrderTrack:
-    """Envelopes that change, one row a revolution."""
+    """Return envelopes that change, one row per revolution."""
     turned = float(psi.max() - psi.min()) / (2 * np.pi) if len(psi) else 0.0
-    if turned < _ROWS_LEAST or len(x) < 8 * _SAMPLES_A_KNOT:
-        raise ValueError(f"order tracking needs {_ROWS_LEAST} whole revolutions, got {turned:.3g}")
+    if turned < _MIN_ROWS or len(x) < 8 * _SAMPLES_PER_KNOT:
+        raise ValueError(f"order tracking needs {_MIN_ROWS} whole revolutions, got {turned:.3g}")
     if np.any(np.diff(time) <= 0):
         raise ValueError("order tracking: expected times that rise from sample to sample")
     rows, speed = _revolutions(time, psi)
     duration = float(time[-1] - time[0])
     fastest = float(np.max(speed)) / (2 * np.pi)
-    knot = max(1 / (_KNOTS_A_TURN * fastest), duration / _MOST_KNOTS, duration * _SAMPLES_A_KNOT / len(x))
+    knot = max(1 / (_KNOTS_PER_TURN * fastest), duration / _MAX_KNOTS, duration * _SAMPLES_PER_KNOT / len(x))
     widths = np.full(highest + 1, _OTHER_WIDTH)
     widths[0], widths[list(orders)] = _OFFSET_WIDTH, _OWN_WIDTH
     found = fit_envelopes(time, x, psi, highest, knot, widths)
     near = _coloured(min(orders), highest, found.residuals(time, x, psi), psi, found.noise)
-    if near > found.noise:  # or the filter takes slow noise for changes of the vector
+    if near > found.noise:  # otherwise the filter takes slow noise for changes of the vector
         found = fit_envelopes(time, x, psi, highest, knot, widths, least_noise=near)
     values, variance = found.at(rows)
     real, imaginary = np.array([2 * k - 1 for k in orders]), np.array([2 * k for k in orders])
@@ -139,7 +140,7 @@ def _followed(time: Array, x: Array, psi: Array, orders: tuple[int, ...], highes
 
 
 def _revolutions(time: Array, psi: Array) -> tuple[Array, Array]:
-    """Times at which the rotor has turned half a revolution, and one more each, and the speeds there."""
+    """Return the times of the rotor's half revolution and of each further whole one, and the speeds there."""
     way = np.maximum.accumulate(np.abs(psi - psi[0]))  # forward or backward
     rising = np.flatnonzero(np.diff(way, prepend=-1.0) > 0)
     middles = np.arange(np.pi, way[-1] - 0.5 * np.pi, 2 * np.pi)
@@ -153,10 +154,10 @@ _BLOCK_TURNS, _BLOCKS_AROUND = 4, 9
 
 
 def _coloured(order: int, highest: int, rest: Array, psi: Array, noise: float) -> float:
-    """Noise of one sample if all frequencies had what there is at an order; `noise` where it has no colour.
+    """Return the noise of one sample if all frequencies had the power near an order; `noise` if it is white.
 
-    Near the orders the envelopes have taken it along: it is a power of the frequency through what is left midway
-    between orders above the highest, the median over blocks of turns.
+    The envelopes have absorbed the noise near the orders. It is therefore extrapolated as a power of the frequency
+    from the residuals midway between orders above the highest one (median over blocks of turns).
     """
     way = np.abs(psi - psi[0])
     blocks = int(way[-1] / (2 * np.pi * _BLOCK_TURNS))
@@ -176,20 +177,20 @@ def _coloured(order: int, highest: int, rest: Array, psi: Array, noise: float) -
 
 
 def _noise_near(order: int, time: Array, rest: Array, psi: Array, rows: Array, noise: float) -> Array:
-    """The noise's variance half an order beside an order, by that of all samples, where it exceeds it; else 1."""
+    """Return the noise variance half an order from an order over that of all samples where it is larger; else 1."""
     way = np.abs(psi - psi[0])
     blocks = max(1, int(way[-1] / (2 * np.pi * _BLOCK_TURNS)))
     edges = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], blocks + 1)[:-1]))
     count = np.diff(np.append(edges, len(rest)))
     power = np.zeros(len(edges))
-    for beside in (order - 0.5, order + 0.5):
-        power += 0.5 * np.abs(np.add.reduceat(rest * np.exp(-1j * beside * psi), edges)) ** 2 / count
+    for neighbour in (order - 0.5, order + 0.5):
+        power += 0.5 * np.abs(np.add.reduceat(rest * np.exp(-1j * neighbour * psi), edges)) ** 2 / count
     around = min(_BLOCKS_AROUND, len(power))
     total = np.concatenate([[0.0], np.cumsum(power)])
     first = np.clip(np.arange(len(power)) - around // 2, 0, len(power) - around)
     ratio = (total[first + around] - total[first]) / (around * max(noise**2, 1e-300))
     spread = 1 / np.sqrt(2 * around)
-    ratio = np.where(ratio > 1 + 4 * spread, ratio, 1.0)  # below 1 where an envelope has taken the noise along
+    ratio = np.where(ratio > 1 + 4 * spread, ratio, 1.0)  # below 1 where an envelope has absorbed the noise
     middles = time[np.minimum(edges + count // 2, len(time) - 1)]
     return np.interp(rows, middles, ratio)
 
@@ -202,10 +203,10 @@ def _undefined(
     imaginary: NDArray[np.int64],
     amplitude: Complex,
 ) -> Array:
-    """How far a vector that changes within a revolution is no longer defined (Bedrosian), per row and order.
+    """Return the ambiguity of a vector that changes within a revolution (Bedrosian), per row and order.
 
-    What of it changes faster than once a revolution is another order's; it is the square of what changes at half that
-    rate, by size, where a spectrum falls exponentially, as a resonance's does.
+    The part of a change faster than once per revolution belongs to another order. For a spectrum that falls
+    exponentially, as that of a resonance, it is the square of the part that changes at half that rate, over the size.
     """
     half = np.pi / np.maximum(speed, 1e-9)
     places = rows[:, None] + half[:, None] * np.arange(-2, 3)
@@ -219,7 +220,7 @@ def _undefined(
 def _in_windows(
     time: Array, x: Array, psi: Array, orders: tuple[int, ...], highest: int, revolutions: int
 ) -> OrderTrack:
-    """Constant amplitudes by least squares in consecutive windows of whole revolutions, up to the end."""
+    """Fit constant amplitudes by least squares in consecutive windows of whole revolutions, up to the end."""
     span = 2 * np.pi * revolutions
     count = int((psi[-1] - psi[0]) / span + 1e-9) if len(psi) else 0
     if count < 1:
@@ -241,7 +242,7 @@ def _in_windows(
 def _window(
     time: Array, x: Array, psi: Array, highest: int, orders: Sequence[int]
 ) -> tuple[float, Complex, Array, float, float, int, float]:
-    """One window's fit: time, amplitudes, their standard deviations, offset, residual, samples, speed."""
+    """Fit one window: time, amplitudes, their standard deviations, offset, residual, samples, speed."""
     columns = [np.ones_like(psi)]
     for k in range(1, highest + 1):
         columns += [np.cos(k * psi), -np.sin(k * psi)]

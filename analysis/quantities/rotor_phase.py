@@ -13,10 +13,10 @@ Array = NDArray[np.float64]
 
 
 def phase_at(run: Run, time_s: Array) -> Array:
-    """ψ at times, shape (n,), rad; NaN outside the marks, and in turns whose mark was lost.
+    """Return ψ at times, shape (n,), rad; NaN outside the marks and in turns with lost marks.
 
-    Between marks, one a turn, ψ is a cubic spline: a straight line is 0.8° off at 3 Hz where the speed rises by 10 rpm
-    a second.
+    Between marks, one per turn, ψ is a cubic spline. A straight line would be in error by 0.8° at 3 Hz if the speed
+    rises by 10 rpm per second.
     """
     if len(run.phase_time_s) > 1:
         return np.interp(time_s, run.phase_time_s, run.phase_rad, left=np.nan, right=np.nan)
@@ -25,17 +25,17 @@ def phase_at(run: Run, time_s: Array) -> Array:
     marks, phase = np.asarray(run.mark_time_s, np.float64), np.asarray(run.mark_phase_rad, np.float64)
     between = np.asarray(CubicSpline(marks, phase)(time_s), np.float64)
     turn = np.clip(np.searchsorted(marks, time_s, side="right") - 1, 0, len(marks) - 2)
-    lost = np.abs(np.diff(phase))[turn] > _MOST_TURNS * 2 * np.pi
+    lost = np.abs(np.diff(phase))[turn] > _MAX_TURNS * 2 * np.pi
     outside = (time_s < marks[0]) | (time_s > marks[-1])
     return np.where(outside | lost, np.nan, between)
 
 
-_MOST_TURNS = 8.5
-"""A stretch of so many turns without a mark has no phase that a spline could give."""
+_MAX_TURNS = 8.5
+"""Turns without a mark over which a spline is not accurate enough."""
 
 
 def speed_at(run: Run, time_s: Array) -> Array:
-    """ω at times, shape (n,), rad/s, mean over the turn about each; NaN outside the marks."""
+    """Return ω at times, shape (n,), rad/s, mean over the turn about each; NaN outside the marks."""
     marks, phase = np.asarray(run.mark_time_s, np.float64), np.asarray(run.mark_phase_rad, np.float64)
     if len(run.phase_time_s) > 1:
         marks, phase = np.asarray(run.phase_time_s, np.float64), np.asarray(run.phase_rad, np.float64)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Slip of the pendulums: how their mean speed differs from the rotor's, as an order."""
+"""Slip of the pendulums: difference between their mean speed and the rotor's, as an order."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SlipTrack:
-    """Pendulums against the rotor, row by row of whole turns.
+    """Motion of the pendulums relative to the rotor, in rows of whole turns.
 
     Attributes:
-        time_s, speed_rad_s: middle of each row and the rotor's speed, shapes (n,).
+        time_s, speed_rad_s: middle of each row and speed of the rotor, shapes (n,).
         angle_rad: mean angle in the rotor's frame, unwrapped, shape (n, pendulums).
-        slip_order: (pendulum's speed − rotor's) / rotor's: 0 where it turns with the rotor, −1 where it stands still.
-        std: standard deviation of the slip order, from the scatter of the row's readings, shape (n, pendulums).
+        slip_order: (pendulum's speed − rotor's) / rotor's: 0 if it turns with the rotor, −1 if it is at rest in space.
+        std: standard deviation of the slip order from the scatter of the row's readings, shape (n, pendulums).
     """
 
     time_s: Array
@@ -31,17 +31,17 @@ class SlipTrack:
 
 
 def slip_track(time_s: ArrayLike, angle_rad: ArrayLike, phase_rad: ArrayLike, *, revolutions: int = 4) -> SlipTrack:
-    """Slip order of each pendulum in rows of whole turns: the slope of its angle over the rotor's phase.
+    """Return the slip order of each pendulum in rows of whole turns: slope of its angle over the rotor's phase.
 
-    Once and twice a revolution the angle may swing: these orders are fitted beside the slope.
+    The angle may oscillate once and twice per revolution. These orders are fitted together with the slope.
 
     Args:
-        time_s: of the readings, shape (n,), s.
+        time_s: times of the readings, shape (n,), s.
         angle_rad: θ in the rotor's frame, unwrapped, shape (n, pendulums) or (n,), rad.
-        phase_rad: ψ at the readings, unwrapped, shape (n,), rad; NaN where there is none.
-        revolutions: of a row.
+        phase_rad: ψ at the readings, unwrapped, shape (n,), rad; NaN if unknown.
+        revolutions: length of a row.
     Raises:
-        ValueError: shapes differ, or there is no whole row.
+        ValueError: shapes differ, or no row is complete.
     """
     time, psi = np.asarray(time_s, np.float64), np.asarray(phase_rad, np.float64)
     angle = np.asarray(angle_rad, np.float64)
@@ -57,9 +57,9 @@ def slip_track(time_s: ArrayLike, angle_rad: ArrayLike, phase_rad: ArrayLike, *,
     if count < 1:
         raise ValueError(f"slip: expected {revolutions} whole turns, got {way[-1] / 2 / np.pi if len(way) else 0:.3g}")
     edges = np.searchsorted(way, 2 * np.pi * revolutions * np.arange(count + 1))
-    parts = [slice(int(a), int(b)) for a, b in pairwise(edges) if b - a >= _LEAST_READINGS]
+    parts = [slice(int(a), int(b)) for a, b in pairwise(edges) if b - a >= _MIN_READINGS]
     if not parts:
-        raise ValueError(f"slip: expected {_LEAST_READINGS} readings in {revolutions} turns, got fewer in every row")
+        raise ValueError(f"slip: expected {_MIN_READINGS} readings in {revolutions} turns, got fewer in every row")
     rows = [_row(psi[part], angle[part]) for part in parts]
     middle = np.array([time[part].mean() for part in parts])
     speed = np.array([(psi[p][-1] - psi[p][0]) / (time[p][-1] - time[p][0]) for p in parts])
@@ -67,18 +67,18 @@ def slip_track(time_s: ArrayLike, angle_rad: ArrayLike, phase_rad: ArrayLike, *,
     return SlipTrack(middle, speed, means, slopes, stds)
 
 
-_LEAST_READINGS = 16
+_MIN_READINGS = 16
 
 
 def _row(psi: Array, angle: Array) -> tuple[Array, Array, Array]:
-    """Mean angles, slopes over the phase and their deviations, shapes (pendulums,)."""
+    """Return mean angles, slopes over the phase and their deviations, shapes (pendulums,)."""
     middle = float(psi.mean())
     columns = [np.ones_like(psi), psi - middle] + [f(k * psi) for k in (1, 2) for f in (np.cos, np.sin)]
     basis = np.stack(columns, axis=1)
     means, slopes, stds = (np.full(angle.shape[1], np.nan) for _ in range(3))
     for j, values in enumerate(angle.T):
         there = np.isfinite(values)
-        if there.sum() < _LEAST_READINGS:
+        if there.sum() < _MIN_READINGS:
             continue
         normal = np.linalg.pinv(basis[there].T @ basis[there])
         fit = normal @ (basis[there].T @ values[there])

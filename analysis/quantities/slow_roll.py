@@ -1,5 +1,5 @@
 # pyright: strict
-"""Slow roll: what sensors show at a speed at which nothing vibrates, and order vectors without it."""
+"""Slow roll: sensor signals at a speed without vibration, and order vectors without them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from analysis.quantities.order_tracking import OrderTrack
 
 
 def slow_roll_vector(track: OrderTrack, order: int = 1, *, below_rad_s: float | None = None) -> tuple[complex, float]:
-    """The weighted mean vector of the slow rows and its standard deviation (of either part), m.
+    """Return the weighted mean vector of the slow rows and its standard deviation (of either part), m.
 
     Args:
-        below_rad_s: rows of lower speeds count; by default those of the lowest tenth of the speeds.
+        track: order vectors over the speed.
+        order: order of the vector.
+        below_rad_s: highest speed of the rows used; by default the lowest decile of the speeds.
     Raises:
-        ValueError: no row is as slow.
+        ValueError: no row is slow enough.
     """
     limit = float(np.quantile(track.speed_rad_s, 0.1)) if below_rad_s is None else below_rad_s
     slow = track.speed_rad_s <= limit
@@ -34,7 +36,7 @@ def slow_roll_vector(track: OrderTrack, order: int = 1, *, below_rad_s: float | 
 
 
 def without_slow_roll(track: OrderTrack, vector_m: complex, std_m: float = 0.0, order: int = 1) -> OrderTrack:
-    """The track less a constant vector of one order, with both uncertainties."""
+    """Return the track minus a constant vector of one order, with both uncertainties."""
     j = track.orders.index(order)
     amplitude, std = track.amplitude_m.copy(), track.std_m.copy()
     amplitude[:, j] -= vector_m

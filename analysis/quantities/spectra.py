@@ -17,10 +17,10 @@ class Spectrum:
     """A spectrum.
 
     Attributes:
-        frequency_Hz: shape (n,); negative ones of a full spectrum turn against the rotor.
-        values: amplitudes of lines in m, or power density in m²/Hz, one-sided.
-        resolution_Hz: the window's equivalent noise bandwidth.
-        averages: how many windows.
+        frequency_Hz: frequencies, shape (n,); negative ones of a full spectrum are backward.
+        values: amplitudes of lines in m, or one-sided power density in m²/Hz.
+        resolution_Hz: equivalent noise bandwidth of the window.
+        averages: number of windows.
     """
 
     frequency_Hz: Array
@@ -30,16 +30,16 @@ class Spectrum:
 
 
 def power_density(time_s: ArrayLike, displacement_m: ArrayLike, *, window_s: float | None = None) -> Spectrum:
-    """One-sided power density, m²/Hz, by Welch's averages of windows that overlap by half.
+    """Return the one-sided power density, m²/Hz, by Welch's method with half-overlapping windows.
 
     Its integral over frequency is the variance of the signal.
 
     Args:
-        time_s, displacement_m: samples, shapes (n,); gaps and NaN are bridged by straight lines where shorter than two
-            samples, and windows with longer ones are left out.
+        time_s, displacement_m: samples, shapes (n,); gaps and NaN shorter than two samples are interpolated linearly,
+            windows with longer gaps are left out.
         window_s: length of a window; by default an eighth of the record.
     Raises:
-        ValueError: shapes differ, or no window is whole.
+        ValueError: shapes differ, or no window is complete.
     """
     values, rate, whole = _even(time_s, displacement_m)
     length = _length(len(values), rate, window_s)
@@ -60,9 +60,9 @@ def power_density(time_s: ArrayLike, displacement_m: ArrayLike, *, window_s: flo
 
 
 def amplitude_spectrum(time_s: ArrayLike, displacement_m: ArrayLike, *, window_s: float | None = None) -> Spectrum:
-    """Amplitudes of lines, m: a sine of 1 mm shows 1 mm (at its bin; a Hann window loses 15 % half a bin beside it).
+    """Return amplitudes of lines, m: a sine of 1 mm yields 1 mm (a Hann window loses 15 % half a bin off its bin).
 
-    Args and errors as `power_density`.
+    Arguments and errors as for `power_density`.
     """
     density = power_density(time_s, displacement_m, window_s=window_s)
     lines = np.sqrt(2 * density.values * density.resolution_Hz)
@@ -70,9 +70,9 @@ def amplitude_spectrum(time_s: ArrayLike, displacement_m: ArrayLike, *, window_s
 
 
 def full_spectrum(time_s: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, *, window_s: float | None = None) -> Spectrum:
-    """Amplitudes of x + i y over signed frequency, m: positive ones turn from x to y.
+    """Return amplitudes of x + i y over signed frequency, m: positive frequencies turn from x to y.
 
-    A circular orbit of radius 1 mm shows 1 mm on one side and nothing on the other.
+    A circular orbit of radius 1 mm yields 1 mm on one side and 0 on the other.
 
     Args:
         time_s, x_m, y_m: samples at the same times, shapes (n,).
@@ -95,7 +95,7 @@ def full_spectrum(time_s: ArrayLike, x_m: ArrayLike, y_m: ArrayLike, *, window_s
 
 
 def _even(time_s: ArrayLike, values: ArrayLike) -> tuple[Array, float, NDArray[np.bool_]]:
-    """Samples at even times, their rate, and where they are not made up."""
+    """Return samples at even times, their rate, and whether each is measured rather than interpolated."""
     time, signal = np.asarray(time_s, np.float64), np.asarray(values, np.float64)
     if time.shape != signal.shape or time.ndim != 1:
         raise ValueError(f"spectrum: time and displacement must be alike, got {time.shape} and {signal.shape}")
@@ -120,6 +120,6 @@ def _length(count: int, rate: float, window_s: float | None) -> int:
 
 
 def _starts(whole: NDArray[np.bool_], length: int) -> list[int]:
-    """Beginnings of windows that overlap by half and have no gap."""
+    """Return the starts of half-overlapping windows without a gap."""
     lost = np.concatenate([[0], np.cumsum(~whole)])
     return [a for a in range(0, len(whole) - length + 1, max(1, length // 2)) if lost[a + length] == lost[a]]

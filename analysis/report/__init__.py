@@ -1,4 +1,4 @@
-"""The report: one HTML file with all a campaign found, readable without anything beside it."""
+"""The report: one self-contained HTML file with all results of a campaign."""
 
 from analysis.figures.fit import FitCurve
 from analysis.report.campaign import (

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Uncertainty budgets as text ready for the report's page."""
+"""Uncertainty budgets as text for the report's page."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from rig_configs.shared_errors import STANDARD
 from uncertainty import Budget, Budgets
 from uncertainty.rows import BudgetRow, budget_rows
 
-_LEAST_SHARE = 1e-3  # of a variance: what is less has no row of its own
+_MIN_SHARE = 1e-3  # least share of a variance with a row of its own
 _UNITS = {"1": "", "deg": "°"}
 
 
 @dataclass(frozen=True)
 class SourceRow:
-    """One source of a budget, as shown."""
+    """One source of a budget, formatted."""
 
     source: str
     kind: str
@@ -30,7 +30,7 @@ class SourceRow:
 
 @dataclass(frozen=True)
 class BudgetTable:
-    """One quantity's budget, as shown; `rest` stands for the sources that are too small for a row, "" for none."""
+    """Formatted budget of one quantity; `rest` names the sources that are too small for a row, "" without any."""
 
     name: str
     value: str
@@ -43,13 +43,13 @@ class BudgetTable:
 
 
 def budget_tables(budgets: Budgets | None) -> list[BudgetTable]:
-    """One table per quantity; none where there are no budgets."""
+    """Return one table per quantity; an empty list without budgets."""
     return [] if budgets is None else [_table(each) for each in budgets.budgets]
 
 
 def _table(budget: Budget) -> BudgetTable:
     unit = _UNITS.get(budget.unit, budget.unit)
-    shown, every = budget_rows(budget, _LEAST_SHARE), budget_rows(budget)
+    shown, every = budget_rows(budget, _MIN_SHARE), budget_rows(budget)
     more, left = len(every) - len(shown), sum(row.share for row in every[len(shown) :])
     tail = f" {unit}" if unit not in ("", "°") else unit
     return BudgetTable(
@@ -83,4 +83,4 @@ def _degrees(number: float) -> str:
 
 
 def _share(share: float) -> str:
-    return f"{100 * share:.1f} %" if share >= _LEAST_SHARE else "< 0.1 %"
+    return f"{100 * share:.1f} %" if share >= _MIN_SHARE else "< 0.1 %"

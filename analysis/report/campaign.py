@@ -1,4 +1,4 @@
-"""What a report is made from."""
+"""Contents of a report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from uncertainty import Budgets
 
 @dataclass(frozen=True)
 class TestEstimate:
-    """What one test says by itself: names (with units) to values and standard deviations."""
+    """Estimates of one test alone: names (with units) to values and standard deviations."""
 
     __test__ = False  # not a pytest class
 
@@ -27,7 +27,7 @@ class TestEstimate:
 
 @dataclass(frozen=True)
 class ConsistencyCheck:
-    """Whether tests agree on a quantity: `z` is the largest difference in standard deviations."""
+    """Agreement of tests on a quantity: `z` is the largest difference in standard deviations."""
 
     name: str
     z: float
@@ -36,8 +36,10 @@ class ConsistencyCheck:
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """One parameter against an earlier identification: values, change and its standard deviation, SI; chance of one as
-    large where nothing has changed, all parameters having been looked at."""
+    """One parameter against an earlier identification.
+
+    Values, change and its standard deviation in SI; p: probability of a change as large by chance in any parameter.
+    """
 
     name: str
     old: float
@@ -49,13 +51,13 @@ class ParameterChange:
 
 @dataclass(frozen=True)
 class Changes:
-    """What changed since an earlier identification.
+    """Changes since an earlier identification.
 
     Attributes:
-        since: what the earlier one is called.
-        words: the verdict, a sentence.
-        rows: parameter by parameter.
-        notes: what was taken as common to both.
+        since: name of the earlier identification.
+        words: verdict, a sentence.
+        rows: change of each parameter.
+        notes: assumptions common to both.
     """
 
     since: str
@@ -65,7 +67,7 @@ class Changes:
 
 
 class Identification(Protocol):
-    """What the report needs of an identification's result."""
+    """Result of an identification as the report uses it."""
 
     @property
     def parameters(self) -> IdentifiedParameters:
@@ -74,12 +76,12 @@ class Identification(Protocol):
 
     @property
     def estimates(self) -> Sequence[TestEstimate]:
-        """Each test by itself."""
+        """Estimates of each test alone."""
         ...
 
     @property
     def consistency(self) -> Sequence[ConsistencyCheck]:
-        """Whether the tests agree."""
+        """Agreement of the tests."""
         ...
 
     @property
@@ -95,7 +97,7 @@ class Identification(Protocol):
 
 @dataclass(frozen=True)
 class IdentificationResult:
-    """A plain Identification, for results that come from elsewhere."""
+    """Plain implementation of Identification, for results from other sources."""
 
     parameters: IdentifiedParameters
     estimates: Sequence[TestEstimate] = ()
@@ -106,24 +108,24 @@ class IdentificationResult:
 
 @dataclass(frozen=True)
 class Campaign:
-    """Everything a report shows.
+    """Contents of a report.
 
     Attributes:
-        title: the report's heading.
-        rig: the rig file the campaign was run with.
-        runs: the recorded tests, in the order they were run.
+        title: heading of the report.
+        rig: rig file of the campaign.
+        runs: recorded tests, in chronological order.
         identification: parameters with their fits.
-        validation: measured against predicted at the points; None when no point was run.
-        axis_angle_deg: angle from the stiffness to the sensor x axis and its standard uncertainty, degrees, where it
-            is not the identified one.
-        devices: device name to facts about it (model, serial, firmware, port), as shown.
-        losses: log to counted losses by stream; None takes them from the runs.
-        truth: a simulated rig's own numbers by parameter name, for the closing comparison.
-        notes: paragraphs of the operator.
+        validation: measured against predicted at the points; None without a recorded point.
+        axis_angle_deg: angle from the stiffness to the sensor x axis and its standard uncertainty, degrees, if it
+            differs from the identified one.
+        devices: device name to facts about it (model, serial, firmware, port), formatted.
+        losses: log to counted losses by stream; None uses those of the runs.
+        truth: parameters of a simulated rig by name, for the closing comparison.
+        notes: paragraphs by the operator.
         software_version, seed: as recorded with the logs.
-        budgets: of the parameters and of what the model predicts at the points, by source.
-        changes: against an earlier identification; None where none was given.
-        what_if: settings laid over rig file and parameters; the report then answers a question and is marked so.
+        budgets: budgets by source of the parameters and of the predictions at the points.
+        changes: changes since an earlier identification; None without one.
+        what_if: settings applied to rig file and parameters; the report is then marked as a what-if report.
     """
 
     title: str
@@ -132,7 +134,7 @@ class Campaign:
     identification: Identification
     validation: Validation | None = None
     axis_angle_deg: tuple[float, float] | None = None
-    devices: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    devices: Mapping[str, Mapping[str, str]] = field(default_factory=dict[str, Mapping[str, str]])
     losses: Mapping[str, Mapping[str, int]] | None = None
     truth: Mapping[str, float] | None = None
     notes: Sequence[str] = ()

@@ -1,6 +1,6 @@
 "use strict";
-// Figures zoom where they stand: Ctrl + wheel or + and −, dragging when closer, double click or 0 for all of it.
-// What is folded is open on paper.
+// Figures can be zoomed: Ctrl + wheel or + and −, dragging when enlarged, double click or 0 to reset.
+// Folded sections are unfolded for printing.
 (function () {
   for (const figure of document.querySelectorAll("figure")) {
     const svg = figure.querySelector("svg");

@@ -1,4 +1,4 @@
-"""Rows of the report's tables, as text ready for the page (the template escapes it)."""
+"""Rows of the report's tables as text (the template escapes it)."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ _QUANTITIES = (
     ("amplitude_y", "y amplitude, order 1", "amplitude_y_mm", "mm"),
     ("amplitude", "rms radius", "amplitude_mm", "mm"),
 )
-_EXAMPLE, _SEEN, _NONE = 1e-3, 0.05, 1e4
-_CHANGED = 0.01
+_EXAMPLE_SHARE, _MIN_EFFECT_STD, _MAX_SIZE = 1e-3, 0.05, 1e4
+_CHANGED = 0.01  # p below which a parameter counts as changed
 CLASSES = {"pass": "good", "fail": "bad"}
 
 
 def run_rows(campaign: Campaign) -> list[dict[str, str]]:
-    """One row per log: test, when, how long, samples."""
+    """Return one row per log: test, start, duration, samples."""
     return [
         {
             "test": run.test,
@@ -62,7 +62,7 @@ def _duration(run: Run) -> float:
 
 
 def loss_table(campaign: Campaign) -> tuple[list[str], list[tuple[str, list[str]]]]:
-    """Streams that lost anything, and per log the counted losses of each."""
+    """Return the streams with losses, and per log the counted losses of each."""
     losses: Mapping[str, Mapping[str, int]] = (
         campaign.losses if campaign.losses is not None else {run.source: run.losses for run in campaign.runs}
     )
@@ -71,7 +71,7 @@ def loss_table(campaign: Campaign) -> tuple[list[str], list[tuple[str, list[str]
 
 
 def lost_words(campaign: Campaign) -> list[str]:
-    """How much each stream lost over all logs, the most first: "lasers.x: samples 12"."""
+    """Return the losses of each stream over all logs, the largest first: "12 lasers x: samples"."""
     losses = campaign.losses if campaign.losses is not None else {run.source: run.losses for run in campaign.runs}
     total: dict[str, int] = {}
     for row in losses.values():
@@ -82,11 +82,11 @@ def lost_words(campaign: Campaign) -> list[str]:
 
 
 def parameter_rows(campaign: Campaign) -> list[dict[str, str]]:
-    """Identified values with 95 % intervals, against the rig file and, where known, the truth."""
+    """Return identified values with 95 % intervals, against the rig file and, if known, the truth."""
     known = campaign.identification.parameters
     file = campaign.rig.physics.identified()
     changes = {c.name: c for c in campaign.changes.rows} if campaign.changes else {}
-    rows = []
+    rows: list[dict[str, str]] = []
     for name, value in known.values.items():
         std, unit = known.std[name], PARAMETER_UNITS[name]
         truth = (campaign.truth or {}).get(name)
@@ -107,14 +107,14 @@ def parameter_rows(campaign: Campaign) -> list[dict[str, str]]:
 
 
 def _since(change: ParameterChange | None) -> str:
-    """A change since the earlier identification, in percent."""
-    if change is None or not change.old or change.std <= 1e-9 * abs(change.old):  # of logs that both rest on
+    """Format a change since the earlier identification, in percent."""
+    if change is None or not change.old or change.std <= 1e-9 * abs(change.old):  # both use the same logs
         return "–"
     return f"{signed(100 * change.change / abs(change.old), 3)} ± {plain(100 * change.std / abs(change.old), 2)} %"
 
 
 def correlation_rows(campaign: Campaign) -> tuple[list[str], list[tuple[str, list[tuple[str, float]]]]]:
-    """Names, and per parameter the correlations with their shade (0 to 1)."""
+    """Return names, and per parameter the correlations with their shade (0 to 1)."""
     known = campaign.identification.parameters
     names = [SYMBOLS.get(n, n) for n in known.values]
     std = np.sqrt(np.diag(known.covariance))
@@ -127,8 +127,8 @@ def correlation_rows(campaign: Campaign) -> tuple[list[str], list[tuple[str, lis
 
 
 def estimate_rows(campaign: Campaign) -> list[dict[str, str]]:
-    """Every value every test found by itself."""
-    rows = []
+    """Return every value estimated by every test alone."""
+    rows: list[dict[str, str]] = []
     for estimate in campaign.identification.estimates:
         for name, value in estimate.values.items():
             unit = PARAMETER_UNITS.get(name, "")
@@ -144,7 +144,7 @@ def estimate_rows(campaign: Campaign) -> list[dict[str, str]]:
 
 
 def consistency_rows(campaign: Campaign) -> list[dict[str, str]]:
-    """Agreement between tests."""
+    """Return the agreement between tests."""
     return [
         {"name": SYMBOLS.get(c.name, c.name), "z": signed(c.z), "text": c.text, "class": "" if abs(c.z) < 3 else "bad"}
         for c in campaign.identification.consistency
@@ -152,7 +152,7 @@ def consistency_rows(campaign: Campaign) -> list[dict[str, str]]:
 
 
 def summary_row(point: PointResult, name: str, campaign: Campaign) -> dict[str, Any]:
-    """A point in one line."""
+    """Return the row of a point in the table of all points."""
     values = point.to_json()
     measured = values["measured"]
     speed = measured["speed_rpm"]
@@ -180,12 +180,12 @@ _NO_CELLS = [{"measured": "–", "predicted": "–", "class": ""}] * 4
 
 
 def _cell(row: Mapping[str, Any]) -> dict[str, str]:
-    """Measured and predicted in the table of all points; where none is predicted, what noise would show."""
+    """Format measured and predicted values for the table of all points; the noise is left out."""
     return {"measured": row["measured"], "predicted": row["predicted"].partition(", noise")[0], "class": row["class"]}
 
 
 def noticed_rows(campaign: Campaign) -> list[dict[str, Any]]:
-    """The smallest deviation of each cause that a point alone, and all together, would notice."""
+    """Return the smallest deviation of each cause that each point alone, and all together, would detect."""
     found = campaign.validation.noticed if campaign.validation else ()
     return [
         {
@@ -200,21 +200,21 @@ def noticed_rows(campaign: Campaign) -> list[dict[str, Any]]:
 
 def _size(size: float, one: Noticed) -> str:
     shown = size * one.cause.factor
-    return f"{plain(shown, 2)} {one.cause.unit}" if shown < _NONE else "–"
+    return f"{plain(shown, 2)} {one.cause.unit}" if shown < _MAX_SIZE else "–"
 
 
 def exact_rows(campaign: Campaign) -> list[dict[str, str]]:
-    """What the rig file takes as exact, and what 0.1 % of each would do to what was identified."""
+    """Return the exact numbers of the rig file, and the effect of 0.1 % of each on the identified parameters."""
     known, found = campaign.rig.known, campaign.identification.parameters
-    rows = []
+    rows: list[dict[str, str]] = []
     for number in known.exact:
         if number not in found.by_number:
             continue
-        changes = found.by_number[number] * _EXAMPLE * known.values[number]
+        changes = found.by_number[number] * _EXAMPLE_SHARE * known.values[number]
         parts = [
             f"{SYMBOLS.get(name, name)} {signed(100 * change / value, 2)} % ({signed(change / std)} std)"
             for (name, value), std, change in zip(found.values.items(), found.std.values(), changes, strict=True)
-            if value and std > 0 and abs(change) > _SEEN * std
+            if value and std > 0 and abs(change) > _MIN_EFFECT_STD * std
         ]
         rows.append(
             {"number": number, "value": plain(known.values[number]), "does": ", ".join(parts) or "nothing seen"}
@@ -223,9 +223,9 @@ def exact_rows(campaign: Campaign) -> list[dict[str, str]]:
 
 
 def quantity_rows(point: PointResult) -> list[dict[str, Any]]:
-    """Measured against predicted, quantity by quantity, with the uncertainties that z is made of."""
+    """Return measured and predicted values by quantity, with the uncertainties behind z."""
     values = point.to_json()
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name, text, key, unit in _QUANTITIES:
         score = point.scores.get(name)
         value, std = values["measured"][key], values["measured_std"][key]
@@ -254,7 +254,7 @@ def quantity_rows(point: PointResult) -> list[dict[str, Any]]:
 
 
 def _noise_row(score: Score, factor: float, unit: str) -> dict[str, str]:
-    """An amplitude where none is predicted: no difference, but how often noise alone is as large."""
+    """Return the row of an amplitude with no predicted vibration: probability of noise instead of a difference."""
     noise = " and ".join(plain(s * factor, 3) for s in score.noise)
     return {
         "measured": with_std(score.measured * factor, score.measured_std * factor, unit, digits=2),

@@ -1,5 +1,5 @@
 # pyright: strict
-"""The report's numbers for machines: one JSON object beside the page."""
+"""The report's numbers in machine-readable form: one JSON file next to the page."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ KIND = "rig report"
 
 
 def twin_path(report: str | Path) -> Path:
-    """Where a report's numbers are: its own name, ending in .json."""
+    """Return the path of a report's numbers: its own name with the suffix .json."""
     return Path(report).with_suffix(".json")
 
 
 def need_free_twin(report: str | Path) -> None:
-    """Refuse a report beside whose name a file stands that is no earlier report's numbers.
+    """Check that the numbers of a report would not overwrite a file that is not an earlier report's numbers.
 
     Raises:
-        TakenName: it would be written over.
+        TakenName: another file exists under that name.
     """
     path = twin_path(report)
     if not path.exists():
@@ -43,7 +43,7 @@ def need_free_twin(report: str | Path) -> None:
 
 
 def twin(campaign: Campaign) -> dict[str, Any]:
-    """What the report shows, as plain values with their units in the keys, ready for json.dumps."""
+    """Return the contents of the report as plain values with units in the keys, ready for json.dumps."""
     known = campaign.identification.parameters
     found = campaign.validation
     angle = known.axis_angle_deg
@@ -104,7 +104,7 @@ def _time(start_s: float) -> str:
 
 
 def plain_json(value: Any) -> Any:
-    """Numbers that are no JSON (NaN, infinite) become null, everywhere in a value."""
+    """Replace numbers that JSON cannot represent (NaN, infinite) by None, everywhere in a value."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Writing the report: figures drawn, tables filled, one template."""
+"""Writing of the report: figures, tables and one template."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ _TEMPLATE, _SCRIPT = "template.html.j2", "page.js"
 
 
 def write_report(path: str | Path, campaign: Campaign) -> Path:
-    """Write a campaign's report as one HTML file that needs nothing beside it, and its numbers as JSON beside it.
+    """Write a campaign's report as one self-contained HTML file, and its numbers as JSON next to it.
 
     Args:
-        path: the file to write; its folder must exist.
-        campaign: what was run, identified and validated.
+        path: file to write; its folder must exist.
+        campaign: recorded runs, identification and validation.
     Returns:
         The path written.
     Raises:
-        TakenName: a file of that name ending in .json is there that is no report's numbers.
+        TakenName: the JSON file exists and does not contain an earlier report's numbers.
     """
     path = Path(path)
     need_free_twin(path)
@@ -53,7 +53,7 @@ def write_report(path: str | Path, campaign: Campaign) -> Path:
 
 
 def render(campaign: Campaign) -> str:
-    """The report's HTML. The same campaign gives the same text."""
+    """Return the report's HTML. Equal campaigns yield equal text."""
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     folder = resources.files("analysis.report")
     text = folder.joinpath(_TEMPLATE).read_text(encoding="utf-8")
@@ -100,7 +100,7 @@ def _counts(points: dict[str, PointResult]) -> dict[str, int]:
 
 
 def _explained(campaign: Campaign) -> list[str]:
-    """What is known to be the reason for a failure, then what would explain it, the likeliest first."""
+    """Return the known reasons of a failure, then its explanations, the likeliest first."""
     if campaign.validation is None:
         return []
     found = campaign.validation.explanations
@@ -120,7 +120,7 @@ def _fit(curve: FitCurve, index: int) -> dict[str, Any]:
 
 
 def _point(campaign: Campaign, name: str, point: PointResult, index: int) -> dict[str, Any]:
-    """A point's section: figure (where there is something to draw) and table."""
+    """Return a point's section: figure (if there is a measurement) and table."""
     figure, simulated = None, None
     run = _run_of(campaign, point)
     if point.measurement is not None and run is not None:
@@ -142,7 +142,7 @@ def _point(campaign: Campaign, name: str, point: PointResult, index: int) -> dic
 
 
 def _passages(campaign: Campaign) -> list[dict[str, Any]]:
-    """The first run-up and run-down with the model's own run beside each."""
+    """Return the first run-up and run-down, each with a simulation by the model."""
     known = campaign.identification.parameters
     angle = known_axis_angle(known, campaign.rig, campaign.axis_angle_deg)
     model = replace(RigModel.of(campaign.rig, known), axis_angle_rad=math.radians(angle[0]))
@@ -168,7 +168,7 @@ def _run_of(campaign: Campaign, point: PointResult) -> Run | None:
 
 
 def _map(campaign: Campaign, points: dict[str, PointResult]) -> Markup | None:
-    """The stability map with the measured points; None when the rig has no balanced state."""
+    """Draw the stability map with the measured points; None if the rig has no balanced state."""
     physics = campaign.identification.parameters.applied_to(campaign.rig.physics)
     first = physics.natural_frequencies_rad_s[0]
     marks = [

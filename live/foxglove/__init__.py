@@ -1,8 +1,8 @@
 # pyright: strict
-"""A rig or a log for Foxglove and Lichtblick: their WebSocket protocol, spoken by a server that only gives.
+"""A rig or a log for Foxglove and Lichtblick: a read-only server of their WebSocket protocol.
 
     session ─▶ beside ─(pipe)─▶ served ─┐
     log ─────▶ played ──────────────────┴─▶ server ─▶ clients, each with a queue of its own ─▶ protocol
 
-It asks for no token, because the protocol has none: docs/decisions/0018-foxglove.md.
+The connection has no token, because the protocol has none: docs/decisions/0018-foxglove.md.
 """

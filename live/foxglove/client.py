@@ -1,8 +1,8 @@
 # pyright: strict
-"""One client of the Foxglove connection: what it subscribed to, and what waits to be sent to it.
+"""One client of the Foxglove connection: its subscriptions, and its queue of messages.
 
-Whoever has something to show leaves it here and goes on. What waits is bounded: of a client that takes too little, the
-oldest is left out and counted, and it is told so once.
+Messages are queued without waiting. The queue is bounded: for a slow client the oldest messages are omitted and
+counted, and the client receives one warning.
 """
 
 from __future__ import annotations
@@ -19,65 +19,65 @@ from live.foxglove.protocol import (
     ERROR,
     WARNING,
     Block,
-    NotUnderstood,
+    InvalidRequest,
     Offered,
     Subscribe,
     Unsubscribe,
     in_order,
     message_data,
+    parsed_request,
     status,
     time_data,
-    understood,
 )
 
 MOST_BYTES = 4 * 2**20
-"""That may wait for one client: some seconds of every channel."""
+"""Largest size of one client's queue: some seconds of all channels."""
 MOST_REFUSED = 100
-"""Messages of a client that are answered by a refusal; then it is shown out."""
-LEFT_OUT = "this client takes less than the rig gives: messages are left out"
+"""Number of refused messages after which the client is disconnected."""
+LEFT_OUT = "this client reads more slowly than the rig sends: messages are omitted"
 _TURN_BYTES, _YIELD_EVERY = 64, 256
 _POLICY_VIOLATION = 1008
 
 
 @dataclass(frozen=True)
 class Turn:
-    """What is new.
+    """New messages.
 
     Attributes:
-        blocks: of any channels.
-        until_ns: the clock of what is shown, ns since 1970.
-        anew: the clock may have gone back: somebody sought another place in a log.
+        blocks: messages of any channels.
+        until_ns: clock of the display, ns since 1970.
+        restarted: whether the clock may have gone back, because a viewer sought another place in a log.
     """
 
     blocks: Sequence[Block]
     until_ns: int
-    anew: bool = False
+    restarted: bool = False
 
 
 class Subscriptions:
-    """A client's subscriptions; one thread changes them, others may look.
+    """Subscriptions of a client; one thread changes them, others may read them.
 
     Attributes:
-        by_channel: the client's id by channel number; replaced whole when it changes.
+        by_channel: subscription id of the client by channel number; replaced as a whole at each change.
     """
 
     def __init__(self, offered: Sequence[Offered]) -> None:
         self._known = frozenset(each.number for each in offered)
         self.by_channel: Mapping[int, int] = {}
 
-    def apply(self, asked: Subscribe | Unsubscribe) -> list[str]:
-        """Do what is asked; returns what could not be done, in words."""
+    def apply(self, request: Subscribe | Unsubscribe) -> list[str]:
+        """Carry out a request; return the errors in words."""
         now, faults = dict(self.by_channel), list[str]()
-        if isinstance(asked, Unsubscribe):
-            self.by_channel = {number: own for number, own in now.items() if own not in asked.ids}
-            return [f"subscription {own}: there is none" for own in asked.ids if own not in now.values()]
-        for own, number in asked.wanted:
+        if isinstance(request, Unsubscribe):
+            self.by_channel = {number: own for number, own in now.items() if own not in request.ids}
+            return [f"subscription {own} does not exist" for own in request.ids if own not in now.values()]
+        for own, number in request.wanted:
             if number not in self._known:
-                faults.append(f"channel {number}: there is none")
+                faults.append(f"channel {number} does not exist")
             elif number in now:
-                faults.append(f"channel {number}: subscribed to already, as {now[number]}")
+                faults.append(f"channel {number} is already subscribed to as {now[number]}")
             elif own in now.values():
-                faults.append(f"subscription {own}: the id is in use")
+                faults.append(f"subscription id {own} is in use")
             else:
                 now[number] = own
         self.by_channel = now
@@ -85,14 +85,14 @@ class Subscriptions:
 
 
 class Client:
-    """See the module.
+    """One client with its queue.
 
     Args:
-        socket: its line.
-        offered: the channels.
+        socket: connection to the client.
+        offered: channels.
 
     Attributes:
-        left_out: messages that it did not take in time.
+        left_out: number of messages that were omitted because the client was too slow.
     """
 
     def __init__(self, socket: ServerConnection, offered: Sequence[Offered]) -> None:
@@ -106,11 +106,11 @@ class Client:
 
     @property
     def waiting_bytes(self) -> int:
-        """Of messages that it has not taken yet; the line's own buffer is not counted."""
+        """Size of the queue in bytes, without the buffer of the socket."""
         return self._bytes
 
     def show(self, turn: Turn) -> None:
-        """Leave something to be sent; never waits. Any thread."""
+        """Queue messages without waiting. Any thread."""
         wanted = self.subscriptions.by_channel
         size = _TURN_BYTES + sum(len(block.data) for block in turn.blocks if block.number in wanted)
         with self._lock:
@@ -123,22 +123,22 @@ class Client:
         self._loop.call_soon_threadsafe(self._come.set)
 
     async def listen(self) -> None:
-        """Take its wishes until it is gone, or has been refused too often."""
+        """Receive requests until the client disconnects or has been refused too often."""
         refused = 0
-        async for said in self._socket:
+        async for message in self._socket:
             try:
-                faults = self.subscriptions.apply(understood(said))
-            except NotUnderstood as why:
+                faults = self.subscriptions.apply(parsed_request(message))
+            except InvalidRequest as why:
                 faults = [str(why)]
             for fault in faults:
                 await self._socket.send(status(ERROR, fault))
             refused += len(faults)
             if refused > MOST_REFUSED:
-                await self._socket.close(_POLICY_VIOLATION, "too much that was refused")
+                await self._socket.close(_POLICY_VIOLATION, "too many refused messages")
 
     async def send(self) -> None:
-        """Send what waits, in order of time, until the line is gone."""
-        told = False
+        """Send the queue in order of time until the connection ends."""
+        warned = False
         while True:
             await self._come.wait()
             self._come.clear()
@@ -146,26 +146,26 @@ class Client:
                 with self._lock:
                     turn, size = self._waiting.popleft()
                     self._bytes -= size
-                if self.left_out and not told:
-                    told = True
+                if self.left_out and not warned:
+                    warned = True
                     await self._socket.send(status(WARNING, LEFT_OUT, "left out"))
                 await self._send(turn)
 
     async def _send(self, turn: Turn) -> None:
-        if turn.anew:
+        if turn.restarted:
             self._clock_ns = -1
         wanted = self.subscriptions.by_channel
         for number, (channel, own, time_ns, message) in enumerate(in_order(turn.blocks, wanted)):
             if self.subscriptions.by_channel.get(channel) != own:
-                continue  # it wants no more of this, since
+                continue  # the subscription has ended meanwhile
             await self._tick(time_ns)
             await self._socket.send(message_data(own, time_ns, message))
             if number % _YIELD_EVERY == 0:
-                await asyncio.sleep(0)  # others have their turn
+                await asyncio.sleep(0)  # lets other tasks run
         await self._tick(turn.until_ns)
 
     async def _tick(self, time_ns: int) -> None:
-        """The clock before a message: some programs take it as the message's time. It never goes back by itself."""
+        """Send the clock before a message, which some programs use as its time. The clock does not go back."""
         if time_ns > self._clock_ns:
             self._clock_ns = time_ns
             await self._socket.send(time_data(time_ns))

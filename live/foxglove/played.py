@@ -1,5 +1,5 @@
 # pyright: strict
-"""A log for the Foxglove connection: its own messages, given as the page that plays it moves on."""
+"""A log for the Foxglove connection: its own messages, sent as the page's replay advances."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from live.foxglove.protocol import Block, Offered, offered
 from live.foxglove.server import FoxgloveServer
 from live.transport import Transport
 
-_TURN_S = 1 / 30
+_INTERVAL_S = 1 / 30
 _END_S = 5.0
 
 
 class Played:
-    """The messages of a log by time.
+    """Messages of a log by time.
 
     Args:
-        log: open; it is read here and not needed afterwards.
+        log: open log; it is read here and not needed afterwards.
 
     Attributes:
-        offered: the channels, as they are advertised.
+        offered: advertised channels.
     """
 
     def __init__(self, log: Log) -> None:
@@ -48,8 +48,8 @@ class Played:
         self._notes = sorted(notes, key=lambda note: note[0])
         self._note_ns = np.array([time_ns for time_ns, _, _ in self._notes], np.int64)
 
-    def turn(self, after_ns: int, until_ns: int, anew: bool = False) -> Turn:
-        """Messages of times after one instant and up to another, ns since 1970."""
+    def turn(self, after_ns: int, until_ns: int, restarted: bool = False) -> Turn:
+        """Return the messages after one instant and up to another, ns since 1970."""
         blocks: list[Block] = []
         for number, time_ns, messages in self._samples:
             first, end = np.searchsorted(time_ns, [after_ns, until_ns], "right")
@@ -58,23 +58,23 @@ class Played:
         first, end = np.searchsorted(self._note_ns, [after_ns, until_ns], "right")
         for time_ns, number, note in self._notes[first:end]:
             blocks.append(Block(number, np.array([time_ns], np.int64), note))
-        return Turn(blocks, until_ns, anew)
+        return Turn(blocks, until_ns, restarted)
 
 
 class Giving:
-    """Gives a log's messages to a server as its transport moves; a context.
+    """Sends a log's messages to a server as its replay advances; a context.
 
     Args:
-        played: the log.
-        transport: where it stands, s since `origin_ns`.
-        origin_ns: ns since 1970.
-        server: takes them.
+        played: log.
+        transport: position in the log, s since `origin_ns`.
+        origin_ns: origin of the position, ns since 1970.
+        server: server of the connection.
     """
 
     def __init__(self, played: Played, transport: Transport, origin_ns: int, server: FoxgloveServer) -> None:
         self._played, self._transport, self._origin_ns, self._server = played, transport, origin_ns, server
         self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._give, name="foxglove log", daemon=True)
+        self._thread = threading.Thread(target=self._send, name="foxglove log", daemon=True)
 
     def __enter__(self) -> Giving:
         self._thread.start()
@@ -84,10 +84,10 @@ class Giving:
         self._ending.set()
         self._thread.join(_END_S)
 
-    def _give(self) -> None:
+    def _send(self) -> None:
         jumps, at_ns = self._transport.jumps, self._now_ns() - 1
-        while not self._ending.wait(_TURN_S):
-            if self._server.wanted:  # as a browser at the page: somebody looks
+        while not self._ending.wait(_INTERVAL_S):
+            if self._server.wanted:  # a subscription starts the replay, as a viewer of the page does
                 self._transport.looked_at()
             jumped, now_ns = self._transport.jumps != jumps, self._now_ns()
             jumps = self._transport.jumps

@@ -1,7 +1,7 @@
 # pyright: strict
-"""The Foxglove WebSocket protocol, version 1: what a server that only gives says, and what it understands.
+"""The Foxglove WebSocket protocol, version 1: messages of a read-only server, and parsing of its clients' requests.
 
-Text is JSON with a field `op`, bytes begin with an opcode; numbers are little-endian. No I/O here.
+Text messages are JSON with a field `op`. Binary messages begin with an opcode; numbers are little-endian. No I/O here.
 Source: https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md.
 """
 
@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from daq import channels
 
 SUBPROTOCOLS = ("foxglove.websocket.v1", "foxglove.sdk.v1")
-"""Names of the protocol, the preferred first: programs that offer both may accept the first only. What is said here is
+"""Names of the protocol, the preferred one first; programs that offer both may accept the first only. The messages are
 the same under both."""
 INFO, WARNING, ERROR = 0, 1, 2
-"""Levels of a status."""
+"""Levels of a status message."""
 _MESSAGE, _TIME = struct.Struct("<BIQ"), struct.Struct("<BQ")
 _MESSAGE_OPCODE, _TIME_OPCODE = 1, 2
-_LARGEST_ID = 2**32 - 1
-_QUOTED = 60  # characters of what a client sent, in an answer
+_MAX_ID = 2**32 - 1
+_MAX_QUOTED = 60  # letters of a client's message in an answer
 _READ_ONLY = {
     "advertise": "publishing",
     "unadvertise": "publishing",
@@ -42,20 +42,20 @@ _READ_ONLY = {
 _READ_ONLY_BYTES = {1: "publishing", 2: "services"}
 
 
-class NotUnderstood(Exception):
-    """A client's message is none of the protocol, or asks for more than reading; the text says what was expected."""
+class InvalidRequest(Exception):
+    """The client's message violates the protocol or requests a write. The text contains what was expected."""
 
 
 @dataclass(frozen=True)
 class Offered:
-    """One channel as it is advertised.
+    """One advertised channel.
 
     Attributes:
-        number: its id in the protocol.
-        topic: as in a log.
-        encoding: of messages: "protobuf" or "json".
-        schema_name: as in a log.
-        schema: as in a log: a FileDescriptorSet, or a JSON schema.
+        number: id of the channel in the protocol.
+        topic: topic, as in a log.
+        encoding: encoding of its messages: "protobuf" or "json".
+        schema_name: name of the schema, as in a log.
+        schema: schema, as in a log: a FileDescriptorSet, or a JSON schema.
     """
 
     number: int
@@ -65,7 +65,7 @@ class Offered:
     schema: bytes
 
     def facts(self) -> dict[str, Any]:
-        """For an advertisement."""
+        """Return the fields of an advertisement."""
         binary = self.encoding == "protobuf"
         return {
             "id": self.number,
@@ -79,12 +79,12 @@ class Offered:
 
 @dataclass(frozen=True)
 class Block:
-    """Messages of one channel, equally long.
+    """Messages of one channel, of equal size.
 
     Attributes:
-        number: the channel's.
-        time_ns: of each, ns since 1970, ascending, shape (n,).
-        data: all of them, back to back.
+        number: number of the channel.
+        time_ns: time of each message, ns since 1970, ascending, shape (n,).
+        data: all messages, concatenated.
     """
 
     number: int
@@ -93,26 +93,26 @@ class Block:
 
     @property
     def size(self) -> int:
-        """Bytes of one message."""
+        """Size of one message in bytes."""
         return len(self.data) // len(self.time_ns) if len(self.time_ns) else 0
 
 
 @dataclass(frozen=True)
 class Subscribe:
-    """A client wants channels: (its own id, the channel's number) of each."""
+    """Request for channels: (subscription id of the client, channel number) of each."""
 
     wanted: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
 class Unsubscribe:
-    """A client wants no more of these; its own ids."""
+    """Request to end subscriptions, by their ids."""
 
     ids: tuple[int, ...]
 
 
 def offered(sample_channels: Iterable[channels.Channel]) -> list[Offered]:
-    """What a log with these sample channels has, as a log has it: samples, events, health."""
+    """Return the channels of a log with these sample channels: samples, events, health."""
     given = [(c.topic, "protobuf", c.schema_name, c.file_descriptor_set()) for c in sample_channels]
     notes = [
         (topic, "json", channels.NOTE_SCHEMA_NAME, channels.note_schema())
@@ -122,45 +122,50 @@ def offered(sample_channels: Iterable[channels.Channel]) -> list[Offered]:
 
 
 def server_info(name: str, session: str, metadata: Mapping[str, str]) -> str:
-    """The first message. Of the protocol's capabilities `time` alone: whoever plots by time of arrival gets the time of
-    the samples, and everything else would let clients act.
+    """Return the first message.
+
+    Its only capability is `time`, so that programs that plot by time of arrival receive the time of the samples. All
+    other capabilities would allow clients to write.
     """
-    told = {"op": "serverInfo", "name": name, "capabilities": ["time"], "metadata": dict(metadata)}
-    return json.dumps(told | {"sessionId": session}, ensure_ascii=False)
+    info = {"op": "serverInfo", "name": name, "capabilities": ["time"], "metadata": dict(metadata)}
+    return json.dumps(info | {"sessionId": session}, ensure_ascii=False)
 
 
 def advertise(given: Sequence[Offered]) -> str:
-    """The second message: all channels."""
+    """Return the second message: all channels."""
     return json.dumps({"op": "advertise", "channels": [each.facts() for each in given]}, ensure_ascii=False)
 
 
 def status(level: int, text: str, about: str = "") -> str:
-    """A sentence for the person at the client.
+    """Return a status message for the user of the client.
 
     Args:
-        about: a later status about the same takes its place.
+        level: INFO, WARNING or ERROR.
+        text: text of the message.
+        about: id; a later status with the same id replaces this one.
     """
     return json.dumps({"op": "status", "level": level, "message": text} | ({"id": about} if about else {}))
 
 
 def message_data(subscription: int, time_ns: int, payload: bytes) -> bytes:
-    """One message of a channel."""
+    """Return one message of a channel."""
     return _MESSAGE.pack(_MESSAGE_OPCODE, subscription, time_ns) + payload
 
 
 def time_data(time_ns: int) -> bytes:
-    """The clock of what is shown."""
+    """Return the clock of the display."""
     return _TIME.pack(_TIME_OPCODE, time_ns)
 
 
 def in_order(blocks: Sequence[Block], wanted: Mapping[int, int]) -> Iterator[tuple[int, int, int, bytes]]:
-    """Messages of several channels by their times; equal times in the order of the blocks.
+    """Merge the messages of several channels by time; equal times keep the order of the blocks.
 
     Args:
-        wanted: a client's id by channel number; other channels are passed over.
+        blocks: messages by channel.
+        wanted: subscription id by channel number; other channels are left out.
 
     Yields:
-        Channel number, the client's id, time (ns), message.
+        Channel number, subscription id, time (ns), message.
     """
     taken = [block for block in blocks if block.number in wanted and len(block.time_ns)]
     if not taken:
@@ -176,54 +181,55 @@ def in_order(blocks: Sequence[Block], wanted: Mapping[int, int]) -> Iterator[tup
         yield block.number, wanted[block.number], time_ns, block.data[at : at + block.size]
 
 
-def understood(said: str | bytes) -> Subscribe | Unsubscribe:
-    """What a client's message asks for.
+def parsed_request(message: str | bytes) -> Subscribe | Unsubscribe:
+    """Parse a client's message.
 
     Raises:
-        NotUnderstood: nothing that is done here.
+        InvalidRequest: it is not a request that this server supports.
     """
-    if isinstance(said, bytes):
-        what = _READ_ONLY_BYTES.get(said[0]) if said else None
-        raise NotUnderstood(_refusal(what) if what else f"expected text, got {len(said)} bytes of no known opcode")
+    if isinstance(message, bytes):
+        what = _READ_ONLY_BYTES.get(message[0]) if message else None
+        text = f"expected text, got {len(message)} bytes with an unknown opcode"
+        raise InvalidRequest(_refusal(what) if what else text)
     try:
-        parsed: Any = json.loads(said)
+        parsed: Any = json.loads(message)
     except (ValueError, RecursionError) as fault:
-        raise NotUnderstood(f"expected JSON, got {_quoted(said)}") from fault
-    asked = cast("dict[str, Any]", parsed) if isinstance(parsed, dict) else {}
-    match asked.get("op"):
+        raise InvalidRequest(f"expected JSON, got {_quoted(message)}") from fault
+    request = cast("dict[str, Any]", parsed) if isinstance(parsed, dict) else {}
+    match request.get("op"):
         case "subscribe":
-            return Subscribe(tuple(_pair(each) for each in _items(asked, "subscriptions")))
+            return Subscribe(tuple(_pair(each) for each in _items(request, "subscriptions")))
         case "unsubscribe":
-            return Unsubscribe(tuple(_number(each, "subscriptionIds") for each in _items(asked, "subscriptionIds")))
+            return Unsubscribe(tuple(_number(each, "subscriptionIds") for each in _items(request, "subscriptionIds")))
         case str(op) if op in _READ_ONLY:
-            raise NotUnderstood(_refusal(_READ_ONLY[op]))
+            raise InvalidRequest(_refusal(_READ_ONLY[op]))
         case _:
-            raise NotUnderstood(f'expected {{"op": "subscribe" or "unsubscribe", …}}, got {_quoted(said)}')
+            raise InvalidRequest(f'expected {{"op": "subscribe" or "unsubscribe", …}}, got {_quoted(message)}')
 
 
 def _refusal(what: str) -> str:
     return f"{what}: refused, this connection is read-only"
 
 
-def _quoted(said: str) -> str:
-    return ascii(said[:_QUOTED]) + ("…" if len(said) > _QUOTED else "")
+def _quoted(message: str) -> str:
+    return ascii(message[:_MAX_QUOTED]) + ("…" if len(message) > _MAX_QUOTED else "")
 
 
-def _items(asked: Mapping[str, Any], name: str) -> list[Any]:
-    found = asked.get(name)
+def _items(request: Mapping[str, Any], name: str) -> list[Any]:
+    found = request.get(name)
     if not isinstance(found, list):
-        raise NotUnderstood(f"expected a list under {name}, got {_quoted(str(found))}")
+        raise InvalidRequest(f"expected a list under {name}, got {_quoted(str(found))}")
     return cast("list[Any]", found)
 
 
 def _pair(each: Any) -> tuple[int, int]:
     if not isinstance(each, dict):
-        raise NotUnderstood(f'expected {{"id", "channelId"}} in subscriptions, got {_quoted(str(each))}')
+        raise InvalidRequest(f'expected {{"id", "channelId"}} in subscriptions, got {_quoted(str(each))}')
     found = cast("dict[str, Any]", each)
     return _number(found.get("id"), "id"), _number(found.get("channelId"), "channelId")
 
 
 def _number(value: Any, name: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= _LARGEST_ID:
-        raise NotUnderstood(f"expected a whole number of 0 … {_LARGEST_ID} as {name}, got {_quoted(str(value))}")
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= _MAX_ID:
+        raise InvalidRequest(f"expected a whole number of 0 … {_MAX_ID} as {name}, got {_quoted(str(value))}")
     return value

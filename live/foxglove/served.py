@@ -1,5 +1,5 @@
 # pyright: strict
-"""The Foxglove connection's own process beside a session: rows become messages here, not in the recorder's process."""
+"""Process of a session's Foxglove connection: rows are converted to messages here, not in the recorder's process."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from live.newest import Rows
 from rig_configs.schema import Rig
 
 NoteRow = tuple[str, int, Mapping[str, Any]]
-"""Topic, time (ns since 1970), an event or a health report."""
+"""Topic, time (ns since 1970), event or health report."""
 _NICE = 10
-_MOST_ORIGINS, _LONGEST_ORIGIN = 5, 80
+_MAX_ORIGINS, _MAX_ORIGIN_LETTERS = 5, 80
 
 
 class Packing:
-    """Rows of a session as messages of a log.
+    """Converts rows of a session to messages of a log.
 
     Args:
-        sample_channels: by topic.
+        sample_channels: channels by topic.
 
     Attributes:
-        offered: the channels, as they are advertised.
+        offered: advertised channels.
     """
 
     def __init__(self, sample_channels: Mapping[str, Channel]) -> None:
@@ -45,20 +45,21 @@ class Packing:
         self._held: list[NoteRow] = []
 
     def samples(self, row: Rows) -> Block:
-        """Samples of one channel."""
+        """Return the samples of one channel."""
         topic, time_ns, columns = row
         return Block(self._numbers[topic], time_ns, self._channels[topic].pack(columns).tobytes())
 
     def note(self, row: NoteRow) -> Block:
-        """One event or health report."""
+        """Return one event or health report."""
         topic, time_ns, note = row
         return Block(self._numbers[topic], np.array([time_ns], np.int64), pack_note(note))
 
     def turn(self, handed: Mapping[str, Any], wanted: Collection[int]) -> Turn:
-        """What was handed over; notes that are newer than the samples wait for these.
+        """Convert an update; notes that are newer than the samples are held until these arrive.
 
         Args:
-            wanted: numbers of the channels that somebody subscribed to; of others nothing is packed.
+            handed: update of the session's process.
+            wanted: numbers of the subscribed channels; others are not converted.
         """
         until_ns = int(handed["until_ns"])
         self._held += handed["notes"]
@@ -70,47 +71,47 @@ class Packing:
 
 
 class Refusals:
-    """Words for the operator about pages that were refused: once each, and not many.
+    """Warnings to the operator about refused pages: one per origin, and a limited number.
 
     Args:
-        say: takes a sentence.
+        notify: called with a sentence.
     """
 
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self._say, self._said = say, set[str]()
+    def __init__(self, notify: Callable[[str], None]) -> None:
+        self._notify, self._origins = notify, set[str]()
 
     def __call__(self, origin: str) -> None:
-        """A page of this origin was refused; the text is the page's own, so it is shown as no terminal obeys it."""
-        shown = ascii(origin[:_LONGEST_ORIGIN])[1:-1]
-        if shown in self._said or len(self._said) >= _MOST_ORIGINS:
+        """Report that a page of this origin was refused; its text is escaped, because the page chose it."""
+        shown = ascii(origin[:_MAX_ORIGIN_LETTERS])[1:-1]
+        if shown in self._origins or len(self._origins) >= _MAX_ORIGINS:
             return
-        self._said.add(shown)
-        self._say(
+        self._origins.add(shown)
+        self._notify(
             f"warning: --foxglove: a page of {shown} asked for the rig's data and was refused; if it is one that "
             f"you use, begin with --foxglove-origin {shown}"
         )
 
 
 def facts_of(rig: Rig) -> dict[str, str]:
-    """What clients are told of a connection."""
+    """Return the metadata of a connection for its clients."""
     return {"rig": rig.name, "software": software_version(), "access": "read-only"}
 
 
 def run_foxglove(pipe: Connection, rig: Rig, port: int, origins: tuple[str, ...]) -> None:
-    """Serve until the other side of the pipe is gone."""
-    for name in ("SIGINT", "SIGHUP"):  # the terminal sends them to both; the session decides when it is over
+    """Serve until the other side closes the pipe."""
+    for name in ("SIGINT", "SIGHUP"):  # a terminal sends them to both processes; the session decides when to end
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    if hasattr(os, "nice"):  # nothing of the rig waits for it
+    if hasattr(os, "nice"):  # no part of the rig depends on this process
         os.nice(_NICE)
     packing = Packing(channels_of(rig.devices))
 
-    def say(text: str) -> None:
+    def notify(text: str) -> None:
         with contextlib.suppress(OSError, ValueError):
-            pipe.send({"say": text})
+            pipe.send({"message": text})
 
     try:
-        server = FoxgloveServer(rig.name, packing.offered, facts_of(rig), origins, port, Refusals(say))
+        server = FoxgloveServer(rig.name, packing.offered, facts_of(rig), origins, port, Refusals(notify))
     except RigError as fault:
         pipe.send({"failed": str(fault)})
         return

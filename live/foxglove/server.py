@@ -1,8 +1,8 @@
 # pyright: strict
-"""The Foxglove connection's server, in a thread of its own: who gets in, what they are told first, how it ends.
+"""Server of the Foxglove connection in a separate thread: access, first messages, end.
 
-Loopback only: the protocol has no token, so whoever reaches the port reads. `live.guard` keeps pages of foreign origin
-out.
+It serves the loopback only: the protocol has no token, so every program that reaches the port can read. `live.guard`
+rejects pages of foreign origin.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from websockets.typing import Subprotocol
 from daq.errors import RigError
 from live.foxglove.client import Client, Turn
 from live.foxglove.protocol import SUBPROTOCOLS, Offered, advertise, server_info
-from live.guard import LOOPBACK, hosts_of, judge_tokenless
+from live.guard import LOOPBACK, hosts_of, judge_without_token
 from live.port import PortTaken, bound
 
 USUAL_PORT = 8765
-"""Which Foxglove and Lichtblick propose."""
+"""Default port in Foxglove and Lichtblick."""
 MOST_CLIENTS = 16
-_LARGEST_MESSAGE, _MOST_UNREAD = 64 * 2**10, 4
+_MAX_MESSAGE_BYTES, _MAX_UNREAD = 64 * 2**10, 4
 _SILENT_S, _CLOSE_S, _END_S = 20.0, 1.0, 5.0
 _QUIET = logging.getLogger("live.foxglove")
 _QUIET.addHandler(logging.NullHandler())
-_QUIET.propagate = False  # a port scanner is nothing to tell the operator of
+_QUIET.propagate = False  # port scanners are not reported to the operator
 
 
 class FoxgloveServer:
-    """A connection that is there as long as the context lasts.
+    """A connection that is served while the context lasts.
 
     Args:
-        name: shown to clients.
-        offered: the channels.
-        metadata: shown to clients, too.
-        origins: of pages in a browser that may connect, besides the desktop programs; see live.guard.
-        port: 0 for any free one.
-        refused: told, by the server's thread, of a page that was refused: its origin.
+        name: name for clients.
+        offered: channels.
+        metadata: metadata for clients.
+        origins: origins of pages in a browser that may connect, in addition to the desktop programs; see live.guard.
+        port: port; 0 for any free one.
+        refused: called by the server's thread with the origin of a refused page.
 
     Attributes:
-        url: where it is, once made.
+        url: address of the connection.
     Raises:
-        RigError: the port cannot be had.
+        RigError: the port is not available.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class FoxgloveServer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(RuntimeError):  # it has ended by itself
+        with contextlib.suppress(RuntimeError):  # the loop has already ended
             self._loop.call_soon_threadsafe(self._ending.set)
         if self._thread.is_alive():
             self._thread.join(_END_S)
@@ -93,21 +93,21 @@ class FoxgloveServer:
 
     @property
     def clients(self) -> list[Client]:
-        """Those that are connected now."""
+        """Clients that are connected now."""
         return list(self._clients)
 
     @property
     def wanted(self) -> frozenset[int]:
-        """Numbers of the channels that somebody subscribed to."""
+        """Numbers of the subscribed channels."""
         return frozenset(number for client in self.clients for number in client.subscriptions.by_channel)
 
     @property
     def left_out(self) -> int:
-        """Messages that clients, gone or here, did not take in time."""
+        """Number of messages omitted for slow clients, disconnected ones included."""
         return self._left_out + sum(client.left_out for client in self.clients)
 
     def show(self, turn: Turn) -> None:
-        """Leave something for all clients; never waits. Any thread."""
+        """Queue messages for all clients without waiting. Any thread."""
         for client in self.clients:
             with contextlib.suppress(RuntimeError):  # the server has just ended
                 client.show(turn)
@@ -131,21 +131,21 @@ class FoxgloveServer:
             ping_interval=_SILENT_S,
             ping_timeout=_SILENT_S,
             close_timeout=_CLOSE_S,
-            max_size=_LARGEST_MESSAGE,
-            max_queue=_MOST_UNREAD,
+            max_size=_MAX_MESSAGE_BYTES,
+            max_queue=_MAX_UNREAD,
         ):
             await self._ending.wait()
 
     def _judge(self, socket: ServerConnection, request: Request) -> Response | None:
         headers = request.headers
         came = headers.get_all("Origin")
-        code, why = judge_tokenless(headers.get_all("Host"), came, self._hosts, self._origins)
+        code, why = judge_without_token(headers.get_all("Host"), came, self._hosts, self._origins)
         if code != 200:
             if code == 403:
                 self._refused(", ".join(came))
             return socket.respond(HTTPStatus(code), f"{why}\n")
         if len(self._clients) >= MOST_CLIENTS:
-            return socket.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients already look\n")
+            return socket.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} clients are already connected\n")
         return None
 
     async def _attend(self, socket: ServerConnection) -> None:

@@ -1,5 +1,5 @@
 "use strict";
-// What is drawn: strip charts, orbit, Bode, tracked damping by BokehJS; the dial as SVG. Numbers only, no decisions.
+// Drawing: strip charts, orbit, Bode, tracked damping by BokehJS; the dial as SVG. Numbers only, no decisions.
 const INK = { x: "#56b4e9", y: "#e69f00", theta3: "#2fc79b", theta4: "#d98fb8", drive: "#56b4e9", target: "#f2f2f2",
   marks: "#e69f00", limit: "#ff6b4a", grid: "#253240", soft: "#9fb0c0", model: "#f2f2f2", ground: "#18202a" };
 
@@ -16,7 +16,7 @@ const plotOf = (element, options) => {
     axis.major_tick_line_color = "#2b3846"; axis.minor_tick_line_color = null; axis.axis_label_standoff = 2;
   }
   for (const grid of [figure.xgrid, figure.ygrid]) grid.grid_line_color = INK.grid;
-  element.inert = true; // a canvas takes the keyboard's focus and does nothing with it; the panel around it has the words
+  element.inert = true; // keeps the keyboard's focus off the canvas, which does not use it; the panel has the description
   Bokeh.Plotting.show(figure, element);
   return figure;
 };
@@ -39,7 +39,7 @@ const across = (figure, location, dash = "dashed") => {
   return span;
 };
 
-// A range that grows at once and shrinks after three calm seconds: axes that a person can read.
+// A range that grows at once and shrinks after three calm seconds, so that the axes stay readable.
 class CalmRange {
   constructor(range, { symmetric = false, floor = 0.01, from = null }) {
     Object.assign(this, { range, symmetric, floor, from, calm: 0 });
@@ -125,7 +125,7 @@ class StripChart {
     this.xRange.setv({ start: header.start_s, end: header.end_s });
     if (this.calm) this.calm.fit(low, high, now);
   }
-  say(value, stale) {
+  showValue(value, stale) {
     const text = value === null || value === undefined ? "–" : `${rounded(value, this.how.digits)} ${this.how.unit}`;
     this.value.textContent = text;
     this.element.classList.toggle("stale", stale);
@@ -159,7 +159,7 @@ class Orbit {
     for (const values of [x, y, columns["model.x"] || [], columns["model.y"] || []]) for (const v of values) if (Math.abs(v) > most) most = Math.abs(v);
     this.calm.fit(-most, most, now);
     const { start, end } = this.calm.range, wide = (this.figure.inner_width || 1) / (this.figure.inner_height || 1);
-    const scale = Number.isFinite(wide) && wide > 0 ? wide : 1; // a circle is drawn as one, whatever the panel's shape
+    const scale = Number.isFinite(wide) && wide > 0 ? wide : 1; // keeps circles round for every shape of the panel
     this.ranges[0].setv({ start: start * Math.max(1, scale), end: end * Math.max(1, scale) });
     this.ranges[1].setv({ start: start * Math.max(1, 1 / scale), end: end * Math.max(1, 1 / scale) });
   }
@@ -184,7 +184,7 @@ class Bode {
     for (const axis of ["x", "y"]) {
       const model = polar(columns[`model.${axis}.re`], columns[`model.${axis}.im`]);
       for (const v of model.amplitude) if (v > this.most) this.most = v;
-      const line = { line_alpha: 0.8, line_dash: axis === "y" ? [6, 4] : [] }; // told apart in grey, too
+      const line = { line_alpha: 0.8, line_dash: axis === "y" ? [6, 4] : [] }; // distinguishable in grey, too
       const dots = axis === "y" ? { marker: "triangle", line_color: INK.y, fill_color: null } : {};
       lineIn(amplitude, INK[axis], line).data = { x: rpm, y: model.amplitude };
       lineIn(phase, INK[axis], line).data = broken(rpm, model.phase);
@@ -221,7 +221,7 @@ const polar = (re = [], im = []) => {
   return { amplitude, phase };
 };
 
-const broken = (x, y) => { // a line that jumps by a turn is no line there
+const broken = (x, y) => { // interrupts the line where it jumps by a turn
   const out = { x: [], y: [] };
   for (let i = 0; i < x.length; i += 1) {
     if (i && Math.abs(y[i] - y[i - 1]) > 180) { out.x.push(x[i]); out.y.push(NaN); }

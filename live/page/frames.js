@@ -1,5 +1,5 @@
 "use strict";
-// A picture's bytes: "RIG1", length of a JSON header, the header, float32 columns. See live/frames.py.
+// Decoding of a picture: "RIG1", length of a JSON header, the header, float32 columns. See live/frames.py.
 const decodePicture = (buffer) => {
   const view = new DataView(buffer);
   if (buffer.byteLength < 8 || view.getUint32(0, false) !== 0x52494731) throw new Error("expected a picture of the rig");

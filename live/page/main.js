@@ -1,16 +1,16 @@
 "use strict";
-// The line to the server, and what the person at the page does.
+// Connection to the server, and the viewer's input.
 const token = new URLSearchParams(location.search).get("token") || "";
-const ask = async (path, body) => {
+const post = async (path, body) => {
   const answer = await fetch(`${path}?token=${encodeURIComponent(token)}`, {
     method: "POST", cache: "no-store", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body || {}),
   });
-  const said = await answer.json().catch(() => ({ error: `answer ${answer.status}` }));
-  if (!answer.ok || said.error) throw new Error(said.error || `answer ${answer.status}`);
-  return said;
+  const result = await answer.json().catch(() => ({ error: `answer ${answer.status}` }));
+  if (!answer.ok || result.error) throw new Error(result.error || `answer ${answer.status}`);
+  return result;
 };
 const page = { socket: null, charts: [], curves: null, frame: null, slow: null, heard: 0, held: null, window: 10, drawn: 0, state: null, tries: 0, turned: 0, rests: 0, drew: false, stopped: -Infinity };
-const BUSY_MS = 50, MOST_REST_MS = 200; // between two turns of the browser, one of which drew; a tab that slept had none for hours
+const BUSY_MS = 50, MOST_REST_MS = 200; // between two frames of the browser, one of which drew; a sleeping tab has no frames for hours
 const strips = byId("charts");
 
 const connect = () => {
@@ -37,7 +37,7 @@ const sendView = () => {
 };
 
 const build = (picture) => {
-  if (page.curves) { sendView(); return; } // the line came back
+  if (page.curves) { sendView(); return; } // the connection was restored
   page.curves = picture;
   const limits = picture.header;
   page.charts = limits.strips.map((kind, i) => new StripChart(strips, kind, limits, i === limits.strips.length - 1));
@@ -55,7 +55,7 @@ const draw = () => {
   const now = performance.now(), took = now - page.turned;
   page.turned = now;
   markLink(now);
-  if (page.drew && took > BUSY_MS) page.rests = now + Math.min(took, MOST_REST_MS); // a machine that is busy: half of the time is left to STOP
+  if (page.drew && took > BUSY_MS) page.rests = now + Math.min(took, MOST_REST_MS); // on a busy machine half of the time remains for STOP
   page.drew = false;
   if (now < page.rests) return;
   if (page.slow && page.bode) {
@@ -75,12 +75,12 @@ const draw = () => {
 const STALE_OF = { x: ["strip-x", "orbit"], y: ["strip-y", "orbit"], angles: ["strip-theta3", "strip-theta4", "dial"], speed: ["strip-speed"] };
 const words = (header) => {
   const limit = page.curves.header.stale_s;
-  const none = (name) => name in header.ages_s && header.ages_s[name] === null; // never a sample, as far as is shown
+  const none = (name) => name in header.ages_s && header.ages_s[name] === null; // no sample up to the displayed instant
   const old = (name) => !ended() && header.ages_s[name] > limit;
   const waits = Object.keys(header.ages_s).every(none) ? "waiting for the rig" : "no data yet";
   const values = { x: header.last[0], y: header.last[1], theta3: header.theta[0], theta4: header.theta[1], speed: header.rpm };
   const group = { x: "x", y: "y", theta3: "angles", theta4: "angles", speed: "speed" };
-  for (const chart of page.charts) { chart.say(values[chart.kind], old(group[chart.kind])); mark(chart.element, none(group[chart.kind]) ? waits : ""); }
+  for (const chart of page.charts) { chart.showValue(values[chart.kind], old(group[chart.kind])); mark(chart.element, none(group[chart.kind]) ? waits : ""); }
   for (const [id, names] of [["orbit", ["x", "y"]], ["dial", ["angles"]]]) {
     byId(id).classList.toggle("stale", names.some(old));
     mark(byId(id), names.some(none) ? waits : "");
@@ -136,15 +136,15 @@ const showTransport = (state) => {
   byId("speed").value = String(state.speed);
 };
 
-const act = (verb, given) => ask("act", { verb, ...given }).then((said) => { byId("test").querySelector(".answer").textContent = said.answer || ""; }).catch(failed);
+const act = (verb, given) => post("act", { verb, ...given }).then((result) => { byId("test").querySelector(".answer").textContent = result.answer || ""; }).catch(failed);
 const failed = (error) => { alertOf(error.message); };
 
 const stop = () => {
   const button = byId("stop"), since = performance.now();
-  if (button.disabled || since - page.stopped < 500) return; // a press and its click are one
+  if (button.disabled || since - page.stopped < 500) return; // a press and its click count once
   page.stopped = since;
   button.classList.add("sent");
-  ask("stop").then(() => { button.firstChild.textContent = "STOPPED"; byId("test").querySelector(".answer").textContent = `the stop was ordered ${(performance.now() - since).toFixed(0)} ms after the click`; })
+  post("stop").then(() => { button.firstChild.textContent = "STOPPED"; byId("test").querySelector(".answer").textContent = `the stop was ordered ${(performance.now() - since).toFixed(0)} ms after the click`; })
     .catch((error) => { page.stopped = -Infinity; button.classList.remove("sent"); alertOf(`STOP FAILED: ${error.message}. Use the emergency stop at the rig`); });
 };
 
@@ -156,7 +156,7 @@ const setWindow = (seconds) => {
 };
 
 byId("stop").addEventListener("click", stop);
-byId("stop").addEventListener("pointerdown", (event) => { if (event.pointerType === "mouse" && event.button === 0) stop(); }); // a finger may only scroll
+byId("stop").addEventListener("pointerdown", (event) => { if (event.pointerType === "mouse" && event.button === 0) stop(); }); // a touch may start scrolling
 byId("window").addEventListener("change", (event) => setWindow(Number(event.target.value)));
 byId("zoom-in").addEventListener("click", () => setWindow(page.window / 2));
 byId("zoom-out").addEventListener("click", () => setWindow(page.window * 2));

@@ -1,5 +1,5 @@
 "use strict";
-// What is said in words: limits, lamps, the test, streams, events.
+// Panels in words: limits, lamps, test, streams, events.
 const byId = (id) => document.getElementById(id);
 const LARGE = ["amplitude", "overspeed"];
 
@@ -66,7 +66,7 @@ const showTest = (element, state) => {
   part(".words").textContent = state.ended ? (test ? `last step: ${step}` : state.note || "") : state.words || state.note || "";
   part(".prompt").hidden = over || !state.prompt; part(".prompt").textContent = state.prompt || "";
   part("progress").hidden = over || state.share === null; if (state.share !== null) part("progress").value = state.share;
-  element.querySelectorAll("[data-verb]").forEach((button) => { // what was offered stays in its place, without effect
+  element.querySelectorAll("[data-verb]").forEach((button) => { // unavailable buttons stay in place, disabled
     const can = state.mode !== "replay" && state.can.includes(button.dataset.verb);
     if (!over || state.mode === "replay") button.hidden = !can;
     button.disabled = !can;
@@ -87,9 +87,9 @@ const showHealth = (list, state) => {
   if (state.feed_dropped) rows.push(["page's feed", `${state.feed_dropped} samples left out here (the log has them)`, true]);
   rows.push(["viewers", `${state.viewers}${state.missed ? `; this one missed ${state.missed} frames` : ""}`, false]);
   replaceWhenChanged(list, JSON.stringify(rows), () => rows.flatMap(([name, words, bad]) => {
-    const term = document.createElement("dt"), said = document.createElement("dd");
-    term.textContent = name; said.textContent = words; said.className = bad ? "bad" : "";
-    return [term, said];
+    const term = document.createElement("dt"), detail = document.createElement("dd");
+    term.textContent = name; detail.textContent = words; detail.className = bad ? "bad" : "";
+    return [term, detail];
   }));
 };
 

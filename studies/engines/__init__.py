@@ -1,4 +1,4 @@
-"""Who works tiles out: threads of this process, processes of this machine, or dask's workers anywhere."""
+"""Engines that compute tiles: threads of this process, processes of this machine, or dask's workers on any host."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from studies.running import Engine
 _EXPECTED = "expected local:N with N processes, or a scheduler's address as tcp://HOST:PORT or tls://HOST:PORT"
 
 
-def engine_of(text: str, tell: Callable[[str], None]) -> Engine:
-    """The engine that `--scheduler` names.
+def engine_of(text: str, notify: Callable[[str], None]) -> Engine:
+    """Return the engine of a `--scheduler` argument.
 
     Args:
         text: local:N, tcp://HOST:PORT or tls://HOST:PORT.
-        tell: told what the user should know, in a sentence.
+        notify: called with a sentence for the user.
     Raises:
-        StudyInputError: it is neither.
+        StudyInputError: the text has another form.
         EngineMissing: dask is not installed.
     """
     head, sign, rest = text.partition(":")
@@ -26,9 +26,9 @@ def engine_of(text: str, tell: Callable[[str], None]) -> Engine:
 
         if not (sign and rest.isdecimal() and 1 <= int(rest) <= 1024):
             raise StudyInputError(f"--scheduler {text!r}: {_EXPECTED}")
-        return Processes(int(rest), tell)
+        return Processes(int(rest), notify)
     if text.startswith(("tcp://", "tls://")):
-        from studies.engines.dask_workers import DaskWorkers  # noqa: PLC0415
+        from studies.engines.dask_workers import DaskWorkers  # noqa: PLC0415 (dask takes a second to import)
 
-        return DaskWorkers(text, tell)
+        return DaskWorkers(text, notify)
     raise StudyInputError(f"--scheduler {text!r}: {_EXPECTED}")

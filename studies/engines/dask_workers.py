@@ -1,9 +1,9 @@
 # pyright: strict
-"""Tiles on dask's workers, wherever they run.
+"""Computation of tiles on dask's workers, on any host.
 
-dask keeps results in its workers' memory and forgets them with its scheduler. So results are fetched and released as
-they come, no more tiles than a few for each worker are given out at a time, and what a lost scheduler had in hand is
-given out again to the next one at the same address.
+dask keeps results in the memory of its workers and loses them with its scheduler. Results are therefore fetched and
+released at once, only a few tiles per worker are submitted at a time, and the unfinished tiles of a lost scheduler are
+submitted again to the next one at the same address.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from studies.errors import EngineLost, EngineMissing, StudyInputError, TileFaile
 from studies.study import Study
 from studies.worker import answer_tile
 
-_AHEAD = 2  # tiles that are given out for each thread of a worker
-_LEAST_AHEAD = 4
-_PATIENCE_S = 60.0  # for a scheduler that is gone, and for workers to come
-_DEATHS = 10  # of workers with a tile in hand, before it is given up
-_LOOK_S = 2.0  # how often the number of workers is asked for
-_WAIT_S = 0.2  # for a tile, before the scheduler is looked at
+_TILES_PER_THREAD = 2  # submitted tiles per thread of the workers
+_MIN_SUBMITTED = 4
+_PATIENCE_S = 60.0  # timeout for a lost scheduler, and for workers
+_MAX_DEATHS = 10  # of workers with the same tile, before the tile fails
+_CHECK_S = 2.0  # interval between counts of the workers
+_WAIT_S = 0.2  # timeout for a tile, before the scheduler is checked
 _CERTIFICATES = (
     "set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, …__CLIENT__CERT and …__CLIENT__KEY to PEM files, or the same in dask's "
     "configuration (docs/how-to/many_machines.md)"
 )
-_CONNECTION_FAULTS = (OSError, CancelledError)  # a timeout is an OSError, a closed connection too
+_CONNECTION_FAULTS = (OSError, CancelledError)  # timeouts and closed connections are OSErrors too
 
 
 class DaskWorkers:
@@ -40,14 +40,14 @@ class DaskWorkers:
 
     Args:
         address: tcp://HOST:PORT, or tls://HOST:PORT with dask's own settings of certificates.
-        tell: told what is waited for, and what was lost.
-        patience_s: how long a scheduler, or workers, are waited for.
+        notify: called with a sentence when the engine waits or has lost something.
+        patience_s: timeout for a scheduler and for workers, s.
     Raises:
         EngineMissing: dask is not installed.
         StudyInputError: tls:// without certificates.
     """
 
-    def __init__(self, address: str, tell: Callable[[str], None], patience_s: float = _PATIENCE_S) -> None:
+    def __init__(self, address: str, notify: Callable[[str], None], patience_s: float = _PATIENCE_S) -> None:
         try:
             import distributed  # noqa: PLC0415 (of an extra; a second to import)
         except ImportError as missing:
@@ -55,16 +55,16 @@ class DaskWorkers:
                 f"--scheduler {address} needs dask, which is not installed here ({missing}); "
                 "pip install 'pendulum-balancer-rig[studies]', or use --scheduler local:N"
             ) from missing
-        self.name, self._address, self._tell, self._patience_s = address, address, tell, patience_s
+        self.name, self._address, self._notify, self._patience_s = address, address, notify, patience_s
         self._dask: Any = distributed
         self._client: Any = None
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is told here, in plain words
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # losses are reported here, in plain words
         if address.startswith("tls://"):
             _need_certificates(address)
         if address.startswith("tcp://") and not _loopback(address):
-            tell(
-                f"{address} is not of this machine and not encrypted: whoever reaches that port can run programs on "
-                "the workers; use tls:// or an ssh tunnel"
+            notify(
+                f"{address} is not of this machine and not encrypted: anyone who reaches that port can run programs "
+                "on the workers; use tls:// or an ssh tunnel"
             )
 
     def __enter__(self) -> Self:
@@ -72,11 +72,11 @@ class DaskWorkers:
         return self
 
     def __exit__(self, *ending: Any) -> None:
-        """Let go of the scheduler; tiles in hand are dropped there."""
+        """Disconnect from the scheduler; unfinished tiles are dropped there."""
         self._disconnect()
 
     def answers(self, study: Study, tiles: list[int]) -> Iterator[tuple[int, bytes]]:
-        """See Engine."""
+        """Compute tiles; see Engine."""
         left, deaths = list(reversed(tiles)), Counter[int]()
         while left:
             done = set[int]()
@@ -85,19 +85,19 @@ class DaskWorkers:
                     done.add(tile)
                     yield tile, content
             except _SchedulerLost:
-                self._tell(f"the scheduler at {self._address} is gone; what is done is kept")
+                self._notify(f"the scheduler at {self._address} is gone; what is done is kept")
                 self._disconnect()
                 self._connect()
             left = [tile for tile in left if tile not in done]
 
     def _by_one_scheduler(self, study: Study, tiles: list[int], deaths: Counter[int]) -> Iterator[tuple[int, bytes]]:
-        """Tiles as they are done, as long as the scheduler lives."""
+        """Yield finished tiles while the scheduler is connected."""
         client, left, running = self._client, list(tiles), dict[Any, int]()
-        window, looked, seen = 0, -_LOOK_S, time.monotonic()
+        window, looked, seen = 0, -_CHECK_S, time.monotonic()
         while left or running:
-            if time.monotonic() - looked > _LOOK_S:
+            if time.monotonic() - looked > _CHECK_S:
                 looked, threads = time.monotonic(), self._threads()
-                window = max(_LEAST_AHEAD, _AHEAD * threads)
+                window = max(_MIN_SUBMITTED, _TILES_PER_THREAD * threads)
                 seen = time.monotonic() if threads else seen
                 if time.monotonic() - seen > self._patience_s:
                     raise EngineLost(
@@ -122,7 +122,7 @@ class DaskWorkers:
             return self._client.submit(answer_tile, *arguments, key=key, pure=False)
 
     def _ended(self, client: Any, running: dict[Any, int]) -> list[Any]:
-        """Futures that are over, after a wait of a fraction of a second at most."""
+        """Return the futures that have ended, after a short wait at most."""
         try:
             with client.as_current():
                 self._dask.wait(list(running), timeout=_WAIT_S, return_when="FIRST_COMPLETED")
@@ -135,7 +135,7 @@ class DaskWorkers:
         return [future for future in running if future.status != "pending"]
 
     def _result(self, future: Any, tile: int, deaths: Counter[int]) -> bytes | None:
-        """A tile's content; None when its worker died and it is to be given out again."""
+        """Return a tile's content; None if its worker died, so that the tile must be submitted again."""
         with _scheduler_needed():
             fault = future.exception(timeout=self._patience_s) if future.status == "error" else None
             content = future.result(timeout=self._patience_s) if future.status == "finished" else None
@@ -147,20 +147,20 @@ class DaskWorkers:
                 raise fault
             return content
         deaths[tile] += 1
-        if deaths[tile] >= _DEATHS:
+        if deaths[tile] >= _MAX_DEATHS:
             raise TileFailed(
-                f"tile {tile}: workers died again and again with it in hand; is their memory full? What is done is kept"
+                f"tile {tile}: {_MAX_DEATHS} workers died with it in hand; is their memory full? What is done is kept"
             )
-        self._tell(f"workers died with tile {tile} in hand; it is given out again")
+        self._notify(f"workers died with tile {tile} in hand; it is given out again")
         return None
 
     def _threads(self) -> int:
-        """Threads of all workers there are now."""
+        """Return the number of threads of all current workers."""
         with _scheduler_needed():
             return sum(self._client.nthreads().values())
 
     def _connect(self) -> None:
-        started, told = time.monotonic(), False
+        started, has_notified = time.monotonic(), False
         while self._client is None:
             waited = time.monotonic() - started
             try:
@@ -173,9 +173,9 @@ class DaskWorkers:
                         f"expected a dask scheduler at {self._address}, none answered for {waited:.0f} s ({fault}); "
                         "start one with `dask scheduler` and give the same command again: what is done is kept"
                     ) from fault
-                if not told:
-                    self._tell(f"waiting for a scheduler at {self._address}, at most {self._patience_s:.0f} s")
-                told = True
+                if not has_notified:
+                    self._notify(f"waiting for a scheduler at {self._address}, at most {self._patience_s:.0f} s")
+                has_notified = True
 
     def _disconnect(self) -> None:
         client, self._client = self._client, None
@@ -185,12 +185,12 @@ class DaskWorkers:
 
 
 class _SchedulerLost(Exception):
-    """The connection to the scheduler is gone, and all it knew."""
+    """The connection to the scheduler is lost, with all results it had not delivered."""
 
 
 @contextmanager
 def _scheduler_needed() -> Generator[None]:
-    """Take a broken connection for a lost scheduler."""
+    """Convert a broken connection to _SchedulerLost."""
     try:
         yield
     except _CONNECTION_FAULTS as fault:
@@ -212,7 +212,7 @@ def _need_certificates(address: str) -> None:
 
 
 def _loopback(address: str) -> bool:
-    """Whether an address is of this machine alone."""
+    """Whether an address belongs to this machine only."""
     host = urlsplit(address).hostname or ""
     try:
         return ip_address(host).is_loopback

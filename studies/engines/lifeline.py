@@ -1,5 +1,5 @@
 # pyright: strict
-"""Worker processes that end with the one that started them."""
+"""End of worker processes with the process that started them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from multiprocessing.connection import Connection
 
 
 def end_with_parent(lifeline: Connection) -> None:
-    """End this process as soon as the one that started it is gone, however it went.
+    """End this process as soon as its parent has ended in any way.
 
     Args:
-        lifeline: one end of a pipe whose other end is the parent's alone: when that is closed, nobody waits for what
-            is being worked out.
+        lifeline: one end of a pipe whose other end only the parent has. When it is closed, the results of this process
+            are not needed any more.
     """
 
     def wait() -> None:

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Tiles in processes of this machine, by the standard library: no port is opened and nothing is installed."""
+"""Computation of tiles in processes of this machine by the standard library, without ports and installations."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from studies.errors import TileFailed
 from studies.study import Study
 from studies.worker import answer_tile
 
-_AHEAD = 2  # tiles that are given out for each process, one to work at and one to go on with
-_DEATHS = 4  # of processes with a tile in hand, before it is given up
+_TILES_PER_PROCESS = 2  # submitted tiles per process: one in work and one waiting
+_MAX_DEATHS = 4  # of processes with the same tile, before the tile fails
 
 
 class Processes:
-    """So many processes, each a tile at a time.
+    """Several processes, each with one tile at a time.
 
     Args:
-        count: of processes.
-        tell: told when a process has died.
+        count: number of processes.
+        notify: called with a sentence when a process has died.
     """
 
-    def __init__(self, count: int, tell: Callable[[str], None]) -> None:
-        self.name, self._count, self._tell = f"{count} processes", count, tell
+    def __init__(self, count: int, notify: Callable[[str], None]) -> None:
+        self.name, self._count, self._notify = f"{count} processes", count, notify
         self._pool: ProcessPoolExecutor | None = None
         self._lifeline: Connection | None = None
 
@@ -38,16 +38,16 @@ class Processes:
         return self
 
     def __exit__(self, *ending: Any) -> None:
-        """End the processes, whatever they are at."""
+        """End the processes at once."""
         self._end()
 
     def answers(self, study: Study, tiles: list[int]) -> Iterator[tuple[int, bytes]]:
-        """See Engine."""
+        """Compute tiles; see Engine."""
         left, running = list(reversed(tiles)), dict[Future[bytes], int]()
         deaths = Counter[int]()
         while left or running:
             try:
-                while left and len(running) < _AHEAD * self._count:
+                while left and len(running) < _TILES_PER_PROCESS * self._count:
                     tile = left[-1]
                     future = self._open().submit(answer_tile, study.kind, study.text, study.software, tile)
                     running[future] = left.pop()
@@ -57,11 +57,11 @@ class Processes:
             except BrokenProcessPool:
                 lost = sorted(running.values(), reverse=True)
                 deaths.update(lost)
-                self._tell(f"a worker process has died; tiles given out anew: {len(lost)}")
-                if worst := [tile for tile in lost if deaths[tile] >= _DEATHS]:
+                self._notify(f"a worker process has died; tiles submitted again: {len(lost)}")
+                if worst := [tile for tile in lost if deaths[tile] >= _MAX_DEATHS]:
                     raise TileFailed(
-                        f"processes died {_DEATHS} times with tile {worst[0]} in hand, or beside it; is the memory "
-                        "full, or does the system kill them? What is done is kept"
+                        f"processes died {_MAX_DEATHS} times while tile {worst[0]} was in work; is the memory full, "
+                        "or does the system kill them? What is done is kept"
                     ) from None
                 left, running = [*left, *lost], {}
                 self._end()
@@ -82,6 +82,6 @@ class Processes:
 
 
 def _begin(lifeline: Connection) -> None:
-    """In a process, before its first tile: Ctrl-C is for the one who asks, at whose end this process ends."""
+    """Prepare a process before its first tile: it ignores Ctrl-C and ends with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent(lifeline)

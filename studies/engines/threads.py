@@ -1,5 +1,5 @@
 # pyright: strict
-"""Tiles in the threads of this process: nothing to start and nothing to send."""
+"""Computation of tiles in the threads of this process, without start-up and transfer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from studies.worker import answer_tile
 
 
 class Threads:
-    """One tile per processor at a time; a single tile gets them all."""
+    """One tile per processor at a time; a single tile uses all processors."""
 
     name = "this process"
 
@@ -21,19 +21,19 @@ class Threads:
         return self
 
     def __exit__(self, *ending: Any) -> None:
-        """Nothing is left open."""
+        """Do nothing: the engine holds no resources."""
 
     def answers(self, study: Study, tiles: list[int]) -> Iterator[tuple[int, bytes]]:
-        """See Engine."""
+        """Compute tiles; see Engine."""
         processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        beside = min(len(tiles), processors) if kind_named(study.kind).uses_threads else 1
+        at_once = min(len(tiles), processors) if kind_named(study.kind).uses_threads else 1
         waiting = iter(tiles)
-        with ThreadPoolExecutor(beside) as pool:
+        with ThreadPoolExecutor(at_once) as pool:
             running: dict[Future[bytes], int] = {}
             try:
                 while True:
-                    while len(running) < beside and (tile := next(waiting, None)) is not None:
-                        threads = max(1, processors // beside)
+                    while len(running) < at_once and (tile := next(waiting, None)) is not None:
+                        threads = max(1, processors // at_once)
                         future = pool.submit(answer_tile, study.kind, study.text, study.software, tile, threads)
                         running[future] = tile
                     if not running:

@@ -11,8 +11,8 @@ from analysis import validate
 from analysis.bent_shaft import blamed_on_bow
 from analysis.validation import Validation
 from benchmarks.worlds import Effects, Spread, World, draw_world, record
-from rig_cli.validation_page import whole_lines
 from dynamics import steady_states
+from rig_cli.validation_page import whole_lines
 from rig_configs import IdentifiedParameters
 from rig_configs.slow_roll import SlowRoll
 

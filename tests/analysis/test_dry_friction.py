@@ -75,7 +75,7 @@ def test_a_wobbling_state_is_predicted_where_friction_moves_it(world: World) -> 
 
 
 def test_what_friction_does_to_a_point_that_is_not_settled(world: World) -> None:
-    """It holds nothing at A, where the pulsation exceeds it: the last approach is no creep."""
+    """It holds nothing at A, where the pulsation exceeds it: the last approach is not a creep."""
     late = judged(world, record(world, 3, "point-A", 20.0), True)
     assert late.verdict == "not settled"
     assert "leave their unstable balance late" in late.why

@@ -101,7 +101,7 @@ def test_the_band_holds_every_sample_whatever_the_pieces(tmp_path: Path, monkeyp
 
 def test_speed_of_the_marks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     time = np.concatenate([np.arange(0, 10, 0.5), np.arange(20, 30, 0.25)])
-    mapped = time + 0.02 * np.exp(-time)  # the map to the common clock still learns: the node's own clock counts
+    mapped = time + 0.02 * np.exp(-time)  # the map to the common clock settles: the node's own clock is used
     node_us = np.rint(1e6 * time).astype(np.int64)
     path = write(tmp_path / "run.mcap", TACHO, mapped, revolutions=np.arange(len(time)), node_time_us=node_us)
     figure = drawn(path)
@@ -189,7 +189,7 @@ def test_a_trace_leaves_out_what_is_no_number_and_breaks_at_gaps() -> None:
     values = np.where(time == time[7], np.nan, 1.0)
     trace.add(time, values)
     found, low, _ = trace.band()
-    assert len(found) == 800  # one is no number, two are outside, one stands for the gap
+    assert len(found) == 800  # one is NaN, two are outside, one marks the gap
     assert np.flatnonzero(np.isnan(low)).tolist() == [399]
 
 

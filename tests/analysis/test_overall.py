@@ -75,7 +75,7 @@ def test_the_parameter_that_is_wrong_is_named_with_its_size(
     assert best.chi2 < 60 < found.agreement.together.chi2
     first = found.explanations.sentences[0]
     assert first.startswith(f"best explanation: {words} ")
-    assert f"% {'above' if share > 1 else 'below'} what was taken: χ² " in first
+    assert f"% {'above' if share > 1 else 'below'} the value used: χ² " in first
 
 
 def test_two_things_that_are_wrong_are_found_as_a_pair(rig: Rig, drawn: Drawn, runs: list[Run]) -> None:
@@ -116,7 +116,7 @@ def test_evidence_is_the_likelihood_ratio_under_the_prior() -> None:
 
 
 def test_causes_that_the_points_resolve_ten_thousand_times_leave_the_level_to_the_others() -> None:
-    """Ten numbers known to 0.8 of what the points resolve, beside twenty frictions and bows that could be of any size.
+    """Ten numbers, known to 0.8 of the resolution of the points, and twenty frictions and bows of possibly any size.
 
     A number that is 5 of its standard uncertainties off shows as z = 4 ± 1. One limit for all, 3.2 for thirty
     independent causes, finds 79 % of them.

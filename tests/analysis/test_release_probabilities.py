@@ -43,7 +43,7 @@ def test_rigs_are_drawn_by_the_covariance():
 def test_a_covariance_without_rigs_is_refused():
     physics = load_rig("virtual").physics
     known = IdentifiedParameters({"zeta1": -0.02}, np.array([[1e-8]]))
-    with pytest.raises(AnalysisError, match="rigs that can be"):
+    with pytest.raises(AnalysisError, match="possible rigs"):
         drawn_rigs(physics, known, 2, np.random.default_rng(1))
 
 

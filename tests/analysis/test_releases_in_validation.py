@@ -1,4 +1,4 @@
-"""What happened right after a release, judged beside the point's steady state."""
+"""Verdict on the motion right after a release, in addition to that on the steady state."""
 
 from __future__ import annotations
 

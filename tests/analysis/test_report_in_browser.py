@@ -1,4 +1,4 @@
-"""The report as a person sees it: a real browser lays it out, draws its figures, and asks nobody for anything."""
+"""The report in a real browser: layout, figures, and no network requests."""
 
 import json
 import re
@@ -21,7 +21,7 @@ window.addEventListener("load", () => {
     figures: boxes.length,
     drawn: boxes.filter(b => b.width > 100 && b.height > 50).length,
     wider: document.documentElement.scrollWidth > window.innerWidth,
-    asked: performance.getEntriesByType("resource").length,
+    requests: performance.getEntriesByType("resource").length,
     heading: document.querySelector("h1").textContent,
   });
   document.body.append(out);
@@ -65,7 +65,7 @@ def test_a_browser_draws_every_figure_and_fetches_nothing(tmp_path: Path) -> Non
         "figures": figures,
         "drawn": figures,
         "wider": False,
-        "asked": 0,
+        "requests": 0,
         "heading": seen["heading"],
     }
     assert seen["heading"]

@@ -1,4 +1,4 @@
-"""States whose multipliers cannot be had to the first accuracy asked for are states all the same."""
+"""States whose multipliers do not reach the first accuracy are found with a lower one."""
 
 from dataclasses import replace
 

@@ -23,7 +23,7 @@ def rig() -> Rig:
 
 
 def exact_run(rig: Rig, name: str, seed: int) -> Run:
-    """No gain and zero errors; the motion to where no sensor sees a difference."""
+    """No gain and zero errors; the motion until no sensor resolves a difference."""
     drawn = dataclasses.replace(draw(rig, seed), gain=(1.0, 1.0), zero_rad=np.zeros(2))
     return point_run(rig, name, seed, drawn=drawn, after_s=STOPPED_S[name], accuracy=1e-5)
 

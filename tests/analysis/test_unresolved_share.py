@@ -1,4 +1,4 @@
-"""Of how much of a plane the borders say nothing."""
+"""Share of a plane that the borders leave undecided."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ def test_vibration_where_none_is_predicted_fails(rig: Rig, drawn: Drawn, runs: d
 
 
 def test_other_state_than_the_model_fails(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
-    """The speed says B, the pendulums stand together."""
+    """At the speed of B, but with the pendulums together."""
     run = runs["B"]
     together = run.angle_rad.copy()
     together[:, 1] += np.where(run.angle_time_s > 4.5, 2.5, 0.0)
@@ -211,16 +211,16 @@ def test_dropouts_change_nothing(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -
 def test_no_stable_state_is_a_fail_that_says_so(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
     """Ten per cent damping between the resonances: the pendulums would slip for ever."""
     values = drawn.identified.values | {"zeta1": 0.1, "zeta2": 0.1}
-    wild = IdentifiedParameters(values, drawn.identified.covariance)
+    outlier = IdentifiedParameters(values, drawn.identified.covariance)
     with pytest.raises(NoStableState, match="no stable"):
-        predict_point(rig, wild, 62.0)
-    result = validate_point(runs["D"], rig, wild, drawn.axis_angle_deg)
+        predict_point(rig, outlier, 62.0)
+    result = validate_point(runs["D"], rig, outlier, drawn.axis_angle_deg)
     assert result.verdict == "fail"
     assert "no stable" in result.why
 
 
 def test_predicted_std_is_what_a_new_search_gives(rig: Rig, drawn: Drawn) -> None:
-    """The implicit-function derivative against steady states searched anew at p ± std."""
+    """The implicit-function derivative against steady states searched again at p ± std."""
     name, speed = "k2_N_per_m", 62.08
     own = drawn.identified
     only = np.zeros_like(own.covariance)

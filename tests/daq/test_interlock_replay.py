@@ -89,7 +89,7 @@ def test_other_limits_answer_what_if(tmp_path: Path) -> None:
     assert (overspeed.interlock, overspeed.cause) == ("overspeed", "procedure")
     with pytest.raises(RigFileError, match=r"did you mean limits\.amplitude_m"):
         judged(path, "limits.amplitude=0.0001")
-    with pytest.raises(RigFileError, match="can never be seen"):
+    with pytest.raises(RigFileError, match="cannot be measured"):
         judged(path, "limits.amplitude_m=1.0")
 
 

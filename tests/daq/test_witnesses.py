@@ -112,7 +112,7 @@ def test_a_log_s_witness_is_compared_with_its_sensor_and_reported(
     assert main(["log", str(path)]) == 0
     page = capsys.readouterr().out
     assert "laser_x: measures x" in page
-    assert "top: measures witness of x, held against laser_x" in page
+    assert "top: measures witness of x, compared with laser_x" in page
     sound = load_run(witnessed_log(tmp_path / "b.mcap", gain=1.0))
     assert [one.verdict for one in sound.agreements()] == ["agree"]
     assert disagreements(sound) == []

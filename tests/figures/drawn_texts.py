@@ -53,15 +53,15 @@ def faults(figure: Figure) -> list[str]:
     """Texts too near, on another plot, off the figure or too small, and legends on plots; a sentence each."""
     texts = drawn_texts(figure)
     paper = figure.bbox
-    said = [f"{t.text!r} is {t.size_pt:g} pt" for t in texts if t.size_pt < LEAST_FONT_PT]
-    said += [
+    faulty = [f"{t.text!r} is {t.size_pt:g} pt" for t in texts if t.size_pt < LEAST_FONT_PT]
+    faulty += [
         f"{t.text!r} leaves the figure"
         for t in texts
         if t.box.x0 < paper.x0 - 1 or t.box.x1 > paper.x1 + 1 or t.box.y0 < paper.y0 - 1 or t.box.y1 > paper.y1 + 1
     ]
-    said += [f"{a.text!r} and {b.text!r} overlap" for a, b in combinations(texts, 2) if _overlap(a.box, b.box)]
-    said += [f"{a.text!r} and {b.text!r} stand too close" for a, b in combinations(texts, 2) if _close(a.box, b.box)]
-    said += [
+    faulty += [f"{a.text!r} and {b.text!r} overlap" for a, b in combinations(texts, 2) if _overlap(a.box, b.box)]
+    faulty += [f"{a.text!r} and {b.text!r} stand too close" for a, b in combinations(texts, 2) if _close(a.box, b.box)]
+    faulty += [
         f"{t.text!r} lies on {_name(axes)}"
         for t in texts
         for axes in figure.axes
@@ -69,8 +69,8 @@ def faults(figure: Figure) -> list[str]:
     ]
     for legend in [*figure.legends, *(a.get_legend() for a in figure.axes if a.get_legend())]:
         box = legend.get_window_extent()
-        said += [f"a legend lies on {_name(axes)}" for axes in figure.axes if _overlap(box, axes.get_window_extent())]
-    return said
+        faulty += [f"a legend lies on {_name(axes)}" for axes in figure.axes if _overlap(box, axes.get_window_extent())]
+    return faulty
 
 
 def _name(axes: Axes) -> str:
@@ -87,8 +87,8 @@ def _gaps(a: Bbox, b: Bbox) -> tuple[float, float]:
 
 
 def _close(a: Bbox, b: Bbox) -> bool:
-    beside, above = _gaps(a, b)
-    return beside < _APART_PX[0] and above < _APART_PX[1] and not _overlap(a, b)
+    sideways, above = _gaps(a, b)
+    return sideways < _APART_PX[0] and above < _APART_PX[1] and not _overlap(a, b)
 
 
 def _overlap(a: Bbox, b: Bbox) -> bool:

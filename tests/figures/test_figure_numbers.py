@@ -1,4 +1,4 @@
-"""What figures draw is what was measured and what the model says: numbers, signs, units."""
+"""Figures draw the measured and the predicted values: numbers, signs, units."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ def test_the_models_own_run_up_lies_on_itself_but_for_the_stamps_lag() -> None:
 def test_a_wrong_spring_is_no_lag_of_the_stamps() -> None:
     """Stamps that are early by twice as much still make a line; a resonance at another place does not."""
     found = passed_vectors(replace(run_up(), x_time_s=run_up().x_time_s - 3 * LAG_S), MODEL)
-    told = re.search(r"x (\d\.\d+) ± (\d\.\d+) ms early, y (\d\.\d+) ± \d\.\d+ ms late", lag_words(found)[0])
-    assert told is not None, lag_words(found)
-    x, x_std, y = (float(text) for text in told.groups())
-    assert abs(x - 2e3 * LAG_S) < 2 * x_std < 1.2  # free vibration beside it
+    match = re.search(r"x (\d\.\d+) ± (\d\.\d+) ms early, y (\d\.\d+) ± \d\.\d+ ms late", lag_words(found)[0])
+    assert match is not None, lag_words(found)
+    x, x_std, y = (float(text) for text in match.groups())
+    assert abs(x - 2e3 * LAG_S) < 2 * x_std < 1.2  # plus free vibration
     assert y == pytest.approx(1e3 * LAG_S, abs=0.3)
     stiff = replace(MODEL, physics=replace(MODEL.physics, k2_N_per_m=1.07 * MODEL.physics.k2_N_per_m))
     words = " ".join(lag_words(passed_vectors(run_up(), stiff)))
@@ -69,7 +69,7 @@ def test_a_wrong_spring_is_no_lag_of_the_stamps() -> None:
 
 @pytest.mark.parametrize("kept", [0, 1])
 def test_too_few_vectors_tell_of_no_lag(kept: int) -> None:
-    """As of a run that was cut where it began, or a laser that saw nothing."""
+    """A run that was cut at its start, or a laser without samples."""
     found = passed_vectors(run_up(), MODEL)
     few = {
         name: replace(seen, amplitude_m=np.where(np.arange(len(seen.speed_rad_s)) < kept, seen.amplitude_m, np.nan))

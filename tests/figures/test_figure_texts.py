@@ -170,9 +170,9 @@ def test_texts_of_neighbours_are_seen() -> None:
     right.set_yticks([0.5], ["−10.0"])
     right.set_xticks([])
     left.set_xticks([0.40, 0.52], ["one", "two"], fontsize=7.5)
-    said = " ".join(faults(figure))
-    assert "'−10.0' lies on left" in said
-    assert "'one' and 'two' stand too close" in said
+    text = " ".join(faults(figure))
+    assert "'−10.0' lies on left" in text
+    assert "'one' and 'two' stand too close" in text
 
 
 def test_what_is_wrong_is_seen() -> None:
@@ -185,8 +185,8 @@ def test_what_is_wrong_is_seen() -> None:
     axes.text(0.21, 0.1, "two")
     axes.text(0.6, 0.1, "small", fontsize=7)
     axes.text(0.9, 0.9, "far too long for the figure")
-    said = " ".join(faults(figure))
-    assert "'one' and 'two' overlap" in said
-    assert "'small' is 7 pt" in said
-    assert "leaves the figure" in said
-    assert "a legend lies on" in said
+    text = " ".join(faults(figure))
+    assert "'one' and 'two' overlap" in text
+    assert "'small' is 7 pt" in text
+    assert "leaves the figure" in text
+    assert "a legend lies on" in text

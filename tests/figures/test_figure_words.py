@@ -1,4 +1,4 @@
-"""What figures say in words: lags, intervals, what leaves a plot, what coincides, what a log lacks."""
+"""Sentences below figures: lags, intervals, curves that leave a plot, alignment, missing signals."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _EMPTY = np.empty(0)
 
 
 def words(figure: Figure) -> str:
-    """All that a figure says, on one line."""
+    """All texts of a figure in one line."""
     return re.sub(r"\s+", " ", " ".join(text.text for text in drawn_texts(figure)))
 
 
@@ -63,10 +63,10 @@ def test_a_shift_at_one_speed_is_named_as_a_phase(draw: object) -> None:
         assert late[1][name] - late[0][name] == pytest.approx(1e3 * LAG_S, abs=0.02)
 
 
-def late_ms(said: str) -> dict[str, float]:
-    """By how much a figure says that x and y are stamped late, negative early."""
-    assert "At one speed a shift of the stamps cannot be told from a phase" in said
-    found = re.findall(r"([xy]) [\d.]+ ± [\d.]+° (?:ahead|behind), as of stamps ([\d.]+) ms (early|late)", said)
+def late_ms(text: str) -> dict[str, float]:
+    """Lag of the stamps of x and y in the text of a figure; negative: early."""
+    assert "At one speed a shift of the stamps cannot be separated from a phase" in text
+    found = re.findall(r"([xy]) [\d.]+ ± [\d.]+° (?:ahead|behind), as of stamps ([\d.]+) ms (early|late)", text)
     return {name: float(ms) * (1 if which == "late" else -1) for name, ms, which in found}
 
 
@@ -80,10 +80,10 @@ def test_bands_hold_the_models_own_vectors() -> None:
     here = edge[np.isclose(edge[:, 0], 30 / math.pi * found.speed_rad_s[at]), 1]
     half = 1e3 * 1.96 * found.std_m[at]
     assert here.max() - here.min() == pytest.approx(min(2 * half, half + 1e3 * abs(found.amplitude_m[at])), rel=1e-6)
-    said = words(figure)
-    told = re.search(r"95 % intervals of the measured vectors.*?x ± ([\d.]+)…([\d.]+) µm", said)
-    assert told is not None, said
-    assert [float(number) for number in told.groups()] == pytest.approx(
+    text = words(figure)
+    match = re.search(r"95 % intervals of the measured vectors.*?x ± ([\d.]+)…([\d.]+) µm", text)
+    assert match is not None, text
+    assert [float(number) for number in match.groups()] == pytest.approx(
         [1e6 * 1.96 * float(limit(found.std_m)) for limit in (np.min, np.max)], rel=0.06
     )
 
@@ -156,10 +156,10 @@ def test_the_time_history_says_what_coincides() -> None:
 
 
 @pytest.mark.parametrize(
-    ("run", "said"),
+    ("run", "missing"),
     [
         (ring_down(), ["no index mark (the rotor stood, or no tachometer was recorded)"]),
-        (replace(ring_down(), motor_start_s=0.4), ["the tachometer saw nothing"]),
+        (replace(ring_down(), motor_start_s=0.4), ["the tachometer detected nothing"]),
         (replace(run_up(), x_m=_EMPTY, x_time_s=_EMPTY, y_m=_EMPTY, y_time_s=_EMPTY), ["no displacement (neither"]),
         (
             replace(ring_down(), x_m=_EMPTY, x_time_s=_EMPTY, y_m=_EMPTY, y_time_s=_EMPTY),
@@ -167,10 +167,10 @@ def test_the_time_history_says_what_coincides() -> None:
         ),
     ],
 )
-def test_a_log_is_told_all_that_it_lacks(run: Run, said: list[str]) -> None:
+def test_the_error_lists_all_that_a_log_lacks(run: Run, missing: list[str]) -> None:
     with pytest.raises(NotEnoughData) as error:
         draw_bode(run, MODEL)
-    for part in said:
+    for part in missing:
         assert part in str(error.value)
     assert ("no displacement" in str(error.value)) == (not len(run.x_m))
 
@@ -213,9 +213,9 @@ def test_a_run_through_speeds_has_no_spectrum_but_that_of_a_stretch_at_one_speed
         KINDS["spectrum"].draw(run_up(), MODEL)
     run = holding(run_up(), 6.0)
     figure = KINDS["spectrum"].draw(run, MODEL)
-    said = words(figure)
-    assert re.search(r"longest stretch at one speed, [5-7]\.\d s at 8\d\d\.\d rpm", said), said
-    assert "the run goes through" in said
+    text = words(figure)
+    assert re.search(r"longest stretch at one speed, [5-7]\.\d s at 8\d\d\.\d rpm", text), text
+    assert "the run goes through" in text
     line = next(each for each in figure.axes[0].get_lines() if each.get_label() == "full spectrum, measured")
     frequency, values = (np.asarray(each, float) for each in line.get_data())
     turns_Hz = 1 / float(np.diff(run.mark_time_s)[-1])

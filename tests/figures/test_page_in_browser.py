@@ -24,17 +24,17 @@ window.addEventListener("load", () => {
   const stage = document.getElementById("stage"), svg = stage.querySelector("svg");
   const width = () => svg.viewBox.baseVal.width, left = () => svg.viewBox.baseVal.x;
   const press = (key) => stage.dispatchEvent(new KeyboardEvent("keydown", {key, bubbles: true}));
-  const said = {whole: width()};
-  press("+"); said.closer = width();
-  press("ArrowRight"); said.moved = left();
-  document.getElementById("whole").click(); said.again = width();
+  const result = {whole: width()};
+  press("+"); result.closer = width();
+  press("ArrowRight"); result.moved = left();
+  document.getElementById("whole").click(); result.again = width();
   stage.dispatchEvent(new WheelEvent("wheel", {deltaY: -100, clientX: 300, clientY: 300, cancelable: true}));
-  said.wheel = width();
-  said.asked = performance.getEntriesByType("resource").length;
-  said.drawn = svg.getBoundingClientRect().width;
+  result.wheel = width();
+  result.requests = performance.getEntriesByType("resource").length;
+  result.drawn = svg.getBoundingClientRect().width;
   const out = document.createElement("pre");
   out.id = "probe";
-  out.textContent = JSON.stringify(said);
+  out.textContent = JSON.stringify(result);
   document.body.append(out);
 });
 </script></body>"""
@@ -44,21 +44,21 @@ READ = """<script>
 window.addEventListener("load", () => {
   const stage = document.getElementById("stage"), svg = stage.querySelector("svg");
   const values = document.getElementById("values");
-  const said = {before: values.textContent};
+  const result = {before: values.textContent};
   const point = (across, up) => {
     const at = new DOMPoint(72 * (1 + 4 * across), 72 * (3 - (0.5 + 2 * up))).matrixTransform(svg.getScreenCTM());
     stage.dispatchEvent(new PointerEvent("pointermove", {clientX: at.x, clientY: at.y, pointerId: 1, bubbles: true}));
     return values.textContent;
   };
-  said.first = point(0.01, 0.01);
-  said.last = point(0.99, 0.99);
-  said.middle = point(0.45, 0.52);
-  said.outside = point(1.1, 0.5);
+  result.first = point(0.01, 0.01);
+  result.last = point(0.99, 0.99);
+  result.middle = point(0.45, 0.52);
+  result.outside = point(1.1, 0.5);
   document.getElementById("closer").click();
-  said.zoomed = point(0.01, 0.01);
+  result.zoomed = point(0.01, 0.01);
   const out = document.createElement("pre");
   out.id = "probe";
-  out.textContent = JSON.stringify(said);
+  out.textContent = JSON.stringify(result);
   document.body.append(out);
 });
 </script></body>"""
@@ -75,17 +75,17 @@ def test_a_page_reads_out_the_value_under_the_pointer(tmp_path: Path) -> None:
     readout = Readout(box, ("Ω", "K <y>"), (True, False), x, y, {"|μ|": values, "rate, 1/s": 10 * values})
     page = tmp_path / "map.html"
     write_figure(page, figure, "a map", readout)
-    said = _probed(page, READ)
-    assert said["before"] == "point at the map to read its values"
-    assert said["first"].split("   ") == ["Ω: 1", "K <y>: 0", "|μ|: 0", "rate, 1/s: 0"]
-    assert said["middle"].split("   ") == ["Ω: 10", "K <y>: 1", "|μ|: 4", "rate, 1/s: 40"]
-    assert said["last"].split("   ")[2] == "|μ|: none (no balanced state)"
-    assert said["outside"] == said["middle"]
-    assert said["zoomed"] == said["first"]
+    result = _probed(page, READ)
+    assert result["before"] == "point at the map to read its values"
+    assert result["first"].split("   ") == ["Ω: 1", "K <y>: 0", "|μ|: 0", "rate, 1/s: 0"]
+    assert result["middle"].split("   ") == ["Ω: 10", "K <y>: 1", "|μ|: 4", "rate, 1/s: 40"]
+    assert result["last"].split("   ")[2] == "|μ|: none (no balanced state)"
+    assert result["outside"] == result["middle"]
+    assert result["zoomed"] == result["first"]
 
 
 def _probed(page: Path, probe: str) -> dict[str, Any]:
-    """What a script says that runs in the page."""
+    """Result of a script that runs in the page."""
     page.write_text(page.read_text(encoding="utf-8").replace("</body>", probe), encoding="utf-8")
     done = subprocess.run(
         [
@@ -120,10 +120,10 @@ def test_a_page_zooms_moves_and_shows_all_again(tmp_path: Path) -> None:
         figure.add_subplot().plot([0, 1, 2], [0, 2, 1], label="measured")
     page = tmp_path / "line.html"
     write_figure(page, figure, "a line")
-    said = _probed(page, PROBE)
-    assert said["closer"] == pytest.approx(0.8 * said["whole"])
-    assert said["moved"] > 0
-    assert said["again"] == pytest.approx(said["whole"])
-    assert said["wheel"] < said["whole"]
-    assert said["asked"] == 0
-    assert said["drawn"] > 600
+    result = _probed(page, PROBE)
+    assert result["closer"] == pytest.approx(0.8 * result["whole"])
+    assert result["moved"] > 0
+    assert result["again"] == pytest.approx(result["whole"])
+    assert result["wheel"] < result["whole"]
+    assert result["requests"] == 0
+    assert result["drawn"] > 600

@@ -1,5 +1,5 @@
 # pyright: strict
-"""A report shows its run-up beside the model's."""
+"""A report shows its run-up, measured and simulated."""
 
 from __future__ import annotations
 

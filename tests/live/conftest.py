@@ -67,7 +67,7 @@ def page(browser: Browser) -> Iterator[Page]:
     tab = browser.new_page(viewport={"width": 1600, "height": 900})
     faults: list[str] = []
     tab.on("pageerror", lambda error: faults.append(str(error)))
-    tab.on("console", lambda said: faults.append(said.text) if said.type == "error" else None)  # also of the CSP
+    tab.on("console", lambda entry: faults.append(entry.text) if entry.type == "error" else None)  # also of the CSP
     yield tab
     tab.close()
     assert [fault for fault in faults if "ERR_CONNECTION_REFUSED" not in fault] == []  # its server ends before it

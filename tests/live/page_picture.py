@@ -1,4 +1,4 @@
-"""Draw docs/figures/live_page.png anew: the page as it plays a run-up of the virtual rig behind its second resonance.
+"""Draw docs/figures/live_page.png again: a replay of a run-up of the virtual rig beyond its second resonance.
 
     python -m tests.live.page_picture [--out docs/figures/live_page.png] [--log run.mcap] [--at 35]
 

@@ -1,4 +1,4 @@
-"""The page's own process beside a session: what it costs the recorder, what it does when it is dead or refused."""
+"""The page's own process for a session: its cost for the recorder, and its behaviour when dead or refused."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ import pytest
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.errors import OperatorStop, RigError
 from daq.guided_tests.controls import Controls
@@ -31,6 +30,7 @@ from live.beside import Asking, LivePage
 from live.model import Model
 from live.port import bound
 from live.serving import Serving
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 
@@ -156,13 +156,13 @@ def test_a_port_that_is_taken_is_said_before_a_device_is_opened() -> None:
 def test_all_is_compiled_before_the_page_is_offered(monkeypatch: pytest.MonkeyPatch) -> None:
     """A stop passes through the page's process: it is not to wait for a compiler there while a rotor turns."""
     ours, theirs = Pipe()
-    told_before: list[bool] = []
-    monkeypatch.setattr(watched, "compile_followers", lambda rig, model: told_before.append(ours.poll()))
+    sent_before: list[bool] = []
+    monkeypatch.setattr(watched, "compile_followers", lambda rig, model: sent_before.append(ours.poll()))
     monkeypatch.setattr(signal, "signal", lambda number, how: None)
     with ours, theirs:
         ours.send({"end": True})
         watched.run_page(theirs, load_rig("virtual"), None, "rig file", 1.0, "virtual", "", 0)
-        assert told_before == [False]
+        assert sent_before == [False]
         assert ours.recv()["url"].startswith("http://")
 
 
@@ -178,12 +178,12 @@ def test_what_is_asked_waits_for_no_other_thread_of_the_page(monkeypatch: pytest
         connection = HTTPConnection(parts.netloc, timeout=WAIT_S)
         connection.request("POST", f"/stop?{parts.query}", "{}", {"Origin": f"http://{parts.netloc}"})
         assert ours.poll(WAIT_S), "the stop was passed on"
-        asked = ours.recv()
-        assert asked["act"] == "stop"
-        source._take({"answer": {"done": True}, "to": asked["number"]})
+        request = ours.recv()
+        assert request["act"] == "stop"
+        source._take({"answer": {"done": True}, "to": request["number"]})
         assert json.loads(connection.getresponse().read()) == {"done": True}
         connection.request("POST", f"/stop?{parts.query}", "{}", {"Origin": f"http://{parts.netloc}"})
-        answer = connection.getresponse()  # nobody takes this one
+        answer = connection.getresponse()  # this request is never answered
         assert (answer.status, json.loads(answer.read())) == (
             409,
             {"error": "stop: no answer from the recorder within 2 s"},

@@ -1,4 +1,4 @@
-"""The Foxglove connection beside a session: what comes is what is recorded; what it costs the recorder."""
+"""The Foxglove connection of a session: sent data equal recorded data; its cost for the recorder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.recent import Recent
 from daq.acquisition.session import Session
 from daq.channels import LASER_X, TACHO
@@ -31,18 +30,19 @@ from live.foxglove.protocol import SUBPROTOCOLS
 from live.foxglove.served import Packing, Refusals
 from live.newest import MOST_S, Newest
 from live.port import bound
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 
 WAIT_S = 30.0
 
 
-def _beside(rig: Rig, rate: float = 1.0) -> FoxgloveBeside:
+def _connection(rig: Rig, rate: float = 1.0) -> FoxgloveBeside:
     return FoxgloveBeside(rig, rate, 0, (), lambda text: None)
 
 
-def _line(beside: FoxgloveBeside) -> ClientConnection:
-    return connect(beside.url, subprotocols=[Subprotocol(SUBPROTOCOLS[0])], compression=None)
+def _line(connection: FoxgloveBeside) -> ClientConnection:
+    return connect(connection.url, subprotocols=[Subprotocol(SUBPROTOCOLS[0])], compression=None)
 
 
 def _subscribe(line: ClientConnection, *topics: str) -> dict[int, str]:
@@ -54,14 +54,14 @@ def _subscribe(line: ClientConnection, *topics: str) -> dict[int, str]:
 
 
 def test_a_session_gives_what_its_log_will_have(virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path) -> None:
-    beside = _beside(plugged, virtual_rig.clock.rate)
+    connection = _connection(plugged, virtual_rig.clock.rate)
     came: list[tuple[str, int, bytes]] = []
     clocks: list[int] = []
-    with beside, _line(beside) as line:
+    with connection, _line(connection) as line:
         topics = _subscribe(line, "pendulums", "motor", "events", "health")
         with Session(plugged, virtual_rig.clock) as session:
             session.start_recording(tmp_path / "a.mcap", {"test": "record", "rig": "virtual"})
-            beside.follow(session)
+            connection.follow(session)
             session.note(Event("note", "host", "by hand", {"time_ns": session.clock.now_ns()}))
             deadline = time.monotonic() + WAIT_S
             while not ({topic for topic, *_ in came} >= set(topics.values()) and len(came) > 3000):
@@ -97,16 +97,16 @@ def test_a_dead_connection_costs_the_recorder_nothing(tmp_path: Path) -> None:
     for dead in (False, True):
         sim = LockstepRig(load_rig("virtual", settings=["virtual.seed=3"]))
         rig = load_rig("virtual", settings=["virtual.seed=3", *sim.port_settings()])
-        beside = _beside(rig)
-        with beside, Session(rig, sim.clock, edge=sim.edge) as session:
-            beside.follow(session)
-            assert beside._process.pid is not None
+        connection = _connection(rig)
+        with connection, Session(rig, sim.clock, edge=sim.edge) as session:
+            connection.follow(session)
+            assert connection._process.pid is not None
             if dead:
-                os.kill(beside._process.pid, signal.SIGSTOP)
+                os.kill(connection._process.pid, signal.SIGSTOP)
             folder = tmp_path / str(dead)
             done = Procedures(session, SimulatedOperator(sim), folder, lambda text, share: None).run("spin-down")
             if dead:
-                os.kill(beside._process.pid, signal.SIGCONT)
+                os.kill(connection._process.pid, signal.SIGCONT)
         with open_log(done.log) as log:
             recorded.append(b"".join(chunk.data for name in log.devices for chunk in log.raw(name)))
             assert log.complete
@@ -115,12 +115,12 @@ def test_a_dead_connection_costs_the_recorder_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
 def test_a_connection_that_was_killed_does_not_end_the_session(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
-    with _beside(plugged) as beside, Session(plugged, virtual_rig.clock) as session:
-        beside.follow(session)
-        assert beside._process.pid is not None
-        os.kill(beside._process.pid, signal.SIGKILL)
-        beside._feeding.join(WAIT_S)
-        assert not beside._feeding.is_alive(), "the feed ends with its process"
+    with _connection(plugged) as connection, Session(plugged, virtual_rig.clock) as session:
+        connection.follow(session)
+        assert connection._process.pid is not None
+        os.kill(connection._process.pid, signal.SIGKILL)
+        connection._feeding.join(WAIT_S)
+        assert not connection._feeding.is_alive(), "the feed ends with its process"
         session.check()
         session.wait_for(lambda: len(session.newest("laser/x", (), 0.5)[0]) > 100, 5.0, "samples")
 
@@ -181,13 +181,13 @@ def test_only_what_somebody_wants_is_packed() -> None:
 
 
 def test_the_operator_hears_of_refused_pages_once_and_in_letters_that_do_nothing() -> None:
-    said: list[str] = []
-    refusals = Refusals(said.append)
+    messages: list[str] = []
+    refusals = Refusals(messages.append)
     for origin in ("https://app.foxglove.dev", "https://app.foxglove.dev", "\x1b[2Jhttps://evil", "x" * 1000):
         refusals(origin)
-    assert len(said) == 3
-    assert said[0].endswith("--foxglove-origin https://app.foxglove.dev")
-    assert all(text.isprintable() and len(text) < 350 for text in said)
+    assert len(messages) == 3
+    assert messages[0].endswith("--foxglove-origin https://app.foxglove.dev")
+    assert all(text.isprintable() and len(text) < 350 for text in messages)
     for number in range(100):
         refusals(str(number))
-    assert len(said) == 5
+    assert len(messages) == 5

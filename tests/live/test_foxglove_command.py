@@ -1,4 +1,4 @@
-"""`--foxglove` as a command's option: off by itself, said in a line, on the loopback, ended with the run."""
+"""`--foxglove` as a command's option: off by default, reported in a line, on the loopback, ended with the run."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ PAGE = "https://lichtblick.example"
 
 
 def _begun(running: subprocess.Popen[str]) -> str:
-    """The connection's address, as a line of JSON tells it."""
+    """Address of the connection in a line of JSON."""
     assert running.stdout is not None
     for line in running.stdout:
-        if "foxglove" in (told := json.loads(line)):
-            return told["foxglove"]
-    raise AssertionError("it was never told")
+        if "foxglove" in (line_json := json.loads(line)):
+            return line_json["foxglove"]
+    raise AssertionError("no line contains it")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
@@ -45,12 +45,12 @@ def test_a_log_is_given_until_the_command_ends(point_log: Path) -> None:
                 assert isinstance(line.recv(timeout=30), bytes), "its clock goes on"
                 running.send_signal(signal.SIGTERM)
                 assert all(isinstance(data, bytes) for data in line), "ended as it should be"
-            rest, said = running.communicate(timeout=30)
+            rest, output = running.communicate(timeout=30)
         finally:
             running.kill()
     assert (running.returncode, rest) == (0, "")
-    assert f"{url}; read-only; it asks for no token: anyone on this machine can read it" in said
-    assert "a page of https://evil.example asked for the rig's data and was refused" in said
+    assert f"{url}; read-only; it asks for no token: anyone on this machine can read it" in output
+    assert "a page of https://evil.example asked for the rig's data and was refused" in output
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
@@ -74,10 +74,10 @@ def test_a_recording_is_given_while_it_runs(virtual_rig: VirtualRigProcess, tmp_
                 running.send_signal(signal.SIGTERM)
                 for _ in line:
                     pass
-            rest, said = running.communicate(timeout=60)
+            rest, output = running.communicate(timeout=60)
         finally:
             running.kill()
-    assert running.returncode == 0, said
+    assert running.returncode == 0, output
     assert json.loads(rest)["log"].endswith("a.mcap")
 
 

@@ -1,4 +1,4 @@
-"""The Foxglove protocol without a line: what is said, byte for byte, and what is understood."""
+"""The Foxglove protocol without a connection: messages byte for byte, and parsing of requests."""
 
 import base64
 import json
@@ -13,17 +13,17 @@ from daq.channels import CHANNELS, LASER_X, MOTOR, Channel
 from live.foxglove.client import Subscriptions
 from live.foxglove.protocol import (
     Block,
-    NotUnderstood,
+    InvalidRequest,
     Subscribe,
     Unsubscribe,
     advertise,
     in_order,
     message_data,
     offered,
+    parsed_request,
     server_info,
     status,
     time_data,
-    understood,
 )
 
 IDS = st.integers(0, 2**32 - 1)
@@ -44,10 +44,10 @@ def test_a_message_is_read_back(own: int, time_ns: int, payload: bytes) -> None:
 
 
 def test_only_reading_is_offered() -> None:
-    told = json.loads(server_info("rüttler", "s1", {"access": "read-only"}))
-    assert (told["op"], told["name"], told["capabilities"]) == ("serverInfo", "rüttler", ["time"])
-    assert (told["sessionId"], told["metadata"]) == ("s1", {"access": "read-only"})
-    assert "supportedEncodings" not in told
+    info = json.loads(server_info("rüttler", "s1", {"access": "read-only"}))
+    assert (info["op"], info["name"], info["capabilities"]) == ("serverInfo", "rüttler", ["time"])
+    assert (info["sessionId"], info["metadata"]) == ("s1", {"access": "read-only"})
+    assert "supportedEncodings" not in info
     assert json.loads(status(1, "x", "y")) == {"op": "status", "level": 1, "message": "x", "id": "y"}
 
 
@@ -68,10 +68,10 @@ def test_channels_are_advertised_with_the_schemas_of_a_log() -> None:
 
 
 @given(st.lists(st.tuples(IDS, IDS), max_size=5), st.lists(IDS, max_size=5))
-def test_what_is_asked_for_is_understood(pairs: list[tuple[int, int]], ids: list[int]) -> None:
+def test_requests_are_parsed(pairs: list[tuple[int, int]], ids: list[int]) -> None:
     wanted = [{"id": own, "channelId": number} for own, number in pairs]
-    assert understood(json.dumps({"op": "subscribe", "subscriptions": wanted})) == Subscribe(tuple(pairs))
-    assert understood(json.dumps({"op": "unsubscribe", "subscriptionIds": ids})) == Unsubscribe(tuple(ids))
+    assert parsed_request(json.dumps({"op": "subscribe", "subscriptions": wanted})) == Subscribe(tuple(pairs))
+    assert parsed_request(json.dumps({"op": "unsubscribe", "subscriptionIds": ids})) == Unsubscribe(tuple(ids))
 
 
 REFUSED = [
@@ -96,23 +96,23 @@ REFUSED = [
     ('{"op": "subscribe", "subscriptions": [{"id": 1, "channelId": -1}]}', "whole number"),
     ('{"op": "subscribe", "subscriptions": [{"id": 4294967296, "channelId": 1}]}', "whole number"),
     ('{"op": "unsubscribe", "subscriptionIds": [1.5]}', "whole number"),
-    (b"", "no known opcode"),
-    (b"\xff", "no known opcode"),
+    (b"", "unknown opcode"),
+    (b"\xff", "unknown opcode"),
 ]
 
 
-@pytest.mark.parametrize(("said", "why"), REFUSED, ids=range(len(REFUSED)))
-def test_all_else_is_refused_in_words(said: str | bytes, why: str) -> None:
-    with pytest.raises(NotUnderstood, match=why) as refused:
-        understood(said)
+@pytest.mark.parametrize(("message", "why"), REFUSED, ids=range(len(REFUSED)))
+def test_all_else_is_refused_with_a_reason(message: str | bytes, why: str) -> None:
+    with pytest.raises(InvalidRequest, match=why) as refused:
+        parsed_request(message)
     assert len(str(refused.value)) < 250
     assert str(refused.value).isprintable()
 
 
 @given(st.one_of(st.text(), st.binary(), st.recursive(st.none() | IDS | st.text(), st.lists).map(json.dumps)))
-def test_nonsense_is_never_anything_but_refused(said: str | bytes) -> None:
-    with pytest.raises(NotUnderstood):
-        understood(said)
+def test_nonsense_is_never_anything_but_refused(message: str | bytes) -> None:
+    with pytest.raises(InvalidRequest):
+        parsed_request(message)
 
 
 def test_one_subscription_a_channel_and_one_channel_an_id() -> None:
@@ -120,12 +120,12 @@ def test_one_subscription_a_channel_and_one_channel_an_id() -> None:
     assert ours.apply(Subscribe(((7, 1), (8, 2)))) == []
     assert ours.by_channel == {1: 7, 2: 8}
     assert ours.apply(Subscribe(((9, 1), (7, 3), (5, 99), (6, 4)))) == [
-        "channel 1: subscribed to already, as 7",
-        "subscription 7: the id is in use",
-        "channel 99: there is none",
+        "channel 1 is already subscribed to as 7",
+        "subscription id 7 is in use",
+        "channel 99 does not exist",
     ]
     assert ours.by_channel == {1: 7, 2: 8, 4: 6}
-    assert ours.apply(Unsubscribe((7, 77))) == ["subscription 77: there is none"]
+    assert ours.apply(Unsubscribe((7, 77))) == ["subscription 77 does not exist"]
     assert ours.apply(Subscribe(((7, 3),))) == []
     assert ours.by_channel == {2: 8, 4: 6, 3: 7}
 

@@ -67,7 +67,7 @@ def _client(
         yield line
 
 
-def _told(line: ClientConnection) -> dict[str, Any]:
+def _next_text(line: ClientConnection) -> dict[str, Any]:
     """The next text; messages in between are passed over."""
     while True:
         data = line.recv(timeout=WAIT_S)
@@ -77,8 +77,8 @@ def _told(line: ClientConnection) -> dict[str, Any]:
 
 def _begun(line: ClientConnection) -> dict[str, dict[str, Any]]:
     """Channels by topic, after the first message."""
-    assert _told(line)["op"] == "serverInfo"
-    advertised = _told(line)
+    assert _next_text(line)["op"] == "serverInfo"
+    advertised = _next_text(line)
     assert advertised["op"] == "advertise"
     return {each["topic"]: each for each in advertised["channels"]}
 
@@ -86,7 +86,7 @@ def _begun(line: ClientConnection) -> dict[str, dict[str, Any]]:
 def _synced(line: ClientConnection) -> None:
     """All that was sent before has been carried out: answers come in the order of the questions."""
     line.send('{"op": "are you there?"}')
-    assert "are you there" in _told(line)["message"]
+    assert "are you there" in _next_text(line)["message"]
 
 
 def _subscribed(line: ClientConnection, *topics: str) -> dict[int, str]:
@@ -157,7 +157,7 @@ FOREIGN = [
 
 
 @pytest.mark.parametrize("origin", FOREIGN)
-def test_pages_of_foreign_origin_are_refused_and_told_of(server: FoxgloveServer, origin: str) -> None:
+def test_pages_of_foreign_origin_are_refused_and_reported(server: FoxgloveServer, origin: str) -> None:
     with pytest.raises(InvalidStatus) as refused, _client(server, additional_headers={"Origin": origin}):
         pass
     assert refused.value.response.status_code == 403
@@ -174,11 +174,11 @@ def test_two_origins_are_refused(server: FoxgloveServer) -> None:
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "127.0.0.1.evil.example:{port}"])
 def test_a_foreign_host_is_refused(server: FoxgloveServer, host: str) -> None:
     port = int(server.url.rpartition(":")[2])
-    asked, ours = f"ws://{host.format(port=port)}", [Subprotocol(SUBPROTOCOLS[0])]
+    address, ours = f"ws://{host.format(port=port)}", [Subprotocol(SUBPROTOCOLS[0])]
     with (
         socket.create_connection(("127.0.0.1", port)) as line,
         pytest.raises(InvalidStatus) as refused,
-        connect(asked, sock=line, subprotocols=ours),
+        connect(address, sock=line, subprotocols=ours),
     ):
         pass
     assert refused.value.response.status_code == 400
@@ -288,7 +288,7 @@ def test_the_clock_goes_back_only_when_somebody_sought(server: FoxgloveServer, p
         server.show(Turn([], start_ns + 10**9))
         late = played.turn(start_ns, start_ns + 10**8)
         server.show(Turn(late.blocks, start_ns + 10**9))
-        server.show(Turn(late.blocks, start_ns + 10**8, anew=True))
+        server.show(Turn(late.blocks, start_ns + 10**8, restarted=True))
         server.show(Turn([], start_ns + 2 * 10**9))
         came = _messages(line, start_ns + 2 * 10**9)
     half = len(came) // 2
@@ -301,7 +301,7 @@ def test_a_log_is_given_as_it_is_played_and_sought(server: FoxgloveServer, playe
     origin_ns = int(log["motor"].time_ns[0])
     clock_s = [0.0]
     transport = Transport(0.0, 60.0, 1.0, lambda: clock_s[0])
-    transport.await_viewer()  # whoever subscribes is one
+    transport.await_viewer()  # a subscriber counts as a viewer
     with _client(server) as line:
         _subscribed(line, "motor")
         with Giving(played, transport, origin_ns, server):
@@ -328,9 +328,9 @@ def test_publishing_is_refused_with_a_status(server: FoxgloveServer) -> None:
     with _client(server) as line:
         _begun(line)
         line.send('{"op": "advertise", "channels": [{"id": 1, "topic": "motor", "encoding": "json"}]}')
-        first = _told(line)
+        first = _next_text(line)
         line.send(b"\x01\x01\x00\x00\x00{}")
-        second = _told(line)
+        second = _next_text(line)
     assert (
         first
         == second
@@ -348,7 +348,7 @@ def test_who_is_refused_too_often_is_shown_out_and_others_stay(server: FoxgloveS
         _begun(good)
         for _ in range(MOST_REFUSED + 1):
             bad.send("nonsense")
-            assert "expected JSON" in _told(bad)["message"]
+            assert "expected JSON" in _next_text(bad)["message"]
         with pytest.raises(ConnectionClosed) as closed:
             bad.recv(timeout=WAIT_S)
         assert closed.value.rcvd is not None
@@ -362,7 +362,7 @@ def test_a_huge_message_ends_its_own_line_only(server: FoxgloveServer, data: str
         _begun(bad)
         bad.send(data)
         with pytest.raises(ConnectionClosed) as closed:
-            _told(bad)
+            _next_text(bad)
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == code
         _begun(good)
@@ -395,13 +395,13 @@ def test_a_client_that_reads_nothing_costs_bounded_memory_and_others_nothing(
         times = log["motor"].time_ns
         expected = times[(times > start_ns) & (times <= start_ns + turns * second)]
         assert [time_ns for _, time_ns, *_ in came] == expected.tolist()
-        while (told := _told(asleep))["level"] != 1:
+        while (text := _next_text(asleep))["level"] != 1:
             pass
-        assert told["message"] == LEFT_OUT
+        assert text["message"] == LEFT_OUT
     assert server.left_out > 0, "counted after it is gone, too"
 
 
-def test_the_end_is_told_and_does_not_wait_for_the_dead(played: Played, log: Log) -> None:
+def test_the_end_is_sent_and_does_not_wait_for_the_dead(played: Played, log: Log) -> None:
     start_ns = int(log["laser/x"].time_ns[0])
     with FoxgloveServer("a", played.offered, {}, (), 0) as server:
         dead, fine = _client(server, max_queue=1), _client(server)

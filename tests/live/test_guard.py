@@ -73,7 +73,7 @@ UPGRADE = {
 
 
 def _answer(method: str, path: str, headers: Mapping[str, str]) -> HTTPResponse:
-    """What comes back, byte for byte as asked: the Host header is the test's."""
+    """Response to a request that is sent byte for byte, with the Host header of the test."""
     connection = HTTPConnection("127.0.0.1", AT[-1], timeout=10)
     connection.putrequest(method, path, skip_host=True)
     for name, value in headers.items():
@@ -107,7 +107,7 @@ def test_whoever_has_host_origin_and_token_gets_in(place: str, host: str) -> Non
 @pytest.mark.parametrize("host", FOREIGN_HOSTS)
 def test_a_foreign_host_is_refused(place: str, host: str) -> None:
     assert _status(place, host) == 400
-    assert _status(place, host, f"http://{host}") == 400, "an Origin of the same name is no help"
+    assert _status(place, host, f"http://{host}") == 400, "an equal Origin does not help"
 
 
 @pytest.mark.parametrize("place", PLACES)

@@ -39,7 +39,7 @@ def _by_what(signals: Signals, at_s: float, heard_s: float, **more: Any) -> dict
     return {found.what: found for found in distances(signals, at_s, heard_s, **more)}
 
 
-def test_distances_are_what_the_signals_say() -> None:
+def test_distances_follow_from_the_signals() -> None:
     found = _by_what(_signals(), 2.9, 2.95, disk={"backlog_bytes": 32e6})
     assert found["|x|, last 1 s"].value == pytest.approx(2.0, rel=1e-3)
     assert found["|x|, last 1 s"].used == pytest.approx(2 / 11, rel=1e-3)
@@ -116,7 +116,7 @@ def test_a_lamp_that_recovered_stays_listed() -> None:
     assert "1.2 of 1 mm" in lamps.all["amplitude"].text
 
 
-def test_a_trip_stays_whatever_comes_and_seeking_back_forgets_it() -> None:
+def test_a_trip_stays_and_seeking_back_resets_it() -> None:
     lamps = Lamps(_signals())
     trip = {"kind": "trip", "at_s": 4.0, "number": 0, "reasons": [{"interlock": "overspeed", "text": "1300 rpm"}]}
     lamps.look(5.0, [], [trip])

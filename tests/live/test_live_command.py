@@ -42,12 +42,12 @@ def test_the_first_line_is_the_address_and_sigterm_ends_it(point_log: Path) -> N
             "/page/bokeh.min.js": 403,
         }
         running.send_signal(signal.SIGTERM)
-        rest, said = running.communicate(timeout=30)
+        rest, output = running.communicate(timeout=30)
     finally:
         running.kill()
         running.wait()
     assert (running.returncode, rest) == (0, "")
-    assert address["url"] in said
+    assert address["url"] in output
 
 
 @pytest.mark.parametrize(
@@ -81,5 +81,5 @@ def test_a_host_is_warned_of_and_still_asks_for_the_token(point_log: Path) -> No
         assert status == 403
     finally:
         running.terminate()
-        _, said = running.communicate(timeout=30)
-    assert "warning: --host localhost" in said
+        _, output = running.communicate(timeout=30)
+    assert "warning: --host localhost" in output

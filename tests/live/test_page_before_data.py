@@ -33,7 +33,7 @@ def test_a_rig_that_opens_is_waited_for_and_not_stale(page: Page, watched: Watch
         for panel in ("#strip-x", "#strip-y", "#strip-theta3", "#strip-speed", "#orbit", "#dial"):
             expect(page.locator(panel)).to_have_attribute("data-waits", "waiting for the rig", timeout=WAIT_MS)
         expect(page.locator(".stale")).to_have_count(0)
-        expect(page.locator("#dial .legend")).to_have_text("no model: nobody tells the speed")
+        expect(page.locator("#dial .legend")).to_have_text("no model: no device reports the speed")
         heard_ns = 10**18
         times = heard_ns - np.arange(100, 0, -1, dtype=np.int64) * 10**6
         columns = {"displacement_m": np.zeros(100), "flags": np.zeros(100, np.uint16)}

@@ -1,4 +1,4 @@
-"""The page as a person sees it: every panel draws, seek and zoom work, what is old is marked."""
+"""The page in a browser: every panel draws, seek and zoom work, old data are marked."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from daq.guided_tests.controls import Controls, Status
 from live.beside import Asking
 from live.levels import Array
 from live.model import Model
-from live.planned import Ramp, worked_out
+from live.planned import Ramp, simulated_ramp
 from live.serving import Serving
 from live.watched import Watched
 from rig_configs import load_rig
@@ -33,7 +33,7 @@ def test_a_ramp_passes_its_peaks_late_and_low_and_a_slow_one_is_steady() -> None
     rpm, x, y = model.bode()
     steady = _peaks(np.column_stack([rpm, x.real, x.imag, y.real, y.imag]))
     up, down, slow = (
-        _peaks(worked_out(rig, model, ramp))
+        _peaks(simulated_ramp(rig, model, ramp))
         for ramp in (Ramp(0, TOP_RPM, 40), Ramp(TOP_RPM, 0, 40), Ramp(0, TOP_RPM, 400))
     )
     for axis in range(2):
@@ -47,7 +47,7 @@ def test_far_from_the_resonances_a_ramp_is_the_steady_response_in_the_sensors_ax
     """Of sensors that stand turned, too: size and phase of both."""
     rig = load_rig("virtual", settings=["devices.laser_x.direction_deg=30", "devices.laser_y.direction_deg=120"])
     model = Model(rig)
-    rows = worked_out(rig, model, Ramp(0, TOP_RPM, 200))
+    rows = simulated_ramp(rig, model, Ramp(0, TOP_RPM, 200))
     rpm, x, y = model.bode()
     for first, steady in ((1, x), (3, y)):
         near = np.abs(rows[:, 0] - 450) < 20
@@ -84,12 +84,12 @@ def test_the_bode_plot_draws_the_ramp_of_the_test_and_no_other(page: Page) -> No
         handed = {"heard_ns": 10**18, "rows": [], "events": []}
         with Serving(watched, Model(watched.signals.rig)) as serving:
             page.goto(serving.url)
-            said = page.locator("#bode .ramp")
-            expect(said).to_be_hidden()
+            legend = page.locator("#bode .ramp")
+            expect(legend).to_be_hidden()
             watched._take({**handed, "facts": UP})
-            expect(said).to_be_visible(timeout=30_000)
+            expect(legend).to_be_visible(timeout=30_000)
             drawn = page.evaluate("['x', 'y'].map((axis) => Math.max(...page.bode.planned[axis][0].data.y))")
             assert drawn == pytest.approx([4.33, 7.86], abs=0.02)
             watched._take({**handed, "facts": {"test": "point-A", "numbers": {}}})
-            expect(said).to_be_hidden(timeout=30_000)
+            expect(legend).to_be_hidden(timeout=30_000)
             assert page.evaluate("page.bode.planned.x[0].data.x.length") == 0

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from playwright.sync_api import Page, expect
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.channels import TX
 from daq.log import open_log
+from rig_cli.simulated import VirtualRigProcess
 
 WITHIN_S = 0.2
 ATTEMPTS = 3  # a machine that is busy with something else may keep browser and rig waiting
@@ -29,7 +29,7 @@ def test_the_click_halts_the_drive_and_the_run_ends_whole(page: Page, tmp_path: 
 
 
 def _says_that_it_ended(page: Page, log: str) -> None:
-    """The server is gone by now: what it said last stands, and nothing asks for what nobody does any more."""
+    """The server has ended: the page keeps its last state and offers no command any more."""
     expect(page.locator("#link")).to_have_text("run ended", timeout=5_000)
     expect(page.locator("#test .step")).to_have_text(f"run ended: {log}")
     for control in ("[data-verb=pause]", "[data-verb=resume]", "[data-verb=abort]", "#note input", "#note button"):
@@ -66,13 +66,13 @@ def _from_click_to_command_s(page: Page, tmp_path: Path) -> float:
             expect(page.locator("#stop")).to_contain_text("STOPPED", timeout=5_000)
             clicked_ns = int(page.evaluate("window.clicked_ms") * 1e6)
             expect(page.locator("#alert")).to_contain_text("stopped by the button of the live page", timeout=5_000)
-            rest, said = running.communicate(timeout=60)
+            rest, output = running.communicate(timeout=60)
             (path,) = tmp_path.glob("*.mcap")
             _says_that_it_ended(page, path.name)
         finally:
             running.kill()
             running.wait()
-    assert running.returncode == 130, said
+    assert running.returncode == 130, output
     assert json.loads(rest)["error"] == "stopped by the button of the live page"
     with open_log(path) as log:
         assert log.verify() == []
@@ -83,7 +83,7 @@ def _from_click_to_command_s(page: Page, tmp_path: Path) -> float:
         ended = log.metadata["summary"]["ended"]
         turned = float(log["motor"].speed_rpm.max())
     assert turned > 0
-    assert sent_ns, "the drive was never told to stop"
+    assert sent_ns, "the drive was never commanded to stop"
     assert kinds["stop"] == "stopped by the button of the live page"
     assert kinds["note"] == "a note from the page"
     assert "live page" in ended

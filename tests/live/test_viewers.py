@@ -1,4 +1,4 @@
-"""Several viewers; one that is asleep or dead gets few frames and holds nobody up."""
+"""Several viewers; a sleeping or dead one receives few frames and delays no other."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_too_many_viewers_are_refused(serving: Serving) -> None:
             context.__exit__(None, None, None)
 
 
-def _asked(serving: Serving, path: str, body: Any) -> tuple[int, dict[str, Any]]:
+def _post(serving: Serving, path: str, body: Any) -> tuple[int, dict[str, Any]]:
     parts = urlsplit(serving.url)
     connection = HTTPConnection(parts.netloc, timeout=WAIT_S)
     text = body if isinstance(body, str) else json.dumps(body)
@@ -160,14 +160,14 @@ def _asked(serving: Serving, path: str, body: Any) -> tuple[int, dict[str, Any]]
 
 
 def test_what_a_log_cannot_do_is_refused_with_a_reason(serving: Serving, replayed: Replayed) -> None:
-    assert _asked(serving, "/stop", {}) == (409, {"error": "stop: a log is played, no rig is here"})
-    assert _asked(serving, "/act", {"verb": "speed", "speed": 1e9})[0] == 409
-    assert _asked(serving, "/act", {"verb": "seek", "to_s": "there"})[0] == 409
+    assert _post(serving, "/stop", {}) == (409, {"error": "stop: not possible for a log"})
+    assert _post(serving, "/act", {"verb": "speed", "speed": 1e9})[0] == 409
+    assert _post(serving, "/act", {"verb": "seek", "to_s": "there"})[0] == 409
     for body in ("", "[]", "{}", "null"):
-        assert _asked(serving, "/act", body)[0] == 400
-    assert _asked(serving, "/act", {"verb": "note", "text": "x" * 3000})[0] == 413
-    assert _asked(serving, "/act", "x" * 10_000)[0] == 413
-    assert _asked(serving, "/act", {"verb": "seek", "to_s": 7.0}) == (200, {"done": True, "at_s": 7.0})
+        assert _post(serving, "/act", body)[0] == 400
+    assert _post(serving, "/act", {"verb": "note", "text": "x" * 3000})[0] == 413
+    assert _post(serving, "/act", "x" * 10_000)[0] == 413
+    assert _post(serving, "/act", {"verb": "seek", "to_s": 7.0}) == (200, {"done": True, "at_s": 7.0})
     assert replayed.transport.at() == 7.0
 
 

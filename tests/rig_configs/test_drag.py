@@ -1,4 +1,4 @@
-"""The air's drag beside identified parameters: kept, laid over a rig, and read one way or the other."""
+"""Air drag in identified parameters: stored, applied to a rig, and decided in either way."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def test_a_setting_is_laid_over_or_refused_in_words(key: str, value: str) -> Non
         ("suspension.k1_N_per_m=*1e306", "expected a finite number"),
         ("suspension.k1_N_per_m=" + "9" * 5000, "number"),
         ("suspension.k1_N_per_m=" + "[" * 5000, "number"),
-        ("pendulums.pivot_shift_compensated=*2", "no number at"),
+        ("pendulums.pivot_shift_compensated=*2", "expected a number at"),
     ],
 )
 def test_what_is_no_number_is_refused(setting: str, words: str) -> None:

@@ -60,7 +60,7 @@ def test_an_instrument_is_one_error_in_all_that_it_measured_and_gives_its_kind_t
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "message"),
     [
         (["instruments.balance.measures=['rotor.weight']"], "expected rotor.mass_kg, .*got 'rotor.weight'"),
         (
@@ -71,8 +71,8 @@ def test_an_instrument_is_one_error_in_all_that_it_measured_and_gives_its_kind_t
         (["instruments.balance.measures=[]"], "instruments.balance.measures"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(settings: list[str], said: str) -> None:
-    with pytest.raises(RigFileError, match=said):
+def test_what_cannot_be_is_refused_by_name(settings: list[str], message: str) -> None:
+    with pytest.raises(RigFileError, match=message):
         load_rig("virtual", settings=settings)
 
 

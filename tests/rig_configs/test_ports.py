@@ -1,4 +1,4 @@
-"""Ports of a rig file: two alike are refused when it is loaded, placeholders are none."""
+"""Ports of a rig file: equal ports are refused at loading, except placeholders."""
 
 from __future__ import annotations
 

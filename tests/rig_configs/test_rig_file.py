@@ -1,4 +1,4 @@
-"""Rig files: every fault says file, key, what was expected, what came and the nearest known name."""
+"""Rig files: every error contains file, key, expected and actual value, and the nearest known name."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_shipped_rigs_load_and_hold_the_points() -> None:
         ("devices.laser_x.axis=y", ["laser_x and laser_y are both the rig's displacement along y"]),
         ("devices.drive.heartbeat_timeout_ms=120", ["at least twice heartbeat_ms"]),
         ("virtual.truth.suspension.k2=1", ["did you mean virtual.truth.suspension.k2_N_per_m"]),
-        ("suspension.q=+5%", ["no number at suspension.q"]),
+        ("suspension.q=+5%", ["expected a number at suspension.q"]),
         ("suspension", ["expected key=value"]),
         ("name.first=1", ["name is a value, not a table"]),
     ],
@@ -222,7 +222,7 @@ def test_rolling_resistance_is_a_balls_and_goes_into_its_friction_arm() -> None:
     assert both.physics.a.friction_arm_m == pytest.approx(8e-5 + 1.52e-4)
     s = balls.physics.imbalance_moment_kg_m
     assert s == pytest.approx(2 * balls.physics.a.first_moment_kg_m * np.cos(np.pi / 6), rel=1e-4)
-    with pytest.raises(RigFileError, match=r"is a ball's: expected ball_radius_m above 0"):
+    with pytest.raises(RigFileError, match=r"needs a ball: expected ball_radius_m above 0"):
         load_rig("isotropic", settings=["pendulums.a.rolling_resistance_m=1e-5"])
 
 

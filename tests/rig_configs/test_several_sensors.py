@@ -25,7 +25,7 @@ def test_a_witness_leaves_the_axis_to_its_sensor() -> None:
     assert roles.beside(TOP) is LOW
     assert roles.gain_stds == (0.001, 0.001)
     assert roles.device_of == {"laser/x": "low", "laser/y": "north", "laser/top": "top"}
-    assert roles.duties == {"low": "x", "north": "y", "top": "witness of x, held against low"}
+    assert roles.duties == {"low": "x", "north": "y", "top": "witness of x, compared with low"}
     assert roles.turn_deg == 0.0
 
 
@@ -40,7 +40,7 @@ def test_a_witness_that_looks_elsewhere_is_held_against_nothing() -> None:
     askew = replace(TOP, direction_deg=30.0)
     roles = Roles.of([LOW, NORTH, askew])
     assert roles.beside(askew) is None
-    assert "held against no other" in roles.duties["top"]
+    assert "compared with no other" in roles.duties["top"]
     assert Roles.of([replace(LOW, direction_deg=30.0), replace(NORTH, direction_deg=120.0)]).beside(askew) is not None
 
 
@@ -83,7 +83,7 @@ def test_one_sensor_alone_looks_along_its_axis() -> None:
 
 
 class Named(DisplacementSettings):
-    """Of a driver that records where it is told."""
+    """Settings of a driver that records in the named channel."""
 
     names_its_channel: ClassVar[bool] = True
 
@@ -96,5 +96,5 @@ def test_settings_name_the_channel_and_the_role() -> None:
     assert isinstance(witness, Displacement)
     assert (main.topic, main.witness, main.direction_deg) == ("laser/x", False, None)
     assert (witness.topic, witness.witness, witness.direction_deg) == ("laser/top", True, 2.0)
-    with pytest.raises(ValidationError, match="no witness"):
+    with pytest.raises(ValidationError, match="cannot be a witness"):
         DisplacementSettings.model_validate({**table, "witness": "top"})

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from analysis.maps.question import rig_source
-from rig_cli.main import run
 from dynamics.steady.basins.basin_map import BasinMap, basins
+from rig_cli.main import run
 from rig_configs import load_rig
 from studies import basins as kind
 from studies.basins import BasinQuestion, assembled, basin_study
@@ -22,7 +22,7 @@ from studies.tile_files import TileFolder
 SLIPPING = ("suspension.zeta1=0.05", "suspension.zeta2=0.05")
 
 
-def asked(point: str, settings: tuple[str, ...] = ()) -> BasinQuestion:
+def question_at(point: str, settings: tuple[str, ...] = ()) -> BasinQuestion:
     rig = load_rig("virtual", settings=list(settings))
     speed = rig.physics.speed_rad_s(rig.points[point].speed_ratio)
     return BasinQuestion(rig_source("virtual"), None, settings, speed, (12, 8), 15.0)
@@ -37,13 +37,13 @@ def in_tiles(question: BasinQuestion, place: Path) -> BasinMap:
 
 @pytest.fixture(autouse=True)
 def small_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kind, "_MOST", 24)
-    monkeypatch.setattr(kind, "_WIDEST", 6)
-    kind._asked.cache_clear()
+    monkeypatch.setattr(kind, "_MAX_RELEASES", 24)
+    monkeypatch.setattr(kind, "_MAX_COLUMNS", 6)
+    kind._parsed.cache_clear()
 
 
 def test_tiles_are_the_whole_where_two_images_of_balance_coexist(tmp_path: Path) -> None:
-    question = asked("E")
+    question = question_at("E")
     whole = basins(question.physics, question.speed_rad_s, *question.angles_rad, question.seconds)
     found = in_tiles(question, tmp_path)
     assert [(end.name, end.mirror) for end in found.ends] == [("I", 0), ("I", 1)]
@@ -58,7 +58,7 @@ def test_tiles_are_the_whole_where_two_images_of_balance_coexist(tmp_path: Path)
 
 
 def test_a_slipping_orbit_found_in_every_tile_is_one_end(tmp_path: Path) -> None:
-    found = in_tiles(asked("D", SLIPPING), tmp_path)
+    found = in_tiles(question_at("D", SLIPPING), tmp_path)
     slipping = [end for end in found.ends if end.name == "slipping"]
     assert len(slipping) == 1
     assert slipping[0].slipping is not None
@@ -69,7 +69,7 @@ def test_a_slipping_orbit_found_in_every_tile_is_one_end(tmp_path: Path) -> None
 
 
 def test_a_question_is_itself_again_from_json() -> None:
-    question = replace(asked("B", SLIPPING), parameters=None)
+    question = replace(question_at("B", SLIPPING), parameters=None)
     assert BasinQuestion.of_json(json.loads(json.dumps(question.as_json()))) == question
 
 

@@ -1,4 +1,4 @@
-"""Campaigns as tiles, and archives identified anew: real wire bytes and logs, the same bytes by another process."""
+"""Campaigns as tiles, and archives identified again: real wire bytes and logs, the same bytes from another process."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 import tomlkit
 
 from analysis.maps.question import rig_source
-from rig_cli.main import run
 from daq.lockstep.rehearsal import Rehearsal
+from rig_cli.main import run
 from studies.archive import Reidentified, archive_study, campaigns_in
 from studies.campaigns import CampaignResults, campaign_study
 from studies.engines.processes import Processes
@@ -31,7 +31,7 @@ def with_one_point() -> str:
     return tomlkit.dumps(document)
 
 
-def tell(text: str) -> None:
+def ignore(text: str) -> None:
     raise AssertionError(text)
 
 
@@ -55,7 +55,7 @@ def test_a_campaign_knows_what_it_found_and_what_is_true(campaigns: TileFolder) 
 
 def test_another_process_gives_the_same_campaign(campaigns: TileFolder, tmp_path: Path) -> None:
     folder = TileFolder(tmp_path, campaigns.study)
-    run_study(folder, Processes(1, tell))
+    run_study(folder, Processes(1, ignore))
     for path in campaigns.path.glob("*.npz"):
         assert (tmp_path / path.name).read_bytes() == path.read_bytes()
 
@@ -106,7 +106,7 @@ def test_counts_of_rows_are_what_was_counted() -> None:
 
 @pytest.fixture(scope="module")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two campaigns of a ring-down each, and a folder whose log is none."""
+    """Two campaigns of a ring-down each, and a folder whose log is not a log."""
     place = tmp_path_factory.mktemp("archive")
     for name, seed in (("spring", 1), ("autumn", 2)):
         with Rehearsal("virtual", place / name, [f"virtual.seed={seed}"]) as rehearsal:
@@ -149,7 +149,7 @@ def test_a_log_that_another_host_has_otherwise_is_refused(archive: Path) -> None
     other = Study(study.kind, study.text.replace("sha256:", "sha256:0")[:-1] + "}", study.software)
     from studies.worker import answer_tile
 
-    with pytest.raises(StudyInputError, match="have all hosts see the same archive"):
+    with pytest.raises(StudyInputError, match="give all hosts access to the same archive"):
         answer_tile(other.kind, other.text, other.software, 0)
 
 

@@ -11,8 +11,8 @@ import pytest
 from analysis.figures.coexistence import draw_coexistence
 from analysis.maps import MapAxis, MapQuestion, load_map, rig_source
 from analysis.maps.coexistence import COEXISTENCE_ARRAYS, CoexistenceMap, words_of
-from rig_cli.main import run
 from dynamics import steady_states
+from rig_cli.main import run
 from rig_configs import RigFileError
 from studies.coexistence import assembled, coexistence_study
 from studies.engines.threads import Threads

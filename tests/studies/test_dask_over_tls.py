@@ -17,7 +17,7 @@ from studies.engines.threads import Threads
 from studies.errors import StudyInputError
 from studies.running import run_study
 from studies.tile_files import TileFolder
-from tests.studies.asked import small_map
+from tests.studies.small_maps import small_map
 
 pytestmark = pytest.mark.xdist_group("dask")
 OPENSSL = shutil.which("openssl")
@@ -52,9 +52,9 @@ def address(certificates: Path, tmp_path: Path) -> Iterator[str]:
 
     def begin(role: str, *arguments: str) -> None:
         own = ["--tls-ca-file", "ca.pem", "--tls-cert", f"{role}.pem", "--tls-key", f"{role}.key", "--no-dashboard"]
-        with (tmp_path / f"{role}.txt").open("wb") as said:
+        with (tmp_path / f"{role}.txt").open("wb") as output:
             command = [sys.executable, "-m", "dask", role, *arguments, *own]
-            processes.append(subprocess.Popen(command, cwd=certificates, stdout=said, stderr=said))
+            processes.append(subprocess.Popen(command, cwd=certificates, stdout=output, stderr=output))
 
     begin("scheduler", "--host", found)
     begin("worker", found, "--nthreads", "1", "--no-nanny")
@@ -72,11 +72,11 @@ def test_certificates_on_both_sides_give_the_bytes_of_this_process(
     ours, theirs = (TileFolder(tmp_path / name, small_map()) for name in ("ours", "theirs"))
     run_study(ours, Threads())
     with dask.config.set(_of_client(certificates)):
-        said = list[str]()
-        run_study(theirs, DaskWorkers(address, said.append))
+        messages = list[str]()
+        run_study(theirs, DaskWorkers(address, messages.append))
     for path in ours.path.glob("*.npz"):
         assert (theirs.path / path.name).read_bytes() == path.read_bytes()
-    assert not any("not encrypted" in text for text in said)
+    assert not any("not encrypted" in text for text in messages)
 
 
 def test_without_certificates_it_says_what_to_set(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from studies.errors import EngineLost, OtherSoftware
 from studies.running import run_study
 from studies.study import Study
 from studies.tile_files import TileFolder
-from tests.studies.asked import DaskProcesses, X, Y, dask_processes, small_map
+from tests.studies.small_maps import DaskProcesses, X, Y, dask_processes, small_map
 
 pytestmark = pytest.mark.xdist_group("dask")
 
@@ -35,8 +35,8 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def processes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskProcesses]:
-    """A scheduler and two workers; whoever kills one begins another."""
-    with dask_processes(tmp_path_factory.mktemp("said"), free_port()) as started:
+    """A scheduler and two workers; a test that kills one starts another."""
+    with dask_processes(tmp_path_factory.mktemp("output"), free_port()) as started:
         yield started
 
 
@@ -61,10 +61,10 @@ def contents(folder: TileFolder) -> dict[str, bytes]:
 
 
 def run_and(
-    processes: DaskProcesses, folder: TileFolder, deed: Callable[[], None], said: list[str]
+    processes: DaskProcesses, folder: TileFolder, deed: Callable[[], None], messages: list[str]
 ) -> tuple[Counted, set[int]]:
     """Work a study out, and do something when two tiles are done; the engine, and the tiles done by then."""
-    engine, done_then = Counted(processes.address, said.append), set[int]()
+    engine, done_then = Counted(processes.address, messages.append), set[int]()
 
     def progress(done: int, total: int) -> None:
         if done == 2:
@@ -78,11 +78,11 @@ def run_and(
 def test_dask_gives_the_bytes_of_this_process(
     processes: DaskProcesses, expected: dict[str, bytes], tmp_path: Path
 ) -> None:
-    folder, said = TileFolder(tmp_path / "tiles", small_map()), list[str]()
-    engine, _ = run_and(processes, folder, lambda: None, said)
+    folder, messages = TileFolder(tmp_path / "tiles", small_map()), list[str]()
+    engine, _ = run_and(processes, folder, lambda: None, messages)
     assert contents(folder) == expected
     assert sorted(engine.given) == list(range(6))
-    assert said == []
+    assert messages == []
 
 
 def test_a_killed_worker_costs_its_tiles_in_hand(
@@ -97,11 +97,11 @@ def test_a_killed_worker_costs_its_tiles_in_hand(
 def test_a_killed_scheduler_costs_the_tiles_in_hand(
     processes: DaskProcesses, expected: dict[str, bytes], tmp_path: Path
 ) -> None:
-    folder, said = TileFolder(tmp_path / "tiles", small_map()), list[str]()
-    engine, done_then = run_and(processes, folder, processes.restart_scheduler, said)
+    folder, messages = TileFolder(tmp_path / "tiles", small_map()), list[str]()
+    engine, done_then = run_and(processes, folder, processes.restart_scheduler, messages)
     assert contents(folder) == expected
     assert all(engine.given.count(tile) == 1 for tile in done_then)
-    assert "is gone; what is done is kept" in said[0]
+    assert "is gone; what is done is kept" in messages[0]
 
 
 def test_a_killed_client_loses_nothing_that_is_done(
@@ -135,9 +135,9 @@ def test_a_killed_client_loses_nothing_that_is_done(
     until(lambda: len(list(tiles.glob("*.npz"))) >= 5 or output.exists(), again)
     untouched = {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in before if path.exists()}
     assert untouched.items() <= before.items()
-    _, said = again.communicate(timeout=120)
+    _, output = again.communicate(timeout=120)
     assert again.returncode == 0
-    assert f"{len(before)} of 6 tiles are in" in said.decode()
+    assert f"{len(before)} of 6 tiles are in" in output.decode()
     alone = tmp_path / "alone.npz"
     subprocess.run([*command[:-3], "local:1", "-o", str(alone)], check=True, capture_output=True)
     with np.load(output) as found, np.load(alone) as here:
@@ -158,10 +158,10 @@ def until(happened: Callable[[], bool], process: subprocess.Popen[bytes]) -> Non
 def test_workers_that_all_begin_cold_compile_once(expected: dict[str, bytes], tmp_path: Path) -> None:
     cold = tmp_path / "cache"
     cold.mkdir()
-    (tmp_path / "said").mkdir()
-    with dask_processes(tmp_path / "said", free_port(), {"NUMBA_CACHE_DIR": str(cold)}) as processes:
-        folder, said = TileFolder(tmp_path / "tiles", small_map()), list[str]()
-        run_study(folder, DaskWorkers(processes.address, said.append))
+    (tmp_path / "output").mkdir()
+    with dask_processes(tmp_path / "messages", free_port(), {"NUMBA_CACHE_DIR": str(cold)}) as processes:
+        folder, messages = TileFolder(tmp_path / "tiles", small_map()), list[str]()
+        run_study(folder, DaskWorkers(processes.address, messages.append))
         with distributed.Client(processes.address, set_as_default=False) as client:
             counts = list(client.run(compilations).values())
     assert contents(folder) == expected
@@ -184,16 +184,16 @@ def test_workers_with_other_sources_are_refused(processes: DaskProcesses, tmp_pa
 
 
 def test_nobody_there_is_said_with_what_to_do(tmp_path: Path) -> None:
-    folder, said = TileFolder(tmp_path / "tiles", small_map()), list[str]()
-    engine = DaskWorkers(f"tcp://127.0.0.1:{free_port()}", said.append, patience_s=1.0)
+    folder, messages = TileFolder(tmp_path / "tiles", small_map()), list[str]()
+    engine = DaskWorkers(f"tcp://127.0.0.1:{free_port()}", messages.append, patience_s=1.0)
     with pytest.raises(EngineLost, match="start one with `dask scheduler` and give the same command again"):
         run_study(folder, engine)
-    assert "waiting for a scheduler" in said[0]
+    assert "waiting for a scheduler" in messages[0]
 
 
 def test_a_scheduler_without_workers_is_waited_for_only_so_long(tmp_path: Path) -> None:
-    (tmp_path / "said").mkdir()
-    with dask_processes(tmp_path / "said", free_port()) as processes:
+    (tmp_path / "output").mkdir()
+    with dask_processes(tmp_path / "messages", free_port()) as processes:
         for worker in processes.workers:
             worker.kill()
             worker.wait()
@@ -204,6 +204,6 @@ def test_a_scheduler_without_workers_is_waited_for_only_so_long(tmp_path: Path) 
 
 @pytest.mark.parametrize(("address", "warned"), [("tcp://127.0.0.1:9", False), ("tcp://10.1.2.3:9", True)])
 def test_an_open_port_elsewhere_is_warned_of(address: str, warned: bool) -> None:
-    said = list[str]()
-    DaskWorkers(address, said.append)
-    assert [("not encrypted" in text) for text in said] == [True] * warned
+    messages = list[str]()
+    DaskWorkers(address, messages.append)
+    assert [("not encrypted" in text) for text in messages] == [True] * warned

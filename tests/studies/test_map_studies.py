@@ -1,4 +1,4 @@
-"""A map in tiles: they cover it, and give the same bytes whoever works them out."""
+"""A map in tiles: they cover it, and all engines yield the same bytes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from studies.study import Study
 from studies.tile_files import TileFolder
 from studies.tiling import parts_of
 from studies.worker import answer_tile
-from tests.studies.asked import small_map
+from tests.studies.small_maps import small_map
 
 
 @given(st.integers(1, 5000), st.integers(1, 5000))
@@ -44,7 +44,7 @@ def test_tiles_cover_every_point_once_and_none_is_large(columns: int, rows: int)
     assert ends <= corners
 
 
-def tell(text: str) -> None:
+def ignore(text: str) -> None:
     raise AssertionError(text)
 
 
@@ -57,9 +57,9 @@ def by_threads(tmp_path_factory: pytest.TempPathFactory) -> TileFolder:
 
 def test_processes_give_the_bytes_that_threads_give(by_threads: TileFolder, tmp_path: Path) -> None:
     folder = TileFolder(tmp_path, small_map())
-    told: list[tuple[int, int]] = []
-    assert run_study(folder, Processes(2, tell), lambda done, total: told.append((done, total))) == 0
-    assert told == [(done, 6) for done in range(7)]
+    calls: list[tuple[int, int]] = []
+    assert run_study(folder, Processes(2, ignore), lambda done, total: calls.append((done, total))) == 0
+    assert calls == [(done, 6) for done in range(7)]
     for name in sorted(path.name for path in by_threads.path.glob("*.npz")):
         assert (folder.path / name).read_bytes() == (by_threads.path / name).read_bytes()
 
@@ -80,37 +80,37 @@ def test_what_is_there_is_not_worked_out_again(by_threads: TileFolder, tmp_path:
     for tile in (0, 2, 3, 5):
         folder.keep(tile, next(by_threads.path.glob(f"*-00000{tile}.npz")).read_bytes())
     before = {path.name: path.stat().st_mtime_ns for path in folder.path.glob("*.npz")}
-    asked: list[int] = []
+    requested: list[int] = []
 
     class Watched(Threads):
         def answers(self, study: Study, tiles: list[int]) -> Iterator[tuple[int, bytes]]:
-            asked.extend(tiles)
+            requested.extend(tiles)
             return super().answers(study, tiles)
 
     assert run_study(folder, Watched()) == 4
-    assert asked == [1, 4]
+    assert requested == [1, 4]
     assert {name: (folder.path / name).stat().st_mtime_ns for name in before} == before
     assert folder.finished() == set(range(6))
 
 
 def test_a_process_that_dies_loses_its_tiles_in_hand_only(by_threads: TileFolder, tmp_path: Path) -> None:
-    folder, said = TileFolder(tmp_path, small_map()), list[str]()
-    engine = Processes(2, said.append)
+    folder, messages = TileFolder(tmp_path, small_map()), list[str]()
+    engine = Processes(2, messages.append)
 
     def kill_one(done: int, total: int) -> None:
-        if done == 2 and not said:
+        if done == 2 and not messages:
             assert engine._pool is not None
             next(iter(engine._pool._processes.values())).kill()
 
     run_study(folder, engine, kill_one)
-    assert said
-    assert "has died" in said[0]
+    assert messages
+    assert "has died" in messages[0]
     for path in by_threads.path.glob("*.npz"):
         assert (folder.path / path.name).read_bytes() == path.read_bytes()
 
 
 def test_a_tile_that_kills_every_process_is_given_up(tmp_path: Path) -> None:
-    folder, said = TileFolder(tmp_path, small_map()), list[str]()
+    folder, messages = TileFolder(tmp_path, small_map()), list[str]()
 
     class Deadly(Processes):
         def _open(self) -> ProcessPoolExecutor:
@@ -118,9 +118,9 @@ def test_a_tile_that_kills_every_process_is_given_up(tmp_path: Path) -> None:
             pool.submit(os._exit, 9)
             return pool
 
-    with Deadly(1, said.append) as engine, pytest.raises(TileFailed, match="What is done is kept"):
+    with Deadly(1, messages.append) as engine, pytest.raises(TileFailed, match="What is done is kept"):
         list(engine.answers(folder.study, [0]))
-    assert len(said) == 4
+    assert len(messages) == 4
 
 
 def test_other_sources_are_refused(tmp_path: Path) -> None:
@@ -130,16 +130,16 @@ def test_other_sources_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_question_differs_by_all_that_decides_its_answer() -> None:
-    asked = MapQuestion.of_json(json.loads(small_map().text))
-    digests = {map_study(asked).digest}
+    question = MapQuestion.of_json(json.loads(small_map().text))
+    digests = {map_study(question).digest}
     for change in ({"accuracy": 1e-9}, {"settings": ("suspension.zeta1=0.02",)}, {"speed_rad_s": 3.0}):
-        digests.add(map_study(replace(asked, **change)).digest)
+        digests.add(map_study(replace(question, **change)).digest)
     assert len(digests) == 4
-    shown = replace(asked, quantity="decay-rate", borders=True)
-    assert map_study(shown).digest == map_study(asked).digest
+    shown = replace(question, quantity="decay-rate", borders=True)
+    assert map_study(shown).digest == map_study(question).digest
 
 
 @pytest.mark.parametrize("text", ["local", "local:0", "local:x", "local:-1", "10.0.0.1:8786", "http://a:1", ""])
 def test_an_engine_that_is_none_says_what_was_expected(text: str) -> None:
     with pytest.raises(StudyInputError, match=r"expected local:N .* or a scheduler's address"):
-        engine_of(text, tell)
+        engine_of(text, ignore)

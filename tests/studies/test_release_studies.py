@@ -13,8 +13,8 @@ import pytest
 from analysis.figures.state_maps import draw_states
 from analysis.maps import MapAxis, MapQuestion, load_map, rig_source
 from analysis.maps.states import ARRAYS, RELEASED_RAD, STATES, StateMap, refined_states
-from rig_cli.main import run
 from dynamics.steady.outcome import release_outcome
+from rig_cli.main import run
 from rig_configs import RigFileError
 from studies.engines.processes import Processes
 from studies.engines.threads import Threads
@@ -43,10 +43,10 @@ def test_two_tiles_are_the_map_and_a_process_gives_their_bytes(folder: TileFolde
     assert folder.study.tiles == 2
     other = TileFolder(tmp_path, folder.study)
 
-    def tell(text: str) -> None:
+    def ignore(text: str) -> None:
         raise AssertionError(text)
 
-    run_study(other, Processes(1, tell))
+    run_study(other, Processes(1, ignore))
     for path in folder.path.glob("*.npz"):
         assert (tmp_path / path.name).read_bytes() == path.read_bytes()
 

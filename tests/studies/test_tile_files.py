@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as arrays
 from studies.errors import FolderFault
 from studies.study import Study
 from studies.tile_files import TileFolder, packed
-from tests.studies.asked import small_map
+from tests.studies.small_maps import small_map
 
 VALUES = st.dictionaries(
     st.from_regex(r"[a-z_]{1,8}", fullmatch=True),

@@ -29,9 +29,9 @@ class DaskProcesses:
     """A scheduler and workers, each a process of its own that can be killed.
 
     Args:
-        folder: for what they say.
+        folder: folder of their output.
         port: of the scheduler, on the loopback interface.
-        environment: of the workers, beside this process's.
+        environment: environment of the workers, in addition to this process's.
     """
 
     def __init__(self, folder: Path, port: int, environment: dict[str, str] | None = None) -> None:
@@ -44,9 +44,9 @@ class DaskProcesses:
 
     def _begin(self, *arguments: str) -> subprocess.Popen[bytes]:
         self._started += 1
-        with (self._folder / f"{self._started}-{arguments[0]}.txt").open("wb") as said:
+        with (self._folder / f"{self._started}-{arguments[0]}.txt").open("wb") as output:
             return subprocess.Popen(
-                [sys.executable, "-m", "dask", *arguments], stdout=said, stderr=said, env=self._environment
+                [sys.executable, "-m", "dask", *arguments], stdout=output, stderr=output, env=self._environment
             )
 
     def worker(self) -> subprocess.Popen[bytes]:
@@ -56,7 +56,7 @@ class DaskProcesses:
         )
 
     def restart_scheduler(self) -> None:
-        """Kill it, and begin it and the workers anew at the same address."""
+        """Kill it, and start it and the workers again at the same address."""
         self._kill(self.scheduler)
         for worker in self.workers:
             self._kill(worker)
