@@ -18,13 +18,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import gammaincc, voigt_profile  # pyright: ignore[reportMissingTypeStubs]
 
 from analysis.causes import Cause
 from analysis.differences import Differences
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 CAUSES_LEVEL, POINTS_LEVEL, TOGETHER_LEVEL = 0.04, 0.005, 0.005
 _DRAWS, _SEED = 20_000, 1

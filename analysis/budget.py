@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.dry_friction import LeftOpen
 from analysis.prediction import AXIS_ANGLE, QUANTITIES, Prediction
+from rig_basics.arrays import Array
 from rig_configs import Rig
 from rig_configs.known import Known
 from rig_configs.shared_errors import EXACT_STEP, is_known, known_source, shared_source
@@ -27,8 +27,6 @@ from rig_configs.slow_roll import SlowRoll
 from rig_configs.suspension_terms import TERMS, SuspensionTerms
 from uncertainty import Budgets, Group, Source
 from uncertainty.group import Input
-
-Array = NDArray[np.float64]
 
 _AT_REST_M = 1e-12  # amplitude below which a quantity is 0 for all parameters
 

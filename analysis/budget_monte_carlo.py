@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.budget import PredictedBudgets, friction_label
 from analysis.dry_friction import Sensors
@@ -21,10 +20,9 @@ from analysis.errors import NoStableState
 from analysis.prediction import AXIS_ANGLE, fixed_point_inverse, half_turn, observed
 from dynamics import RotorParameters
 from dynamics.errors import DynamicsError
+from rig_basics.arrays import Array
 from rig_configs.known import with_number
 from rig_configs.suspension_terms import TERMS, moved_term
-
-Array = NDArray[np.float64]
 
 _MAX_STEPS = 12
 _MAX_LAST_STEP = 1e-9  # of the state at convergence: rad, m, rad/s, m/s

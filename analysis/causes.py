@@ -13,15 +13,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.differences import Differences
 from analysis.prediction import AXIS_ANGLE
 from analysis.run_out import SLOW_ROLL
+from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B, gain_label, known_label
-
-Array = NDArray[np.float64]
 
 NOMINAL_SHARE = 1e-3  # relative standard uncertainty of a number without a stated one: usual for such numbers
 _PARAMETER_WORDS = {

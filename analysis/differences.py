@@ -17,16 +17,14 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.prediction import Prediction
 from analysis.run_out import SLOW_ROLL, by_slow_roll
 from analysis.steady_state import SteadyMeasurement
+from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.drag import Reading
 from rig_configs.known import ZERO_A, ZERO_B, gain_label, known_label
-
-Array = NDArray[np.float64]
 
 _ROWS = ("θ3", "θ4", "x amplitude", "y amplitude")
 _NOISE_ROWS = ("θ3", "θ4", "x real", "x imaginary", "y real", "y imaginary")

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 from dynamics import RotorParameters, SteadyState
 from dynamics.steady.held_band import HeldBand, held_band
 from dynamics.steady.sliding_shift import Motion, sliding_shift
+from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters
-from rig_configs.drag import spread_between
+from rig_configs.drag import with_undecided_spread
 from rig_configs.known import KEPT_FRICTION
-
-Array = NDArray[np.float64]
 
 FIRST_ORDER = 0.1
 """Relative standard uncertainty of a shift that is calculated to first order in the friction."""
@@ -45,7 +44,7 @@ class DryFriction:
     @classmethod
     def of(cls, identified: IdentifiedParameters) -> DryFriction | None:
         """Return the friction stored in parameters.toml; None if no test identified any."""
-        kept: Mapping[str, Any] | None = spread_between(identified.provenance).get("friction")
+        kept: Mapping[str, Any] | None = with_undecided_spread(identified.provenance).get("friction")
         if kept:
             values = np.array([float(kept["values"][n]) for n in KEPT_FRICTION])
             return cls(values, np.array(kept["covariance"], np.float64)) if np.any(values > 0) else None

@@ -17,13 +17,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.agreement import evidence
 from analysis.causes import Cause
 from analysis.differences import Differences
+from rig_basics.arrays import Array
 
-Array = NDArray[np.float64]
 Again = Callable[[str, float], Differences | None]
 """(cause, its value) ↦ the differences with it; None if they cannot be predicted."""
 Turned = Callable[[str, complex], Differences | None]

@@ -11,14 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.settled_scatter import SettledScatter, settled_scatter
 from dynamics import RotorParameters, balanced_angles
 from dynamics.motions.start_ups import start_ups_from_rest
 from dynamics.steady.stick_band import held_share, stick_half_width
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 
 @dataclass(frozen=True)

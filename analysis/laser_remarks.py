@@ -11,12 +11,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.laser_disturbances import SteadyLine, Wander, lines_in, sentences, thinned, wander_in
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _MAX_DURATION_S, _MIN_SAMPLES = 24.0, 1000
 _LATE_SHARE = 0.6  # share of the time since the release that is used: transients have decayed

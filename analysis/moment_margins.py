@@ -7,12 +7,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.equations.balancing import IMPROPERLY_OVERSIZED, BalancingMargins, balancing_margins
+from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters, Rig
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.dry_friction import DryFriction, LeftOpen, Sensors, left_open
 from analysis.errors import NoStableState
@@ -26,12 +24,13 @@ from dynamics import RotorParameters, SpeedHistory, SteadyState
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import fastest_rate, integrate
 from dynamics.steady.held_band import HeldBand
+from rig_basics.arrays import Array
+from rig_basics.units import TO_RPM
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.known import Known, physical_numbers, with_number
 from rig_configs.suspension_terms import TERMS, moved_term
 
-Array = NDArray[np.float64]
-Start = NDArray[np.floating[Any]]
+Start = Array
 
 AXIS_ANGLE = "axis angle"
 """Label of the axis angle's error, which all points share."""
@@ -167,7 +166,7 @@ def _stable_state(
     except (DynamicsError, np.linalg.LinAlgError) as error:
         raise NoStableState(f"the search for steady states failed: {error}") from error
     if not states:
-        raise NoStableState(f"the model has no stable steady state at {speed_rad_s * 30 / np.pi:.1f} rpm")
+        raise NoStableState(f"the model has no stable steady state at {speed_rad_s * TO_RPM:.1f} rpm")
     return physics, states[0] if near_rad is None else min(states, key=lambda s: _distance(s, near_rad))
 
 

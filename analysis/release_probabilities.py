@@ -10,15 +10,13 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
 from dynamics import RotorParameters
 from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.single import ReleaseEnds, release_ends
+from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters
-
-Array = NDArray[np.float64]
 
 PLAY_RAD = math.radians(0.2)
 LOCKED_RAD = (0.0, math.pi)

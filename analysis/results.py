@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from analysis.prediction import QUANTITIES, Prediction
 from analysis.scores import JSON_KEYS, Score, finite, measured_intervals
 from analysis.steady_state import SteadyMeasurement
+from rig_basics.units import TO_RPM
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class PointResult:
 
 
 def _measured_json(m: SteadyMeasurement | None) -> tuple[dict[str, float | None], dict[str, float | None]]:
-    keys = [*JSON_KEYS.values(), ("speed_rpm", 30 / math.pi)]
+    keys = [*JSON_KEYS.values(), ("speed_rpm", TO_RPM)]
     if m is None:
         return {key: None for key, _ in keys}, {key: None for key, _ in keys}
     values = [*(measured_intervals(m)[name] for name in JSON_KEYS), m.speed_rad_s]
@@ -76,4 +76,4 @@ def _predicted_json(p: Prediction | None) -> tuple[dict[str, float | None], dict
     order = [QUANTITIES.index(name) for name in JSON_KEYS]
     values = {key: finite(p.values[j] * f) for j, (key, f) in zip(order, JSON_KEYS.values(), strict=True)}
     stds = {key: finite(p.std[j] * f) for j, (key, f) in zip(order, JSON_KEYS.values(), strict=True)}
-    return values | {"speed_rpm": p.speed_rad_s * 30 / math.pi}, stds | {"speed_rpm": 0.0}
+    return values | {"speed_rpm": p.speed_rad_s * TO_RPM}, stds | {"speed_rpm": 0.0}

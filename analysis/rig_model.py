@@ -8,17 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.prediction import known_axis_angle
 from analysis.run_out import shown_run_out
 from analysis.stable_states import stable_states
 from dynamics import RotorParameters, SteadyState, locked_orbit
 from dynamics.errors import DynamicsError
+from rig_basics.arrays import Array, Complex
 from rig_configs import IdentifiedParameters, Rig
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 LOCKED_RAD = (0.0, math.pi)
 """Angles at which the locks hold the pendulums."""

@@ -12,15 +12,14 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig_basics.arrays import Array
 from rig_configs.slow_roll import SlowRoll
 
 if TYPE_CHECKING:
     from analysis.prediction import Prediction
     from analysis.steady_state import SteadyMeasurement
 
-Array = NDArray[np.float64]
 
 SLOW_ROLL = ("run-out along", "run-out across", "bow along", "bow across")
 """Vectors that turn with the shaft at any speed, in the rotor's frame: along the imbalance, and 90° ahead."""

@@ -11,12 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import f as f_distribution  # pyright: ignore[reportMissingTypeStubs]
 
 from analysis.errors import NotEnoughData
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 
 @dataclass(frozen=True)

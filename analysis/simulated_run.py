@@ -7,15 +7,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.rig_model import LOCKED_RAD, RigModel
 from daq.signals.run import Run
 from dynamics import Scene, SpeedHistory, simulate
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import locked_state
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _SAMPLES_PER_TURN = 32
 _MIN_RATE_HZ = 400.0

@@ -15,14 +15,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]
 
 from analysis.prediction import QUANTITIES
 from analysis.results import PointResult
 from analysis.scores import JSON_KEYS, NAMES, finite
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 START_UPS = "start-ups"
 """Name of the guided test."""

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.laser_remarks import laser_remarks
@@ -18,10 +17,8 @@ from daq.signals.settling import Settling, settled
 from daq.signals.state_type import state_type
 from dynamics import RotorParameters
 from dynamics.steady.singular_points import bow_moment
+from rig_basics.arrays import Array, Complex
 from rig_configs import Rig
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 AVERAGE_S = 6.0  # averaged interval at the end of the plateau
 _LOCKED_S = 2.0  # interval before the release

@@ -7,13 +7,11 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import SteadyState
+from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.suspension_terms import TERMS
-
-Array = NDArray[np.float64]
 
 TERM_STEPS: Mapping[str, float] = dict(zip(TERMS, (10.0, 10.0, 3e-3, 3e-3), strict=True))
 """Steps of differences by the terms, in their units."""

@@ -14,15 +14,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.clock_rates import rate_std_between
-from daq.signals.limit import LEAST_WINDOWS, Limit, limit
+from daq.signals.decay import MIN_WINDOWS
+from daq.signals.limit import Limit, limit
 from daq.signals.rounding import rounding_covariance
 from daq.signals.run import Run
 from daq.signals.window_means import WindowMeans, angle_means, orbit_means, whole_revolutions
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 UNEXPLAINED = "unexplained"
 _WINDOW_S = 1.0
@@ -117,14 +116,14 @@ def _limit(run: Run, release_s: float, end_s: float, means: Array) -> Limit | No
     marks = (run.mark_time_s >= release_s) & (run.mark_time_s <= end_s)
     time, phase = run.mark_time_s[marks], run.mark_phase_rad[marks]
     edges = whole_revolutions(time, phase, _WINDOW_S, _MAX_WINDOWS)
-    if len(edges) <= LEAST_WINDOWS:
+    if len(edges) <= MIN_WINDOWS:
         return None
-    angles = angle_means(run.angle_time_s, run.angle_rad, time, phase, edges, run.angle_step_rad, LEAST_WINDOWS)
-    orbit = orbit_means(run.x_time_s, run.x_m, run.y_time_s, run.y_m, time, phase, edges, LEAST_WINDOWS)
+    angles = angle_means(run.angle_time_s, run.angle_rad, time, phase, edges, run.angle_step_rad, MIN_WINDOWS)
+    orbit = orbit_means(run.x_time_s, run.x_m, run.y_time_s, run.y_m, time, phase, edges, MIN_WINDOWS)
     if angles is None or orbit is None:
         return None
     _, a, o = np.intersect1d(angles.edges_s[:, 0], orbit.edges_s[:, 0], return_indices=True)
-    if len(a) < LEAST_WINDOWS:
+    if len(a) < MIN_WINDOWS:
         return None
     seen = np.concatenate([angles.means[a], orbit.means[o]], axis=1)
     noise = np.concatenate([_angle_noise(angles, angles.means[a]), orbit.noise_covariance(_MIN_NOISE_M)[:, o][:, :, o]])
@@ -160,7 +159,7 @@ def _radius_and_arc(vectors: Array, noise: Array, mean: Array, turn_std: Array) 
         the vectors' axes (2, 2).
     """
     radius = math.hypot(*mean)
-    if not np.max(np.hypot(*(vectors[-LEAST_WINDOWS:] - mean).T)) < _MAX_CHANGE * radius:
+    if not np.max(np.hypot(*(vectors[-MIN_WINDOWS:] - mean).T)) < _MAX_CHANGE * radius:
         return None
     c, s = mean / radius
     back = np.array([[c, -s], [s, c]])

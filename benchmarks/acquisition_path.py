@@ -30,9 +30,9 @@ from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.recent import Recent
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
-from daq.drivers.items import RX, Batch, joined
 from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt.stream import LaserPipeline
+from daq.items import RX, Batch, joined
 from daq.log.file import LogFile
 from rig_configs import load_rig
 

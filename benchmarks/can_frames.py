@@ -18,7 +18,7 @@ from benchmarks.laser_samples import START_NS
 from daq import channels
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
-from daq.drivers.items import RX, Batch
+from daq.items import RX, Batch
 from daq.mcap.writer import BlockWriter
 from daq.transports import slcan
 from rig_configs import load_rig

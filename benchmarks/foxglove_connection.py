@@ -26,11 +26,11 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from benchmarks.live_page import _cpu_s, _rss_mb
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.log import open_log
-from live.foxglove.beside import FoxgloveBeside
 from live.foxglove.protocol import SUBPROTOCOLS
+from live.foxglove.session_connection import FoxgloveConnection
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 
 CASES = ("no connection", "looked at", "asleep", "stands still")
@@ -60,7 +60,9 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
         far = stack.enter_context(VirtualRigProcess(args.rig, [], 1.0))
         rig = load_rig(args.rig, settings=far.port_settings())
         beside = (
-            None if name == "no connection" else stack.enter_context(FoxgloveBeside(rig, far.clock.rate, 0, (), print))
+            None
+            if name == "no connection"
+            else stack.enter_context(FoxgloveConnection(rig, far.clock.rate, 0, (), print))
         )
         session = stack.enter_context(Session(rig, far.clock))
         pid = 0

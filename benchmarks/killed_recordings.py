@@ -20,9 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.log import Log, open_log
 from daq.replay import check
+from rig_cli.simulated import VirtualRigProcess
 
 _ALLOWED_MS = 100.0
 _TOPICS = ("laser/x", "laser/y", "pendulums", "motor", "raw/laser_x", "raw/encoder")

@@ -34,15 +34,15 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.log import open_log
-from live.beside import Asking, LivePage
 from live.followers import Followers
 from live.frames import decode
 from live.model import Model
 from live.picture import Pictures, View
+from live.session_page import Asking, LivePage
 from live.watched import Watched
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 
 _TICKS = os.sysconf("SC_CLK_TCK")

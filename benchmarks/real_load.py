@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.log import open_log
 from daq.log.losses import losses_of
+from rig_cli.simulated import VirtualRigProcess
 
 _LOAD = ["virtual.drive.report_s=0.001", "virtual.radio.burst_start=0.0"]
 _COUNTERS = (("laser/x", "counter", 2**18), ("laser/y", "counter", 2**18), ("pendulums", "index", 2**32))

@@ -7,8 +7,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-Array: TypeAlias = NDArray[np.float64]
-Complex: TypeAlias = NDArray[np.complex128]
+from rig_basics.arrays import Array, Complex
+
+__all__ = ["Array", "Complex", "Flags", "Indices", "Numbers", "RealSystem", "System"]
+
 Numbers: TypeAlias = NDArray[np.float64] | NDArray[np.complex128]
 """Argument of functions that are compiled for floats and, to carry derivatives, for complex numbers."""
 Indices: TypeAlias = NDArray[np.int64]

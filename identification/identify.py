@@ -22,7 +22,7 @@ from identification.joint.provenance import with_tests
 from identification.joint.shared_friction import friction_messages, with_shared_friction, without_known
 from identification.methods import advice, reduced_to_given, runs_for, skipped_tests, turns
 from identification.mounting import as_mounted, mounting_remarks
-from identification.pendulums.drag import FoundDrag, found_drag, shown_beside_drag
+from identification.pendulums.drag import FoundDrag, found_drag, with_undecided_drag
 from identification.pendulums.friction import Friction, kept_friction
 from identification.pendulums.open_friction import OpenFriction, pooled
 from identification.pendulums.open_numbers import PENDULUMS
@@ -33,7 +33,7 @@ from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientFit
 from identification.physical import keep_physical, physical_parameters, run_up_sides
 from identification.ring_down.fit import RingDownFit
-from identification.ring_down.together import fit_ring_downs
+from identification.ring_down_campaign import fit_ring_downs
 from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
 from identification.run_up.slow_roll_vector import slow_roll_of, slow_roll_of_all
 from identification.rungs import Rung, held_back
@@ -149,7 +149,7 @@ class _Work:
     def transients(self) -> dict[str, TransientFit]:
         """Pendulum fits by source. If a drag is found, their friction is the one next to that drag."""
         fits = {f.source: f.fit for f in self.fits if isinstance(f.fit, TransientFit)}
-        return {source: shown_beside_drag(fit) for source, fit in fits.items()} if self.drag else fits
+        return {source: with_undecided_drag(fit) for source, fit in fits.items()} if self.drag else fits
 
     def dragged(self) -> Knowledge | None:
         """Return `knowledge` with the drag added, for releases, or None if no drag is found."""

@@ -13,11 +13,9 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.errors import FitFailed
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _MIN_GAIN = 3e-3  # of χ²
 _MAX_BEND_RATIO = 0.375  # of a step: a larger correction is not second order (Transtrum and Sethna 2012)

@@ -14,12 +14,10 @@ from typing import cast
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from identification.samples import usual_interval
 from identification.typed_scipy import median_filter, next_fast_len
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _MAX_RATE_Hz = 1000.0  # of the grid that is searched; faster records are averaged to it
 _MIN_SAMPLES = 400

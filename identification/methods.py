@@ -1,7 +1,7 @@
 # pyright: strict
 """Select the estimators for a recorded test and the parameters that are taken from it, by its row of test kinds.
 
-A row (`daq.guided_tests.kinds`) states whether the rotor turns and which parameters its test gives. These two select
+A row (`daq.guided_test_kinds`) states whether the rotor turns and which parameters its test gives. These two select
 the estimators. The test's name is not used, so that a row that is added elsewhere needs no change here.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from daq.guided_tests.kinds import KINDS, TestKind, kind_of, lacking
+from daq.guided_test_kinds import KINDS, TestKind, kind_of, lacking
 from daq.signals.run import Run
 from identification.estimate import Estimate
 from identification.joint.combine import reduced

@@ -15,15 +15,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from identification.estimate import Estimate
 from identification.ring_down.direction_terms import DirectionTerms
 from identification.run_up.bent_passage import KnownSuspension
 from rig_configs.suspension_terms import LABEL, TERMS, SuspensionTerms, term_label
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from typing import Literal, cast
 
-import numpy as np
 import scipy.fft as _fft  # pyright: ignore[reportMissingTypeStubs]  # SciPy has no types
 import scipy.linalg as _linalg  # pyright: ignore[reportMissingTypeStubs]  # SciPy has no types
 import scipy.ndimage as _ndimage  # pyright: ignore[reportMissingTypeStubs]  # SciPy has no types
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from rig_basics.arrays import Array, Complex
+
 Mode = Literal["reflect", "nearest"]
 
 
@@ -44,9 +42,9 @@ def minimum_filter1d(values: Array, size: int) -> Array:
     return cast(Array, _ndimage.minimum_filter1d(values, size))
 
 
-def gaussian_filter1d(values: Complexes, sigma: float, truncate: float) -> Complexes:
+def gaussian_filter1d(values: Complex, sigma: float, truncate: float) -> Complex:
     """Gaussian filter with the standard deviation `sigma`, in values, cut off at `truncate` standard deviations."""
-    return cast(Complexes, _ndimage.gaussian_filter1d(values, sigma, truncate=truncate))
+    return cast(Complex, _ndimage.gaussian_filter1d(values, sigma, truncate=truncate))
 
 
 def toeplitz(column: Array) -> Array:
@@ -54,6 +52,6 @@ def toeplitz(column: Array) -> Array:
     return cast(Array, _linalg.toeplitz(column))
 
 
-def solveh_banded(bands: Array, right: Complexes) -> Complexes:
+def solveh_banded(bands: Array, right: Complex) -> Complex:
     """Solution of a Hermitian positive-definite banded system, `bands` in upper form."""
-    return cast(Complexes, _linalg.solveh_banded(bands, right, check_finite=False))
+    return cast(Complex, _linalg.solveh_banded(bands, right, check_finite=False))

@@ -17,8 +17,8 @@ from multiprocessing.connection import Connection
 from typing import Any, Self, TypeVar
 
 from daq.acquisition.session import Session
-from daq.drivers.items import Event
 from daq.errors import RigError
+from daq.items import Event
 
 _Item = TypeVar("_Item")
 _INTERVAL_S = 1 / 30

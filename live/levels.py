@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 KEPT = 2**18
 """Samples of a displacement that are kept: 65 s at 4 kHz."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dynamics import locked_orbit, steady_states
 from dynamics.errors import DynamicsError
+from rig_basics.units import RPM
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
@@ -81,7 +82,7 @@ class Model:
         if key in self._states or key < _MIN_RPM:
             return
         try:
-            found = [s for s in steady_states(self.physics, key * math.pi / 30, _ACCURACY) if s.stable]
+            found = [s for s in steady_states(self.physics, key * RPM, _ACCURACY) if s.stable]
         except (DynamicsError, np.linalg.LinAlgError):
             found = []
         if len(self._states) >= _MAX_KEPT:
@@ -98,7 +99,7 @@ class Model:
 
     def _locked(self, rpm: float, theta_rad: tuple[float, float]) -> tuple[complex, complex]:
         try:
-            return locked_orbit(self.physics, max(rpm, 1e-3) * math.pi / 30, *theta_rad)
+            return locked_orbit(self.physics, max(rpm, 1e-3) * RPM, *theta_rad)
         except DynamicsError:
             return complex(math.nan), complex(math.nan)
 

@@ -17,6 +17,7 @@ from live.levels import Array
 from live.model import Model
 from live.signals import Signals
 from live.vectors import Vectors
+from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
 _SAMPLES_PER_TURN, _MIN_RATE_HZ = 32, 400.0
@@ -55,7 +56,7 @@ def simulated_ramp(rig: Rig, model: Model, ramp: Ramp) -> Array:
     Returns:
         Rows (rpm, Re X, Im X, Re Y, Im Y), mm, shape (n, 5); no rows if the simulation fails.
     """
-    speeds = (ramp.start_rpm * math.pi / 30, ramp.end_rpm * math.pi / 30)
+    speeds = (ramp.start_rpm * RPM, ramp.end_rpm * RPM)
     rate_hz = max(_MIN_RATE_HZ, _SAMPLES_PER_TURN * max(speeds) / (2 * math.pi))
     time_s = np.arange(0.0, ramp.duration_s, 1 / rate_hz)
     knots = np.linspace(0.0, ramp.duration_s, max(8, round(_KNOTS_PER_S * ramp.duration_s)))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from rig_basics.units import TO_RPM
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.model import Plot
 from rig_cli.numbers import Positive, PositiveSeconds
@@ -250,7 +251,7 @@ def _draw(path: Path, rig: Rig, speed: float, found: BasinMap, settings: list[st
     from analysis.figures.style import save
 
     ratio = speed / rig.physics.natural_frequencies_rad_s[0]
-    title = f"{rig.name}, Ω = {ratio:.4g} ({speed * 30 / math.pi:.1f} rpm){what_if_words(settings, '; ')}"
+    title = f"{rig.name}, Ω = {ratio:.4g} ({speed * TO_RPM:.1f} rpm){what_if_words(settings, '; ')}"
     save(path, draw_basins(found, title))
 
 
@@ -281,7 +282,7 @@ def _result(rig: Rig, found: BasinMap, took: float) -> dict[str, Any]:
     settled = [found.settled_s[(found.end == i) & np.isfinite(found.settled_s)] for i in range(len(found.ends))]
     return {
         "speed_ratio": found.speed_rad_s / rig.physics.natural_frequencies_rad_s[0],
-        "speed_rpm": found.speed_rad_s * 30 / math.pi,
+        "speed_rpm": found.speed_rad_s * TO_RPM,
         "releases": found.end.size,
         "followed_s": found.seconds,
         "seconds": took,

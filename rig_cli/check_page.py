@@ -12,10 +12,10 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from daq.acquisition.device_check import AnglesSeen, Checks, Look, SpeedSeen, passed
+from daq.acquisition.device_check import Checks, Look, ObservedAngles, ObservedSpeed, passed
 from daq.acquisition.session import Session
 from daq.drivers.checks import Check
-from daq.drivers.items import Event
+from daq.items import Event
 from rig_cli.words import printable, stdout_console
 from rig_configs.roles import PendulumAngles, Roles
 
@@ -30,11 +30,11 @@ def look_at(session: Session, seconds: float) -> Look:
     before, started = session.losses(), session.clock.now_ns()
     time.sleep(seconds)
     wait = session.clock.now_ns() + int(_STATUS_WAIT_S * 1e9)
-    while not session.all_told() and session.clock.now_ns() < wait:
+    while not session.all_identified() and session.clock.now_ns() < wait:
         session.clock.sleep(0.1)
     session.observers.remove(events.append)
     roles, plain = session.rig.roles, plain_rates(session, started)
-    speed = roles.speed and SpeedSeen(plain[roles.speed.topic], session.drive.actual_rpm)
+    speed = roles.speed and ObservedSpeed(plain[roles.speed.topic], session.drive.actual_rpm)
     return Look(
         seconds=(session.clock.now_ns() - started) * 1e-9,
         rates=session.rates.rates(),
@@ -58,9 +58,9 @@ def _with_duties(own: Mapping[str, Checks], roles: Roles) -> dict[str, Checks]:
     return out
 
 
-def _angles(session: Session, role: PendulumAngles, started_ns: int) -> AnglesSeen:
+def _angles(session: Session, role: PendulumAngles, started_ns: int) -> ObservedAngles:
     _, (a, b, flags) = session.recent.last(role.topic, ("theta3_rad", "theta4_rad", "flags"), started_ns)
-    return AnglesSeen(np.column_stack([a, b])[-max(1, round(_LOCKED_S * role.rate_Hz)) :], flags)
+    return ObservedAngles(np.column_stack([a, b])[-max(1, round(_LOCKED_S * role.rate_Hz)) :], flags)
 
 
 def _more(now: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:

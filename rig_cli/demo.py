@@ -34,8 +34,8 @@ from rig_configs.load import with_truth
 from rig_configs.schema import Rig
 
 if TYPE_CHECKING:
-    from live.beside import LivePage
-    from live.foxglove.beside import FoxgloveBeside
+    from live.foxglove.session_connection import FoxgloveConnection
+    from live.session_page import LivePage
 
 _BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
 _USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # s, weights of the bar; others 2 or 7
@@ -175,7 +175,7 @@ class _Setup:
     folder: Path
     far: VirtualRigProcess | LockstepRig
     page: LivePage | None
-    connection: FoxgloveBeside | None
+    connection: FoxgloveConnection | None
 
 
 class _Campaign:

@@ -18,7 +18,7 @@ from rig_configs import RigFileError
 if TYPE_CHECKING:
     from daq.acquisition.session import Session
     from daq.log import Log
-    from live.foxglove.beside import FoxgloveBeside
+    from live.foxglove.session_connection import FoxgloveConnection
     from live.transport import Transport
     from rig_configs.schema import Rig
 
@@ -61,7 +61,7 @@ NOT_OFFERED = Foxglove()
 
 def foxglove_of_session(
     options: Foxglove, rig: Rig, rate: float, as_json: bool, notify: Callable[[str], None] = notify
-) -> AbstractContextManager[FoxgloveBeside | None]:
+) -> AbstractContextManager[FoxgloveConnection | None]:
     """Return a context that offers a session opened inside it to Foxglove; None without the option.
 
     Args:
@@ -76,10 +76,10 @@ def foxglove_of_session(
 @contextmanager
 def _open_connection(
     options: Foxglove, rig: Rig, rate: float, as_json: bool, notify: Callable[[str], None]
-) -> Generator[FoxgloveBeside]:
-    from live.foxglove.beside import FoxgloveBeside  # only if requested
+) -> Generator[FoxgloveConnection]:
+    from live.foxglove.session_connection import FoxgloveConnection  # only if requested
 
-    connection = FoxgloveBeside(rig, rate, options.port, _checked(options.origins), notify)
+    connection = FoxgloveConnection(rig, rate, options.port, _checked(options.origins), notify)
     try:
         with connection:
             _announce(connection.url, as_json, notify)
@@ -88,7 +88,7 @@ def _open_connection(
         _report_skipped(connection.left_out, notify)
 
 
-def follow_session(connection: FoxgloveBeside | None, session: Session) -> None:
+def follow_session(connection: FoxgloveConnection | None, session: Session) -> None:
     """Show an open session on the connection, if there is one."""
     if connection is not None:
         connection.follow(session)

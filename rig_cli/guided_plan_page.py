@@ -8,7 +8,7 @@ from typing import Any
 from rich.table import Table
 
 from daq.errors import LogError
-from daq.guided_tests.kinds import given_on, kind_of, refusal
+from daq.guided_test_kinds import given_on, kind_of, refusal
 from daq.guided_tests.plan import Plan, PlannedState
 from daq.guided_tests.test_inputs import test_names
 from daq.log import open_log

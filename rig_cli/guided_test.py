@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from daq.acquisition.session import Session
+from daq.guided_test_kinds import Asked, Refused
 from daq.guided_tests.controls import Controls
-from daq.guided_tests.kinds import Asked, Refused
 from daq.guided_tests.plan import plan as plan_of
 from daq.guided_tests.procedure import Procedures, TestDone
 from daq.guided_tests.runner import NotReached
@@ -30,8 +30,8 @@ from rig_configs import IdentifiedParameters, RigFileError, load_rig
 from rig_configs.schema import Rig
 
 if TYPE_CHECKING:
-    from live.beside import LivePage
-    from live.foxglove.beside import FoxgloveBeside
+    from live.foxglove.session_connection import FoxgloveConnection
+    from live.session_page import LivePage
     from rig_cli.tracking import LiveTracking
 
 
@@ -181,7 +181,7 @@ class _Displays:
 
     tracking: Callable[[Session], LiveTracking] | None
     page: AbstractContextManager[LivePage | None]
-    foxglove: AbstractContextManager[FoxgloveBeside | None]
+    foxglove: AbstractContextManager[FoxgloveConnection | None]
 
 
 def _tracking(wanted: Asked, parameters: Path | None, settings: list[str] | None) -> Callable[[Session], LiveTracking]:

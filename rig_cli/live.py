@@ -24,7 +24,7 @@ from rig_configs import IdentifiedParameters, load_rig, overridden, with_paramet
 if TYPE_CHECKING:
     from daq.acquisition.session import Session
     from daq.guided_tests.controls import Controls
-    from live.beside import LivePage
+    from live.session_page import LivePage
     from rig_configs.schema import Rig
 
 Host = Annotated[str, Parameter(help="admit other machines: the name or address by which they reach this one")]
@@ -183,7 +183,7 @@ def page_of_session(
     if place is None:
         return nullcontext()
     laid, known, source = _laid_over(rig, parameters, settings)
-    from live.beside import LivePage  # numba takes a third of a second to import
+    from live.session_page import LivePage  # numba takes a third of a second to import
 
     class Announced(LivePage):
         def __enter__(self) -> LivePage:
@@ -202,14 +202,14 @@ def follow(
     controls: Controls | None = None,
     confirmed: Callable[[], None] | None = None,
 ) -> Callable[[str], None]:
-    """Show an open session on the page, if there is one; see live.beside.
+    """Show an open session on the page, if there is one; see live.session_page.
 
     Returns:
         Function to be called with every prompt to the operator.
     """
     if page is None:
         return lambda text: None
-    from live.beside import Asking  # only with a page
+    from live.session_page import Asking  # only with a page
 
     asking = Asking(controls, confirmed)
     page.follow(session, asking, stop, facts)

@@ -11,9 +11,9 @@ from daq.catalogue.facts import counted_losses, has_end, one_line, origin_of, ou
 from daq.errors import LogError
 from daq.log import Log
 from daq.log.content import EventContent, channel_content, event_content, events_of, last_health, raw_content
-from daq.log.samples import Missing
 from daq.log.snapshot import identities_of, rig_of, snapshot_of
 from daq.log.verdicts import digest_of, verdict_of
+from daq.mcap.missing import Missing
 
 _PHYSICAL = ("rotor", "imbalance", "pendulums", "suspension")
 

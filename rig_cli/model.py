@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from rig_basics.units import TO_RPM
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.numbers import Positive
 from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
@@ -184,7 +185,7 @@ def _result(
         "model": found.model,
         "why": found.why,
         "speed_ratio": speed / physics.natural_frequencies_rad_s[0],
-        "speed_rpm": speed * 30 / math.pi,
+        "speed_rpm": speed * TO_RPM,
         "balancing_region": forced_region(physics, speed),
         "slow_roll": known.slow_roll.table() if known.slow_roll else None,
         "steady_states": [_state_json(s, physics) | _shown(s, known, found.rig) for s in found.states],
@@ -202,7 +203,7 @@ def _draw(plot: Path, found: _Prediction, outcome: ReleaseOutcome | None, settin
     from analysis.figures.style import save
 
     ratio = found.speed_rad_s / found.physics.natural_frequencies_rad_s[0]
-    rpm = found.speed_rad_s * 30 / math.pi
+    rpm = found.speed_rad_s * TO_RPM
     title = f"{found.rig.name}, Ω = {ratio:.4g} ({rpm:.1f} rpm){what_if_words(settings, '; ')}"
     save(plot, draw_steady_states(found.physics, found.states, title, outcome))
 

@@ -32,12 +32,12 @@ def plan(
         rig: a rig file, or the name of a shipped one; its parameters are the prior estimates.
     """
     from identification.plan.planning import plan as find  # numba takes seconds to import
+    from identification.plan.requirements import parse_requirement
     from identification.plan.sensors import Sensors
-    from identification.plan.wants import parse_want
 
     if not want:
         raise RigFileError("rig plan: give what is to be identified, for example --want zeta1=1% --want c3=2%")
-    wants = [parse_want(text) for text in want]
+    wants = [parse_requirement(text) for text in want]
     mass = share(mass_std, "rig plan: --mass-std")
     loaded = load_rig(rig, parameters, settings or [])
     sensors = Sensors.of(loaded)

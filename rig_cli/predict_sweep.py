@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rig_basics.units import RPM, TO_RPM
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.options import what_if_words
 from rig_cli.share_progress import share_progress
@@ -51,7 +52,7 @@ def predict_sweep(
         from analysis.figures.branches import draw_branches
         from analysis.figures.style import save
 
-        at = "" if axis.is_speed else f", {line.at(axis.low)[1] * 30 / math.pi:.1f} rpm"
+        at = "" if axis.is_speed else f", {line.at(axis.low)[1] * TO_RPM:.1f} rpm"
         title = f"{loaded.name}{at}{what_if_words(settings, '; ')}"
         save(plot, draw_branches(found, axis.name, title, logarithmic=axis.logarithmic))
     if json:
@@ -73,7 +74,7 @@ def _speed(rig: Rig, speed: SpeedChoice) -> tuple[float | None, float | None]:
         if point not in rig.points:
             raise RigFileError(f"rig predict: no point {point!r} in {rig.name}; known: {', '.join(rig.points)}")
         return None, rig.points[point].speed_ratio
-    return None if speed_rpm is None else speed_rpm * math.pi / 30, speed_ratio
+    return None if speed_rpm is None else speed_rpm * RPM, speed_ratio
 
 
 def lines(found: SteadyBranches, key: str) -> list[str]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from rig_basics.units import TO_RPM
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.numbers import Positive, PositiveSeconds
 from rig_cli.options import Json, ParametersPath, Settings, check_outputs, what_if_words
@@ -70,7 +70,7 @@ def react(
         found = reaction(
             known.with_effects(before.physics), known.with_effects(after.physics), speed_rad_s, share, until.seconds
         )
-    title = f"{before.name}, {', '.join(change)} at {speed_rad_s * 30 / math.pi:.1f} rpm{what_if_words(settings, '; ')}"
+    title = f"{before.name}, {', '.join(change)} at {speed_rad_s * TO_RPM:.1f} rpm{what_if_words(settings, '; ')}"
     if plot is not None:
         from analysis.figures.page import write_figure
         from analysis.figures.reaction import draw_reaction
@@ -91,7 +91,7 @@ def react(
 def _json(found: Reaction, speed: float, share: float) -> dict[str, Any]:
     after = found.after
     return {
-        "speed_rpm": speed * 30 / math.pi,
+        "speed_rpm": speed * TO_RPM,
         "before": found.before.type,
         "before_mm": 1e3 * found.before.amplitude_m,
         "reaches": None if after is None else after.type,

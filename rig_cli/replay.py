@@ -16,9 +16,9 @@ from daq.errors import LogError
 from daq.log import Log, open_log
 from daq.playback import Playback, Played, open_outlets, played_devices
 from daq.replay import Check, check
-from daq.replay.anew import Anew, decode_anew
 from daq.replay.calibration import Calibration
 from daq.replay.compare import ChannelCheck
+from daq.replay.decoded_again import DecodedLog, decode_again
 from daq.replay.pace import paced
 from rig_cli.console import STDERR, notify, print_json, show
 from rig_cli.numbers import SecondsOrNone
@@ -180,7 +180,7 @@ def _first_difference(row: ChannelCheck) -> tuple[str, ...]:
 def _write_new(path: Path, output: Path, calibration: Path | None, json: bool) -> int:
     loaded = None if calibration is None else Calibration.load(calibration)
     with share_progress("decoding again") as progress:
-        made = decode_anew(path, output, loaded, progress)
+        made = decode_again(path, output, loaded, progress)
     if json:
         rows = {row.topic: {"origin": row.live, "anew": row.again, "moved": _fields_json(row)} for row in made.moved}
         print_json(
@@ -199,7 +199,7 @@ def _write_new(path: Path, output: Path, calibration: Path | None, json: bool) -
     return 0
 
 
-def _moved_lines(made: Anew) -> list[str]:
+def _moved_lines(made: DecodedLog) -> list[str]:
     lines: list[str] = []
     for row in made.moved:
         if row.live != row.again:

@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.table import Table
 
-from daq.drivers.items import Batch, Event
+from daq.items import Batch, Event
 from daq.log import Log
 from daq.log.losses import Losses
 from daq.replay.pace import Paced

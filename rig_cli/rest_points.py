@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rig_basics.units import TO_RPM
 from rig_cli.console import print_json, wait_for_compilation
 from rig_cli.options import what_if_words
 from rig_configs import IdentifiedParameters, Rig
@@ -126,7 +127,7 @@ def report_lost(rig: Rig, known: IdentifiedParameters, settings: Sequence[str], 
 
         title = f"{rig.name}: where singular points are lost{what_if_words(settings, '; ')}"
         write_figure(plot, draw_point_loss(physics, title), title)
-    rpm = physics.natural_frequencies_rad_s[0] * 30 / math.pi
+    rpm = physics.natural_frequencies_rad_s[0] * TO_RPM
     exact = physics.is_isotropic and physics.gravity_m_per_s2 == 0
     if json:
         print_json(

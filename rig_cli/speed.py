@@ -9,6 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from rig_basics.units import RPM
 from rig_cli.numbers import Positive, PositiveRpm
 from rig_configs import Rig, RigFileError
 
@@ -49,7 +50,7 @@ class SpeedChoice:
                 raise RigFileError(f"{command}: no point {self.point!r} in {rig.name}; known: {', '.join(rig.points)}")
             return rig.physics.speed_rad_s(rig.points[self.point].speed_ratio)
         rpm, ratio = self.speed_rpm, self.speed_ratio or 0.0
-        speed = rpm * math.pi / 30 if rpm is not None else rig.physics.speed_rad_s(ratio)
+        speed = rpm * RPM if rpm is not None else rig.physics.speed_rad_s(ratio)
         if not 0 < speed < math.inf:
             raise RigFileError(f"{command}: expected a speed above 0, got {speed:g} rad/s")
         return speed

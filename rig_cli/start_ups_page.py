@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.guided_tests.hands import HAND_RAMP_RPM_S
+from rig_basics.units import TO_RPM
 from rig_cli.share_progress import share_progress
 from rig_configs import Rig, RigFileError
 
@@ -41,7 +42,7 @@ def start_ups_json(rig: Rig, physics: RotorParameters, speed: float, count: int,
     if not (physics.a.present and physics.b.present):
         raise RigFileError("rig predict --start-ups: expected two pendulums or balls, the rig has fewer")
     ramp = HAND_RAMP_RPM_S if rig.roles.speed is None else rig.roles.speed.ramp_rpm_per_s
-    ramp_s = speed * 30 / math.pi / ramp
+    ramp_s = speed * TO_RPM / ramp
     with share_progress("starting up") as progress:
         ends = start_ups_from_rest(
             [physics] * count,
@@ -53,7 +54,7 @@ def start_ups_json(rig: Rig, physics: RotorParameters, speed: float, count: int,
     found = settled_scatter(ends.theta_rad, ends.amplitude_m[:, 0], balance_of(physics))
     locked = abs(locked_orbit(physics, speed)[0])
     if plot is not None:
-        title = f"{rig.name}: {count} start-ups from rest to {speed * 30 / math.pi:.0f} rpm, by the model"
+        title = f"{rig.name}: {count} start-ups from rest to {speed * TO_RPM:.0f} rpm, by the model"
         save(plot, draw_start_ups(found, title, {"locked at 0° and 180°": locked}))
     left = found.amplitude_m
     moving = int((ends.drift_rad > math.radians(0.1)).sum())

@@ -23,10 +23,9 @@ from daq.exchange.staging import Staging
 from daq.exchange.tables import Layout
 from identification.tracking.replay import SmoothedRun, TrackedRun
 from identification.tracking.tracker import STATE_NAMES
+from rig_basics.arrays import Array
 from rig_cli.console import plain
 from rig_cli.track_page import Tracking, tracking_json
-
-Array = NDArray[np.float64]
 
 TABLES, FIGURES = (".parquet", ".csv", ".npz"), (".svg", ".png", ".pdf")
 _DAMPINGS = ("c3_Nms_per_rad", "c4_Nms_per_rad")

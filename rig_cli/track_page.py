@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from daq.guided_tests.kinds import kind_of
+from daq.guided_test_kinds import kind_of
 from daq.signals.run import Run
 from identification import NotIdentifiable
 from identification.tracking.replay import TrackedRun

@@ -14,12 +14,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
+from rig_basics.arrays import Array
 from rig_configs.known import DRAG, KEPT_FRICTION, KnownSource
 
-Array = NDArray[np.float64]
 Reading = Literal["", "drag", "contact"]
 """Interpretation of a torque that grows with the square of the speed; "" if it is decided or does not exist."""
 
@@ -132,7 +131,7 @@ def read_as(provenance: Mapping[str, Any], reading: Reading) -> dict[str, Any]:
     return {**provenance, **none.table, **_with_contact_friction(provenance, drag)}
 
 
-def spread_between(provenance: Mapping[str, Any]) -> dict[str, Any]:
+def with_undecided_spread(provenance: Mapping[str, Any]) -> dict[str, Any]:
     """Return provenance with dry friction between none and all of an undecided drag, which counts as half of it."""
     drag = Drag.of(provenance)
     if drag is None or not drag.undecided:

@@ -11,17 +11,15 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
+from rig_basics.arrays import Array
 from rig_configs.drag import Drag
 from rig_configs.errors import ParametersFileError, RigFileError
 from rig_configs.known import LABEL, Known, KnownSource
 from rig_configs.slow_roll import SlowRoll
 from rig_configs.suspension_terms import SuspensionTerms
 from rig_configs.toml_text import parse_toml, read_text
-
-Array = NDArray[np.float64]
 
 PARAMETER_UNITS: Mapping[str, str] = {
     "k1_N_per_m": "N/m",

@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rig_basics.arrays import Array
 from rig_configs.known import INDEX, Known, gain_label
-
-Array = NDArray[np.float64]
 
 ORDER = ("run_out_x", "run_out_y", "bow")
 """Names of the complex numbers, in the order of the covariance: real and imaginary part of each."""

@@ -13,12 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
+from rig_basics.arrays import Array
 from rig_configs.known import gain_label
-
-Array = NDArray[np.float64]
 
 TERMS = ("hardening1_per_m2", "hardening2_per_m2", "damping_growth1_s_per_m", "damping_growth2_s_per_m")
 """Names of the terms in the order of their covariance: H1, H2, Q1, Q2."""

@@ -22,12 +22,13 @@ from daq.drivers.contract import (
     TurnsRotor,
     example_of,
 )
-from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.played import PlayedDevice
 from daq.errors import LinkLost
+from daq.items import RX, TX, Batch, Event
 from daq.transports.host_clock import HostClock
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import DeviceClock, World
+from rig_basics.units import TO_RPM
 from rig_configs import load_rig
 from rig_configs.device import DeviceSettings
 from rig_configs.schema import Radio, Sensors, Virtual
@@ -209,7 +210,7 @@ class Bench:
     @property
     def guard(self) -> RotorGuard:
         """Guard of a speed source: permission by the test, state of the simulated rotor."""
-        return RotorGuard(self._permit, self._at_rest, lambda: abs(self.motion.speed_rad_s) * 30 / np.pi)
+        return RotorGuard(self._permit, self._at_rest, lambda: abs(self.motion.speed_rad_s) * TO_RPM)
 
     def _permit(self, rpm: float | None) -> None:
         self.permitted.append(rpm)

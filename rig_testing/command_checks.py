@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import math
-
 from daq.channels import LOCKS_CLOSED
 from daq.drivers.contract import MovesLocks, SpeedSource, TurnsRotor
 from daq.errors import DeviceError, LinkLost, ProcedureError
+from rig_basics.units import TO_RPM
 from rig_configs.roles import PendulumAngles, PendulumLocks
 from rig_configs.roles import SpeedSource as SpeedRole
 from rig_testing.bench import Bench
@@ -123,7 +122,7 @@ def _control(bench: Bench) -> SpeedSource:
 
 
 def _rpm(bench: Bench) -> float:
-    return bench.motion.speed_rad_s * 30 / math.pi
+    return bench.motion.speed_rad_s * TO_RPM
 
 
 def check_locks(subject: Subject) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from daq.drivers.contract import Pipeline
-from daq.drivers.items import RX, Batch, Event
+from daq.items import RX, Batch, Event
 from rig_testing.bench import Items
 from rig_testing.report import Failed, NotTried, need
 from rig_testing.sizes import size_of

@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from daq.drivers.contract import CLAIMS, Line, TurnsRotor, claims_of, example_of
-from daq.drivers.items import RX
 from daq.drivers.simulated import FarEnd
 from daq.errors import DeviceError, LinkLost
+from daq.items import RX
 from rig_configs.device import DeviceSettings
 from rig_configs.roles import Displacement, OtherQuantity, PendulumAngles, PendulumLocks, Roles
 from rig_testing.bench import NAME, START_NS, Bench, PlayedTalk

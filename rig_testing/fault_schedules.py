@@ -33,6 +33,7 @@ from daq.replay import check
 from daq.virtual_rig.faults import LINE_FAULTS
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import DeviceClock, World
+from rig_basics.units import RPM
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from rig_testing.stages import AFTER_S, LockstepStage, RealTimeStage, Stage, Truth
@@ -43,7 +44,6 @@ Fields = list[tuple[str, int, float]]
 
 STOP_WITHIN_S = 0.5
 """Longest time from the limit of a needed channel to the order to stop, s."""
-_RPM = math.pi / 30
 _EARLY_S = 2e-3
 _SPREAD_SHARE = 0.6  # share of the samples, the nearest ones, that enter a fit's spread
 _SAME_SPREAD = 1.01  # ratio up to which two spreads are equal: the random difference if nothing moves
@@ -356,7 +356,7 @@ def _stopped_in_time(log: Log, rig: Rig, schedule: Schedule, result: Result, tru
     stops = [event["time_ns"] for event in log.events if event["kind"] == "stop"]
     stop_ns = stops[0] if stops else None
     zero_ns = truth.zero_ns
-    speed = np.abs(truth.rows[:, 9]) / _RPM
+    speed = np.abs(truth.rows[:, 9]) / RPM
     turning = truth.time_s[speed > _TURNS_RPM]
     if not len(turning):
         return
@@ -382,9 +382,9 @@ def _stopped_in_time(log: Log, rig: Rig, schedule: Schedule, result: Result, tru
 
 def _left_behind(truth: Truth, session: Session) -> Iterator[str]:
     """Check that the rotor is at rest in the end, or that the operator was warned."""
-    speed_rpm = float(truth.rows[-1, 9]) / _RPM
+    speed_rpm = float(truth.rows[-1, 9]) / RPM
     warned = any("keep away" in notice for notice in session.notices)
     if abs(speed_rpm) > 10.0 and not warned:
         yield f"the rotor turns at {speed_rpm:.0f} rpm {AFTER_S:g} s after the end, without a warning"
     if abs(truth.target_rad_s) > 0:
-        yield f"the drive was left with a target of {truth.target_rad_s / _RPM:.0f} rpm"
+        yield f"the drive was left with a target of {truth.target_rad_s / RPM:.0f} rpm"

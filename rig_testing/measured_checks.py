@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rig_basics.units import TO_RPM
 from rig_configs.roles import Displacement, PendulumAngles, RotorPhase, SpeedSource
 from rig_testing.bench import NOISE_M, START_NS, Tape
 from rig_testing.report import Failed, NotTried, need
@@ -89,7 +90,7 @@ def check_speed(subject: Subject) -> str:
     if role is None:
         raise NotTried("it turns no rotor")
     time_s, measured = _samples(subject, role.topic, "speed_rpm")
-    off = measured - _at(subject.tape, time_s, 9) * 30 / math.pi
+    off = measured - _at(subject.tape, time_s, 9) * TO_RPM
     need(float(np.max(measured)) > 50, "the rotor was commanded to turn, but the reported speed stays low")
     worst = float(np.max(np.abs(off)))
     need(worst < 20.0, f"{role.topic}: the speed reported is up to {worst:.1f} rpm off")

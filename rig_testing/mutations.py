@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from daq.drivers.items import RX
+from daq.items import RX
 from rig_testing.bench import Items
 from rig_testing.report import Failed, need
 from rig_testing.sizes import size_of

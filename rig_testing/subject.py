@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from daq.channels import Channel
 from daq.drivers.contract import Driver, Pipeline, SampleClock, TurnsRotor, claims_of
-from daq.drivers.items import Batch, Event, joined
+from daq.items import Batch, Event, joined
 from rig_configs.device import DeviceSettings
 from rig_configs.roles import (
     Displacement,

@@ -19,6 +19,7 @@ from dynamics.steady.basins.basin_map import BasinMap, basins, same_orbit
 from dynamics.steady.basins.ends import End
 from dynamics.steady.basins.following import STATED_ERROR_RAD
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit
+from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters
 from rig_configs.load import rig_from_text
 from studies.study import Answer, Study
@@ -28,7 +29,6 @@ from studies.tiling import Part, parts_of
 _MAX_RELEASES, _MAX_COLUMNS = 2400, 60  # of one tile; columns along θ3
 _SAME_RAD = 1e-3  # largest difference between the angles of one steady state
 _GRIDS = ("end", "sure", "caught_s", "settled_s", "amplitude_m", "apart_rad", "turns")
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

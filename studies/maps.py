@@ -8,12 +8,12 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.maps.answers import compile_maps
 from analysis.maps.question import MapQuestion
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.stability_map import StabilityMap, plane_map
+from rig_basics.arrays import Array
 from studies.errors import StudyInputError
 from studies.study import Answer, Study
 from studies.tile_files import TileFolder
@@ -48,7 +48,7 @@ def _parsed(text: str) -> tuple[MapQuestion, list[Part]]:
 
 
 @lru_cache(maxsize=8)
-def _plane(text: str) -> tuple[Plane, NDArray[np.floating], NDArray[np.floating]]:
+def _plane(text: str) -> tuple[Plane, Array, Array]:
     """Return the plane and the values of its numbers."""
     question = _parsed(text)[0]
     return question.plane(), question.x.values, question.y.values

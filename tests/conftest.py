@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import HealthCheck, settings
 
-from rig_cli.simulated import VirtualRigProcess
 from dynamics.compiled_code import keep_compiled_code
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 

@@ -7,12 +7,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.figures.recorded import LEAST_MARKS, displacements
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
 
 _SMOOTH_S = 5e-3  # much shorter than a swing of the column, much longer than a laser's sample interval
 _MIN_PLUCK_NOISE = 30.0  # deflection of a pluck over the noise

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 ANGLE_FOOT = (
     "Pendulum angles: relative to the rotor, 0° at the imbalance, positive in the sense of rotation; unwrapped, the "

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from analysis.figures.style import GREY, drawing, label
 from dynamics.steady.basins.basin_map import BasinMap
 from dynamics.steady.basins.ends import End
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
+from rig_basics.units import TO_RPM
 
 _COLOURS = {
     "I": ("#0072B2", "#56B4E9"),
@@ -70,7 +70,7 @@ def draw_basins(found: BasinMap, title: str, play_deg: float = 0.2) -> Figure:
             0.065,
             0.015,
             f"+ release of the real locks, A at {_LOCKS_DEG[0]:g}°, B at {_LOCKS_DEG[1]:g}° (± {play_deg:g}° of play); "
-            f"each release followed for {found.seconds:g} s at {found.speed_rad_s * 30 / math.pi:.1f} rpm",
+            f"each release followed for {found.seconds:g} s at {found.speed_rad_s * TO_RPM:.1f} rpm",
             fontsize=8,
             color=GREY,
             parse_math=False,

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from analysis.figures.intervals import TIMES, band, interval_words, phase_half_deg
-from analysis.figures.order_vectors import RPM, Vectors, amplification_words, cut_words, passed_vectors
+from analysis.figures.order_vectors import Vectors, amplification_words, cut_words, passed_vectors
 from analysis.figures.sheet import (
     AMPLITUDE,
     MEASURED_LOOK,
@@ -29,6 +29,7 @@ from analysis.figures.style import label
 from analysis.rig_model import RigModel
 from analysis.simulated_run import NOT_FOLLOWED
 from daq.signals.run import Run
+from rig_basics.units import TO_RPM
 
 _HEADROOM = 1.35  # upper limit over the largest measured amplitude; a steady resonance may exceed it
 
@@ -78,7 +79,7 @@ def _of(model: RigModel | None) -> str:
 
 
 def _draw(upper: Axes, lower: Axes, found: Vectors, level: Vectors, look: Look, text: str) -> None:
-    speed, phase, size = RPM * found.speed_rad_s, found.phase_deg(level), 1e3 * np.abs(found.amplitude_m)
+    speed, phase, size = TO_RPM * found.speed_rad_s, found.phase_deg(level), 1e3 * np.abs(found.amplitude_m)
     upper.plot(speed, phase, **look)
     lower.plot(speed, size, label=text, **look)
     if np.any(found.std_m > 0):

@@ -8,13 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.style import GREY, MEASURED, MODEL, label
 from dynamics.steady.branches import Branch, SteadyBranches
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 A_COLOUR, B_COLOUR = MEASURED, MODEL
 

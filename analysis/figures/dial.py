@@ -15,7 +15,6 @@ from matplotlib.projections.polar import PolarAxes
 
 from analysis.errors import NoStableState, NotEnoughData
 from analysis.figures.angles import ANGLE_FOOT
-from analysis.figures.order_vectors import RPM
 from analysis.figures.sheet import sheet
 from analysis.figures.steady_part import steady_part
 from analysis.figures.style import GREY, MEASURED, MODEL
@@ -24,6 +23,7 @@ from analysis.rig_model import RigModel
 from analysis.simulated_run import locked_angles
 from analysis.steady_state import measure
 from daq.signals.run import Run
+from rig_basics.units import TO_RPM
 
 Angles = tuple[float, float]
 
@@ -57,7 +57,7 @@ def draw_dial(run: Run, model: RigModel | None = None, over: Run | None = None) 
     speed = steady_part(run).speed_rad_s
     predicted = None if model is None or not run.releases else _predicted(model, speed, own.theta)
     other = None if over is None else _measured(over, model)
-    title = f"Pendulum dial: {Path(run.source).name} ({run.test}), {RPM * speed:.1f} rpm"
+    title = f"Pendulum dial: {Path(run.source).name} ({run.test}), {TO_RPM * speed:.1f} rpm"
     foot = [ANGLE_FOOT, "Circle: pendulum A (θ3), square: pendulum B (θ4). Arcs: 95 % intervals."]
     extra = 1.4 if other is not None and predicted is not None else 0.0
     with sheet(7.2 + extra, 4.2, title, foot) as figure:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from analysis.figures.style import GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline, pin, to_svg
 from daq.signals.run import point_of
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _FINE_RATIO = 1e3  # curve over residual above which the residual is shown in thousandths of the unit
 _SMALLER = {"mm": ("µm", 1e3), "°": ("m°", 1e3)}

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.figures.sheet import WIDTH_IN, Look, sheet
@@ -24,8 +23,7 @@ from daq.log import Log
 from daq.log.content import seconds, stretches
 from daq.log.samples import Samples
 from daq.log.snapshot import rig_of
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _MAX_BINS = 240
 _MIN_BIN_S = 0.5

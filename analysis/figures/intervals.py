@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
 from analysis.figures.order_vectors import Vectors
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 TIMES = 1.96
 """Half width of a 95 % interval of one number, in standard deviations."""

@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from analysis.figures.order_vectors import RPM
 from analysis.figures.sheet import WIDTH_IN, Look, sheet
 from analysis.figures.steady_part import steady_part
 from analysis.figures.steady_sweep import SweptState, steady_sweep
@@ -21,6 +20,7 @@ from analysis.rig_model import RigModel
 from daq.signals.run import Run, point_of
 from dynamics import SteadyState, steady_states
 from dynamics.errors import DynamicsError
+from rig_basics.units import TO_RPM
 
 _SPEEDS = 90
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444")
@@ -83,9 +83,9 @@ def draw_multipliers(points: Sequence[SpeedPoint], model: RigModel) -> Figure:
                 "mew": 1.5,
                 "ms": 6.5,
             }
-            text = f"{point.name}: {state.type}, {RPM * point.speed_rad_s:.0f} rpm, |μ| {state.multiplier_max:.3f}"
+            text = f"{point.name}: {state.type}, {TO_RPM * point.speed_rad_s:.0f} rpm, |μ| {state.multiplier_max:.3f}"
             plane.plot(state.multipliers.real, state.multipliers.imag, label=text, **look)
-            along.plot([RPM * point.speed_rad_s], [state.multiplier_max], zorder=5, **look)
+            along.plot([TO_RPM * point.speed_rad_s], [state.multiplier_max], zorder=5, **look)
         plane.set_aspect("equal", adjustable="datalim")
         plane.margins(0.08)
         label(plane, "real part", "imaginary part")
@@ -117,11 +117,11 @@ def _along(axes: Axes, swept: Sequence[SweptState], model: RigModel, top: float)
                 if rank < len(moduli):
                     values[i] = moduli[rank]
             if np.isfinite(values).any():
-                axes.plot(RPM * np.array(speeds), values, color=colour, ls=dashes, lw=1.5, label=text)
+                axes.plot(TO_RPM * np.array(speeds), values, color=colour, ls=dashes, lw=1.5, label=text)
     axes.axhline(1.0, color="#333333", lw=0.9)
     for natural in model.speeds_rad_s:
-        axes.plot([RPM * natural], [0.62], marker="x", color="#333333", ms=6, ls="")
-    axes.set_xlim(0, RPM * top)
+        axes.plot([TO_RPM * natural], [0.62], marker="x", color="#333333", ms=6, ls="")
+    axes.set_xlim(0, TO_RPM * top)
     axes.set_ylim(0.6, _least_top(swept))
     label(axes, "speed, rpm", "largest |multiplier|")
 

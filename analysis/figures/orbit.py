@@ -11,11 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator
-from numpy.typing import NDArray
 
 from analysis.figures.intervals import TIMES, TIMES_IN_PLANE, area, interval_words
 from analysis.figures.order_vectors import (
-    RPM,
     ByName,
     PassedVectors,
     Vectors,
@@ -31,8 +29,8 @@ from analysis.figures.style import GREY, MEASURED, label
 from analysis.quantities.orbits import OrbitEllipse, orbit_ellipse
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
+from rig_basics.units import TO_RPM
 
 _ELLIPSE_LOOK: Look = {"color": MEASURED, "ls": "-", "lw": 2.6, "alpha": 0.6}
 _RAW_TURNS = 3
@@ -202,7 +200,7 @@ def _panel(axes: Axes, panel: OrbitPanel, model: str, over: str) -> None:
         _ellipse(axes, panel.over, OVER_LOOK, over, filled=True)
     _square(axes)
     sense, size = _words(panel.measured)
-    axes.set_title(f"{RPM * panel.speed_rad_s:.1f} rpm, {sense}\n{size}", fontsize=8.5, parse_math=False)
+    axes.set_title(f"{TO_RPM * panel.speed_rad_s:.1f} rpm, {sense}\n{size}", fontsize=8.5, parse_math=False)
 
 
 def _interval(axes: Axes, panel: OrbitPanel) -> None:

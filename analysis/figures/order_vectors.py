@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.figures.recorded import LEAST_MARKS, displacements, marks_words, need_vectors
@@ -20,11 +19,9 @@ from analysis.rig_model import RigModel
 from analysis.rounding import with_std
 from analysis.simulated_run import SimulatedRun, locked_angles, simulate_run
 from daq.signals.run import Run
+from rig_basics.arrays import Array, Complex
+from rig_basics.units import TO_RPM
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
-RPM = 30 / math.pi
 _MAX_SPREAD = 0.05  # of the speed, relative to its median: below it a run has one speed
 _STEADY_POINTS = 1500
 _WINDOW_TURNS = 4  # revolutions per window of the average at one speed
@@ -86,7 +83,8 @@ def cut_words(found: PassedVectors, tops_m: Mapping[str, float]) -> list[str]:
         tops_m: upper limit of each displacement's plot, m.
     """
     cut = [
-        f"{name} reaches {1e3 * float(size.max()):.3g} mm at {RPM * steady.speed_rad_s[int(np.argmax(size))]:.1f} rpm"
+        f"{name} reaches {1e3 * float(size.max()):.3g} mm at "
+        f"{TO_RPM * steady.speed_rad_s[int(np.argmax(size))]:.1f} rpm"
         for name, steady in found.steady.items()
         if name in tops_m and len(size := np.abs(steady.amplitude_m)) and float(size.max()) > tops_m[name]
     ]
@@ -109,7 +107,7 @@ def amplification_words(run: Run) -> list[str]:
     if not found:
         return []
     factors = ", ".join(
-        f"{with_std(each.factor, each.std)} at {RPM * each.peak_rad_s:.1f} rpm, {math.degrees(each.axis_rad):.1f}°"
+        f"{with_std(each.factor, each.std)} at {TO_RPM * each.peak_rad_s:.1f} rpm, {math.degrees(each.axis_rad):.1f}°"
         for each in sorted(found, key=lambda one: one.peak_rad_s)
     ).replace("-", "−")
     return [
@@ -150,8 +148,8 @@ def need_speeds(run: Run, what: str) -> None:
     low, high = speed_range(run)
     if not changes_speed(run):
         raise NotEnoughData(
-            f"{run.source}: expected a run through speeds for {what}, its speed stays between {low * RPM:.1f} and "
-            f"{high * RPM:.1f} rpm; give the log of a run-up"
+            f"{run.source}: expected a run through speeds for {what}, its speed stays between {low * TO_RPM:.1f} and "
+            f"{high * TO_RPM:.1f} rpm; give the log of a run-up"
         )
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.figures.passages import Displacement, Passage, passages
@@ -18,8 +17,7 @@ from analysis.figures.style import label
 from analysis.quantities.order_maps import OrderMap, order_map
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _HIGHEST = 4.0
 _REVOLUTIONS = 8

@@ -13,13 +13,11 @@ from matplotlib import dates
 from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.figures.log_marks import drawable
 from analysis.figures.sheet import LEAST_FONT_PT
 from analysis.figures.style import GREY, MEASURED, MODEL, drawing, label
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _TIMES = 1.96  # standard deviations of a 95 % interval
 _COLUMNS = 2

@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
-from analysis.figures.order_vectors import RPM, changes_speed
+from analysis.figures.order_vectors import changes_speed
 from analysis.quantities.rotor_phase import phase_at, speed_at
 from analysis.rig_model import RigModel
 from analysis.simulated_run import simulate_run
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
+from rig_basics.units import TO_RPM
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class Passage:
 
     def level(self, time_s: Array) -> Array:
         """Return the positions of times on that axis."""
-        return RPM * speed_at(self.run, time_s) if self.by_speed else time_s
+        return TO_RPM * speed_at(self.run, time_s) if self.by_speed else time_s
 
     def orders_Hz(self, time_s: Array) -> Array:
         """Return the frequency of 1× at times, Hz."""

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,6 +22,7 @@ from analysis.maps.answers import FamilyMember, MapAnswer
 from analysis.maps.axes import name_of, symbol_of
 from analysis.maps.families import BestValue, SearchRange
 from daq.version import software_version
+from rig_basics.units import TO_RPM
 
 _HEIGHT_IN, _BELOW_IN = 4.4, 2.0
 _MAX_READOUT = 400  # points per side in a page's readout
@@ -33,7 +33,7 @@ def draw_map(found: MapAnswer) -> tuple[Figure, Readout | None]:
     question, rig, frame = found.question, found.question.loaded(), frame_of(found.question)
     varied = f", for values of {symbol_of(question.family.keys)[0]}" if question.family else ""
     turns = question.x.is_speed or question.y.is_speed
-    speed = f" at {question.speed_rad_s * 30 / math.pi:.4g} rpm" if question.speed_rad_s and not turns else ""
+    speed = f" at {question.speed_rad_s * TO_RPM:.4g} rpm" if question.speed_rad_s and not turns else ""
     title = f"{rig.name}: where the balanced state is stable{speed}{varied}{what_if(question)}"
     height = _HEIGHT_IN + (_BELOW_IN if found.best else 0.0)
     with sheet(WIDTH_IN, height, title, _foot(found, frame.own is not None)) as figure:

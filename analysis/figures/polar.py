@@ -10,11 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]
 
 from analysis.figures.intervals import TIMES_IN_PLANE, area, interval_words
-from analysis.figures.order_vectors import RPM, Vectors, cut_words, passed_vectors
+from analysis.figures.order_vectors import Vectors, cut_words, passed_vectors
 from analysis.figures.sheet import (
     LEAST_FONT_PT,
     MEASURED_LOOK,
@@ -30,8 +29,8 @@ from analysis.figures.stamp_lag import lag_words
 from analysis.figures.style import label
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
-
-Complex = NDArray[np.complex128]
+from rig_basics.arrays import Complex
+from rig_basics.units import TO_RPM
 
 _RAYS = tuple(22.5 + 45.0 * k for k in range(8))
 _MAX_VECTORS, _BETWEEN, _CURVE_POINTS = 1200, 8, 200
@@ -124,7 +123,7 @@ def _speeds(axes: Axes, found: Vectors, top: float) -> list[complex]:
     """Write speeds along the curve without overlap; return the positions of numbers and curve, by the radius."""
     vectors = _smooth(found.amplitude_m)
     rows = np.arange(len(found.speed_rad_s))
-    speed = RPM * np.interp(np.linspace(0, len(rows) - 1, len(vectors)), rows, found.speed_rad_s)
+    speed = TO_RPM * np.interp(np.linspace(0, len(rows) - 1, len(vectors)), rows, found.speed_rad_s)
     if speed[-1] < speed[0]:
         speed, vectors = speed[::-1], vectors[::-1]
     span = float(speed[-1] - speed[0])

@@ -6,12 +6,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 LEAST_MARKS = 3
 

@@ -14,8 +14,7 @@ from analysis.errors import NotEnoughData
 from analysis.figures.fit import FitCurve
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.style import GREY, MEASURED, MODEL, band, bins_for, label, outline
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _CLOSE_CYCLES = 8
 _CLOSE_SAMPLES = 900

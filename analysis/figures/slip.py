@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
-from analysis.figures.order_vectors import RPM, changes_speed, speed_range
+from analysis.figures.order_vectors import changes_speed, speed_range
 from analysis.figures.sheet import MODEL_LOOK, WIDTH_IN, Look, sheet
 from analysis.figures.steady_part import steady_part
 from analysis.figures.steady_sweep import SweptState, steady_sweep
@@ -23,8 +22,7 @@ from analysis.quantities.rotor_phase import phase_at
 from analysis.quantities.slip import SlipTrack, slip_track
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
+from rig_basics.units import TO_RPM
 
 _SPEEDS = 48
 _STILL_RAD = 0.05
@@ -74,7 +72,7 @@ def draw_slip(runs: Sequence[Run], model: RigModel | None = None) -> Figure:
         for run in runs:
             if changes_speed(run):
                 _curve(grid, run)
-        _axes(grid, ends, (low * RPM, high * RPM), model)
+        _axes(grid, ends, (low * TO_RPM, high * TO_RPM), model)
         figure.align_ylabels(grid)
     return figure
 
@@ -122,7 +120,7 @@ def _branches(grid: Sequence[Axes], found: Sequence[SweptState], name: str) -> N
         for stable, text in ((True, f"stable, {name}"), (False, f"unstable, {name}")):
             chosen = [s for s in found if s.state.stable == stable]
             grid[j].plot(
-                [RPM * s.speed_rad_s for s in chosen],
+                [TO_RPM * s.speed_rad_s for s in chosen],
                 [math.degrees(s.state.theta_rad[j]) % 360.0 for s in chosen],
                 ls="",
                 marker="o" if stable else "x",
@@ -136,7 +134,7 @@ def _branches(grid: Sequence[Axes], found: Sequence[SweptState], name: str) -> N
 
 
 def _point(grid: Sequence[Axes], end: _End) -> None:
-    speed = RPM * end.speed_rad_s
+    speed = TO_RPM * end.speed_rad_s
     look: Look = {
         "marker": "D",
         "ms": 8,
@@ -165,7 +163,7 @@ def _point(grid: Sequence[Axes], end: _End) -> None:
 def _curve(grid: Sequence[Axes], run: Run) -> None:
     held = ", locked" if _locked(run) else ""
     track = slips_of(run)
-    speed = RPM * track.speed_rad_s
+    speed = TO_RPM * track.speed_rad_s
     for j in range(2):
         degrees = (np.degrees(track.angle_rad[:, j]) + 5.0) % 360.0 - 5.0
         degrees[1:][np.abs(np.diff(degrees)) > 180.0] = np.nan
@@ -200,9 +198,9 @@ def _axes(grid: Sequence[Axes], ends: Sequence[_End], span: tuple[float, float],
     grid[2].set_ylim(-reach, reach)
     grid[2].set_xlim(0, span[1])
     top = grid[0].secondary_xaxis("top")
-    top.set_xticks([RPM * end.speed_rad_s for end in ends], [end.name for end in ends], fontsize=8.5)
+    top.set_xticks([TO_RPM * end.speed_rad_s for end in ends], [end.name for end in ends], fontsize=8.5)
     if model is not None:
         for axes in grid:
             for natural in model.speeds_rad_s:
-                if natural * RPM < span[1]:
-                    axes.axvline(natural * RPM, color="#777777", lw=0.8, ls=":")
+                if natural * TO_RPM < span[1]:
+                    axes.axvline(natural * TO_RPM, color="#777777", lw=0.8, ls=":")

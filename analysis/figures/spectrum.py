@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
-from analysis.figures.order_vectors import RPM, changes_speed, speed_range
+from analysis.figures.order_vectors import changes_speed, speed_range
 from analysis.figures.recorded import LEAST_MARKS
 from analysis.figures.sheet import MODEL_LOOK, OVER_LOOK, WIDTH_IN, Look, sheet
 from analysis.figures.steady_part import SteadyPart, held_part, steady_part
@@ -23,8 +23,8 @@ from analysis.quantities.spectra import Spectrum, full_spectrum, power_density
 from analysis.rig_model import RigModel
 from analysis.simulated_run import NOT_FOLLOWED, SimulatedRun, simulate_run
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
+from rig_basics.units import TO_RPM
 
 _AVERAGES = 4  # half-overlapping windows in the interval
 _MIN_RANGE_Hz = 15.0
@@ -103,8 +103,9 @@ def _part(run: Run) -> _Part:
         if passing:
             low, high = speed_range(run)
             words = (
-                f"the longest stretch at one speed, {end - start:.1f} s at {RPM * steady.speed_rad_s:.1f} rpm from "
-                f"{start:.1f} s; the run goes through {RPM * low:.0f}…{RPM * high:.0f} rpm, as its waterfall shows"
+                f"the longest stretch at one speed, {end - start:.1f} s at {TO_RPM * steady.speed_rad_s:.1f} rpm from "
+                f"{start:.1f} s; the run goes through {TO_RPM * low:.0f}…{TO_RPM * high:.0f} rpm, as its waterfall "
+                "shows"
             )
     else:
         start, end, turns = float(run.x_time_s[0]), float(run.x_time_s[-1]), math.nan

@@ -12,10 +12,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.figures.order_vectors import RPM, PassedVectors, Vectors
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from analysis.figures.order_vectors import PassedVectors, Vectors
+from rig_basics.arrays import Array, Complex
+from rig_basics.units import TO_RPM
 
 _MAX_REST_RAD, _MAX_REST_SHARE = math.radians(1.5), 0.25  # rms residual of a line, absolute and of the whole phase
 _MIN_STDS = 3.0  # phase at one speed in standard deviations above which it is reported
@@ -74,8 +73,8 @@ def _one_speed_words(found: PassedVectors) -> list[str]:
     if not messages:
         return []
     return [
-        f"Measured against the model's 1× phase at {RPM * speed:.1f} rpm: {'; '.join(messages)}. At one speed a shift "
-        f"of the stamps cannot be separated from a phase. {_FREE}"
+        f"Measured against the model's 1× phase at {TO_RPM * speed:.1f} rpm: {'; '.join(messages)}. At one speed a "
+        f"shift of the stamps cannot be separated from a phase. {_FREE}"
     ]
 
 

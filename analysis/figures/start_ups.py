@@ -9,13 +9,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.style import GOOD, GREY, MEASURED, label
 from analysis.settled_scatter import SettledScatter
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 SYMBOLS = "osD^v<>pPX*hH8d"
 """Markers of the start-ups, one each; repeated after the last."""

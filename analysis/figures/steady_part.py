@@ -7,19 +7,17 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.figures.recorded import LEAST_MARKS, marks_words
 from analysis.steady_state import AVERAGE_S, plateau_end
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
+from rig_basics.units import TO_RPM
 
 _MIN_TURNS = 4.0
 _MAX_SPEED_RANGE = 0.01  # relative range of the revolutions' speeds in an interval at one speed
 _MIN_HELD_S = 3.0  # yields spectra with a resolution better than 1 Hz
-_RPM = 30 / math.pi
 
 
 @dataclass(frozen=True)
@@ -89,8 +87,8 @@ def held_part(run: Run) -> SteadyPart:
     if end - start < _MIN_HELD_S:
         raise NotEnoughData(
             f"{run.source} ({run.test}): expected a speed that stays within 1 % for {_MIN_HELD_S:g} s, it goes from "
-            f"{_RPM * float(speed[0]):.1f} to {_RPM * float(speed[-1]):.1f} rpm and stays for {end - start:.1f} s at "
-            "most: one spectrum of it would smear every order; draw its waterfall or its orders instead"
+            f"{TO_RPM * float(speed[0]):.1f} to {TO_RPM * float(speed[-1]):.1f} rpm and stays for {end - start:.1f} s "
+            "at most: one spectrum of it would smear every order; draw its waterfall or its orders instead"
         )
     release = max((r.time_s for r in run.releases), default=math.nan)
     return SteadyPart(start, end, float(phase[best[1]] - phase[best[0]]) / (end - start), release)

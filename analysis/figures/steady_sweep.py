@@ -7,13 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.rig_model import RigModel
 from dynamics import SteadyState, steady_states
 from dynamics.errors import DynamicsError
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _ACCURACY = 1e-6
 

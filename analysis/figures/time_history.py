@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.figures.alignment import aligned
 from analysis.figures.angles import ANGLE_FOOT, degree_ticks, whole_turns
-from analysis.figures.order_vectors import RPM, changes_speed, compared_vectors
+from analysis.figures.order_vectors import changes_speed, compared_vectors
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.stamp_lag import lag_words
 from analysis.figures.steady_part import steady_part
@@ -23,8 +22,9 @@ from analysis.figures.style import GOOD, MEASURED, MODEL, band, bins_for, label,
 from analysis.rig_model import RigModel
 from analysis.simulated_run import NOT_FOLLOWED, SimulatedRun, simulate_run
 from daq.signals.run import Run
+from rig_basics.arrays import Array
+from rig_basics.units import TO_RPM
 
-Array = NDArray[np.float64]
 Pair = tuple[Array, Array]
 
 _CLOSE_TURNS = 4  # of the close view
@@ -126,7 +126,7 @@ def _displacement(run: Run, name: str, shift: float = 0.0) -> Pair | None:
 
 def _speed(run: Run, shift: float = 0.0) -> Pair:
     middle = 0.5 * (run.mark_time_s[1:] + run.mark_time_s[:-1])
-    return middle + shift, RPM * np.diff(run.mark_phase_rad) / np.diff(run.mark_time_s)
+    return middle + shift, TO_RPM * np.diff(run.mark_phase_rad) / np.diff(run.mark_time_s)
 
 
 def _turns_Hz(run: Run) -> float:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from analysis.figures.log_marks import drawable
 from analysis.figures.style import GOOD, GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _TIMES = 1.96  # standard deviations of a 95 % interval
 _MAX_POINTS = 4000  # of a measured signal drawn as points; more are drawn as a band

@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.errors import NotEnoughData
 from analysis.figures.passages import Displacement, Passage, passages
@@ -21,8 +20,7 @@ from analysis.figures.style import MEASURED, MODEL, label
 from analysis.quantities.spectra import amplitude_spectrum
 from analysis.rig_model import RigModel
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _SPECTRA, _POINTS = 27, 200
 _MIN_PEAK_SHARE = 0.01  # of the tallest line: lower lines do not hide the spectra behind them

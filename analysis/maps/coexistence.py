@@ -8,14 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.maps.question import MapQuestion
 from analysis.maps.states import StateArrays
 from dynamics.stability.map_plane import Plane
 from dynamics.steady.basins.coexisting import StableMotions, stable_motions
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 MOTIONS = ("I", "II", "III", "one", "slipping")
 """Kinds of motion; the n-th is the bit 2ⁿ of `stable`."""

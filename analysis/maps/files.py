@@ -4,10 +4,7 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import zipfile
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import NoMapFile
-from analysis.maps.question import MapQuestion
-from analysis.maps.records import FORMAT, MapRecord, RecordedBorder
+from analysis.maps.file_parts import keys_of, replaced
+from analysis.maps.records import MapRecord, RecordedBorder
 from rig_configs import RigConfigError
 
 SUFFIXES = (".npz", ".parquet", ".zarr")
@@ -84,28 +81,6 @@ def load_map(path: str | Path) -> MapRecord:
         return _read_npz(path)
     except (KeyError, ValueError, TypeError, RigConfigError, zipfile.BadZipFile) as error:
         raise NoMapFile(f"{path}: expected a map as `rig map -o` writes it; problem: {error!r}") from error
-
-
-def keys_of(provenance: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the keys of x and of y."""
-    if provenance.get("format") != FORMAT:
-        raise ValueError(f"format {provenance.get('format')!r}, known is {FORMAT!r}")
-    question = MapQuestion.of_json(provenance["question"])
-    return question.x.keys, question.y.keys
-
-
-def replaced(path: Path, write: Callable[[Path], None]) -> None:
-    """Write under a temporary name in the same folder, then replace the file or store."""
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        write(part)
-        if path.is_dir():
-            shutil.rmtree(path)
-        os.replace(part, path)
-    finally:
-        if part.is_dir():
-            shutil.rmtree(part)
-        part.unlink(missing_ok=True)
 
 
 def _write_npz(path: Path, kept: MapRecord) -> None:

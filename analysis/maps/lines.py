@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from analysis.maps.axes import NAMES, SPEED_RATIO, STIFFNESS_RATIO, MapAxis
 from dynamics import RotorParameters
 from dynamics.steady.branches import SteadyBranches, steady_branches
+from rig_basics.units import RPM
 from rig_configs import Rig, RigFileError
 from rig_configs.physical_keys import with_physical
 
@@ -39,7 +39,7 @@ class RigLine:
             elif key not in NAMES:
                 changed = with_physical(changed, key, value)
         if self.axis.is_speed:
-            return changed, changed.speed_rad_s(value) if self.axis.keys[0] == SPEED_RATIO else value * math.pi / 30
+            return changed, changed.speed_rad_s(value) if self.axis.keys[0] == SPEED_RATIO else value * RPM
         if self.speed_rad_s is not None:
             return changed, self.speed_rad_s
         assert self.speed_ratio is not None

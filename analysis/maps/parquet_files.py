@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from analysis.maps.files import keys_of, replaced
+from analysis.maps.file_parts import keys_of, replaced
 from analysis.maps.records import MapRecord, RecordedBorder
 
 _KEY = b"rig map"

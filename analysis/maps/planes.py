@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 from analysis.maps.axes import NAMES, SPEED_RATIO, SPEEDS, STIFFNESS_RATIO, MapAxis
 from dynamics import RotorParameters, balanced_angles
 from dynamics.stability.map_plane import Plane, RigPlane, SpeedStiffnessPlane
+from rig_basics.units import RPM
 from rig_configs import Rig, RigFileError
 from rig_configs.physical_keys import with_physical
 
@@ -46,7 +46,7 @@ def plane_over(rig_with: Callable[[list[str]], Rig], axes: tuple[MapAxis, MapAxi
                     changed = with_physical(changed, key, value)
         for axis, value in zip(axes, (one_x, one_y), strict=True):
             if axis.is_speed:
-                speed = changed.speed_rad_s(value) if axis.keys[0] == SPEED_RATIO else value * math.pi / 30
+                speed = changed.speed_rad_s(value) if axis.keys[0] == SPEED_RATIO else value * RPM
         assert speed is not None
         return changed, speed
 

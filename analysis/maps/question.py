@@ -15,6 +15,7 @@ from analysis.maps.axes import STIFFNESS_RATIO, MapAxis
 from analysis.maps.families import Family, SearchRange
 from analysis.maps.planes import plane_over
 from dynamics.stability.map_plane import Plane
+from rig_basics.units import RPM
 from rig_configs import IdentifiedParameters, ParametersFileError, Rig, RigFileError
 from rig_configs.load import rig_from_text, rig_text
 from rig_configs.toml_text import read_text
@@ -231,4 +232,4 @@ def speed_of(rig: Rig, point: str | None, speed_ratio: float | None, speed_rpm: 
         return rig.physics.speed_rad_s(rig.points[point].speed_ratio)
     if speed_ratio is not None:
         return rig.physics.speed_rad_s(speed_ratio)
-    return None if speed_rpm is None else speed_rpm * math.pi / 30
+    return None if speed_rpm is None else speed_rpm * RPM

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Classes = NDArray[np.intp]
+from rig_basics.arrays import Array, Indices
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ def refined_grid(
     x: Array,
     y: Array,
     levels: int,
-    classes: Callable[[Array], Classes],
+    classes: Callable[[Array], Indices],
     *,
     interpolated: bool = True,
     progress: Callable[[float], None] | None = None,
@@ -71,7 +70,7 @@ class _Level:
     """One grid with its known values."""
 
     def __init__(
-        self, x: Array, y: Array, evaluate: Callable[[Array, Array], Array], classes: Callable[[Array], Classes]
+        self, x: Array, y: Array, evaluate: Callable[[Array, Array], Array], classes: Callable[[Array], Indices]
     ) -> None:
         self.x, self.y = x, y
         self.values = np.full((len(y), len(x)), np.nan)

@@ -14,9 +14,8 @@ from analysis.maps.refinement import refined_grid
 from dynamics.stability.map_plane import Plane
 from dynamics.steady.basins.single import release_ends
 from dynamics.steady.outcome import PLAY_RAD
+from rig_basics.arrays import Array, Indices
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 StateArrays = Mapping[str, NDArray[np.floating]]
 """Arrays by name, see `states_at`."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import NoMapFile
-from analysis.maps.files import keys_of
+from analysis.maps.file_parts import keys_of
 from analysis.maps.records import MapRecord, RecordedBorder
 
 _CHUNK = 512  # points per side

@@ -11,13 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.quantities.orbits import turned
 from analysis.quantities.order_tracking import OrderTrack
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from rig_basics.arrays import Array, Complex
 
 
 @dataclass(frozen=True)

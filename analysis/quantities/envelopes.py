@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.ndimage import gaussian_filter1d
 
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _BASIS = np.array([[1, -3, 3, -1], [4, 0, -6, 3], [1, 3, 3, -3], [0, 0, 0, 1]]) / 6.0
 """Cubic B-splines by powers of u within one interval: row a is the spline that began 3 − a intervals before it."""

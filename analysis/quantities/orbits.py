@@ -7,10 +7,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from rig_basics.arrays import Array, Complex
 
 
 @dataclass(frozen=True)

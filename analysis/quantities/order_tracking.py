@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.quantities.envelopes import Envelopes, fit_envelopes
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from rig_basics.arrays import Array, Complex
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]
 
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 
 def phase_at(run: Run, time_s: Array) -> Array:

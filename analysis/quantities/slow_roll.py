@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 
 from analysis.quantities.order_tracking import OrderTrack
+from rig_basics.units import TO_RPM
 
 
 def slow_roll_vector(track: OrderTrack, order: int = 1, *, below_rad_s: float | None = None) -> tuple[complex, float]:
@@ -23,10 +24,8 @@ def slow_roll_vector(track: OrderTrack, order: int = 1, *, below_rad_s: float | 
     limit = float(np.quantile(track.speed_rad_s, 0.1)) if below_rad_s is None else below_rad_s
     slow = track.speed_rad_s <= limit
     if not slow.any():
-        least = float(track.speed_rad_s.min()) * 30 / np.pi if len(track.speed_rad_s) else float("nan")
-        raise ValueError(
-            f"slow roll: expected rows below {limit * 30 / np.pi:.4g} rpm, the slowest has {least:.4g} rpm"
-        )
+        least = float(track.speed_rad_s.min()) * TO_RPM if len(track.speed_rad_s) else float("nan")
+        raise ValueError(f"slow roll: expected rows below {limit * TO_RPM:.4g} rpm, the slowest has {least:.4g} rpm")
     vectors, std = track.of(order)
     vectors, weights = vectors[slow], 1 / np.maximum(std[slow], 1e-300) ** 2
     mean = complex(np.sum(weights * vectors) / weights.sum())

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from rig_basics.arrays import Array
 
 
 @dataclass(frozen=True)

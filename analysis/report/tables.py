@@ -16,6 +16,7 @@ from analysis.results import PointResult
 from analysis.rounding import plain, signed, with_std
 from analysis.scores import Z_LIMIT, Score
 from daq.signals.run import Run
+from rig_basics.units import RPM
 from rig_configs import PARAMETER_UNITS
 
 SYMBOLS = {
@@ -163,7 +164,7 @@ def summary_row(point: PointResult, name: str, campaign: Campaign) -> dict[str, 
     return {
         "name": name,
         "speed": "–" if speed is None else f"{speed:.1f}",
-        "ratio": "–" if speed is None else f"{speed * math.pi / 30 / first:.3f}",
+        "ratio": "–" if speed is None else f"{speed * RPM / first:.3f}",
         "state": point.state,
         "expected": point.expected or "–",
         "model": point.prediction.state.type if point.prediction else "–",

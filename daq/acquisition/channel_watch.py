@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from daq.drivers.items import Event
+from daq.items import Event
 
 HOST = "host"
 """Device name in events of the host. A replay does not expect these events, since no device's bytes contain them."""

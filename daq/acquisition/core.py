@@ -23,8 +23,8 @@ from daq.acquisition.recorder import DiskState
 from daq.acquisition.trips import Trips
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import channels_of, devices_of
-from daq.drivers.items import RX, Batch, Event
 from daq.errors import DeviceError, LinkLost, ProcedureError
+from daq.items import RX, Batch, Event
 from rig_configs.schema import Rig
 
 KEEP_S = 90.0

@@ -18,7 +18,7 @@ from daq.acquisition.lock_positions import flagged, lock_positions, lock_toleran
 from daq.acquisition.rate_watch import Rate
 from daq.drivers.checks import Check, Checks
 from daq.drivers.contract import FOREIGN
-from daq.drivers.items import Event
+from daq.items import Event
 from rig_configs.roles import Displacement, PendulumAngles
 from rig_configs.schema import Limits, Rig
 
@@ -28,7 +28,7 @@ _MIN_SPEED_REPORTS_HZ = 10.0  # for the interlocks of the drive's speed
 
 
 @dataclass(frozen=True)
-class AnglesSeen:
+class ObservedAngles:
     """Pendulum samples of the observation.
 
     Attributes:
@@ -41,7 +41,7 @@ class AnglesSeen:
 
 
 @dataclass(frozen=True)
-class SpeedSeen:
+class ObservedSpeed:
     """Reports of the speed source in the observation.
 
     Attributes:
@@ -72,8 +72,8 @@ class Look:
     losses: Mapping[str, Mapping[str, int]]
     events: Sequence[Event]
     displacement_m: Mapping[str, NDArray[np.floating]]
-    angles: AnglesSeen | None = None
-    speed: SpeedSeen | None = None
+    angles: ObservedAngles | None = None
+    speed: ObservedSpeed | None = None
     own: Mapping[str, Checks] = field(default_factory=dict[str, Checks])
 
 
@@ -147,12 +147,12 @@ def _displacement(sensor: Displacement, limits: Limits, x: NDArray[np.floating])
     return out
 
 
-def _encoders(seen: AnglesSeen) -> Checks:
+def _encoders(seen: ObservedAngles) -> Checks:
     faults = flagged(seen.flags)
     return {"encoder_faults": Check(len(faults), 0, not faults, ". ".join(faults))}
 
 
-def _locks(angles: PendulumAngles, seen: AnglesSeen) -> Checks:
+def _locks(angles: PendulumAngles, seen: ObservedAngles) -> Checks:
     out: Checks = {}
     if not len(seen.flags):
         return out
@@ -170,7 +170,7 @@ def _locks(angles: PendulumAngles, seen: AnglesSeen) -> Checks:
     return out
 
 
-def _speed(seen: SpeedSeen, rest_rpm: float) -> Checks:
+def _speed(seen: ObservedSpeed, rest_rpm: float) -> Checks:
     frequent = seen.reports_Hz >= _MIN_SPEED_REPORTS_HZ
     at_rest = abs(seen.speed_rpm) <= rest_rpm
     note = "" if at_rest else "its speed is unknown" if math.isnan(seen.speed_rpm) else "the rotor turns"

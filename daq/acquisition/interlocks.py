@@ -36,7 +36,7 @@ from daq.acquisition.interlock_table import (
 from daq.acquisition.rotor_watch import Finding, RotorWatch
 from daq.acquisition.stuck_watch import StuckWatch
 from daq.channels import ENCODER_FAULT_A, ENCODER_FAULT_B
-from daq.drivers.items import Batch, Event
+from daq.items import Batch, Event
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits
 

@@ -16,8 +16,8 @@ from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.acquisition.rotor_command import RotorCommand
 from daq.drivers.contract import claims_of
 from daq.drivers.devices import Device
-from daq.drivers.items import Event
 from daq.errors import DeviceError, LinkLost
+from daq.items import Event
 from daq.transports import HostClock, Link
 
 _RETRY_PERIOD_S = 2.0  # of attempts to open a device that was unplugged, wall s

@@ -21,7 +21,7 @@ from daq.acquisition.channel_watch import HOST
 from daq.clock import lower_line
 from daq.drivers.contract import SampleClock
 from daq.drivers.devices import devices_of
-from daq.drivers.items import Batch, Event
+from daq.items import Batch, Event
 from rig_configs.device import DeviceSettings
 
 _BIN_NS = 250_000_000

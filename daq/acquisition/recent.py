@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.drivers.items import Batch
+from daq.items import Batch
 
 _FIRST_ROWS = 4096
 

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple, Protocol
 
 from daq import channels
 from daq.channels import CHANNELS, Channel
-from daq.drivers.items import Batch, Event, joined
 from daq.errors import LogError, RecordingError
+from daq.items import Batch, Event, joined
 from daq.log.file import LogFile, ReservedName
 from daq.transports.host_clock import HostClock
 

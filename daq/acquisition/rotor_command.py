@@ -10,8 +10,8 @@ from functools import partial
 from daq.acquisition.core import Core, DriveState
 from daq.drivers.contract import MovesLocks, PendulumLocks, Pipeline, RotorGuard, SpeedSource, TurnsRotor
 from daq.drivers.devices import Device
-from daq.drivers.items import Event
 from daq.errors import DeviceError, LinkLost
+from daq.items import Event
 from daq.transports import HostClock
 
 _RETRY_PERIOD_S = 0.5  # of attempts to reopen the link of the drive, wall s

@@ -30,10 +30,10 @@ from daq.acquisition.recorder import DiskState, Recorder
 from daq.acquisition.rotor_command import RotorCommand
 from daq.clock import CLOCK_RULES, NEWEST_RULES, compile_line
 from daq.drivers.checks import Checks
-from daq.drivers.contract import KeepsTime, LearnsIdentity, SpeedSource, TellsItself
+from daq.drivers.contract import DescribesItself, HasClockSeed, ObservesIdentity, SpeedSource
 from daq.drivers.devices import channels_of, devices_of, make_pipelines
-from daq.drivers.items import RX, TX, Batch, Event
 from daq.errors import DeviceError, OperatorStop, RigError
+from daq.items import RX, TX, Batch, Event
 from daq.log.file import ReservedName
 from daq.log.outcome import ENDED, tripping
 from daq.transports import HostClock
@@ -423,9 +423,9 @@ class Session:
         """
         with self._open.unread(name):
             pipeline = self._core.pipelines[name]
-            return (pipeline.told, pipeline.complaint) if isinstance(pipeline, TellsItself) else (True, "")
+            return (pipeline.told, pipeline.complaint) if isinstance(pipeline, DescribesItself) else (True, "")
 
-    def all_told(self) -> bool:
+    def all_identified(self) -> bool:
         """Return whether every device has described itself."""
         return all(self.told(name)[0] for name in self._known)
 
@@ -519,7 +519,7 @@ class Session:
     def _learn(self) -> None:
         """Add to the identities what the pipelines have learnt from the bytes, for the next log."""
         for name, pipeline in self._core.pipelines.items():
-            if isinstance(pipeline, LearnsIdentity):
+            if isinstance(pipeline, ObservesIdentity):
                 with self._open.unread(name):
                     self.identities.setdefault(name, {}).update(pipeline.learned)
 
@@ -528,7 +528,7 @@ class Session:
         seeds: dict[str, dict[str, Any]] = {}
         for name, pipeline in self._core.pipelines.items():
             with self._open.unread(name):
-                seed = pipeline.clock_seed if isinstance(pipeline, KeepsTime) else None
+                seed = pipeline.clock_seed if isinstance(pipeline, HasClockSeed) else None
             if seed is not None:
                 seeds[name] = asdict(seed)
         return seeds

@@ -23,7 +23,7 @@ from daq.acquisition.channel_watch import HOST
 from daq.acquisition.interlock_table import TOGETHER_S
 from daq.acquisition.recent import Recent
 from daq.channels import Channel
-from daq.drivers.items import Event
+from daq.items import Event
 from daq.log.outcome import TRIP
 from rig_configs.roles import Roles
 

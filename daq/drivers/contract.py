@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 from daq.channels import Channel
 from daq.clock import ClockSeed
 from daq.drivers.checks import Checks
-from daq.drivers.items import Batch, Event
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
+from daq.items import Batch, Event
 from rig_configs.device import DeviceSettings
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class Pipeline(Protocol):
 
 
 @runtime_checkable
-class TellsItself(Protocol):
+class DescribesItself(Protocol):
     """A pipeline of a device that reports its own configuration from time to time without a request.
 
     Attributes:
@@ -107,7 +107,7 @@ class TellsItself(Protocol):
 
 
 @runtime_checkable
-class KeepsTime(Protocol):
+class HasClockSeed(Protocol):
     """A pipeline that maps its device's clock. The next log starts with this mapping, as part of the identity."""
 
     @property
@@ -117,7 +117,7 @@ class KeepsTime(Protocol):
 
 
 @runtime_checkable
-class LearnsIdentity(Protocol):
+class ObservesIdentity(Protocol):
     """A pipeline of a device that cannot be queried and is identified by the bytes that it sends."""
 
     @property

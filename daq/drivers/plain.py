@@ -9,8 +9,8 @@ from typing import Any
 from daq.channels import Channel
 from daq.drivers.checks import Checks
 from daq.drivers.contract import Line, SampleClock, SpeedSource, Talk
-from daq.drivers.items import Event
 from daq.drivers.played import PlayedDevice
+from daq.items import Event
 
 
 class PlainDriver:

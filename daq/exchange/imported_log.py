@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import Channel
-from daq.drivers.items import Batch, Event
+from daq.items import Batch, Event
 from daq.log.file import LogFile
 
 _ROWS_PER_STEP = 8192

@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drivers.items import Event
 from daq.exchange import imported_channels as made
 from daq.exchange.errors import ExchangeError
 from daq.exchange.imported_log import Part
 from daq.exchange.readings import Readings, find_gaps, unwrapped
 from daq.exchange.recipe import Recipe
 from daq.exchange.rotor_phase import phase_of_angle, phase_of_speed, revolutions_of_marks
-from daq.guided_tests.kinds import CHANNELS
+from daq.guided_test_kinds import CHANNELS
+from daq.items import Event
 
 _SIGNALS = {topic: signal for signal, topic in CHANNELS.items()}
 _MIN_RELEASE_STD_S = 1e-4

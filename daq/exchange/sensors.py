@@ -15,6 +15,7 @@ from daq.exchange.readings import Readings, check_rate, check_size, check_small,
 from daq.exchange.recipe import QUANTITIES, Recipe
 from daq.exchange.recordings import open_recording
 from daq.exchange.units import ColumnChoice, settle_unit
+from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
 _MIN_SPAN_M, _MIN_SPAN_RAD = 1e-6, 1e-4
@@ -109,7 +110,7 @@ def _check(
     """
     option, quantity = f"--{name}", QUANTITIES[name]
     lasers = {sensor.axis: 2 * sensor.reach_m for sensor in rig.roles.displacements}
-    limits = {"x": math.inf, "y": math.inf, **lasers, "speed": rig.limits.speed_rpm * math.pi / 30}
+    limits = {"x": math.inf, "y": math.inf, **lasers, "speed": rig.limits.speed_rpm * RPM}
     check_size(readings, choice, quantity, limits.get(name, _MAX_PHASE_RAD), column, option)
     warnings = [check_rate(readings.time_ns, time, option)]
     if quantity == "length":

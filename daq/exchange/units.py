@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from daq.exchange.errors import ExchangeError
+from rig_basics.units import RPM
 
 Quantity = Literal["time", "length", "angle", "speed"]
 
@@ -16,7 +17,7 @@ UNITS: Mapping[Quantity, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0},
     "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "nm": 1e-9, "in": 0.0254},
     "angle": {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi},
-    "speed": {"rad/s": 1.0, "rpm": math.pi / 30, "Hz": 2 * math.pi, "deg/s": math.pi / 180},
+    "speed": {"rad/s": 1.0, "rpm": RPM, "Hz": 2 * math.pi, "deg/s": math.pi / 180},
 }
 """Unit words with their values in s, m, rad, rad/s."""
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import math
 
+from daq.guided_test_kinds import Asked
 from daq.guided_tests.hands import HAND_RAMP_RPM_S
-from daq.guided_tests.kinds import RAD_S_PER_RPM, Asked
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import Look, State, Table, View
+from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
 _MAX_STATUS_S = 2.5  # wait for a device's description; it is sent every second, and one message may be lost
@@ -75,7 +76,7 @@ def spin_up(request: Asked, rpm: float, free: bool = False) -> tuple[State, ...]
 
 def near_resonance(rig: Rig, rpm: float) -> str:
     """Return the reason why a test must not wait at a speed; empty if it may."""
-    for natural in (w / RAD_S_PER_RPM for w in rig.physics.natural_frequencies_rad_s):
+    for natural in (w / RPM for w in rig.physics.natural_frequencies_rad_s):
         if abs(rpm / natural - 1) < _NEAR_RESONANCE:
             return (
                 f"{rpm:.0f} rpm is within {100 * _NEAR_RESONANCE:.0f} % of the resonance expected at {natural:.0f} rpm"

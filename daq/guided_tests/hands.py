@@ -19,9 +19,9 @@ from daq.acquisition.channel_watch import HOST
 from daq.acquisition.lock_positions import lock_positions, misplaced
 from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
-from daq.drivers.items import Event
 from daq.errors import DeviceError
 from daq.guided_tests.measures import ANGLE_FIELDS
+from daq.items import Event
 from rig_configs.roles import PendulumAngles
 
 Array = NDArray[np.floating[Any]]

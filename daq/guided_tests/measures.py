@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from daq.acquisition.session import Session
 from daq.signals.settling import Settling, locked_settled, settled
 from daq.signals.window_means import amplitude_means, whole_revolutions
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 ANGLE_FIELDS = ("theta3_rad", "theta4_rad")
 """Fields of the pendulum angles A and B in their channel."""

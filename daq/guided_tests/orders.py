@@ -13,8 +13,8 @@ import numpy as np
 from daq.acquisition.channel_watch import HOST
 from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, misplaced
 from daq.acquisition.session import Session
-from daq.drivers.items import Event
 from daq.errors import DeviceError, ProcedureError, RigError
+from daq.guided_test_kinds import Asked
 from daq.guided_tests.hands import (
     CommandedLocks,
     DrivenRotor,
@@ -26,8 +26,8 @@ from daq.guided_tests.hands import (
     Rotor,
     Wait,
 )
-from daq.guided_tests.kinds import Asked
 from daq.guided_tests.measures import ANGLE_FIELDS, Measures
+from daq.items import Event
 from daq.log.numbering import next_number, one_at_a_time
 from daq.log.outcome import ending
 from rig_configs.roles import PendulumAngles
@@ -144,7 +144,7 @@ class Orders:
         self._folder.mkdir(parents=True, exist_ok=True)
         parameters = {"parameters": self.parameters} if self.parameters else {}
         facts = {"test": request.test, "note": self._note, **parameters, **self._facts}
-        self.session.need(*request.kind.lives_on(self.session.rig.roles))
+        self.session.need(*request.kind.required_at_rest(self.session.rig.roles))
         with one_at_a_time(self._folder):  # two tests of two rigs may log into one folder
             path = self._folder / f"{next_number(p.name for p in self._folder.iterdir()):02d}-{request.test}.mcap"
             self.session.start_recording(path, facts, before_s)

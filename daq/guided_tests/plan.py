@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from daq.guided_tests.kinds import CHANNELS, SIGNALS, Asked, given_on
+from daq.guided_test_kinds import CHANNELS, SIGNALS, Asked, given_on
 from daq.guided_tests.table import END, FAULT, Outcome, State
 from rig_configs.roles import Roles
 

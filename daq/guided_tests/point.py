@@ -7,12 +7,13 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from daq.guided_test_kinds import Asked, Number, TestKind
 from daq.guided_tests.frame import framed, near_resonance, spin_up
-from daq.guided_tests.kinds import RAD_S_PER_RPM, Asked, Number, TestKind
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import MOTION, Look, State, Table, View, after
 from daq.guided_tests.test_inputs import speed_refusal
 from daq.signals.settling import Settling
+from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
 _POINT_LIMIT_S = 90.0
@@ -125,7 +126,7 @@ def _table(request: Asked) -> Table:
 
 def point_speed_rpm(rig: Rig, point: str) -> float | None:
     """Return the speed of a rig's point, rpm, from its (identified) k1; None if the rig has no such point."""
-    return rig.physics.speed_rad_s(rig.points[point].speed_ratio) / RAD_S_PER_RPM if point in rig.points else None
+    return rig.physics.speed_rad_s(rig.points[point].speed_ratio) / RPM if point in rig.points else None
 
 
 def refusal(request: Asked) -> str:

@@ -6,17 +6,17 @@ Every test ends with a finished log and the rotor at rest, or with an error and 
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
+from daq.guided_test_kinds import Asked
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.hands import MAX_LOCK_S, Operator, Progress
-from daq.guided_tests.kinds import Asked
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.runner import NotReached, Runner, TestDone
 from daq.guided_tests.test_inputs import asked
+from rig_basics.units import TO_RPM
 from rig_configs.schema import Rig
 
 _ZEROED_S = 0.2  # wait before and after the counters are zeroed, rig s
@@ -112,7 +112,7 @@ class Procedures:
 
     def point(self, name: str, speed_rad_s: float) -> TestDone:
         """Run a point: spin up with locked pendulums, wait for a steady orbit, release, record to the steady state."""
-        return self.run(f"point-{name}", speed_rpm=speed_rad_s * 30 / math.pi)
+        return self.run(f"point-{name}", speed_rpm=speed_rad_s * TO_RPM)
 
 
 def _whole(wanted: Asked, runs: list[TestDone], missed: str, aborted: bool) -> TestDone:

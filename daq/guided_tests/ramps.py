@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+from daq.guided_test_kinds import Asked, Number, TestKind
 from daq.guided_tests.frame import framed, share_of, spin_up
-from daq.guided_tests.kinds import Asked, Number, TestKind
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import Look, State, Table, View, after
 from daq.guided_tests.test_inputs import default_top_rpm, ramp_refusal, ramp_warning

@@ -7,9 +7,9 @@ import math
 from dataclasses import dataclass
 
 from daq.acquisition.core import PAST_S
+from daq.guided_test_kinds import CHANNELS, Asked, Number, TestKind
 from daq.guided_tests.frame import framed
 from daq.guided_tests.hands import HUMAN_S
-from daq.guided_tests.kinds import CHANNELS, Asked, Number, TestKind
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import FAULT, MOTION, Look, State, Table, View, no_orders
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import DeviceError, ProcedureError
+from daq.guided_test_kinds import Asked
 from daq.guided_tests.controls import Controls, Request, Status
-from daq.guided_tests.kinds import Asked
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import END, FAULT, Look, Outcome, State, Table, View
 

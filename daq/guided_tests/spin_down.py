@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
+from daq.guided_test_kinds import Asked, TestKind
 from daq.guided_tests.frame import framed
 from daq.guided_tests.hands import HUMAN_S
-from daq.guided_tests.kinds import Asked, TestKind
 from daq.guided_tests.ring_down import PRE_TRIGGER
 from daq.guided_tests.table import MOTION, Look, State, Table, View, after, no_orders
 

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from daq.guided_test_kinds import Asked, Number, TestKind
 from daq.guided_tests.frame import framed, spin_up
-from daq.guided_tests.kinds import Asked, Number, TestKind
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.point import SPEED, point_states, refusal, settle_state
 from daq.guided_tests.table import MOTION, State, Table, View, after, not_missed

@@ -6,8 +6,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from daq.guided_tests import kinds
-from daq.guided_tests.kinds import KINDS, RAD_S_PER_RPM, Asked, Refused, TestKind
+from daq import guided_test_kinds as kinds
+from daq.guided_test_kinds import KINDS, Asked, Refused, TestKind
+from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
 _MIN_RPM = 1.0  # resolution of the drive's protocol; the schema limits limits.speed_rpm to far less than its 16 bits
@@ -61,7 +62,7 @@ def ramp_refusal(rig: Rig, top_rpm: float, duration_s: float) -> str:
             f"{top_rpm:.0f} rpm in {duration_s:g} s is a ramp of {ramp:.3g} rpm/s, the drive's range is {least:g} to "
             f"{most:g}: nothing was turned. Take {top_rpm / most:.2g} to {top_rpm / least:.0f} s"
         )
-    lower, higher = sorted(w / RAD_S_PER_RPM for w in rig.physics.natural_frequencies_rad_s)
+    lower, higher = sorted(w / RPM for w in rig.physics.natural_frequencies_rad_s)
     if top_rpm <= lower:
         return (
             f"a ramp to {top_rpm:.0f} rpm passes no resonance: they are expected at {lower:.0f} and {higher:.0f} rpm. "
@@ -72,7 +73,7 @@ def ramp_refusal(rig: Rig, top_rpm: float, duration_s: float) -> str:
 
 def ramp_warning(rig: Rig, top_rpm: float) -> str:
     """Return the limitation of a ramp to this speed; empty if it passes both resonances."""
-    higher = max(rig.physics.natural_frequencies_rad_s) / RAD_S_PER_RPM
+    higher = max(rig.physics.natural_frequencies_rad_s) / RPM
     if top_rpm > higher:
         return ""
     return (
@@ -82,7 +83,7 @@ def ramp_warning(rig: Rig, top_rpm: float) -> str:
 
 def default_top_rpm(rig: Rig) -> float:
     """Return the default top speed of a run-up, rpm: 1.3 times the higher resonance, at most the limit."""
-    return min(1.3 * max(rig.physics.natural_frequencies_rad_s) / RAD_S_PER_RPM, rig.limits.speed_rpm)
+    return min(1.3 * max(rig.physics.natural_frequencies_rad_s) / RPM, rig.limits.speed_rpm)
 
 
 def asked(rig: Rig, test: str, given: Mapping[str, float] | None = None, point: str = "") -> Asked:

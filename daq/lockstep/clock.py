@@ -19,7 +19,7 @@ _MIN_WAIT_NS = 100_000  # least duration of a wait, so that loops of waits end
 _MAX_GET_S = 3600.0  # wait of a queue without timeout, after which an error is raised
 
 
-class WaitedInVain(RuntimeError):
+class WaitNeverEnds(RuntimeError):
     """A wait without timeout did not end, or an action of the clock called a wait."""
 
 
@@ -80,7 +80,7 @@ class SimulatedClock(HostClock):
             WaitedInVain: the method was called by an action.
         """
         if self._doing:
-            raise WaitedInVain("an action of the simulated clock waits: expected an action that returns at once")
+            raise WaitNeverEnds("an action of the simulated clock waits: expected an action that returns at once")
         while not ready():
             end_ns = max(when_ns, self._busy_until_ns)  # a wait does not end while the host is busy
             if not self._due or self._due[0][0] > end_ns:
@@ -155,5 +155,5 @@ class _Inbox(queue.Queue[Any]):
             seconds = _MAX_GET_S if timeout is None else max(timeout, 0.0)
             self._clock.pass_until(self._clock.now_ns() + round(seconds * 1e9), lambda: not self.empty())
             if timeout is None and self.empty():
-                raise WaitedInVain(f"waited {_MAX_GET_S:g} s without a timeout for an answer: none arrived")
+                raise WaitNeverEnds(f"waited {_MAX_GET_S:g} s without a timeout for an answer: none arrived")
         return super().get(block=False)

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.drivers.items import Batch, Event
 from daq.errors import LogError, RecordingError
+from daq.items import Batch, Event
 from daq.mcap.writer import BlockWriter, compile_writer
 
 FOXGLOVE = "foxglove"

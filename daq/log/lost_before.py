@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from functools import lru_cache
 
-from daq.log.samples import Missing
+from daq.mcap.missing import Missing
 
 RECOVERED = "recovered"
 """Name of the metadata record that states the source of a recovered log."""

@@ -26,9 +26,10 @@ from mcap.records import Schema
 from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, RAW_PREFIX, RAW_SCHEMA_NAME, Channel, unpack_raw
 from daq.errors import ChannelMissing, LogError
 from daq.log.lost_before import read_lost
-from daq.log.samples import Missing, RawChunk, Samples
+from daq.log.samples import RawChunk, Samples
 from daq.log.source import LogSource
 from daq.log.window import LogWindow
+from daq.mcap.missing import Missing
 
 
 class Log(Mapping[str, Samples]):

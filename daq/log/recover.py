@@ -23,9 +23,9 @@ from daq.log import Log
 from daq.log.columns import find_messages
 from daq.log.file import give_name
 from daq.log.lost_before import RECOVERED, lost_metadata, read_lost
-from daq.log.samples import Missing
 from daq.log.source import LogSource
 from daq.mcap.chunks import BARE, HEAD_BYTES, parse_head
+from daq.mcap.missing import Missing
 from daq.mcap.records import DamageError, read_attachment
 from daq.mcap.writer import METADATA_CRC, BlockWriter, CopiedChunk
 from daq.version import software_version

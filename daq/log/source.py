@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import LogError
-from daq.log.samples import Missing
 from daq.mcap.chunks import BARE, HEAD_BYTES, ChunkHead, parse_head, unpack
 from daq.mcap.damage import topics_of
 from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
+from daq.mcap.missing import Missing
 from daq.mcap.reader import survey, walk
 from daq.mcap.records import DamageError, read_attachment
 from daq.mcap.scan import spans

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from daq.log.samples import Missing
 from daq.mcap.chunks import ChunkTable
 from daq.mcap.file_bytes import FileBytes
+from daq.mcap.missing import Missing
 from daq.mcap.records import AttachmentPlace, DamageError, Definitions, Header, read_metadata
 from daq.mcap.summary_reader import Summary
 from daq.mcap.writer import TIMES

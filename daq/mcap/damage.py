@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.log.samples import Missing
 from daq.mcap.chunks import ChunkTable
+from daq.mcap.missing import Missing
 from daq.mcap.records import Definitions
 
 

@@ -12,11 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from daq.errors import LogError
-from daq.log.samples import Missing
 from daq.mcap.chunks import HEAD_BYTES, ChunkTable, parse_head
 from daq.mcap.contents import Contents, from_summary
 from daq.mcap.damage import topics_of
 from daq.mcap.file_bytes import FileBytes
+from daq.mcap.missing import Missing
 from daq.mcap.records import DamageError, Header, check_attachment, read_header
 from daq.mcap.summary_reader import Summary, read_summary
 from daq.mcap.walk import Walk

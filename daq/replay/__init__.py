@@ -8,25 +8,25 @@ paced(log, speed)       decode at the recorded pace, for the live view
 `daq.playback` sends the bytes themselves to ports that any program can open.
 """
 
-from daq.replay.anew import Anew, decode_anew
 from daq.replay.calibration import Calibration
 from daq.replay.checking import Check, check, check_log
 from daq.replay.compare import ChannelCheck
+from daq.replay.decoded_again import DecodedLog, decode_again
 from daq.replay.interlocked import InterlockReplay, WouldTrip, replay_interlocks
 from daq.replay.pace import Pace, Paced, paced
 
 __all__ = [
-    "Anew",
     "Calibration",
     "ChannelCheck",
     "Check",
+    "DecodedLog",
     "InterlockReplay",
     "Pace",
     "Paced",
     "WouldTrip",
     "check",
     "check_log",
-    "decode_anew",
+    "decode_again",
     "paced",
     "replay_interlocks",
 ]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from daq.channels import HEALTH_TOPIC, TX, raw_topic
 from daq.drivers.contract import Pipeline
-from daq.drivers.items import Batch, Event
+from daq.items import Batch, Event
 from daq.log import Log
-from daq.log.samples import Missing
+from daq.mcap.missing import Missing
 from daq.replay.stored import StoredRows
 from daq.replay.stream import decoded
 

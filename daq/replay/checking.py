@@ -9,10 +9,10 @@ from pathlib import Path
 
 from daq.channels import HEALTH_TOPIC
 from daq.drivers.devices import channels_of
-from daq.drivers.items import Batch
+from daq.items import Batch
 from daq.log import Log, open_log
-from daq.log.samples import Missing
 from daq.log.snapshot import rig_of
+from daq.mcap.missing import Missing
 from daq.replay.compare import ChannelCheck, ChannelComparison, EventComparison
 from daq.replay.stream import decoded, pipelines_of
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.drivers.items import Batch, Event, joined
+from daq.items import Batch, Event, joined
 from daq.log import Log
 from daq.replay.stored import StoredRows
 

@@ -16,7 +16,7 @@ from typing import Any
 from daq.acquisition.interlock_table import LOOK_S, TOGETHER_S
 from daq.acquisition.interlocks import Interlocks, Stop
 from daq.acquisition.trips import finding_of
-from daq.drivers.items import Batch, Event
+from daq.items import Batch, Event
 from daq.log import Log
 from daq.log.snapshot import identities_of, rig_of
 from daq.replay.arrivals import Arrival, Arrivals, Hole, holes_of, with_all_fields

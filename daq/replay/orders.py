@@ -22,8 +22,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drivers.items import Batch
-from daq.guided_tests.kinds import KINDS, kind_of
+from daq.guided_test_kinds import KINDS, kind_of
+from daq.items import Batch
 from rig_configs.roles import AT_REST_RPM
 
 _FIELD = "target_rpm"

@@ -11,7 +11,7 @@ from typing import Any
 
 from daq.acquisition.channel_watch import HOST
 from daq.acquisition.interlock_table import TOGETHER_S
-from daq.guided_tests.kinds import kind_of
+from daq.guided_test_kinds import kind_of
 from daq.log import Log
 from rig_configs.roles import Roles
 from rig_configs.schema import Rig
@@ -53,7 +53,7 @@ def roles_in(log: Log, rig: Rig) -> tuple[Roles, list[str]]:
 def needed_at_rest(test: str, roles: Roles) -> list[str]:
     """Return the channels that a guided test needs at rest, from its table row; empty if the test is not installed."""
     kind = kind_of(test)
-    return [] if kind is None else list(kind.lives_on(roles))
+    return [] if kind is None else list(kind.required_at_rest(roles))
 
 
 def closing_ns(log: Log, patience: Callable[[float], float]) -> int:

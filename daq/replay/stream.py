@@ -8,8 +8,8 @@ from typing import Any, cast
 from daq.clock import CLOCK_RULES, FIRST_RULES, NEWEST_RULES
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import installed_of, make_pipelines
-from daq.drivers.items import Batch, Event
 from daq.errors import DeviceError, LogError
+from daq.items import Batch, Event
 from daq.log import Log
 from daq.log.samples import RawChunk
 from daq.log.snapshot import identities_of, rig_of, seeds_of

@@ -22,11 +22,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.decay import MIN_WINDOWS, decay_means, newest_counts
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 SLOWEST_PER_S = 0.08  # at a slower rate one radian would not decay to the tolerance within a minute and a half
 _ENDLESS_PER_S = 0.01  # so slow that it is a straight line over the windows

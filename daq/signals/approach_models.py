@@ -13,11 +13,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.decay import decay_means
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 SLOWEST_PER_S = 0.05  # an approach at a slower rate is a straight line within the windows
 FASTEST_PER_S = 4.0

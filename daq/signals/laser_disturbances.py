@@ -15,9 +15,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 BELOW_Hz = 1.0
 _MAX_RATE_Hz = 1000.0  # of the grid

@@ -20,15 +20,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.approach_models import ENDING, ENDING_BENT, ENDLESS, Points, Stretch
-from daq.signals.decay import MIN_WINDOWS, newest_counts
+from daq.signals.decay import newest_counts
+from rig_basics.arrays import Array
 
-Array = NDArray[np.float64]
 Bends = Callable[[Array], Array]
 
-LEAST_WINDOWS = MIN_WINDOWS
 MODEL_SHARE = 0.15  # of the extrapolated change: an approach is exponential only near its end
 _FITS = 2.6  # largest deviation of the χ² of a series that fits, in standard deviations: about 1 %
 _APART = 2.6  # largest difference between the limits of a series and of its later part, in standard deviations

@@ -18,8 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from rig_basics.arrays import Array, Complex
 
 _REACH = 6  # coefficients on either side of the order
 _MIN_BINS, _MIN_WINDOWS = 3, 6

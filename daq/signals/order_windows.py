@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.signals.order_noise import OrderNoise, order_noise
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _MIN_SHARE = 0.4  # of a window's expected samples that must be present
 _MIN_SAMPLES = 20

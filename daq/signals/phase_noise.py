@@ -6,11 +6,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.run import Run
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
+from rig_basics.units import TO_RPM
 
 _FILE_ROUNDING = 20.0  # smallest ratio of an encoder's step to the rounding of a file's digits
 _STRIDE = 32
@@ -92,7 +91,7 @@ def phase_remarks(run: Run, turns: bool) -> list[str]:
     walk = _integrated(phase, apart)
     if walk * apart < step**2 / 12 or math.sqrt(walk) <= _MIN_WANDER_RAD:  # the digits of a file may beat as slowly
         return []
-    noise = math.sqrt(walk / apart) * 30 / math.pi
+    noise = math.sqrt(walk / apart) * TO_RPM
     return [
         f"the rotor's phase wanders like an integrated speed with {noise:.2g} rpm of noise in each reading, by "
         f"{math.degrees(math.sqrt(walk)):.2g}° in a second; it is left open within that"
@@ -142,7 +141,7 @@ def _at_rest(time: Array, phase: Array, step: float) -> list[str]:
     white = float(np.median(np.abs(np.diff(phase)))) / 0.95
     if abs(turned) < max(_MIN_TURN_RAD, _STEPS * step, _STEPS * white):
         return []
-    rpm = turned / float(np.median(time[-many:]) - np.median(time[:many])) * 30 / math.pi
+    rpm = turned / float(np.median(time[-many:]) - np.median(time[:many])) * TO_RPM
     return [
         f"the rotor turned at {abs(rpm):.2g} rpm, by {math.degrees(abs(turned)):.2g}°, in a test at rest; damping "
         "counts against the disk, directions are those of the sensors"

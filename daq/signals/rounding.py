@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _MIN_CODES = 5  # samples on either side of the most frequent code, needed to estimate the noise
 _NORMAL = NormalDist()  # importing scipy's would take a tenth of a second at every `rig test`

@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.errors import LogError
-from daq.guided_tests.kinds import KINDS, kind_of
+from daq.guided_test_kinds import KINDS, kind_of
 from daq.log import Log, open_log
 from daq.log.losses import losses_of
 from daq.log.outcome import not_reached_of
@@ -35,11 +34,10 @@ from daq.signals.run_clocks import (
     start_of,
 )
 from daq.signals.witnesses import Agreement, Witness, agreement
+from rig_basics.arrays import Array
 from rig_configs.roles import Roles
 
 __all__ = ["Release", "Run", "disagreements", "load_run", "point_of"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class Run:
     """One recorded test. A channel that is not in the log is empty.
 
     Attributes:
-        test: name in the table of test kinds (`daq.guided_tests.kinds`); "point-NAME" for a test at a point.
+        test: name in the table of test kinds (`daq.guided_test_kinds`); "point-NAME" for a test at a point.
         source: path of the log, for messages.
         start_s: start of the run, s since 1970; all other times count from it.
         x_time_s, x_m: laser x, shape (n,), disk-centre displacement, m; NaN if the sensor marked the sample as invalid,

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.channels import DEVICE_TICK_S, suspects
 from daq.clock import ClockLine
 from daq.log import Log
 from daq.signals.run_clocks import clock_line, node_times, samples_of, since_start, tolerance_ppm
+from rig_basics.arrays import Array
 from rig_configs.roles import Displacement
-
-Array = NDArray[np.float64]
 
 
 def laser_signal(

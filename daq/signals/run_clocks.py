@@ -12,9 +12,8 @@ from daq.clock import ClockLine, fit_line
 from daq.errors import LogError
 from daq.log import Log
 from daq.log.samples import Samples
+from rig_basics.arrays import Array
 from rig_configs.roles import Displacement, PendulumAngles, Roles, RotorPhase
-
-Array = NDArray[np.float64]
 
 ASSUMED_TOLERANCE_PPM = 50.0
 """Standard uncertainty of the rate of a clock without stated tolerance: ordinary quartz, one year in a laboratory."""

@@ -7,13 +7,11 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.order_noise import OrderNoise
 from daq.signals.order_windows import cut_windows, squared
 from daq.signals.rounding import code_noise, half_width, rounding_terms
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _DEVIATIONS = 3.5  # standard deviations of a mean's noise in its width
 _MIN_RIPPLE = 0.5  # of a step: a code with a larger ripple takes several values

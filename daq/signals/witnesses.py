@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]  # scipy has no types
 
-Floats = NDArray[np.float64]
+from rig_basics.arrays import Array
+
 Verdict = Literal["agree", "disagree", "too little motion"]
 
 _BLOCK_S = 4e-3  # averaging reduces a motion of 20 Hz by 0.2 %, equally for both sensors
@@ -43,8 +43,8 @@ class Witness:
     device: str
     axis: str
     reference: str
-    time_s: Floats
-    value_m: Floats
+    time_s: Array
+    value_m: Array
     gain_std: float
 
 
@@ -86,7 +86,7 @@ class Agreement:
         )
 
 
-def agreement(witness: Witness, time_s: Floats, value_m: Floats) -> Agreement:
+def agreement(witness: Witness, time_s: Array, value_m: Array) -> Agreement:
     """Compare a witness with its reference sensor.
 
     Args:
@@ -115,14 +115,14 @@ class _Blocks:
         bend_s2: difference of the second-derivative terms of b's and a's averages, s².
     """
 
-    time_s: Floats
-    a: Floats
-    b: Floats
+    time_s: Array
+    a: Array
+    b: Array
     noise: float
     bend_s2: float
 
 
-def _blocks(ta: Floats, a: Floats, tb: Floats, b: Floats) -> _Blocks | None:
+def _blocks(ta: Array, a: Array, tb: Array, b: Array) -> _Blocks | None:
     if min(len(ta), len(tb)) < _MIN_SAMPLES:
         return None
     step = max(_BLOCK_S, 2 * _spacing(ta), 2 * _spacing(tb))
@@ -145,11 +145,11 @@ def _blocks(ta: Floats, a: Floats, tb: Floats, b: Floats) -> _Blocks | None:
     return _Blocks(cb[whole], ma[whole], mb[whole], _white(a) ** 2 / usual_a, bend)
 
 
-def _spacing(time_s: Floats) -> float:
+def _spacing(time_s: Array) -> float:
     return float(np.median(np.diff(time_s)))
 
 
-def _averages(time_s: Floats, value: Floats, start: float, step: float, count: int) -> tuple[Floats, Floats, Floats]:
+def _averages(time_s: Array, value: Array, start: float, step: float, count: int) -> tuple[Array, Array, Array]:
     """Return per block: number of valid samples, their mean time and their mean."""
     at = np.floor((time_s - start) / step).astype(np.int64)
     good = np.isfinite(value) & (at >= 0) & (at < count)
@@ -161,7 +161,7 @@ def _averages(time_s: Floats, value: Floats, start: float, step: float, count: i
     return number, middle, mean
 
 
-def _white(value: Floats) -> float:
+def _white(value: Array) -> float:
     """Standard deviation of a sample's white noise, from second differences."""
     bent = np.diff(value, 2)
     bent = bent[np.isfinite(bent)]
@@ -198,17 +198,17 @@ def _ratio(blocks: _Blocks) -> tuple[float, float, float] | None:
     return (ratio, std, delay) if math.isfinite(ratio + std) else None
 
 
-def _spread(design: Floats, left: Floats, inverse: Floats) -> float:
+def _spread(design: Array, left: Array, inverse: Array) -> float:
     """Standard deviation of the first coefficient, for residuals correlated over a twentieth of the motion."""
     energy = np.cumsum((design[:, 0] - np.mean(design[:, 0])) ** 2)
-    shares: Floats = energy[-1] * np.arange(1, _CLUSTERS) / _CLUSTERS
+    shares: Array = energy[-1] * np.arange(1, _CLUSTERS) / _CLUSTERS
     bounds: list[int] = np.searchsorted(energy, shares).tolist()
     scores = np.array([part.sum(axis=0) for part in np.split(design * left[:, None], bounds)])
     together = (inverse @ (scores.T @ scores) @ inverse)[0, 0] * _CLUSTERS / (_CLUSTERS - 1)
     return math.sqrt(max(float(together), float(np.var(left) * inverse[0, 0])))
 
 
-def _solved(normal: Floats, right: Floats) -> tuple[Floats, Floats]:
+def _solved(normal: Array, right: Array) -> tuple[Array, Array]:
     """Return solution and inverse of the normal equations, with scaled columns."""
     scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal * np.outer(scale, scale), rcond=1e-12) * np.outer(scale, scale)

@@ -13,8 +13,7 @@ from dynamics.equations.kernels import rk4_step
 from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.friction_steps import friction_step
 from dynamics.motions.integrate import fastest_rate
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 GRID_S = 250e-6
 """Period of the grid, s."""

@@ -12,11 +12,11 @@ from daq.drivers.simulated import FarEnd
 from daq.virtual_rig.faults import Faults, listed, number
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import World
+from rig_basics.units import RPM
 from rig_configs.errors import RigConfigError
 from rig_configs.load import with_truth
 from rig_configs.schema import Rig
 
-_RPM = math.pi / 30
 _MAX_PLUCK_MM = 50.0
 _MAX_SPEED_RPM = 20_000.0  # and rpm per s
 
@@ -112,7 +112,7 @@ class SimulatedRig:
         motion = self.motion
         facts: dict[str, Any] = {
             "time_s": motion.time_s,
-            "speed_rpm": motion.speed_rad_s / _RPM,
+            "speed_rpm": motion.speed_rad_s / RPM,
             "displacement_mm": [1e3 * each for each in motion.displacement_m],
             "pendulums_deg": [math.degrees(each) for each in motion.angles_rad],
             "pendulums_held": [motion.held(pendulum) for pendulum in (0, 1)],
@@ -148,7 +148,7 @@ class SimulatedRig:
                     raise ValueError(
                         f"expected at most {_MAX_SPEED_RPM:g} rpm and a ramp above 0, got {rpm:g}, {ramp:g}"
                     )
-                motion.target_rad_s, motion.ramp_rad_s2 = rpm * _RPM, ramp * _RPM
+                motion.target_rad_s, motion.ramp_rad_s2 = rpm * RPM, ramp * RPM
             case _:
                 for pendulum in (0, 1):
                     motion.lock(pendulum, 0.0) if act == "lock" else motion.release(pendulum)

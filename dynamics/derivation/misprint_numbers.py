@@ -24,9 +24,9 @@ from dynamics.steady.singular_points import dynamic_stiffness
 _solvers: Any = scipy.optimize  # scipy has no annotations
 FAULTS = {
     "right equations": Faults(),
-    "(a) no push back": Faults(no_push_back=True),
-    "(b) speed runs on": Faults(speed_runs_on=True),
-    "(a) and (b), the script": Faults(no_push_back=True, speed_runs_on=True),
+    "(a) no push back": Faults(without_reaction=True),
+    "(b) speed runs on": Faults(integrates_locked_speed=True),
+    "(a) and (b), the script": Faults(without_reaction=True, integrates_locked_speed=True),
 }
 # Regions of balancing capability: S_P (kg m), mass of pendulum B (kg)
 REGIONS = {

@@ -29,8 +29,8 @@ class Faults:
         speed_runs_on: fault (b), the speed of a locked pendulum is integrated.
     """
 
-    no_push_back: bool = False
-    speed_runs_on: bool = False
+    without_reaction: bool = False
+    integrates_locked_speed: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ def script_rates(
     omega: float,
     p: Array,
     locked: bool,
-    no_push_back: bool,
-    speed_runs_on: bool,
+    without_reaction: bool,
+    integrates_locked_speed: bool,
     out: Array,
 ) -> None:
     """Write dy/dt to out: the plain rig at constant speed, correct or with the script's faults.
@@ -89,8 +89,8 @@ def script_rates(
         locked: whether both pendulums are locked.
         no_push_back, speed_runs_on: the faults.
     """
-    turning = not locked or speed_runs_on
-    coupled = turning and not no_push_back
+    turning = not locked or integrates_locked_speed
+    coupled = turning and not without_reaction
     fx = p[SP] * omega * omega * np.cos(psi) - p[K1] * y[0] - p[C1] * y[4]
     fy = p[SP] * omega * omega * np.sin(psi) - p[K2] * y[1] - p[C2] * y[5]
     mxx, mxy, myy = p[MASS], 0.0, p[MASS]
@@ -123,8 +123,8 @@ def _run(
     release_turns: int,
     turns: int,
     steps: int,
-    no_push_back: bool,
-    speed_runs_on: bool,
+    without_reaction: bool,
+    integrates_locked_speed: bool,
 ) -> Array:
     """States every tenth of a revolution by classical Runge–Kutta with `steps` steps a revolution (multiple of ten)."""
     h = 2.0 * np.pi / omega / steps
@@ -135,10 +135,10 @@ def _run(
         locked = i < release_turns * steps
         psi = 2.0 * np.pi * (i % steps) / steps
         half = omega * h / 2
-        script_rates(y, psi, omega, p, locked, no_push_back, speed_runs_on, k[0])
-        script_rates(y + h / 2 * k[0], psi + half, omega, p, locked, no_push_back, speed_runs_on, k[1])
-        script_rates(y + h / 2 * k[1], psi + half, omega, p, locked, no_push_back, speed_runs_on, k[2])
-        script_rates(y + h * k[2], psi + 2 * half, omega, p, locked, no_push_back, speed_runs_on, k[3])
+        script_rates(y, psi, omega, p, locked, without_reaction, integrates_locked_speed, k[0])
+        script_rates(y + h / 2 * k[0], psi + half, omega, p, locked, without_reaction, integrates_locked_speed, k[1])
+        script_rates(y + h / 2 * k[1], psi + half, omega, p, locked, without_reaction, integrates_locked_speed, k[2])
+        script_rates(y + h * k[2], psi + 2 * half, omega, p, locked, without_reaction, integrates_locked_speed, k[3])
         y = y + h / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])
         if (i + 1) % (steps // 10) == 0:
             out[(i + 1) // (steps // 10)] = y
@@ -173,7 +173,7 @@ def release(
         locked_turns,
         turns,
         steps_per_revolution,
-        faults.no_push_back,
-        faults.speed_runs_on,
+        faults.without_reaction,
+        faults.integrates_locked_speed,
     )
     return Release(np.arange(len(state)) * turn / 10, state, 10 * locked_turns)

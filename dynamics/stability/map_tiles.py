@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.arrays import Array
 from dynamics.stability.floquet.lanes import NUMBERS, half_turn_matrices
@@ -18,6 +17,7 @@ from dynamics.stability.floquet.matrix_surface import MatrixSurface, fit_surface
 from dynamics.stability.map_plane import Plane
 from dynamics.stability.map_points import half_turns
 from dynamics.stability.map_rigs import MapRigs
+from rig_basics.arrays import Indices
 
 MAX_NODES = 40  # along a side; for more, two rectangles are cheaper
 _MIN_NODES = 16
@@ -28,7 +28,6 @@ _NODE_ERROR = 2e-13  # of a node's matrix: (rate × span) · (rate × step)^8 ti
 _STEP_ERROR = 1e-7  # … this constant, measured on the nominal rig at Ω = 0.3 … 5, K = 1 … 16 against 256 steps
 _MAX_STEPS = 1024
 
-Indices = NDArray[np.intp]
 Span = tuple[float, float]
 
 

@@ -14,7 +14,6 @@ from identification.bench.decays import Decay
 from identification.bench.trials import Answer
 
 Array = NDArray[np.floating]
-Complex = NDArray[np.complex128]
 _linalg, _optimize, _signal = cast("Any", linalg), cast("Any", optimize), cast("Any", scipy_signal)  # untyped in scipy
 Reading = Callable[[Array, Array], tuple[float, float]]
 """Maps times and values of one sensor to f in Hz and ζ."""

@@ -18,8 +18,7 @@ from scipy.special import chdtrc, gammaln
 
 from identification.estimate import Estimate
 from identification.joint.weighting import parameter_names
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 ALARM = 1e-3
 """Probability of an alarm if all tests are good."""

@@ -13,18 +13,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.joint.combine import JointEstimate
 from identification.joint.provenance import KeptTest, rebuilt
+from rig_basics.arrays import Array
 from rig_configs.known import Known
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 from rig_configs.shared_errors import EXACT_STEP, is_known, known_source, shared_source
 from uncertainty import Budgets, Group
 from uncertainty.group import Input
-
-Array = NDArray[np.float64]
 
 _MIN_SHARE = 1e-9  # of a variance: less is rounding; a covariance may lack its root, 3·10⁻⁵ of a correlation
 _MAX_DEVIATION = 0.01  # of a standard uncertainty: a larger deviation from the file's value yields a note

@@ -11,13 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.pendulums.open_friction import DAMPING, OpenFriction, profile
 from identification.pendulums.transient import TransientFit
+from rig_basics.arrays import Array
 from rig_configs.drag import LABELS, Drag
-
-Array = NDArray[np.float64]
 
 _DAMPING_NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 _UNIT = np.array([1e-6, 1e-6, 1e-9, 1e-9])
@@ -77,7 +75,7 @@ def drag_by_spin_down(found: OpenFriction) -> FoundDrag:
     return FoundDrag(drag, together[:2, 2:] @ np.linalg.inv(drag.root / std[:, None]).T)
 
 
-def shown_beside_drag(fit: TransientFit) -> TransientFit:
+def with_undecided_drag(fit: TransientFit) -> TransientFit:
     """Return a spin-down's fit without information on the share of friction in its torque with the square of speed."""
     found = fit.open_friction
     shown = fit.friction is not None and fit.friction.speed_rad_s == 0 and max(fit.friction.contact_std_kg_m2) > 0

@@ -21,8 +21,7 @@ from dynamics.equations.kernels import AA, C1, C2, CA, DA, FA, GRAVITY, JA, K1, 
 from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
 from identification.pendulums.variational import WHOLE, follow, suspension
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 COLUMNS = 19
 """Number of columns of the derivatives: those of identification.pendulums.variational, then M_A, M_B, F_A, F_B."""

@@ -13,15 +13,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.threads import THREADS
 from identification.least_squares import Minimum
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import TransientProblem
+from rig_basics.arrays import Array
 from rig_configs.known import ZERO_A, ZERO_B, physical_numbers
-
-Array = NDArray[np.float64]
 
 _STEP = 1e-4  # relative step of a number
 _STEP_SI = 1e-6  # step of a number that is 0, in its unit

@@ -13,14 +13,11 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.locked_motion import locked_orbit
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from rig_basics.arrays import Complex
 
 _STEP_S = 2e-3
 _EQUIVALENT = 4  # iterations of the equivalent linear suspension

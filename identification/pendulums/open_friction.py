@@ -15,13 +15,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
 from identification.errors import FitFailed
+from rig_basics.arrays import Array
 from rig_configs.known import KnownSource
-
-Array = NDArray[np.float64]
 
 _nnls = cast("Callable[[Array, Array], tuple[Array, float]]", cast("Any", optimize).nnls)  # scipy has no types
 

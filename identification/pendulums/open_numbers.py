@@ -15,13 +15,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.threads import THREADS
 from identification.pendulums.suspension_knowledge import NAMES, Knowledge
 from identification.pendulums.transient import TransientProblem
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 PENDULUMS = ("pendulums.a.mass_kg", "pendulums.a.length_m", "pendulums.b.mass_kg", "pendulums.b.length_m")
 """Numbers that a release determines. The rotor's mass has the same effect as all of these together."""

@@ -17,11 +17,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from identification.pendulums.run_down import RunDown
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _LEAST_JITTER, _MOST_JITTER = 0.02, 1.5  # in steps
 _STRETCH = 2.0

@@ -30,8 +30,8 @@ from daq.signals.run import Run
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
 from identification.samples import correlation_inflation
+from rig_basics.arrays import Array
 
-Array = NDArray[np.float64]
 Floats = NDArray[np.floating]
 
 _untyped: Any = interpolate  # scipy has no types

@@ -16,15 +16,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from identification.errors import FitFailed
 from identification.least_squares import Minimum
 from identification.pendulums.answers import covering
 from identification.pendulums.transient import Predict, TransientFit, TransientProblem
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 TURN_STD_RAD = float(np.pi)
 """Prior standard deviation of an unknown constant angle, rad."""

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from dynamics.equations.kernels import (
     AA,
@@ -40,8 +39,7 @@ from dynamics.equations.kernels import (
 )
 from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 COLUMNS = 15
 WHOLE = 13

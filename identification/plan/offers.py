@@ -6,13 +6,12 @@ The table of test kinds contains the tests and their parameters. The expected un
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
 
-from daq.guided_tests.kinds import TestKind, lacking
+from daq.guided_test_kinds import TestKind, lacking
 from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import DynamicsError
 from identification.methods import Method, kinds_for
@@ -20,6 +19,7 @@ from identification.plan.experiment import Experiment, limited
 from identification.plan.pendulums import release, spin_down
 from identification.plan.sensors import Sensors
 from identification.plan.suspension import ring_down, run_up
+from rig_basics.units import RPM, TO_RPM
 from rig_configs.schema import Rig
 
 _OF_LIMIT = 0.8  # share of the interlock limits that a test uses
@@ -78,11 +78,11 @@ def _run_ups(
     rig: Rig, physics: RotorParameters, sensors: Sensors, remarks: list[str], kind: TestKind
 ) -> Iterator[Experiment]:
     second = max(physics.natural_frequencies_rad_s)
-    top = min(1.3 * second, rig.limits.speed_rpm * math.pi / 30)
+    top = min(1.3 * second, rig.limits.speed_rpm * RPM)
     if top < 1.05 * second:
         remarks.append(
             f"no {kind.name}: limits.speed_rpm = {rig.limits.speed_rpm:g} does not pass the second resonance at "
-            f"{second * 30 / math.pi:.0f} rpm"
+            f"{second * TO_RPM:.0f} rpm"
         )
         return
     refused = 0
@@ -115,7 +115,7 @@ def _releases(
         return
     for name, point in rig.points.items():
         speed = physics.speed_rad_s(point.speed_ratio)
-        if point.expected == "slipping" or speed * 30 / math.pi > rig.limits.speed_rpm:
+        if point.expected == "slipping" or speed * TO_RPM > rig.limits.speed_rpm:
             continue
         test = f"{kind.name}-{name}"
         for record in _RELEASES_S:

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.speed_history import SpeedHistory
@@ -19,8 +18,8 @@ from identification.methods import Method
 from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives
 from identification.plan.sensors import Sensors
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
+from rig_basics.units import TO_RPM
 
 _NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 _INSTANT_S = 0.004  # interval between the evaluated instants
@@ -116,7 +115,7 @@ def release(physics: RotorParameters, sensors: Sensors, test: str, speed_rad_s: 
         _LOCKED_STD_M * omega,
         _PRIOR_STD,
     ]
-    settings = {"speed_rpm": speed_rad_s * 30 / np.pi, "record_s": record_s}
+    settings = {"speed_rpm": speed_rad_s * TO_RPM, "record_s": record_s}
     model = _Model(angles, theta, difference, prior)
     return _experiment(test, "release", physics, sensors, model, settings, record_s, record_s)
 

@@ -16,8 +16,8 @@ from identification.errors import NotIdentifiable
 from identification.methods import Method
 from identification.plan.experiment import Experiment, together
 from identification.plan.offers import offers_for
+from identification.plan.requirements import Requirement
 from identification.plan.sensors import Sensors
-from identification.plan.wants import Want
 from rig_configs.schema import Rig
 
 MOST_RUNS = 25
@@ -57,7 +57,7 @@ class Answer:
             if no test of the rig shows the parameter.
     """
 
-    want: Want
+    want: Requirement
     believed: float
     wanted: float
     reached: float
@@ -94,7 +94,7 @@ class Plan:
 @on_one_thread
 def plan(
     rig: Rig,
-    requirements: Sequence[Want],
+    requirements: Sequence[Requirement],
     sensors: Sensors | None = None,
     mass_std: float = 0.0,
     notify: Callable[[str], None] = lambda _: None,
@@ -133,7 +133,7 @@ def plan(
 
 
 def _chosen(
-    offers: Sequence[Experiment], requirements: Sequence[Want], nominal: dict[str, float], mass_std: float
+    offers: Sequence[Experiment], requirements: Sequence[Requirement], nominal: dict[str, float], mass_std: float
 ) -> list[Step]:
     """Select the cheapest experiments, the most expensive requirement first; each selection counts for the others."""
     steps: list[Step] = []
@@ -155,7 +155,7 @@ def _chosen(
 
 
 def _without_redundant_steps(
-    steps: list[Step], requirements: Sequence[Want], nominal: dict[str, float], mass_std: float
+    steps: list[Step], requirements: Sequence[Requirement], nominal: dict[str, float], mass_std: float
 ) -> list[Step]:
     """Return the steps without those that a later selection has made unnecessary."""
     for step in list(steps):
@@ -173,7 +173,7 @@ def _without_redundant_steps(
     return steps
 
 
-def _target(want: Want, nominal: dict[str, float], mass_std: float) -> float:
+def _target(want: Requirement, nominal: dict[str, float], mass_std: float) -> float:
     """Return the part of a required relative standard deviation that remains for the sensors; 0 if masses exceed it."""
     wanted = want.relative_std(nominal[want.name])
     mass = 0.0 if want.name.startswith("zeta") else mass_std
@@ -181,7 +181,7 @@ def _target(want: Want, nominal: dict[str, float], mass_std: float) -> float:
 
 
 def _cheapest(
-    offers: Sequence[Experiment], want: Want, nominal: dict[str, float], mass_std: float
+    offers: Sequence[Experiment], want: Requirement, nominal: dict[str, float], mass_std: float
 ) -> tuple[Experiment | None, int, float]:
     """Return the cheapest experiment, its number of runs and its time in s; None, 0 and inf if none is sufficient."""
     target = _target(want, nominal, mass_std)
@@ -198,7 +198,7 @@ def _cheapest(
 
 
 def _answer(
-    want: Want, nominal: float, offers: Sequence[Experiment], reached: dict[str, float], mass_std: float
+    want: Requirement, nominal: float, offers: Sequence[Experiment], reached: dict[str, float], mass_std: float
 ) -> Answer:
     having = [o for o in offers if want.name in o.expected.names]
     mass = 0.0 if want.name.startswith("zeta") else mass_std

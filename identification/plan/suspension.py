@@ -18,10 +18,9 @@ from identification.estimate import Estimate
 from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives
 from identification.plan.sensors import Sensors
+from rig_basics.arrays import Array, Complex
+from rig_basics.units import TO_RPM
 from rig_configs.known import gain_label
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _PER_CYCLE = 8  # number of evaluated instants per cycle of the fastest mode
 _SIDE = 0.05  # share of a pluck along one axis that displaces the other axis
@@ -112,7 +111,7 @@ def run_up(
         shared[gain_label(axis)] = np.array([0, 0, 0, 0, slope * weights[i] * gains[i]])
     own = reduce @ bound @ reduce.T
     names = (*_FOUR, "SP_kg_m")
-    settings = {"top_rpm": top_rad_s * 30 / np.pi, "ramp_s": ramp_s, "rate_rpm_per_s": top_rad_s * 30 / np.pi / ramp_s}
+    settings = {"top_rpm": top_rad_s * TO_RPM, "ramp_s": ramp_s, "rate_rpm_per_s": top_rad_s * TO_RPM / ramp_s}
     expected = _estimate(physics, test, names, own, shared)
     return Experiment(test, "passage", settings, ramp_s, expected, model.largest_m, _close_pair(physics))
 

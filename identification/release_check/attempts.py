@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.errors import FitFailed
 from identification.least_squares import Minimum
@@ -28,9 +27,8 @@ from identification.pendulums.suspension_knowledge import NAMES, NOMINAL_SHARE
 from identification.pendulums.transient import TransientProblem
 from identification.pendulums.unknown_phase import angles_to_try, screened_starts
 from identification.release_check.model import TORQUES, Fitted, fitted_with_numbers, opened
+from rig_basics.arrays import Array
 from rig_configs.parameters_file import IdentifiedParameters
-
-Array = NDArray[np.float64]
 
 WIDE, _LEAST_SHARE = 10.0, 0.01  # widened prior of a parameter: factor on its standard deviation, and smallest share
 DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.run import Run, point_of
 from daq.signals.threads import on_one_thread
@@ -29,13 +28,12 @@ from identification.pendulums.suspension_knowledge import BOW, Knowledge
 from identification.release_check.attempts import DAMPING, FLICK_RAD_S, WIDE, Attempts, with_common_friction
 from identification.release_check.model import Condensed, Fitted, condensed
 from identification.release_check.together import agreed, fitted_at
+from rig_basics.arrays import Array
 from rig_configs.drag import LABELS, Drag, Reading, read_as
 from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
 from rig_configs.suspension_terms import TERMS
-
-Array = NDArray[np.float64]
 
 _ZERO_WIDE = 3.0  # factor on the standard uncertainty of zeros and other known numbers
 _NUMBER_SHARE = 1e-3  # smallest relevant relative error of a number

@@ -14,17 +14,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.least_squares import Minimum
 from identification.pendulums.release_problem import Release, Shape
 from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.samples import correlation_inflation
+from rig_basics.arrays import Array
 from rig_configs.known import DRAG, FRICTION, INDEX, ZERO_A, ZERO_B, physical_numbers
 from rig_configs.suspension_terms import TERMS
-
-Array = NDArray[np.float64]
 
 PLACES: Mapping[str, int] = {
     "c3_Nms_per_rad": 0,

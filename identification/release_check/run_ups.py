@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.run import Run
 from identification.errors import IdentificationError
@@ -21,9 +20,8 @@ from identification.physical import keep_physical, run_up_sides
 from identification.release_check.check import ReleaseRows, used_for
 from identification.run_up.fit import fit_run_up_run, run_up_estimate
 from identification.suspension_terms import known_suspension
+from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters, Rig
-
-Array = NDArray[np.float64]
 
 _CLOCK = "clock"
 

@@ -7,15 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.errors import FitFailed
 from identification.least_squares import Minimum
 from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.release_check.model import PLACES, Condensed, Fitted, Misfit
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _HELD = 1e-9  # prior standard deviation of a held unknown
 _ITERATIONS = 40

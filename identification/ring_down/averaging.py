@@ -8,14 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.ring_down.backbone import Backbone, Floats, averaged_course
+from identification.ring_down.backbone import Backbone, averaged_course
 from identification.ring_down.exact_motion import lacking
 from identification.ring_down.model import BETA, DELAYS, RATIO, DecayModel, DecayRecord, rotation
+from rig_basics.arrays import Array
 
 _MIN_AMPLITUDE = 1e-6  # of a mode's amplitude; a sensor with a smaller one does not show the mode
 
 
-def amplitudes(model: DecayModel, coefficients: Sequence[Floats]) -> tuple[tuple[float, ...], ...]:
+def amplitudes(model: DecayModel, coefficients: Sequence[Array]) -> tuple[tuple[float, ...], ...]:
     """Amplitude of each record and mode at the record's zero, along the mode's direction, m."""
     return tuple(
         tuple(float(np.sqrt(sum(abs(a) ** 2 for a in _own(model, record, c, mode)))) for mode in range(model.modes))
@@ -24,8 +25,8 @@ def amplitudes(model: DecayModel, coefficients: Sequence[Floats]) -> tuple[tuple
 
 
 def with_terms(
-    model: DecayModel, theta: Floats, coefficients: Sequence[Floats], taken: tuple[bool, ...]
-) -> tuple[DecayModel, Floats]:
+    model: DecayModel, theta: Array, coefficients: Sequence[Array], taken: tuple[bool, ...]
+) -> tuple[DecayModel, Array]:
     """Return a model and its θ with other terms of amplitude (order η1, S1, η2, S2). Rates are constant without any."""
     values = theta[model.tail :] if model.backbone is not None else np.zeros(2 * model.modes)
     records = tuple(replace(record, lacking=()) for record in model.records)
@@ -38,7 +39,7 @@ def with_terms(
     )
 
 
-def corrected(model: DecayModel, theta: Floats, coefficients: Sequence[Floats]) -> DecayModel:
+def corrected(model: DecayModel, theta: Array, coefficients: Sequence[Array]) -> DecayModel:
     """Return the model with the amplitudes of a fit of it, and with the correction of its averaged motion.
 
     Args:
@@ -56,17 +57,17 @@ def corrected(model: DecayModel, theta: Floats, coefficients: Sequence[Floats]) 
     return replace(model, records=records)
 
 
-def _own(model: DecayModel, record: DecayRecord, c: Floats, mode: int) -> list[complex]:
+def _own(model: DecayModel, record: DecayRecord, c: Array, mode: int) -> list[complex]:
     """Complex amplitudes of a mode: one along its axis for a turned pair, one per channel for free modes."""
     count = 1 if model.turned else len(record.channels)
     return [complex(*c[2 * (i * model.modes + mode) : 2 * (i * model.modes + mode) + 2]) for i in range(count)]
 
 
-def _lacking(model: DecayModel, record: DecayRecord, index: int, theta: Floats, c: Floats) -> tuple[Floats, ...]:
+def _lacking(model: DecayModel, record: DecayRecord, index: int, theta: Array, c: Array) -> tuple[Array, ...]:
     backbone = model.backbone
     assert backbone is not None
     mix, _ = rotation(float(theta[BETA]), float(np.exp(theta[RATIO]))) if model.turned else (np.eye(1), None)
-    out: list[Floats] = []
+    out: list[Array] = []
     for axis, (t, channel) in enumerate(zip(record.times, record.channels, strict=True)):
         own = t - (float(theta[DELAYS + index]) if model.delays and axis else 0.0)
         total = np.zeros(len(t))

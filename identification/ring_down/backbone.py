@@ -15,10 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from rig_basics.arrays import Array, Complex
 
 REFERENCE_M = 1e-3
 """Reference amplitude A for the changes of frequency and damping ratio, m."""
@@ -51,7 +49,7 @@ class Backbone:
         return tuple(on for pair in zip(self.hardens, self.drags, strict=True) for on in pair)
 
     @property
-    def prior_std(self) -> Floats:
+    def prior_std(self) -> Array:
         """Prior standard deviation of each term: infinite for fitted terms, 0 for terms that are left out."""
         return np.where(self.taken, np.inf, self.plausible or 0.0)
 
@@ -111,13 +109,13 @@ class Course:
         rate_by: derivatives of the rate by the same parameters, to first order.
     """
 
-    power: Complexes
-    rate: Complexes
-    by: tuple[Complexes, ...]
-    rate_by: tuple[Complexes | complex, ...]
+    power: Complex
+    rate: Complex
+    by: tuple[Complex, ...]
+    rate_by: tuple[Complex | complex, ...]
 
 
-def course(rates: Rates, amplitude_m: float, time_s: Floats) -> Course:
+def course(rates: Rates, amplitude_m: float, time_s: Array) -> Course:
     """Compute P and its derivatives.
 
     Args:
@@ -153,8 +151,8 @@ def course(rates: Rates, amplitude_m: float, time_s: Floats) -> Course:
 
 
 def averaged_course(
-    rates: Rates, amplitude_m: float, time_s: Floats, spread_s2: Floats
-) -> tuple[Complexes, tuple[Complexes, ...]]:
+    rates: Rates, amplitude_m: float, time_s: Array, spread_s2: Array
+) -> tuple[Complex, tuple[Complex, ...]]:
     """Average e^P over blocks, shape (n,), with its derivatives by ln ω, ζ, η and S.
 
     Args:
@@ -170,7 +168,7 @@ def averaged_course(
     return curved, tuple(curved * by + widened * rate_by for by, rate_by in pairs)
 
 
-def _reach(sigma: float, time_s: Floats) -> tuple[Floats, Floats]:
+def _reach(sigma: float, time_s: Array) -> tuple[Array, Array]:
     """E = (1 − e^{−σt})/σ and ∂E/∂σ."""
     power = sigma * time_s
     small = np.abs(power) < _MAX_SERIES_POWER
@@ -181,7 +179,7 @@ def _reach(sigma: float, time_s: Floats) -> tuple[Floats, Floats]:
     return e, np.where(small, -0.5 * time_s**2 * (1 - 2 / 3 * power), slope)
 
 
-def _curved(x: Floats) -> tuple[Floats, Floats]:
+def _curved(x: Array) -> tuple[Array, Array]:
     """G and its slope; for small x from G = Σ (−1)^{n+1} (n + 1)/(n + 2) xⁿ."""
     small = np.abs(x) < _MAX_SERIES_X
     safe = np.where(small, 1.0, x)

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.ring_down.averaging import amplitudes
-from identification.ring_down.backbone import REFERENCE_M, Floats
+from identification.ring_down.backbone import REFERENCE_M
 from identification.ring_down.decay import Fitted
+from rig_basics.arrays import Array
 
 _CUBIC, _GROWTH = 8 / (3 * REFERENCE_M**2), 3 * math.pi / 8 / REFERENCE_M
 
@@ -33,13 +34,13 @@ class DirectionTerms:
     """
 
     direction: int
-    values: Floats
-    covariance: Floats
+    values: Array
+    covariance: Array
     found: tuple[bool, bool]
     largest_m: float
 
 
-def direction_terms(fitted: Fitted, labels: tuple[str, ...], stretch: Floats) -> list[DirectionTerms]:
+def direction_terms(fitted: Fitted, labels: tuple[str, ...], stretch: Array) -> list[DirectionTerms]:
     """Return the terms of every direction of a fit.
 
     Args:

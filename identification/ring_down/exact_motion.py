@@ -14,12 +14,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from identification.ring_down.backbone import REFERENCE_M, Complexes, Floats, Rates
+from identification.ring_down.backbone import REFERENCE_M, Rates
+from rig_basics.arrays import Array, Complex
 
 _STEPS_PER_CYCLE = 128
 
 
-def exact_motion(rates: Rates, start: complex, scale: float, time_s: Floats) -> Floats:
+def exact_motion(rates: Rates, start: complex, scale: float, time_s: Array) -> Array:
     """Integrate the motion of a mode: displacement, velocity and acceleration, shape (3, n).
 
     Args:
@@ -39,7 +40,7 @@ def exact_motion(rates: Rates, start: complex, scale: float, time_s: Floats) -> 
     return _integrated(rates.omega, rates.zeta, cubic, drag, first[0], first[1], np.ascontiguousarray(time_s), step)
 
 
-def lacking(rates: Rates, start: complex, scale: float, time_s: Floats, spread_s2: Floats, wave: Complexes) -> Floats:
+def lacking(rates: Rates, start: complex, scale: float, time_s: Array, spread_s2: Array, wave: Complex) -> Array:
     """Block means of the exact motion minus those of the averaged one, shape (n,), m.
 
     Args:
@@ -53,8 +54,8 @@ def lacking(rates: Rates, start: complex, scale: float, time_s: Floats, spread_s
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _integrated(
-    omega: float, zeta: float, cubic: float, drag: float, q: float, v: float, time_s: Floats, step: float
-) -> Floats:  # pragma: no cover
+    omega: float, zeta: float, cubic: float, drag: float, q: float, v: float, time_s: Array, step: float
+) -> Array:  # pragma: no cover
     """Fourth-order Runge–Kutta integration, with a whole number of steps between two times."""
     out = np.empty((3, len(time_s)))
     now, stiff, damp = 0.0, omega * omega, 2 * zeta * omega

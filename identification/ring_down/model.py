@@ -29,9 +29,10 @@ from numpy.typing import NDArray
 
 from identification.colour import Colour
 from identification.least_squares import Block
-from identification.ring_down.backbone import Backbone, Complexes, Rates, averaged_course
+from identification.ring_down.backbone import Backbone, Rates, averaged_course
 from identification.ring_down.modes import averaged_decay, damping_derivative, rate
 from identification.samples import Averages
+from rig_basics.arrays import Complex
 
 BETA, RATIO, DELAYS = 4, 5, 6  # places in θ of a turned pair
 _MAX_ZETA, _MAX_LOG_OMEGA, _MAX_GROWTH = 0.95, 12.0, 20.0
@@ -212,7 +213,7 @@ class DecayModel:
         waves: list[list[np.ndarray]] = []
         moves: list[list[tuple[np.ndarray, ...]]] = []
         for mode, amplitude in enumerate(backbone.amplitudes_m[index]):
-            rates, parts = self.mode_rates(theta, mode), list[tuple[Complexes, tuple[Complexes, ...]]]()
+            rates, parts = self.mode_rates(theta, mode), list[tuple[Complex, tuple[Complex, ...]]]()
             for i, (t, channel) in enumerate(zip(record.times, record.channels, strict=True)):
                 own = t - (delay if i else 0.0)
                 parts.append(parts[0] if i and alike else averaged_course(rates, amplitude, own, channel.spread_s2))

@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from identification.ring_down.backbone import REFERENCE_M, Floats
+from identification.ring_down.backbone import REFERENCE_M
 from identification.ring_down.decay import Fitted
+from rig_basics.arrays import Array
 
 Kind = Literal["frequency", "damping"]
 _CUBIC = 8 / (3 * REFERENCE_M**2)  # κ over η
@@ -40,7 +41,7 @@ class RatesOverAmplitude:
     cubic_stiffness_std: float
     zeta_slope_per_m: float
     zeta_slope_std: float
-    covariance: Floats
+    covariance: Array
     largest_m: float
 
     @property
@@ -83,7 +84,7 @@ def _given(value: float, std: float) -> str:
     return f"{value:.{digits}f} ± {std:.{digits}f}"
 
 
-def rates_over_amplitude(fitted: Fitted, labels: tuple[str, ...], stretch: Floats) -> list[RatesOverAmplitude]:
+def rates_over_amplitude(fitted: Fitted, labels: tuple[str, ...], stretch: Array) -> list[RatesOverAmplitude]:
     """Return the directions with significant terms of amplitude.
 
     Args:

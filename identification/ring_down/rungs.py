@@ -17,13 +17,14 @@ from scipy.special import chdtri  # pyright: ignore[reportMissingTypeStubs]
 from identification.errors import FitFailed
 from identification.least_squares import solve_separable
 from identification.ring_down.averaging import with_terms
-from identification.ring_down.backbone import REFERENCE_M, Backbone, Floats
+from identification.ring_down.backbone import REFERENCE_M, Backbone
 from identification.ring_down.decay import Fitted, Priors, prior_std, solve
 from identification.ring_down.disturbances import mode_size
 from identification.ring_down.model import DecayModel
 from identification.ring_down.modes import rate
 from identification.ring_down.residuals import gain_of
 from identification.ring_down.scores import known_columns, stretches
+from rig_basics.arrays import Array
 
 _MIN_BIC_GAIN = 2.0  # of BIC; small, since a missing term biases more than a superfluous one widens
 _FALSE_ALARM_RATE = 1e-3  # probability that noise alone adds a term to a fit
@@ -90,7 +91,7 @@ def bent_leader(fitted: Fitted, priors: Priors) -> Fitted | None:
     return single if single.model.backbone is not None else None
 
 
-def pair_with_leader(model: DecayModel, leader: Fitted, other: Floats, place: int) -> tuple[DecayModel, Floats]:
+def pair_with_leader(model: DecayModel, leader: Fitted, other: Array, place: int) -> tuple[DecayModel, Array]:
     """Return a turned pair and its start values from the separate fit of its stronger mode and the other one's rates.
 
     Args:
@@ -138,7 +139,7 @@ def _next(fitted: Fitted, priors: Priors) -> Fitted | None:
     return best if (fitted.chi2 - best.chi2) / band > price else None
 
 
-def _gains(fitted: Fitted) -> Floats:
+def _gains(fitted: Fitted) -> Array:
     """Reduction of χ² by each single term, shape (2 × modes,), from score tests."""
     model, theta = with_terms(
         fitted.model, fitted.theta, fitted.solution.coefficients, (True,) * (2 * fitted.model.modes)
@@ -159,7 +160,7 @@ def _with(fitted: Fitted, index: int, priors: Priors) -> Fitted | None:
     taken = tuple(on or i == index for i, on in enumerate(_taken(fitted)))
     model, theta = with_terms(fitted.model, fitted.theta, fitted.solution.coefficients, taken)
     std = prior_std(model, priors)
-    candidates: list[tuple[float, Floats]] = []
+    candidates: list[tuple[float, Array]] = []
     for start in _starts(model, theta, index):
         if model.is_absurd(start):
             continue
@@ -173,7 +174,7 @@ def _with(fitted: Fitted, index: int, priors: Priors) -> Fitted | None:
     return solve(fitted.decay, model, [min(candidates, key=lambda one: one[0])[1]], priors)
 
 
-def _starts(model: DecayModel, theta: Floats, index: int) -> list[Floats]:
+def _starts(model: DecayModel, theta: Array, index: int) -> list[Array]:
     """Start values of θ: the rates at zero amplitude are shifted so that the mean rates over the decay are kept."""
     backbone, mode = model.backbone, index // 2
     assert backbone is not None

@@ -19,14 +19,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from identification.ring_down.modes import rate, rate_derivatives
 from identification.run_up.forced_oscillator import Drive
 from identification.run_up.slow_roll import Turning
-
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from rig_basics.arrays import Array, Complex
 
 _SUBSTEPS = 4  # per step of the drive's grid: 64 per turn at the top speed, frequency error 3e-7
 _SMOOTHED = 16 * _SUBSTEPS  # half steps to either side over which ψ̇ is averaged: half a turn at the top speed
@@ -122,7 +119,7 @@ def forcing(drive: Drive) -> np.ndarray:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _rates(  # numba kernel: a settings object is not supported
     y: Array,
-    drive: Complexes,
+    drive: Complex,
     amplitude: complex,
     bow: complex,
     omega: float,
@@ -164,7 +161,7 @@ def _rates(  # numba kernel: a settings object is not supported
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _march(  # numba kernel: a settings object is not supported
-    drive: Complexes,
+    drive: Complex,
     step: float,
     omega: float,
     zeta: float,

@@ -10,14 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.run_up.bent_oscillator import bent_response, forcing
 from identification.run_up.forced_oscillator import Drive, Instants, Response
 from identification.run_up.slow_roll import turning
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from rig_basics.arrays import Array, Complex
 
 FREE = 2  # index of the free oscillations in a sensor's linear unknowns, after the amplitude of the imbalance
 MOTION = 6  # number of leading linear unknowns of the motion: amplitude, free oscillations of both modes; then a bow

@@ -20,9 +20,8 @@ from identification.run_up.model import ANGLE, OMEGAS, ZETAS, RunUpRecord, Struc
 from identification.run_up.rotor_phase import RotorPhase
 from identification.samples import Averages
 from identification.typed_scipy import uniform_filter1d
+from rig_basics.arrays import Array, Complex
 
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
 _SMOOTH = 33  # number of averaged periodogram ordinates
@@ -241,9 +240,7 @@ def _rounded(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _backwards(
-    share: Array, width: Array, phasor: Complexes, lam: complex, driven: Complexes, factor: complex
-) -> Array:
+def _backwards(share: Array, width: Array, phasor: Complex, lam: complex, driven: Complex, factor: complex) -> Array:
     """Σ_j share_j ∂signal_j/∂ψ_i for every block i; share of shape (k, n).
 
     The response to an impulse of e^{iψ} is (driven_0 e^{λt} − driven_1 e^{λ*t})/(λ − λ*), and −factor at the impulse.

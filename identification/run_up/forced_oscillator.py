@@ -18,13 +18,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from dynamics.equations.speed_history import SpeedHistory, phase_at
 from identification.ring_down.modes import rate, rate_derivatives
-
-Array = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from rig_basics.arrays import Array, Complex
 
 STEP_RAD = 0.4
 """Rotation within one step of the grid, rad. The error of the integral is 1e-7, that of the interpolation 2e-7."""
@@ -106,7 +103,7 @@ def march(drive: Drive, omega: float, zeta: float, out: np.ndarray) -> None:
     """
     up = rate(omega, zeta)
     d_omega, d_zeta = rate_derivatives(omega, zeta)
-    lam: Complexes = np.array([up, np.conj(up)])
+    lam: Complex = np.array([up, np.conj(up)])
     turn = np.array([[d_omega, np.conj(d_omega)], [d_zeta, np.conj(d_zeta)]])
     rest = drive.step_s * (1 - _GAUSS_AT)
     weights = np.asarray(drive.step_s * _GAUSS_WEIGHT * np.exp(lam[:, None] * rest), np.complex128)
@@ -153,14 +150,14 @@ def responses_of(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _march(  # numba kernel: a settings object is not supported
-    phasor: Complexes,
-    edge: Complexes,
+    phasor: Complex,
+    edge: Complex,
     step: float,
-    lam: Complexes,
-    turn: Complexes,
-    weight: Complexes,
-    slope_weight: Complexes,
-    out: Complexes,
+    lam: Complex,
+    turn: Complex,
+    weight: Complex,
+    slope_weight: Complex,
+    out: Complex,
 ) -> None:
     """Step z and ∂z/∂λ of each rate, and compute g and its derivatives from them, into `out`."""
     n = len(phasor)
@@ -204,9 +201,9 @@ def _seen(  # numba kernel: a settings object is not supported
     coefficients: Array,
     start: float,
     step: float,
-    grids: Complexes,
-    lam: Complexes,
-) -> Complexes:
+    grids: Complex,
+    lam: Complex,
+) -> Complex:
     """Interpolate at blocks: quintic Hermite for g and its derivatives, cubic for the sensitivities; h = g − p."""
     modes, n = len(grids), len(times)
     out = np.empty((modes, 6, n), dtype=np.complex128)

@@ -8,6 +8,7 @@ from identification.errors import NotIdentifiable
 from identification.run_up.design import Design
 from identification.run_up.forced_oscillator import Drive
 from identification.run_up.model import ANGLE, AXIS_PRIOR_STD, DELAYS, RIPPLE
+from rig_basics.units import TO_RPM
 
 _FALSE_ALARM_RATE = 1e-5  # probability that noise alone counts as a resonance
 
@@ -92,7 +93,7 @@ def determined(
             warnings.append(
                 f"resonance {i} (sensor {axis}) is not identifiable: "
                 + (
-                    f"the speed goes from {drive.low_rad_s * 30 / np.pi:.0f} to {drive.top_rad_s * 30 / np.pi:.0f} rpm "
+                    f"the speed goes from {drive.low_rad_s * TO_RPM:.0f} to {drive.top_rad_s * TO_RPM:.0f} rpm "
                     "and does not pass it; record a passage that does"
                     if gains[i - 1] > needed
                     else f"the best one found gains χ² {gains[i - 1]:.3g}, chance alone up to {needed:.3g}; does the "

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
 from identification.errors import NotIdentifiable
 from identification.typed_scipy import toeplitz
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _KNOTS_PER_TURN = 40  # twenty per period of a ripple of twice per revolution
 _MIN_MARKS = 10

@@ -18,12 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.run_up.forced_oscillator import Drive, Response
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
+from rig_basics.arrays import Array, Complex
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.least_squares import Solution
 from identification.run_up.design import Design
 from identification.run_up.model import RunUpRecord, Structure, slow_roll_columns
 from identification.samples import correlation_inflation
 from identification.setting import ModelChoice
+from rig_basics.arrays import Array
 
-Array = NDArray[np.float64]
 Solve = Callable[[Structure, Array], Solution]
 
 _UNKNOWNS = 4  # one complex amplitude per sensor

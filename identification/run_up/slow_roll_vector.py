@@ -8,12 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.run_up.result import RunUpFit
+from rig_basics.arrays import Array
 from rig_configs.slow_roll import SlowRoll
-
-Array = NDArray[np.float64]
 
 _MAX_DEVIATION_STD = 5.0  # standard deviations between two passages
 

@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.equations.parameters import RotorParameters
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 AT_REST_RAD_S = 0.5
 """Rotor speed below which the imbalance force is negligible, rad/s."""

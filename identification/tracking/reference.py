@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from identification.errors import FitFailed
 from identification.tracking import unscented
 from identification.tracking.unscented import LN_C3, LN_C4, STATES
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 MOST_STEPS = 600_000
 """Largest number of stored steps: 1.5 GB including the smoothed ones, ten minutes at one step per millisecond."""

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.signals.run import Run
 from dynamics.equations.parameters import RotorParameters
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.integrate import locked_state
 from identification.tracking.unscented import STATES, TALLY, filter_readings
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _SPAN_S, _TICK_S = 2.0, 1e-3
 _LN_C_STD = (1.2, 0.7, 0.5)

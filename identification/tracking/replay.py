@@ -15,8 +15,7 @@ from identification.errors import NotIdentifiable
 from identification.tracking.reference import FilterpyFilter
 from identification.tracking.tracker import STATE_NAMES, Sensors, Tracked, Tracker
 from identification.tracking.unscented import LN_C3, filter_readings
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 TrackingSetting = Literal["fast", "reference"]
 """fast: compiled filter; reference: filterpy's filter with the same motion, and its smoother."""

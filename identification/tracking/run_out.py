@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.tracking.phase_clock import PhaseClock
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 
 def without_run_out(rows: Array, phase: PhaseClock, run_out_m: tuple[complex, complex]) -> Array:

@@ -19,8 +19,8 @@ from identification.tracking.phase_clock import PhaseClock
 from identification.tracking.process_noise import AT_REST_RAD_S, process_noise
 from identification.tracking.run_out import without_run_out
 from identification.tracking.unscented import STATES, TALLY, filter_readings
+from rig_basics.arrays import Array
 
-Array = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]
 
 STATE_NAMES = (

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from dynamics.equations.kernels import CA, CB, JA, JB
 from dynamics.equations.quick_rates import quick_rates
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 STATES, READINGS, TALLY = 10, 4, 8
 X, Y, THETA3, THETA4, LN_C3, LN_C4 = 0, 1, 2, 3, 8, 9

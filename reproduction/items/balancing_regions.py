@@ -18,8 +18,7 @@ from dynamics.steady.basins.single import ReleaseEnds, release_ends
 from reproduction.items.pendulum_sets import FROM_RAD, ZETA, isotropic_rig, with_moments
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import Workspace, numbers_of
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 RATIO = 2.5
 GRID = 12  # sets along each axis of the plane

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.stability_map import set_plane
@@ -19,8 +18,6 @@ from dynamics.stability.borders import Borders
 from reproduction.items.stability_plane import X_RANGE, Y_RANGE, borders_of_plane, frame_of_rig
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
-
-Array = NDArray[np.float64]
 
 _FAMILY_ZETA = (0.005, 0.02, 0.05, 0.1, 0.2)
 _FAMILY_C34 = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)

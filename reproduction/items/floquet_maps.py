@@ -28,9 +28,8 @@ from dynamics.stability.floquet.methods import per_radian
 from reproduction.items.stability_plane import ON_LINE, X_RANGE, Y_RANGE, borders_of_plane, frame_of_rig
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
+from rig_basics.arrays import Array
 from rig_configs import load_rig
-
-Array = NDArray[np.float64]
 
 _COARSE = (42, 25)
 _PLANE = "The range Ω = 0.3 … 7, K = 1 … 16, and ζ = 0.02, c34 = 0.001 N m s/rad: the source gives neither in its text."

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.style import GOOD, GREY, MEASURED, MODEL, label
@@ -28,8 +27,6 @@ from dynamics.motions.start_ups import random_starts
 from reproduction.items.start_ups import BALLS, PENDULUMS, PIN_ARM_M, SPEED, SPEED_RPM
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import ISOTROPIC, Workspace, numbers_of
-
-Array = NDArray[np.float64]
 
 COUNT = 16
 """Start-ups at each friction arm."""

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.style import GREY, MEASURED, MODEL, label
@@ -29,8 +28,7 @@ from reproduction.items.imbalance_curves import (
 from reproduction.items.switching import imperfect_curves, positions_claim, positions_figure, positions_table, rows_of
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import Workspace, numbers_of
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 PLAY_DEG = 1.0
 SERIES = Series(

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]  # no stubs
 
 from analysis.figures.branches import A_COLOUR, B_COLOUR, draw_amplitudes, draw_angles, mark_borders
@@ -20,8 +19,6 @@ from dynamics import RotorParameters, SteadyBranches, SteadyState, steady_branch
 from reproduction.recorded import Recorded, as_stated, recorded_points
 from reproduction.results import Claim, Table
 from reproduction.workspace import ISOTROPIC, Workspace
-
-Array = NDArray[np.float64]
 
 MOMENT = "first moment of the imbalance S_P, g m"
 LEAST_P = 0.01

@@ -21,8 +21,7 @@ from reproduction.items.point_sweeps import CASES, Bench, stable_types
 from reproduction.items.slips import Ends, draw_ends, ends_counted, released, slip_rates_text, slip_verdict, turning
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import Workspace, numbers_of
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 LIGHT, HEAVY = 1e-3, 0.1
 """Pendulum damping, N m s/rad: the rig's, and one at which Type I is stable directly above resonance."""

@@ -19,8 +19,7 @@ from dynamics.stability.floquet import piecewise
 from reproduction.items.stability_plane import frame_of_rig
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import Workspace, numbers_of
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 
 def _spectra(p: RotorParameters, ratios: Array) -> NDArray[np.complex128]:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import Scene, SpeedHistory, SteadyBranches, balancing_region, simulate
 from dynamics.equations.parameters import RotorParameters
@@ -24,8 +23,6 @@ from reproduction.items.imbalance_curves import (
 )
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import Workspace, numbers_of
-
-Array = NDArray[np.float64]
 
 MASSES_KG = (0.019, 0.037, 0.055)
 MAIN_KG = 0.037

@@ -22,8 +22,7 @@ from dynamics.steady.point_loss import point_losses
 from reproduction.items.slips import Ends, draw_ends, ends_counted, released, slip_rates_text, slip_verdict, turning
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 ZETAS: Array = np.exp(np.linspace(math.log(0.005), math.log(0.3), 22))
 RATIOS: Array = np.linspace(0.4, 6.0, 57)

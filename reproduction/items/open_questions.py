@@ -25,9 +25,9 @@ from dynamics.steady.reaction import Reaction, reaction
 from dynamics.steady.steady_state import SteadyState
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
+from rig_basics.arrays import Array
+from rig_basics.units import TO_RPM
 from rig_configs import load_rig
-
-Array = NDArray[np.float64]
 
 _G = 9.81
 _CHAPTER = "chapter 5"
@@ -56,7 +56,7 @@ _GRAVITY_RATIOS = np.round(np.linspace(1.2, 8.0, 69), 3)
 
 def _state_at(p: RotorParameters, name: str, states: Sequence[SteadyState]) -> str:
     """Return speed, type and amplitude of a point's stable state."""
-    rpm = p.speed_rad_s(_ratio(name)) * 30 / math.pi
+    rpm = p.speed_rad_s(_ratio(name)) * TO_RPM
     state = f"{states[0].type}, {1e6 * states[0].amplitude_m:.1f} µm" if states else "no stable state"
     return f"{name} ({rpm:.0f} rpm) {state}"
 

@@ -17,6 +17,7 @@ from analysis.rig_model import RigModel
 from reproduction.recordings import KnownRig, known_rig, recorded_point
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
+from rig_basics.units import TO_RPM
 
 _SEED = ("virtual.seed=410",)
 _EXPECTED: Mapping[str, tuple[str, str]] = {
@@ -89,7 +90,7 @@ def _point(work: Workspace, name: str) -> Reproduced:
                 f"recorded: {judged.state}, θ3 = {math.degrees(measured.theta_rad[0].value):.2f}°, θ4 = "
                 f"{math.degrees(measured.theta_rad[1].value):.2f}°, amplitude "
                 f"{1e3 * measured.amplitude_m.value:.4f} mm at "
-                f"{measured.speed_rad_s.value * 30 / math.pi:.1f} rpm",
+                f"{measured.speed_rad_s.value * TO_RPM:.1f} rpm",
             ),
             Claim.judged(
                 "4.4",

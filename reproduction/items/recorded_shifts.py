@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]  # no stubs
 
 from analysis.figures.branches import A_COLOUR, B_COLOUR
@@ -33,8 +32,7 @@ from reproduction.items.shifted_pivots import (
 from reproduction.recorded import Recorded, as_stated, recorded_points
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import ISOTROPIC, Workspace, numbers_of
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 RECORDED_RATIO = 19.5
 RECORDED = (0.0, 0.25, 0.5, 0.75, 0.9, 1.0, 1.1, 1.5, 1.75, 2.15, 2.6, 3.0)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis import RigModel, SimulatedRun, simulate_run
 from analysis.figures.sheet import MEASURED_LOOK, MODEL_LOOK, WIDTH_IN, sheet
@@ -20,8 +19,7 @@ from reproduction.items.imbalance_curves import Series
 from reproduction.recorded import Recorded
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import Workspace, numbers_of
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 BEFORE_S, AFTER_S = 3.0, 17.0
 _MOMENT = 0.12 * 0.02117

@@ -22,7 +22,7 @@ def run_up_script(work: Workspace) -> Reproduced:
     """Plot as the program does: Θ1, Θ2 in the turning frame and the pendulums, from 3 s before the release."""
     p = script_rig()
     right = release(p, SCRIPT_SPEED_RAD_S, Faults(), free_s=30.0)
-    faulty = release(p, SCRIPT_SPEED_RAD_S, Faults(no_push_back=True, speed_runs_on=True), free_s=30.0)
+    faulty = release(p, SCRIPT_SPEED_RAD_S, Faults(without_reaction=True, integrates_locked_speed=True), free_s=30.0)
     with sheet(WIDTH_IN, 5.4, "The run-up program: faulty equations and right ones, its own numbers") as figure:
         grid: list[Axes] = figure.subplots(3, 1, sharex=True).tolist()
         for run, colour, dashes, name in (

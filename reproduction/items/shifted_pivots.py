@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from analysis.figures.branches import A_COLOUR, B_COLOUR, wrapped_deg
 from analysis.figures.sheet import WIDTH_IN, sheet
@@ -20,8 +19,7 @@ from dynamics.motions.integrate import locked_state
 from dynamics.steady.pivot_shift import ShiftedPivot, shifted_pivot
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import ISOTROPIC, Workspace, numbers_of
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 SPEED_RATIO = 20.0
 MOMENT_KG_M = 0.995 * 2 * 0.075 * 0.054

@@ -16,8 +16,7 @@ from dynamics import ReleaseOutcome, release_outcome, steady_states
 from dynamics.equations.parameters import RotorParameters
 from reproduction.items.pendulum_sets import FROM_RAD
 from reproduction.results import Verdict
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 SLIPPING, TURNING, SWINGING = "slipping", "turning, no regular slip", "swinging"
 MOST_REVOLUTIONS = 8000

@@ -7,7 +7,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis import measure
 from analysis.figures.start_ups import draw_start_ups
@@ -18,15 +17,15 @@ from daq.lockstep.rehearsal import Rehearsal
 from dynamics import Pendulum, RotorParameters, locked_orbit
 from reproduction.results import Claim, Panel, Reproduced, Table
 from reproduction.workspace import ISOTROPIC, Workspace, numbers_of
+from rig_basics.arrays import Array
+from rig_basics.units import RPM
 from studies.runs import load_runs
-
-Array = NDArray[np.float64]
 
 COUNT = 12
 """Start-ups of the balls; for the pendulums half as many in each of two series."""
 BALLS = "ball_balancer"
 SPEED_RPM = 1500.0
-SPEED = SPEED_RPM * math.pi / 30
+SPEED = SPEED_RPM * RPM
 PIN_ARM_M = 8e-6
 """Assumed friction arm of a pendulum: a small ball bearing, μ = 0.002 on a pin of 4 mm radius."""
 LOCKED_PP_M = 1.75e-3

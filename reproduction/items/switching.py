@@ -20,8 +20,7 @@ from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import locked_state
 from dynamics.steady.mirrored_positions import Imperfections, mirrored_positions
 from reproduction.results import Claim, Table
-
-Array = NDArray[np.float64]
+from rig_basics.arrays import Array
 
 _SHIFT_M = 25e-6
 _TORQUE_NM = 1e-5

@@ -19,7 +19,7 @@ from analysis.figures import log_overview
 from analysis.figures.log_marks import Marks
 from analysis.figures.log_overview import COLUMNS, Trace, draw_log_overview
 from daq.channels import LASER_X, PENDULUMS, TACHO, Channel
-from daq.drivers.items import Batch, Event
+from daq.items import Batch, Event
 from daq.log import content as log_content
 from daq.log import open_log
 from daq.log.file import LogFile

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from daq.channels import LOCKS_CLOSED
-from daq.drivers.items import Event
 from daq.errors import DeviceError, ProcedureError
+from daq.guided_test_kinds import Asked
 from daq.guided_tests.controls import Controls
-from daq.guided_tests.kinds import Asked
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.runner import Runner, TestDone
 from daq.guided_tests.table import Look, State, Table, View
+from daq.items import Event
 from rig_configs.schema import Rig
 
 

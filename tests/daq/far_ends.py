@@ -6,8 +6,8 @@ from daq.acquisition.interlocks import Interlocks, Stop
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.far_end import SimulatedDrive
 from daq.drivers.devices import make_pipelines
-from daq.drivers.items import RX, Batch, Event
 from daq.drivers.rotorlink.far_end import SimulatedNode
+from daq.items import RX, Batch, Event
 from daq.transports import slcan
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs import load_rig

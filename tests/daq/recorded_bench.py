@@ -6,7 +6,7 @@ from pathlib import Path
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.devices import make_pipelines
-from daq.drivers.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, Event
 from daq.log.file import LogFile
 from daq.transports import slcan
 from rig_configs import load_rig

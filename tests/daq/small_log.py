@@ -10,10 +10,10 @@ import numpy as np
 from daq.acquisition.recorder import Recorder
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.devices import make_pipelines
-from daq.drivers.items import RX, Batch
 from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.items import RX, Batch
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 

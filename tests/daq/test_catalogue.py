@@ -24,8 +24,8 @@ from daq.catalogue import Catalogue, Entry, Query, cache, facts, parse_instant, 
 from daq.catalogue.cache import NAME, Row, Stamp
 from daq.catalogue.query import Sort
 from daq.channels import TACHO
-from daq.drivers.items import Batch
 from daq.errors import LogError, RecordingError
+from daq.items import Batch
 from daq.log.file import LogFile
 from daq.log.verdicts import SUFFIX, Verdict, digest_of, keep_verdict, verdict_of
 from daq.mcap.writer import BlockWriter

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.acquisition.device_check import AnglesSeen, Look, SpeedSeen, common_factor, device_checks, passed
+from daq.acquisition.device_check import Look, ObservedAngles, ObservedSpeed, common_factor, device_checks, passed
 from daq.acquisition.rate_watch import Rate
 from daq.drivers.checks import Checks
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.status_checks import drive_checks
-from daq.drivers.items import Event
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.status_checks import node_checks
 from daq.drivers.rotorlink.stream import NodePipeline
+from daq.items import Event
 from rig_configs import load_rig
 
 RIG = load_rig("virtual")
@@ -83,8 +83,8 @@ def healthy() -> Seen:
         },
         events=[],
         displacement_m={"x": rest, "y": rest},
-        angles=AnglesSeen(LOCKED, flags(96)),
-        speed=SpeedSeen(100.0, 0.0),
+        angles=ObservedAngles(LOCKED, flags(96)),
+        speed=ObservedSpeed(100.0, 0.0),
     )
 
 

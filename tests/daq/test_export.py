@@ -18,9 +18,9 @@ import pytest
 from scipy.io import loadmat
 
 from daq.channels import LASER_X, LASER_Y, MOTOR, PENDULUMS, TACHO
-from daq.drivers.items import Batch, Event
 from daq.exchange import ExchangeError, export_log, mat_file, tables
 from daq.exchange.units import unit_of
+from daq.items import Batch, Event
 from daq.log import open_log
 from daq.log.file import LogFile
 from daq.signals.run import load_run

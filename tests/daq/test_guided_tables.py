@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.errors import DeviceError
+from daq.guided_test_kinds import KINDS, Asked
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.frame import FINISH, STOP, framed
-from daq.guided_tests.kinds import KINDS, Asked
 from daq.guided_tests.procedure import Procedures
 from daq.guided_tests.runner import NotReached, TestDone
 from daq.guided_tests.table import END, FAULT, Look, Outcome, State, Table, View

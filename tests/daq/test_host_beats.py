@@ -9,8 +9,8 @@ import pytest
 from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
-from daq.drivers.items import RX, TX, Event
 from daq.errors import DeviceError
+from daq.items import RX, TX, Event
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from rig_cli.main import run
 from daq.drivers.devices import make_pipelines
 from daq.errors import LogError
 from daq.log import open_log
 from daq.log.file import LogFile
 from daq.log.snapshot import identities_of, rig_of
 from daq.replay.stream import pipelines_with
+from rig_cli.main import run
 from rig_configs import load_rig
 from tests.daq.test_signals import DISPLACEMENT_Y, START, batch
 

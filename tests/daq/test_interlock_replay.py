@@ -11,8 +11,8 @@ import pytest
 
 from daq.acquisition.interlock_table import CHANNELS, LOOK_S
 from daq.channels import LASER_X, MOTOR, TACHO
-from daq.drivers.items import Batch, Event
 from daq.errors import LogError
+from daq.items import Batch, Event
 from daq.log import open_log, recover, snapshot
 from daq.log.file import LogFile
 from daq.log.snapshot import rig_of
@@ -353,7 +353,7 @@ def test_a_hole_is_neither_silence_nor_a_runaway(tmp_path: Path, order_in_it: bo
 
 
 def test_holes_are_those_between_two_known_times() -> None:
-    from daq.log.samples import Missing
+    from daq.mcap.missing import Missing
 
     known = Missing("x", start_ns=5, end_ns=9, messages=3)
     places = [

@@ -10,8 +10,8 @@ import pytest
 
 from daq.acquisition.interlock_table import CHANNELS, INTERLOCKS, SESSION, interlock
 from daq.acquisition.recorder import BACKLOG_BYTES
-from daq.drivers.items import Event
 from daq.drivers.optoncdt import distance_words
+from daq.items import Event
 from rig_configs import load_rig
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits

@@ -13,7 +13,7 @@ from daq import channels
 from daq.acquisition.channel_watch import ChannelWatch
 from daq.acquisition.interlocks import Interlocks, Share, Stop
 from daq.acquisition.rotor_watch import RotorWatch
-from daq.drivers.items import Batch
+from daq.items import Batch
 from rig_configs import load_rig
 from tests.daq.far_ends import START_NS, Bench
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from daq.guided_test_kinds import KINDS, kind_of, refusal
 from daq.guided_tests import test_inputs as inputs
-from daq.guided_tests.kinds import KINDS, kind_of, refusal
 from rig_cli.main import run
 from rig_configs import load_rig
 

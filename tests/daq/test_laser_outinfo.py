@@ -7,13 +7,13 @@ import pytest
 from pydantic import ValidationError
 
 from daq import channels
-from daq.drivers.items import RX, Batch
 from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.played import PlayedLaser
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.errors import DeviceError
+from daq.items import RX, Batch
 from tests.daq.hand_made_laser import HandMadeLaser
 
 USUAL = ["DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"]

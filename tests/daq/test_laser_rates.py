@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from daq import channels
-from daq.drivers.items import RX, Batch, Event
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.errors import DeviceError
+from daq.items import RX, Batch, Event
 from tests.daq.hand_made_laser import HandMadeLaser
 
 START_NS = 1_700_000_000_000_000_000

@@ -8,11 +8,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from daq import channels
-from daq.drivers.items import RX, Batch, Event
 from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.blocks import measure
 from daq.drivers.optoncdt.stream import LaserPipeline
+from daq.items import RX, Batch, Event
 from rig_configs import load_rig
 
 LASER = load_rig("virtual").devices["laser_x"]

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from daq import channels
-from daq.drivers.items import RX, Batch
 from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.blocks import measure
@@ -18,6 +17,7 @@ from daq.drivers.optoncdt.played import PlayedLaser
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.errors import DeviceError, LogError
+from daq.items import RX, Batch
 from daq.virtual_rig.world import DeviceClock
 from tests.daq.hand_made_laser import HandMadeLaser
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.channels import suspects
-from daq.drivers.items import RX, Batch, Event
 from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
+from daq.items import RX, Batch, Event
 from rig_configs import load_rig
 
 STEP_M = 0.025 * 1.02 / distance_words.CODE_MAX

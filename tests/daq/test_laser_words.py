@@ -10,11 +10,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from daq import channels
-from daq.drivers.items import RX, Batch, Event
 from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import DEFAULT_WORDS, LaserPipeline
 from daq.errors import DeviceError
+from daq.items import RX, Batch, Event
 from rig_configs import load_rig
 
 DEVICES = load_rig("virtual").devices

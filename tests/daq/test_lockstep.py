@@ -15,7 +15,7 @@ from daq.acquisition.session import Session
 from daq.clock import ClockMap
 from daq.errors import DeviceError, LinkLost, RigError
 from daq.guided_tests.procedure import Procedures
-from daq.lockstep.clock import SimulatedClock, WaitedInVain
+from daq.lockstep.clock import SimulatedClock, WaitNeverEnds
 from daq.lockstep.rig import STEP_S, LockstepRig
 from daq.log import open_log
 from daq.replay import check
@@ -59,7 +59,7 @@ def test_actions_of_a_busy_host_are_delayed_and_those_of_the_world_are_not() -> 
 def test_actions_must_not_wait() -> None:
     clock = SimulatedClock()
     clock.after(0.1, lambda: clock.wait(1.0))
-    with pytest.raises(WaitedInVain):
+    with pytest.raises(WaitNeverEnds):
         clock.wait(1.0)
 
 

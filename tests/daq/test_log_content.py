@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.channels import HEALTH_TOPIC, LASER_X, RX, TX
-from daq.drivers.items import Batch, Event
+from daq.items import Batch, Event
 from daq.log import Log, open_log
 from daq.log import content as log_content
 from daq.log.content import (

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from daq.drivers.items import Event
 from daq.errors import LogError
+from daq.items import Event
 from daq.log import open_log
 from daq.log.content import event_content
 from daq.log.file import LogFile

@@ -10,19 +10,19 @@ import pytest
 from cyclopts import App
 
 from benchmarks.damaged_logs import chunk_spans, make_shape
-from rig_cli.logs import log as log_command
 from daq.catalogue import Catalogue
 from daq.drivers.devices import make_pipelines
-from daq.drivers.items import RX, Batch
+from daq.items import RX, Batch
 from daq.log import lost_before as module
 from daq.log import open_log, opened, recover
 from daq.log.file import LogFile
 from daq.log.losses import losses_of
-from daq.log.lost_before import read_lost, lost_metadata
-from daq.log.samples import Missing
+from daq.log.lost_before import lost_metadata, read_lost
+from daq.mcap.missing import Missing
 from daq.replay.checking import check_log
 from daq.signals.completeness import missing_warnings
 from daq.signals.run import load_run
+from rig_cli.logs import log as log_command
 from rig_configs import load_rig
 from tests.daq.small_log import device_bytes
 from tests.daq.test_catalogue import make_log

@@ -14,11 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig_cli.simulated import VirtualRigProcess
 from daq.acquisition.session import Session
 from daq.transports import open_link, paced_clock, wires
 from daq.transports.paced_clock import PacedClock
 from daq.transports.wires import PtyWire
+from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 
 RATE = 8.0

@@ -19,8 +19,8 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.played import BothWays
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
-from daq.drivers.items import RX, TX, Batch
 from daq.errors import LinkLost, LogError
+from daq.items import RX, TX, Batch
 from daq.log import Log, open_log
 from daq.log.file import LogFile
 from daq.log.samples import RawChunk

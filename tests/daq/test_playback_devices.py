@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.played import PlayedDrive
-from daq.drivers.items import RX, TX
 from daq.drivers.optoncdt import dialogue as lasers
 from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
@@ -24,6 +23,7 @@ from daq.drivers.optoncdt.played import PlayedLaser, WholeBlocks
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.played import PlayedNode
 from daq.errors import DeviceError, LogError
+from daq.items import RX, TX
 from daq.log import Log, open_log
 from daq.playback import PlayedDevice, played_devices
 from daq.transports import HostClock, slcan

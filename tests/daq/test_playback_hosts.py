@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from daq.drivers.items import RX
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.errors import DeviceError, LinkLost
+from daq.items import RX
 from daq.log import Log, open_log
 from daq.playback import Playback, Played, played_devices
 from daq.transports import slcan

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from daq import channels
 from daq.acquisition.rate_watch import RateWatches
-from daq.drivers.items import Batch, Event
 from daq.drivers.optoncdt import wire as optoncdt
+from daq.items import Batch, Event
 from rig_configs import load_rig
 
 DEVICES = load_rig("virtual").devices

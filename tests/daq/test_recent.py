@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from daq.acquisition.recent import Recent
 from daq.channels import TACHO
-from daq.drivers.items import Batch
+from daq.items import Batch
 
 STEP_NS = 1_000_000
 

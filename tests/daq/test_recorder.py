@@ -15,8 +15,8 @@ import pytest
 from daq.acquisition import recorder as recorder_module
 from daq.acquisition.recorder import Recorder
 from daq.channels import LASER_X
-from daq.drivers.items import RX, Batch, Event
 from daq.errors import LogError, RecordingError
+from daq.items import RX, Batch, Event
 from daq.log import open_log
 from daq.log.file import LogFile
 from daq.transports import HostClock

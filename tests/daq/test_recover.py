@@ -10,7 +10,6 @@ import pytest
 from mcap.reader import make_reader
 
 from benchmarks.damaged_logs import ATTACHMENTS, METADATA, chunk_spans, make_shape
-from rig_cli.recover import recover as command
 from daq import channels as ch
 from daq.errors import LogError, RecordingError
 from daq.log import open_log
@@ -18,6 +17,7 @@ from daq.log import recover as module
 from daq.log.file import LogFile
 from daq.log.recover import recover
 from daq.mcap.writer import BlockWriter
+from rig_cli.recover import recover as command
 from tests.daq.small_log import write_small_log
 
 CUT = make_shape("zstd", False, 30, 50, 1, 2**18)

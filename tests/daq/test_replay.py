@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from daq.channels import TACHO
-from daq.drivers.items import Batch, Event
 from daq.errors import LogError
+from daq.items import Batch, Event
 from daq.log import open_log
 from daq.log.file import LogFile
 from daq.log.losses import losses_of
 from daq.replay import check, compare, paced, stored
-from daq.replay.anew import decode_anew
 from daq.replay.calibration import Calibration
+from daq.replay.decoded_again import decode_again
 from daq.replay.pace import Pace
 from daq.signals.run import load_run
 from rig_configs import load_rig
@@ -349,7 +349,7 @@ def calibration(tmp_path: Path, text: str) -> Calibration:
 def test_a_corrected_range_wins_over_what_the_sensor_said(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.mcap")
     better = calibration(tmp_path, "[devices.laser_x]\nrange_m = 0.02505\n")
-    made = decode_anew(path, tmp_path / "b.mcap", better)
+    made = decode_again(path, tmp_path / "b.mcap", better)
     with open_log(path) as old, open_log(made.path) as new:
         assert np.allclose(new["laser/x"].displacement_m, old["laser/x"].displacement_m * 0.02505 / 0.025, rtol=1e-12)
         assert np.array_equal(new["laser/y"].displacement_m, old["laser/y"].displacement_m)
@@ -371,7 +371,7 @@ def test_every_calibration_does_what_it_says_and_the_new_log_replays_exactly(tmp
         "[devices.laser_y]\nlever_ratio = 0.9\ngain_std = 0.002\nclock_tolerance_ppm = 10\n"
         "[devices.encoder]\ncounts_per_revolution = 8192\nindex_angle_deg = 30.0\nzero_std_deg = 0.1\n"
     )
-    made = decode_anew(path, tmp_path / "b.mcap", calibration(tmp_path, text))
+    made = decode_again(path, tmp_path / "b.mcap", calibration(tmp_path, text))
     assert check(made.path).identical
     with open_log(path) as old, open_log(made.path) as new:
         assert np.allclose(new["laser/y"].displacement_m * 0.9, old["laser/y"].displacement_m, rtol=1e-12)
@@ -392,7 +392,7 @@ def test_without_a_calibration_everything_is_as_it_was_and_names_its_origin(tmp_
     import hashlib
 
     path = write_log(tmp_path / "a.mcap", lost=frozenset({9}))
-    made = decode_anew(path, tmp_path / "b.mcap")
+    made = decode_again(path, tmp_path / "b.mcap")
     assert not any(row.fields for row in made.moved)
     with open_log(path) as old, open_log(made.path) as new:
         for device in old.devices:
@@ -409,7 +409,7 @@ def test_without_a_calibration_everything_is_as_it_was_and_names_its_origin(tmp_
         assert json.loads(summary["ended"]) == "duration"
         assert json.loads(summary["verdict"]) == {"settled": True}
         assert json.loads(summary["losses_of_origin"]) == json.loads(old.metadata["summary"]["losses"])
-    again = decode_anew(made.path, tmp_path / "c.mcap")
+    again = decode_again(made.path, tmp_path / "c.mcap")
     with open_log(again.path) as third:
         assert third.metadata["run"]["origin"] == "b.mcap"
         assert third.metadata["run"]["origin.origin"] == "a.mcap"
@@ -417,14 +417,14 @@ def test_without_a_calibration_everything_is_as_it_was_and_names_its_origin(tmp_
 
 def test_a_cut_and_a_damaged_log_become_whole_ones_that_say_what_was_missing(tmp_path: Path) -> None:
     part = write_log(tmp_path / "a.mcap", finish=False, unwritten_from=200)
-    made = decode_anew(part, tmp_path / "b.mcap")
+    made = decode_again(part, tmp_path / "b.mcap")
     assert made.missing
     found = check(made.path)
     assert found.identical
     assert next(iter(found)).live == 2400  # including the samples that were never written
     damaged = write_log(tmp_path / "c.mcap", steps=100)
     damage_chunk_at(damaged, 0.5)
-    made = decode_anew(damaged, tmp_path / "d.mcap")
+    made = decode_again(damaged, tmp_path / "d.mcap")
     assert check(made.path).identical
     with open_log(made.path) as log:
         assert json.loads(log.metadata["summary"]["missing_of_origin"]) == list(made.missing)
@@ -455,19 +455,19 @@ def test_only_calibration_is_taken(tmp_path: Path, text: str, words: str) -> Non
 def test_a_calibration_that_cannot_be_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     path = write_small_log(tmp_path / "a.mcap")
     with pytest.raises(RigFileError, match=r"calibration\.toml: devices\.laser_x\.lever_ratio: .* got -1"):
-        decode_anew(path, tmp_path / "b.mcap", calibration(tmp_path, "[devices.laser_x]\nlever_ratio = -1\n"))
+        decode_again(path, tmp_path / "b.mcap", calibration(tmp_path, "[devices.laser_x]\nlever_ratio = -1\n"))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mcap", "calibration.toml"]
 
 
 def test_nothing_is_written_over_and_no_half_log_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_small_log(tmp_path / "a.mcap")
     with pytest.raises(LogError, match="exists already"):
-        decode_anew(path, path)
+        decode_again(path, path)
 
     def interrupted(*_: Any) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(LogFile, "finish", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        decode_anew(path, tmp_path / "b.mcap")
+        decode_again(path, tmp_path / "b.mcap")
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]

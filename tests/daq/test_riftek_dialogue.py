@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq import channels
-from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.riftek import dialogue, wire
 from daq.drivers.riftek.driver import DRIVER
 from daq.drivers.riftek.far_end import SimulatedRiftek
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.errors import DeviceError
+from daq.items import RX, TX, Batch, Event
 from daq.transports import HostClock
 from daq.virtual_rig.motion import GRID_S, Trajectory
 from daq.virtual_rig.world import DeviceClock

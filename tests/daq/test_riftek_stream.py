@@ -14,13 +14,13 @@ from pydantic import ValidationError
 
 from daq import channels
 from daq.channels import suspects
-from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.riftek import stream as riftek
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.driver import DRIVER
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.riftek.stream import RiftekPipeline
 from daq.errors import DeviceError
+from daq.items import RX, TX, Batch, Event
 
 START_NS = 1_700_000_000_000_000_000
 MIDDLE = wire.FULL_SCALE // 2

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from daq.drivers.devices import make_pipelines
-from daq.drivers.items import RX, Batch
 from daq.drivers.riftek import wire as riftek
 from daq.drivers.simulated import FarEnd
 from daq.drivers.vesc import wire as vesc
+from daq.items import RX, Batch
 from daq.transports import slcan
 from daq.virtual_rig.faults import LINE_FAULTS, Faults
 from daq.virtual_rig.rig import SimulatedRig

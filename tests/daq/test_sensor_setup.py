@@ -13,12 +13,12 @@ import pytest
 from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import make_pipelines
-from daq.drivers.items import RX, Event
 from daq.drivers.optoncdt import dialogue as lasers
 from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.errors import DeviceError
+from daq.items import RX, Event
 from daq.transports import HostClock, open_link
 from daq.transports.wires import TcpWire
 from rig_configs import load_rig

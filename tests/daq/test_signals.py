@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.drivers.items import Batch, Event
 from daq.errors import ChannelMissing, LogError
 from daq.exchange.imported_channels import DISPLACEMENT_Y, PENDULUM_ANGLES, ROTOR_MARK, ROTOR_PHASE
+from daq.items import Batch, Event
 from daq.log.file import LogFile
 from daq.signals.run import load_run
 from rig_configs import load_rig

@@ -16,7 +16,6 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
-from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
@@ -24,6 +23,7 @@ from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.errors import DeviceError
+from daq.items import RX, TX, Batch, Event
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 

@@ -15,7 +15,7 @@ from daq import channels
 from daq.acquisition.recent import Recent
 from daq.acquisition.trips import POINTS, Trips, kept_rows
 from daq.channels import LASER_X, MOTOR, TACHO
-from daq.drivers.items import Batch, Event
+from daq.items import Batch, Event
 from daq.log import open_log
 from daq.log.file import LogFile
 from rig_configs import load_rig

@@ -11,7 +11,6 @@ from itertools import pairwise
 import pytest
 
 from daq.drivers.contract import Driver, RotorGuard, SpeedSource, TurnsRotor
-from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.control import Mode, VescControl
 from daq.drivers.vesc.dialogue import identify
@@ -19,6 +18,7 @@ from daq.drivers.vesc.driver import DRIVER
 from daq.drivers.vesc.far_end import SimulatedVesc
 from daq.drivers.vesc.settings import Vesc
 from daq.errors import DeviceError, LinkLost, ProcedureError
+from daq.items import RX, TX, Batch, Event
 from daq.transports import HostClock
 from daq.virtual_rig.motion import Motion
 from rig_configs import load_rig

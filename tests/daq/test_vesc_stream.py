@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.channels import MOTOR
-from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.vesc import packets, stream, wire
 from daq.drivers.vesc.driver import DRIVER
 from daq.drivers.vesc.settings import Vesc
 from daq.drivers.vesc.stream import VescPipeline
+from daq.items import RX, TX, Batch, Event
 
 SETTINGS = Vesc(
     driver="vesc", port="/dev/x", pole_pairs=7, timeout_s=1.0, brake_A=10.0, min_erpm=700.0, follow_s=0.1

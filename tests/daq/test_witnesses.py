@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rig_cli.main import run as main
 from daq.acquisition.session import Session
 from daq.channels import LASER_X, Channel
-from daq.drivers.items import Batch
 from daq.guided_tests.procedure import Procedures
+from daq.items import Batch
 from daq.lockstep.rig import LockstepRig
 from daq.log.file import LogFile
 from daq.replay import check
@@ -22,6 +21,7 @@ from daq.signals.run import disagreements, load_run
 from daq.signals.witnesses import Agreement, Witness, agreement
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from identification import identify
+from rig_cli.main import run as main
 from rig_configs import load_rig
 from rig_configs.roles import Displacement, role_table
 

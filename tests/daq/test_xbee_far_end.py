@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.rotorlink import locks as node_locks
 from daq.drivers.rotorlink.far_end import Air
 from daq.drivers.xbee import dialogue, framing, wire
@@ -19,6 +18,7 @@ from daq.drivers.xbee.driver import DRIVER
 from daq.drivers.xbee.far_end import SimulatedXBeeNode
 from daq.drivers.xbee.settings import XBeeNode
 from daq.errors import DeviceError
+from daq.items import RX, TX, Batch, Event
 from daq.transports import HostClock
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import DeviceClock

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.drivers.items import RX, TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.drivers.xbee import framing
 from daq.drivers.xbee.settings import XBeeNode
 from daq.drivers.xbee.stream import XBeePipeline
+from daq.items import RX, TX, Batch, Event
 from tests.daq.test_xbee_wire import mutated
 
 START_NS = 1_700_000_000_000_000_000

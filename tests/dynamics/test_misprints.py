@@ -208,11 +208,11 @@ def test_the_run_up_faults_show() -> None:
     p = rig()
     runs = {
         faults: release(p, p.speed_rad_s(POINTS["D"]), faults, 5.0, 20.0, 100)
-        for faults in (Faults(), Faults(no_push_back=True), Faults(speed_runs_on=True))
+        for faults in (Faults(), Faults(without_reaction=True), Faults(integrates_locked_speed=True))
     }
-    right, no_push_back, runs_on = runs.values()
-    assert right.speed_at_release_rad_s == no_push_back.speed_at_release_rad_s == (0.0, 0.0)
+    right, without_reaction, runs_on = runs.values()
+    assert right.speed_at_release_rad_s == without_reaction.speed_at_release_rad_s == (0.0, 0.0)
     assert runs_on.speed_at_release_rad_s[0] < -1.0
-    shift = np.degrees(no_push_back.final_angles_rad - right.final_angles_rad)
+    shift = np.degrees(without_reaction.final_angles_rad - right.final_angles_rad)
     assert np.allclose(shift, 1.2, atol=0.1)
     assert np.allclose(runs_on.final_angles_rad, right.final_angles_rad, atol=1e-4)

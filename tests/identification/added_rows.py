@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from daq.guided_tests.kinds import Asked, TestKind
+from daq.guided_test_kinds import Asked, TestKind
 from daq.guided_tests.table import Table
 
 

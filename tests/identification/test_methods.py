@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from synthetic import Campaign
 
-from daq.guided_tests import kinds
-from daq.guided_tests.kinds import KINDS, TestKind
+from daq import guided_test_kinds as kinds
+from daq.guided_test_kinds import KINDS, TestKind
 from identification import NotIdentifiable, identify
 from identification.methods import advice, methods_of, pulled_along
 from rig_configs import load_rig

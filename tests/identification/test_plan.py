@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from synthetic import Campaign
 
 from identification import NotIdentifiable, identify
-from identification.plan import Sensors, Want, parse_want, plan
+from identification.plan import Requirement, Sensors, parse_requirement, plan
 from identification.plan.experiment import Experiment, together
 from identification.plan.information import covariance, derivatives, ring_down_bound, spin_down_bound
 from identification.plan.pendulums import release, spin_down
@@ -138,17 +138,17 @@ def test_what_is_planned_is_what_the_estimators_then_report(reported: dict[tuple
 @pytest.mark.parametrize(
     ("text", "want"),
     [
-        ("zeta1=1%", Want("zeta1", 0.01, True)),
-        ("k1 = 0.5 %", Want("k1_N_per_m", 0.005, True)),
-        ("k2_N_per_m=5 N/m", Want("k2_N_per_m", 5.0, False)),
-        ("c3=1e-5Nms/rad", Want("c3_Nms_per_rad", 1e-5, False)),
-        ("c4=1e-5 N m s/rad", Want("c4_Nms_per_rad", 1e-5, False)),
-        ("zeta2=0.0002", Want("zeta2", 0.0002, False)),
-        ("SP=1e-6 kg·m", Want("SP_kg_m", 1e-6, False)),
+        ("zeta1=1%", Requirement("zeta1", 0.01, True)),
+        ("k1 = 0.5 %", Requirement("k1_N_per_m", 0.005, True)),
+        ("k2_N_per_m=5 N/m", Requirement("k2_N_per_m", 5.0, False)),
+        ("c3=1e-5Nms/rad", Requirement("c3_Nms_per_rad", 1e-5, False)),
+        ("c4=1e-5 N m s/rad", Requirement("c4_Nms_per_rad", 1e-5, False)),
+        ("zeta2=0.0002", Requirement("zeta2", 0.0002, False)),
+        ("SP=1e-6 kg·m", Requirement("SP_kg_m", 1e-6, False)),
     ],
 )
-def test_requirements_are_read(text: str, want: Want) -> None:
-    found = parse_want(text)
+def test_requirements_are_read(text: str, want: Requirement) -> None:
+    found = parse_requirement(text)
     assert (found.name, found.relative) == (want.name, want.relative)
     assert found.value == pytest.approx(want.value, rel=1e-12)
 
@@ -170,19 +170,19 @@ def test_requirements_are_read(text: str, want: Want) -> None:
 )
 def test_requirements_that_mean_nothing_are_refused(text: str, words: str) -> None:
     with pytest.raises(RigFileError, match=words.replace("(", r"\(")):
-        parse_want(text)
+        parse_requirement(text)
 
 
 @given(st.floats(1e-9, 1.0, allow_subnormal=False))
 @settings(max_examples=50)
 def test_a_want_in_per_cent_or_in_units_is_the_same(share: float) -> None:
-    relative = parse_want(f"k1={100 * share!r}%").relative_std(2600.0)
-    absolute = parse_want(f"k1={2600.0 * share!r} N/m").relative_std(2600.0)
+    relative = parse_requirement(f"k1={100 * share!r}%").relative_std(2600.0)
+    absolute = parse_requirement(f"k1={2600.0 * share!r} N/m").relative_std(2600.0)
     assert relative == pytest.approx(absolute, rel=1e-12)
 
 
 def test_a_plan_reaches_what_it_promises_with_no_step_too_many() -> None:
-    requirements = [parse_want(t) for t in ("zeta1=0.1%", "zeta2=0.1%", "c3=0.1%", "SP=0.1%")]
+    requirements = [parse_requirement(t) for t in ("zeta1=0.1%", "zeta2=0.1%", "c3=0.1%", "SP=0.1%")]
     found = plan(RIG, requirements)
     assert found.possible
     reached = together([(s.experiment, s.runs) for s in found.steps])
@@ -197,24 +197,24 @@ def test_a_plan_reaches_what_it_promises_with_no_step_too_many() -> None:
 
 
 def test_a_harder_want_takes_more_and_the_hardest_is_refused_with_its_reason() -> None:
-    easy = plan(RIG, [parse_want("SP=1%")])
-    hard = plan(RIG, [parse_want("SP=0.01%")])
+    easy = plan(RIG, [parse_requirement("SP=1%")])
+    hard = plan(RIG, [parse_requirement("SP=0.01%")])
     assert easy.possible
     assert not hard.possible
     (answer,) = hard.answers
     assert answer.limited_by == "gain"
     assert answer.floor == pytest.approx(1e-3 / np.sqrt(2), rel=1e-2)
     assert hard.steps == []
-    (k1,) = plan(RIG, [parse_want("k1=0.01%")], mass_std=1e-3).answers
+    (k1,) = plan(RIG, [parse_requirement("k1=0.01%")], mass_std=1e-3).answers
     assert (k1.possible, k1.limited_by) == (False, "mass")
     assert k1.floor == pytest.approx(1e-3, rel=1e-2)
-    (k1,) = plan(RIG, [parse_want("k1=0.0001%")]).answers
+    (k1,) = plan(RIG, [parse_requirement("k1=0.0001%")]).answers
     assert (k1.possible, k1.limited_by) == (False, "clock")
 
 
 def test_runs_are_repeated_where_one_does_not_do() -> None:
     noisy = replace(SENSORS, laser_noise_m=(4e-4, 4e-4))
-    found = plan(RIG, [parse_want("zeta1=0.15%")], noisy)
+    found = plan(RIG, [parse_requirement("zeta1=0.15%")], noisy)
     assert found.possible
     (step,) = found.steps
     assert step.runs > 1
@@ -222,11 +222,11 @@ def test_runs_are_repeated_where_one_does_not_do() -> None:
 
 def test_limits_of_the_rig_are_kept() -> None:
     slow = load_rig("virtual", settings=["limits.speed_rpm=500"])
-    found = plan(slow, [parse_want("zeta1=0.1%"), parse_want("c3=1%")])
+    found = plan(slow, [parse_requirement("zeta1=0.1%"), parse_requirement("c3=1%")])
     assert all(s.experiment.test != "run-up" for s in found.steps)
     assert any("does not pass the second resonance" in r for r in found.remarks)
     narrow = load_rig("virtual", settings=["limits.amplitude_m=0.002"])
-    found = plan(narrow, [parse_want("zeta1=0.1%")])
+    found = plan(narrow, [parse_requirement("zeta1=0.1%")])
     assert all(s.experiment.largest_m <= 0.002 for s in found.steps)
     assert any("left out" in r for r in found.remarks)
 
@@ -235,10 +235,10 @@ def test_a_plan_needs_requirements_and_something_to_be_known() -> None:
     with pytest.raises(NotIdentifiable, match="at least one"):
         plan(RIG, [])
     with pytest.raises(NotIdentifiable, match="once"):
-        plan(RIG, [parse_want("k1=1%"), parse_want("k1=2%")])
+        plan(RIG, [parse_requirement("k1=1%"), parse_requirement("k1=2%")])
     undamped = load_rig("virtual", settings=["suspension.zeta1=0"])
     with pytest.raises(NotIdentifiable, match="zeta1 is 0"):
-        plan(undamped, [parse_want("zeta1=1%")])
+        plan(undamped, [parse_requirement("zeta1=1%")])
 
 
 def test_sensors_are_measured_in_a_log() -> None:
@@ -279,13 +279,13 @@ def test_errors_bear_the_labels_that_a_recorded_test_gives_them() -> None:
 
 def test_a_rig_with_one_laser_is_planned_for_as_far_as_it_goes() -> None:
     one = load_rig("one_laser")
-    found = plan(one, [parse_want("zeta1=1%")])
+    found = plan(one, [parse_requirement("zeta1=1%")])
     assert found.possible
     assert {s.experiment.test for s in found.steps} == {"ring-down-x"}
-    both = plan(RIG, [parse_want("zeta1=1%")])
+    both = plan(RIG, [parse_requirement("zeta1=1%")])
     assert found.answers[0].reached == pytest.approx(both.answers[0].reached, rel=0.02)
     assert any(r == "no ring-down-y: the rig file has no device for displacement along y" for r in found.remarks)
-    beyond = plan(one, [parse_want("zeta2=1%"), parse_want("c3=1%")])
+    beyond = plan(one, [parse_requirement("zeta2=1%"), parse_requirement("c3=1%")])
     assert not beyond.possible
     assert [(a.best, a.limited_by) for a in beyond.answers] == [([], "no test"), ([], "no test")]
 
@@ -293,7 +293,7 @@ def test_a_rig_with_one_laser_is_planned_for_as_far_as_it_goes() -> None:
 def test_an_added_test_is_planned_with_what_its_row_gives(monkeypatch: pytest.MonkeyPatch) -> None:
     table = {"struck": row("struck", ("x",), turns=False, gives=("zeta1",))}
     monkeypatch.setattr("identification.methods.KINDS", table)
-    monkeypatch.setattr("daq.guided_tests.kinds.KINDS", table)
-    found = plan(RIG, [parse_want("zeta1=1%"), parse_want("k1=1%")])
+    monkeypatch.setattr("daq.guided_test_kinds.KINDS", table)
+    found = plan(RIG, [parse_requirement("zeta1=1%"), parse_requirement("k1=1%")])
     assert [(s.experiment.test, s.experiment.expected.names) for s in found.steps] == [("struck", ("zeta1",))]
     assert [a.possible for a in found.answers] == [True, False]

@@ -26,10 +26,10 @@ from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from live import watched
-from live.beside import Asking, LivePage
 from live.model import Model
 from live.port import bound
 from live.serving import Serving
+from live.session_page import Asking, LivePage
 from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig

@@ -19,15 +19,15 @@ from websockets.typing import Subprotocol
 from daq.acquisition.recent import Recent
 from daq.acquisition.session import Session
 from daq.channels import LASER_X, TACHO
-from daq.drivers.items import Batch, Event
 from daq.errors import RigError
 from daq.guided_tests.procedure import Procedures
+from daq.items import Batch, Event
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.virtual_rig.simulated_operator import SimulatedOperator
-from live.foxglove.beside import FoxgloveBeside
 from live.foxglove.protocol import SUBPROTOCOLS
 from live.foxglove.served import Packing, Refusals
+from live.foxglove.session_connection import FoxgloveConnection
 from live.newest import MOST_S, Newest
 from live.port import bound
 from rig_cli.simulated import VirtualRigProcess
@@ -37,11 +37,11 @@ from rig_configs.schema import Rig
 WAIT_S = 30.0
 
 
-def _connection(rig: Rig, rate: float = 1.0) -> FoxgloveBeside:
-    return FoxgloveBeside(rig, rate, 0, (), lambda text: None)
+def _connection(rig: Rig, rate: float = 1.0) -> FoxgloveConnection:
+    return FoxgloveConnection(rig, rate, 0, (), lambda text: None)
 
 
-def _line(connection: FoxgloveBeside) -> ClientConnection:
+def _line(connection: FoxgloveConnection) -> ClientConnection:
     return connect(connection.url, subprotocols=[Subprotocol(SUBPROTOCOLS[0])], compression=None)
 
 
@@ -127,7 +127,7 @@ def test_a_connection_that_was_killed_does_not_end_the_session(virtual_rig: Virt
 
 def test_a_port_that_is_taken_is_said_before_a_device_is_opened() -> None:
     with bound("", 0) as taken, pytest.raises(RigError, match=r"--foxglove: .*another --foxglove-port"):
-        FoxgloveBeside(load_rig("virtual"), 1.0, taken.getsockname()[1], (), print).__enter__()
+        FoxgloveConnection(load_rig("virtual"), 1.0, taken.getsockname()[1], (), print).__enter__()
 
 
 def _batch(times: list[int]) -> Batch:

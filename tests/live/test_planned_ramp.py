@@ -9,11 +9,11 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from daq.guided_tests.controls import Controls, Status
-from live.beside import Asking
 from live.levels import Array
 from live.model import Model
 from live.planned import Ramp, simulated_ramp
 from live.serving import Serving
+from live.session_page import Asking
 from live.watched import Watched
 from rig_configs import load_rig
 

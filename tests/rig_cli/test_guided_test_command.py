@@ -17,8 +17,8 @@ from rich.console import Console
 
 from daq.acquisition.recorder import Recorder
 from daq.acquisition.session import Session
+from daq.guided_test_kinds import KINDS
 from daq.guided_tests.controls import Controls
-from daq.guided_tests.kinds import KINDS
 from daq.guided_tests.procedure import Procedures
 from daq.guided_tests.start_ups import summed
 from daq.log import open_log

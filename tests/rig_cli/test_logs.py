@@ -231,7 +231,7 @@ def test_a_log_in_words(run_rig: Any, tmp_path: Path) -> None:
 
 
 def test_gaps_are_listed_with_number_and_span(run_rig: Any, tmp_path: Path) -> None:
-    from daq.drivers.items import Event
+    from daq.items import Event
 
     with LogFile(tmp_path / "run.mcap", {}, {}, (), 10**18) as file:
         for second in range(3):

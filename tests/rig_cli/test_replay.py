@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from cyclopts import App
 
-from daq.drivers.items import Batch, Event
 from daq.errors import LogError
+from daq.items import Batch, Event
 from daq.log import open_log
 from daq.log.samples import Samples
 from daq.replay import check

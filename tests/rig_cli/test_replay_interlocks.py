@@ -9,8 +9,8 @@ import pytest
 from cyclopts import App
 
 from daq.acquisition.interlock_table import INTERLOCKS
-from daq.drivers.items import Event
 from daq.errors import LogError
+from daq.items import Event
 from daq.log import open_log
 from daq.log.file import LogFile
 from rig_cli.log_facts import log_facts

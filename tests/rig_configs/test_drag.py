@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rig_configs import IdentifiedParameters, load_rig
-from rig_configs.drag import Drag, read_as, spread_between
+from rig_configs.drag import Drag, read_as, with_undecided_spread
 from rig_configs.known import DRAG, KEPT_FRICTION, KnownSource
 
 FOUND = Drag(
@@ -71,7 +71,7 @@ def test_read_as_drag_it_is_settled() -> None:
     settled = Drag.of(read_as(FOUND.table, "drag"))
     assert settled is not None
     assert not settled.undecided
-    assert "friction" not in spread_between(read_as(FOUND.table, "drag"))
+    assert "friction" not in with_undecided_spread(read_as(FOUND.table, "drag"))
 
 
 def test_read_as_contact_friction_it_adds_to_what_was_found_of_that_and_drags_no_more() -> None:
@@ -92,7 +92,7 @@ def test_read_as_contact_friction_it_adds_to_what_was_found_of_that_and_drags_no
 
 
 def test_undecided_the_contact_force_may_have_all_of_it_or_none() -> None:
-    provenance = spread_between(FOUND.table)
+    provenance = with_undecided_spread(FOUND.table)
     half = 0.5 * FOUND.values
     assert friction(provenance)[2:] == pytest.approx(half.tolist())
     assert np.sqrt(np.diag(provenance["friction"]["covariance"]))[2:] == pytest.approx(half)

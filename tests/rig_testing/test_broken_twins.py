@@ -15,7 +15,6 @@ import rig_testing
 from daq import channels
 from daq.drivers.cia402.driver import Cia402
 from daq.drivers.contract import Driver, RotorGuard
-from daq.drivers.items import RX, Batch, Event
 from daq.drivers.optoncdt.driver import OptoNcdt
 from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink.driver import RotorLink
@@ -23,6 +22,7 @@ from daq.drivers.rotorlink.locks import NodeLocks
 from daq.drivers.rotorlink.settings import EncoderNode
 from daq.drivers.vesc.driver import VescDriver
 from daq.drivers.vesc.far_end import SimulatedVesc
+from daq.items import RX, Batch, Event
 from rig_testing.examination import CHECKS
 
 Items = list[Batch | Event]

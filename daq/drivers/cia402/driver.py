@@ -11,9 +11,9 @@ from daq.channels import Channel
 from daq.drivers.checks import Checks
 from daq.drivers.cia402.settings import Drive
 from daq.drivers.contract import Line, Pipeline, RotorGuard, SampleClock, SpeedSource, Talk
-from daq.drivers.items import Event
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
+from daq.items import Event
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -23,11 +22,11 @@ from daq.drivers.simulated import FarEnd, FaultKind
 from daq.transports import slcan
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import World
+from rig_basics.units import RPM
 
 _MAX_LATE_S = 0.05  # longest time, rig s, for which a stalled simulation sends its reports afterwards
 _QUICK_STOP_RPM_S = 4000.0
 _COAST_RPM_S = 30.0  # deceleration by bearings and windage, without torque
-_RAD_S = math.pi / 30
 _STATUS = {name: value for name, (_, value) in cia402.STATES.items()}
 _MAKERS = {(0x1018, 1): (0x0000_0A11, "<I"), (0x1018, 4): (24601, "<I"), (0x6085, 0): (int(_QUICK_STOP_RPM_S), "<I")}
 
@@ -169,7 +168,7 @@ class SimulatedDrive(FarEnd):
     @property
     def speed_rpm(self) -> float:
         """True speed of the rotor, rpm."""
-        return self._motion.speed_rad_s / _RAD_S
+        return self._motion.speed_rad_s / RPM
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Take slcan text from the host; return the adapter's answers."""
@@ -239,7 +238,7 @@ class SimulatedDrive(FarEnd):
     def step(self, now_s: float) -> bytes:
         """Update watchdog, ramps and state up to `now_s`; return the frames that are due."""
         if self._without_supply:
-            self._motion.target_rad_s, self._motion.ramp_rad_s2 = 0.0, _COAST_RPM_S * _RAD_S
+            self._motion.target_rad_s, self._motion.ramp_rad_s2 = 0.0, _COAST_RPM_S * RPM
             self._motion.braking = False
             return b""
         self._send_as_second_host(now_s)
@@ -247,12 +246,12 @@ class SimulatedDrive(FarEnd):
         enabled = self.state == cia402.OPERATION_ENABLED
         in_mode = self._objects[0x6060, 0][0] == cia402.MODE_VELOCITY
         target = self._target_rpm if enabled and in_mode else 0
-        sub = 0x6048 if abs(target) * _RAD_S >= abs(self._motion.speed_rad_s) else 0x6049
+        sub = 0x6048 if abs(target) * RPM >= abs(self._motion.speed_rad_s) else 0x6049
         change, seconds = self._objects[sub, 1][0], self._objects[sub, 2][0]
         stopping = self.state == cia402.QUICK_STOP_ACTIVE
         ramp = change / max(1, seconds) if enabled else _QUICK_STOP_RPM_S if stopping else _COAST_RPM_S
-        self._motion.target_rad_s = target * _RAD_S
-        self._motion.ramp_rad_s2 = ramp * _RAD_S
+        self._motion.target_rad_s = target * RPM
+        self._motion.ramp_rad_s2 = ramp * RPM
         self._motion.braking = stopping
         if self.state == cia402.QUICK_STOP_ACTIVE and abs(self._motion.speed_rad_s) < 0.01:
             self.state = cia402.SWITCH_ON_DISABLED

@@ -9,7 +9,7 @@ from daq.drivers.checks import Check, Checks
 from daq.drivers.cia402 import wire
 from daq.drivers.cia402.host_beats import IN_A_ROW
 from daq.drivers.contract import SpeedSource
-from daq.drivers.items import Event
+from daq.items import Event
 
 _FAULTY = (wire.FAULT, wire.FAULT_REACTION, wire.UNKNOWN)
 

@@ -11,7 +11,7 @@ from daq import channels
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.host_beats import HostBeats
 from daq.drivers.cia402.settings import Drive
-from daq.drivers.items import TX, Batch, Event
+from daq.items import TX, Batch, Event
 from daq.transports import slcan
 
 _AGAIN_NS = 1_000_000_000

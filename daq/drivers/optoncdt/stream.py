@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules, steps_from
-from daq.drivers.items import TX, Batch, Event
 from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.blocks import CleanBlocks, may_begin_block, measure, take_clean_blocks
@@ -20,6 +19,7 @@ from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.words import WordsTrial
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
+from daq.items import TX, Batch, Event
 
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 _MIN_RATE_DEVIATION = 2e-3  # relative deviation of the rate that is reported; a smaller one needs the host's clock

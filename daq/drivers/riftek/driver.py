@@ -10,10 +10,10 @@ from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
 from daq.drivers.contract import Line, Pipeline, SampleClock, SpeedSource, Talk
-from daq.drivers.items import Event
 from daq.drivers.played import PlayedDevice
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.simulated import FarEnd
+from daq.items import Event
 
 _COUNTER_WRAP = 2**32
 

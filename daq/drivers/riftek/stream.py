@@ -28,13 +28,13 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, clock_rules
-from daq.drivers.items import TX, Batch, Event
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.decoder import Decoded, StreamDecoder
 from daq.drivers.riftek.read_lags import ReadLags
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
+from daq.items import TX, Batch, Event
 
 TICK_NS = 10_000
 """Unit of `device_ticks`."""

@@ -10,7 +10,7 @@ from cobs import cobs
 
 from daq.drivers.rotorlink import wire
 
-_cobs_decode = cast("Callable[[bytes], bytes]", cobs.decode)  # pyright: ignore[reportUnknownMemberType]  # no types
+_cobs_decode = cast("Callable[[bytes], bytes]", cobs.decode)
 
 RUN_LIMIT_BYTES = 300
 """Longest run of bytes that can be a frame."""

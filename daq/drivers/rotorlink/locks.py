@@ -6,9 +6,9 @@ from __future__ import annotations
 import queue
 from collections.abc import Callable
 
-from daq.drivers.items import Event
 from daq.drivers.rotorlink import wire
 from daq.errors import DeviceError
+from daq.items import Event
 from daq.transports.host_clock import HostClock
 
 _DEFAULT_NODE = 1

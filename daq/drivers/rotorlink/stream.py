@@ -10,13 +10,13 @@ import numpy as np
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, clock_rules
-from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.repeats import Arrived, Repeats
 from daq.drivers.rotorlink.sender_clock import SenderClock
 from daq.drivers.rotorlink.sequence import SequenceCounter
 from daq.errors import DeviceError
+from daq.items import TX, Batch, Event
 from rig_configs.device import RotorNodeSettings
 
 _REPEATS_RULES = 3  # rules of a log since which blocks wait for repeated ones

@@ -17,7 +17,7 @@ import numpy as np
 from cobs import cobs
 from numpy.typing import NDArray
 
-_cobs_encode = cast("Callable[[bytes], bytes]", cobs.encode)  # pyright: ignore[reportUnknownMemberType]  # no types
+_cobs_encode = cast("Callable[[bytes], bytes]", cobs.encode)
 
 COUNTS_DTYPE = np.dtype("<i4")
 MAX_SAMPLES = 29

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -12,8 +11,8 @@ from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import Vesc
 from daq.virtual_rig.motion import Motion
 from daq.virtual_rig.world import World
+from rig_basics.units import RPM
 
-_RAD_S = math.pi / 30
 _LOOP_RPM_S = 2000.0  # acceleration of the speed loop at the current limit: faster than any ramp of the host
 _COAST_RPM_S = 30.0  # deceleration by bearings and windage, without torque
 _BRAKE_RPM_S_PER_A = 200.0
@@ -151,7 +150,7 @@ class SimulatedVesc(FarEnd):
     @property
     def speed_rpm(self) -> float:
         """True speed of the rotor, rpm."""
-        return self._motion.speed_rad_s / _RAD_S
+        return self._motion.speed_rad_s / RPM
 
     @property
     def values(self) -> wire.Values:
@@ -212,10 +211,10 @@ class SimulatedVesc(FarEnd):
         self._drawn_Wh += input_A * _SUPPLY_V * passed / 3600
         rpm, brake_A = self._set_point()
         motion = self._motion
-        motion.target_rad_s = (rpm or 0.0) * _RAD_S
+        motion.target_rad_s = (rpm or 0.0) * RPM
         motion.braking = rpm is None and brake_A > 0
         ramp = _LOOP_RPM_S if rpm is not None else max(_COAST_RPM_S, brake_A * _BRAKE_RPM_S_PER_A)
-        motion.ramp_rad_s2 = ramp * _RAD_S
+        motion.ramp_rad_s2 = ramp * RPM
         return b""
 
     def _set_point(self) -> tuple[float | None, float]:

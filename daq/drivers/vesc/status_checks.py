@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from daq.drivers.checks import Check, Checks
 from daq.drivers.contract import SpeedSource
-from daq.drivers.items import Event
 from daq.drivers.vesc import wire
+from daq.items import Event
 
 _FAULTY = ("FAULT", "KILL SWITCH OPEN", "UNKNOWN")
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from daq import channels
-from daq.drivers.items import TX, Batch, Event
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import Vesc
+from daq.items import TX, Batch, Event
 
 NOTHING, SPEED, BRAKE, FREE = 0, 1, 2, 3
 """The last command to the controller, as in the statusword."""

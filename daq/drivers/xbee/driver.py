@@ -10,10 +10,10 @@ from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
 from daq.drivers.contract import Line, PendulumLocks, Pipeline, SampleClock, SpeedSource, Talk
-from daq.drivers.items import Event
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.drivers.xbee.settings import XBeeNode
+from daq.items import Event
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from daq.drivers.items import Event
 from daq.drivers.rotorlink.locks import NodeLocks
 from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 from daq.errors import DeviceError
+from daq.items import Event
 from daq.transports.host_clock import HostClock
 
 _MAX_FAILURES = 5  # commands that the module could not deliver, about 0.8 s

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from daq.drivers.items import TX, Batch, Event
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
+from daq.items import TX, Batch, Event
 
 _MAX_FOREIGN_EVENTS = 16  # senders and frame types with an event of their own; further ones are only counted
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from daq.channels import Channel
 from daq.clock import ClockMap, Unwrap, clock_rules
-from daq.drivers.items import TX, Batch, Event
+from daq.items import TX, Batch, Event
 from rig_driver_tilt import line
 
 

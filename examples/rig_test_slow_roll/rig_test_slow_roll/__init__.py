@@ -3,8 +3,8 @@
 At such a speed the column hardly bends, so what the sensors see is the runout of the surface they look at.
 """
 
+from daq.guided_test_kinds import CHANNELS, Asked, Number, TestKind
 from daq.guided_tests.frame import framed, near_resonance, share_of, spin_up
-from daq.guided_tests.kinds import CHANNELS, Asked, Number, TestKind
 from daq.guided_tests.orders import Orders
 from daq.guided_tests.table import Look, State, Table, View
 from daq.guided_tests.test_inputs import speed_refusal

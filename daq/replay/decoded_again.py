@@ -14,8 +14,8 @@ from typing import Any
 from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, Channel
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import channels_of
-from daq.drivers.items import Batch, joined
 from daq.errors import LogError
+from daq.items import Batch, joined
 from daq.log import Log, open_log
 from daq.log.file import FOXGLOVE, LogFile
 from daq.log.snapshot import identities_of, rig_of
@@ -31,7 +31,7 @@ _REWRITTEN = ("run", "summary", "times", FOXGLOVE)
 
 
 @dataclass(frozen=True)
-class Anew:
+class DecodedLog:
     """Result of decoding a log into a new one.
 
     Attributes:
@@ -47,9 +47,9 @@ class Anew:
     missing: tuple[str, ...]
 
 
-def decode_anew(
+def decode_again(
     path: str | Path, out: str | Path, calibration: Calibration | None = None, progress: Progress | None = None
-) -> Anew:
+) -> DecodedLog:
     """Decode a log's raw bytes into a new log that names its origin.
 
     Raw bytes, health reports and the host's own events keep their times. Samples and events of the devices are made
@@ -96,7 +96,7 @@ def decode_anew(
             with contextlib.suppress(OSError):
                 new.part.unlink(missing_ok=True)  # the origin still exists, an incomplete copy is useless
             raise
-        return Anew(made, copy.moved(), losses, missing)
+        return DecodedLog(made, copy.moved(), losses, missing)
 
 
 class _Copy:

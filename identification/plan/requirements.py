@@ -17,7 +17,7 @@ _FORM = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]+)?)\s*(.*?)\s*")
 
 
 @dataclass(frozen=True)
-class Want:
+class Requirement:
     """Required standard deviation of one parameter.
 
     Attributes:
@@ -35,7 +35,7 @@ class Want:
         return self.value if self.relative else self.value / abs(nominal)
 
 
-def parse_want(text: str) -> Want:
+def parse_requirement(text: str) -> Requirement:
     """Parse one required uncertainty.
 
     Args:
@@ -69,4 +69,4 @@ def parse_want(text: str) -> Want:
         raise RigFileError(
             f"required uncertainty {text!r}: expected a relative value below 1, got {amount}; did you mean {name}=1%?"
         )
-    return Want(full, value, given == "%")
+    return Requirement(full, value, given == "%")

@@ -11,7 +11,7 @@ from typing import Any
 from daq import channels
 from daq.acquisition.session import Session
 from daq.drivers.devices import channels_of
-from daq.drivers.items import Event
+from daq.items import Event
 from live.fed_process import FedProcess, drained
 from live.foxglove.served import NoteRow, run_foxglove
 from live.newest import Newest
@@ -22,7 +22,7 @@ HOLD_S = 0.25
 _MAX_NOTES = 2000
 
 
-class FoxgloveBeside(FedProcess):
+class FoxgloveConnection(FedProcess):
     """Foxglove connection of one session; see FedProcess.
 
     Args:

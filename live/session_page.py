@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from daq.acquisition.session import Session
-from daq.drivers.items import Event
 from daq.errors import DeviceError, RigError
 from daq.guided_tests.controls import Controls
+from daq.items import Event
 from live.fed_process import FedProcess, drained
 from live.newest import Newest
 from live.signals import Signals

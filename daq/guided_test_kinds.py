@@ -7,7 +7,6 @@ and procedures use these registrations. The project's own tests are registered i
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from rig_configs.schema import Rig
 
 GROUP = "rig.guided_tests"
-RAD_S_PER_RPM = math.pi / 30
 SIGNALS: Mapping[str, str] = {
     "x": "displacement along x",
     "y": "displacement along y",
@@ -125,7 +123,7 @@ class TestKind:
         """Whether the test is refused if the counters are wrong at the closed locks."""
         return self.turns or "angles" in self.needs
 
-    def lives_on(self, roles: Roles) -> tuple[str, ...]:
+    def required_at_rest(self, roles: Roles) -> tuple[str, ...]:
         """Return the channels whose silence ends the test even at rest, while it waits for the operator."""
         if self.trusts_angles:
             return (CHANNELS["angles"],) if roles.angles else ()
