@@ -1,7 +1,7 @@
 """The live page: a rig or a log in a browser, with a stop button.
 
-    rig ─▶ Session ─▶ beside.LivePage ══pipe══▶ the page's own process: watched.Watched ┐
-    log ────────────────────────────────────────────────────────────▶ replayed.Replayed ┴▶ picture ─▶ server ─▶ browser
+    rig ─▶ Session ─▶ session_page.LivePage ══pipe══▶ page process: watched.Watched ┐
+    log ────────────────────────────────────────────────────────▶ replayed.Replayed ┴▶ picture ─▶ server ─▶ browser
 
 The page displays a `Source` (live.source): signals up to an instant, further facts, and the commands that it accepts.
 `guard` checks every request. The recorder's process copies new samples into a pipe and does no other work for the page.

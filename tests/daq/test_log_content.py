@@ -62,9 +62,9 @@ def test_stretches_are_the_log_once(log: Log, messages: int, monkeypatch: pytest
 
 
 def test_raw_bytes_are_counted_both_ways(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert raw_content(log) == raw_content(log, thorough=False) == {"laser_x": RawContent(44, 160, 12)}
+    assert raw_content(log) == raw_content(log, thorough=False) == {"laser_x": RawContent(44, 160, 20)}
     monkeypatch.setattr(log_content, "_READS_COUNTED", 43)
-    assert raw_content(log) == {"laser_x": RawContent(44, 160, 12)}
+    assert raw_content(log) == {"laser_x": RawContent(44, 160, 20)}
     assert raw_content(log, thorough=False) == {"laser_x": RawContent(44, None, None)}
 
 

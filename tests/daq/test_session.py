@@ -88,7 +88,10 @@ def test_a_wrong_range_in_the_rig_file_is_refused_with_both_values(
             "devices": {**plugged.devices, "laser_x": plugged.devices["laser_x"].model_copy(update={"range_m": 0.05})}
         }
     )
-    with pytest.raises(DeviceError, match=r"50 mm, the sensor 25 mm"), Session(wrong, virtual_rig.clock):
+    with (
+        pytest.raises(DeviceError, match=r"50 mm in the rig file and 25 mm in the sensor"),
+        Session(wrong, virtual_rig.clock),
+    ):
         pass
 
 

@@ -127,7 +127,7 @@ def test_a_log_that_is_not_whole_is_warned_of_once() -> None:
     found = identify(runs, campaign.rig)
     again = identify(runs, campaign.rig, earlier=found)
     for warnings in (found.warnings, again.warnings):
-        (message,) = [w for w in warnings if "not whole" in w]
+        (message,) = [w for w in warnings if "the log is incomplete" in w]
         assert message.startswith(f"{holed.source}: ")
         assert message.endswith("place 4; and 2 more")
 

@@ -49,7 +49,7 @@ def test_a_log_is_given_until_the_command_ends(point_log: Path) -> None:
         finally:
             running.kill()
     assert (running.returncode, rest) == (0, "")
-    assert f"{url}; read-only; it asks for no token: anyone on this machine can read it" in output
+    assert f"{url}; read-only and without a token: any user of this machine can read it" in output
     assert "a page of https://evil.example asked for the rig's data and was refused" in output
 
 
