@@ -14,7 +14,7 @@ POLL_S = 0.05  # how often a recording looks for faults
 
 
 def open_rig(
-    rig: Rig | str | Path, *, time_scale: float = 1.0, notify: Callable[[str], None] = lambda text: None
+    rig: Rig | str | Path, *, clock_rate: float = 1.0, notify: Callable[[str], None] = lambda text: None
 ) -> Session:
     """Open every device of a rig and start its streams.
 
@@ -22,7 +22,7 @@ def open_rig(
 
     Args:
         rig: a loaded rig, a rig file, or the name of a shipped rig.
-        time_scale: seconds of rig time for each second of wall time; other than 1 only for virtual rigs.
+        clock_rate: rig time in one second of wall time, s; 1 on hardware.
         notify: called with each line that the operator has to read at once.
     Returns:
         The open session.
@@ -32,7 +32,7 @@ def open_rig(
         DeviceError: a device does not respond as configured.
     """
     loaded = rig if isinstance(rig, Rig) else load_rig(rig)
-    return Session(loaded, HostClock(time_scale), say=notify).open()
+    return Session(loaded, HostClock(clock_rate), say=notify).open()
 
 
 def record(session: Session, path: str | Path, seconds: float, metadata: Mapping[str, str] | None = None) -> Path:

@@ -9,6 +9,7 @@ same samples.
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -53,7 +54,11 @@ def differences(source: str) -> list[str]:
         if isinstance(node, ast.Import | ast.ImportFrom):
             names = [a.name for a in node.names] + [getattr(node, "module", None) or ""]
             found += [f"line {node.lineno}: imports {n}" for n in names if "virtual_rig" in n or n in BELOW_ONLY]
-    found += [f"text {s!r}" for s in strings_outside_docstrings(tree) if any(k in s.lower() for k in PORT_KINDS)]
+    found += [
+        f"text {s!r}"
+        for s in strings_outside_docstrings(tree)
+        if any(re.search(rf"(?<![a-z]){k}", s.lower()) for k in PORT_KINDS)
+    ]
     return found
 
 

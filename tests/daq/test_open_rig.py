@@ -17,7 +17,7 @@ from tests.conftest import TIME_SCALE
 
 def test_a_script_records_in_two_calls(virtual_rig: VirtualRigProcess, tmp_path: Path) -> None:
     rig = load_rig("virtual", settings=virtual_rig.port_settings())
-    with open_rig(rig, time_scale=TIME_SCALE) as session:
+    with open_rig(rig, clock_rate=TIME_SCALE) as session:
         path = record(session, tmp_path / "run.mcap", 2.0, {"note": "two calls"})
         with pytest.raises(LogError, match="run"):
             record(session, path, 1.0)
@@ -40,7 +40,7 @@ def test_a_fault_during_the_recording_closes_the_log_with_its_reason(
         if next(looks, "over") == "over":
             raise DeviceError("drive: no answer for 0.5 s")
 
-    with open_rig(rig, time_scale=TIME_SCALE) as session:
+    with open_rig(rig, clock_rate=TIME_SCALE) as session:
         monkeypatch.setattr(session, "check", check)
         with pytest.raises(DeviceError, match="no answer"):
             record(session, tmp_path / "run.mcap", 60.0)

@@ -113,7 +113,7 @@ def test_faults_are_placed_by_their_words_on_the_one_device_that_can_have_them(
     assert run(["virtual", "fault", "--list"]) == 0
     page = capsys.readouterr().out
     assert page.count("garbage") == 1
-    assert page.count("blocked") == 2
+    assert page.count("blocked  ") == 2
     assert run(["virtual", "state"]) == 0
     assert "faults: garbage (50)" in capsys.readouterr().out
 

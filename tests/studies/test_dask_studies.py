@@ -135,9 +135,9 @@ def test_a_killed_client_loses_nothing_that_is_done(
     until(lambda: len(list(tiles.glob("*.npz"))) >= 5 or output.exists(), again)
     untouched = {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in before if path.exists()}
     assert untouched.items() <= before.items()
-    _, output = again.communicate(timeout=120)
+    _, printed = again.communicate(timeout=120)
     assert again.returncode == 0
-    assert f"{len(before)} of 6 tiles are in" in output.decode()
+    assert f"{len(before)} of 6 tiles are in" in printed.decode()
     alone = tmp_path / "alone.npz"
     subprocess.run([*command[:-3], "local:1", "-o", str(alone)], check=True, capture_output=True)
     with np.load(output) as found, np.load(alone) as here:
@@ -159,7 +159,7 @@ def test_workers_that_all_begin_cold_compile_once(expected: dict[str, bytes], tm
     cold = tmp_path / "cache"
     cold.mkdir()
     (tmp_path / "output").mkdir()
-    with dask_processes(tmp_path / "messages", free_port(), {"NUMBA_CACHE_DIR": str(cold)}) as processes:
+    with dask_processes(tmp_path / "output", free_port(), {"NUMBA_CACHE_DIR": str(cold)}) as processes:
         folder, messages = TileFolder(tmp_path / "tiles", small_map()), list[str]()
         run_study(folder, DaskWorkers(processes.address, messages.append))
         with distributed.Client(processes.address, set_as_default=False) as client:
@@ -193,7 +193,7 @@ def test_nobody_there_is_said_with_what_to_do(tmp_path: Path) -> None:
 
 def test_a_scheduler_without_workers_is_waited_for_only_so_long(tmp_path: Path) -> None:
     (tmp_path / "output").mkdir()
-    with dask_processes(tmp_path / "messages", free_port()) as processes:
+    with dask_processes(tmp_path / "output", free_port()) as processes:
         for worker in processes.workers:
             worker.kill()
             worker.wait()
