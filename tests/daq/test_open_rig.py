@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from daq import open_rig, record
 from daq.errors import DeviceError, LogError
 from daq.log import open_log
-from daq.recording import open_rig, record
 from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from tests.conftest import TIME_SCALE
