@@ -1,7 +1,7 @@
 """Acquisition: devices, their protocols, logs, guided tests, replay, the catalogue, the virtual rig.
 
-Public here: an open rig, recordings, logs and their signals. `daq.exchange` reads and writes files of other programs, `daq.replay` decodes raw
-bytes again, `daq.lockstep.Rehearsal` records guided tests on the virtual rig.
+Public here: an open rig, recordings, logs and their signals. `daq.exchange` reads and writes files of other programs,
+`daq.replay` decodes raw bytes again, `daq.lockstep.Rehearsal` records guided tests on the virtual rig.
 """
 
 from __future__ import annotations

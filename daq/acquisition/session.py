@@ -55,13 +55,11 @@ class Session:
         identities: identities of the devices. Used by sessions that only receive. `open` queries the devices itself.
         say: called with one line of text for the operator.
         edge: ports and disk; those of the machine if None.
-    Raises (from `open` and `listen`):
-        LinkLost: a port cannot be opened.
-        DeviceError: a device does not answer as expected.
     Raises:
-        RigFileError: two devices have the same port.
-    Raises (at the end of a `with` statement that ends without another error):
-        DeviceError: the rotor still turns.
+        RigFileError: two devices use the same port.
+        LinkLost: `open` or `listen`: a port cannot be opened.
+        DeviceError: `open` or `listen`: a device does not respond as configured. End of the `with` block, if no other
+            error ended it: the rotor still turns.
 
     Attributes:
         observers: called with every event of a device.
