@@ -30,6 +30,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from cosmic_ray.ast import Visitor, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.operators.provider import OperatorProvider
+
 ROOT = Path(__file__).resolve().parents[1]
 LEFT_OUT = ("VariableReplacer", "VariableInserter")  # they need the names of variables
 LEAST_TIMEOUT_S = 120.0
@@ -119,8 +123,6 @@ def sample(room: str, patterns: list[str], count: int, seed: int) -> list[Mutant
 
 def mutations(path: Path) -> Iterator[tuple[str, int, int, int]]:
     """Every mutation of a module outside annotations and imports for type checking: operator, occurrence, position."""
-    from cosmic_ray.ast import Visitor, get_ast  # noqa: PLC0415 - an optional group
-    from cosmic_ray.operators.provider import OperatorProvider  # noqa: PLC0415 - an optional group
 
     source = path.read_text(encoding="utf-8")
     skipped = _not_executed(ast.parse(source))
@@ -145,7 +147,7 @@ def mutations(path: Path) -> Iterator[tuple[str, int, int, int]]:
 
 def _not_executed(tree: ast.Module) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     """Spans of annotations and of blocks for type checkers."""
-    nodes: list[ast.AST] = []
+    nodes: list[ast.expr | ast.If] = []
     for node in ast.walk(tree):
         if isinstance(node, ast.arg | ast.AnnAssign) and node.annotation:
             nodes.append(node.annotation)
@@ -153,7 +155,7 @@ def _not_executed(tree: ast.Module) -> list[tuple[tuple[int, int], tuple[int, in
             nodes.append(node.returns)
         elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             nodes.append(node)
-    return [((n.lineno, n.col_offset), (n.end_lineno or 0, n.end_col_offset or 0)) for n in nodes]  # type: ignore[attr-defined]
+    return [((n.lineno, n.col_offset), (n.end_lineno or 0, n.end_col_offset or 0)) for n in nodes]
 
 
 def _mutant(room: str, module: str, line: int, operator: str, occurrence: int) -> Mutant | None:
@@ -166,8 +168,6 @@ def _mutant(room: str, module: str, line: int, operator: str, occurrence: int) -
 
 
 def _mutated(source: str, operator: str, occurrence: int) -> str:
-    from cosmic_ray.mutating import mutate_code  # noqa: PLC0415 - an optional group
-    from cosmic_ray.operators.provider import OperatorProvider  # noqa: PLC0415 - an optional group
 
     return mutate_code(source, OperatorProvider()[operator](), occurrence) or source
 

@@ -38,6 +38,9 @@ def open_rig(
 def record(session: Session, path: str | Path, seconds: float, metadata: Mapping[str, str] | None = None) -> Path:
     """Record all devices of an open rig for a fixed time.
 
+    A device that is unplugged while the rotor is at rest does not end the recording: its loss is counted, and its port
+    is opened again when it returns. While the rotor turns, an interlock stops the rotor and ends the recording.
+
     Args:
         session: from `open_rig`.
         path: the new log, NAME.mcap. An existing file is not overwritten.
@@ -48,7 +51,8 @@ def record(session: Session, path: str | Path, seconds: float, metadata: Mapping
     Raises:
         LogError: the name does not end in .mcap, or the file exists.
         RecordingError: the file cannot be created, or the disk is full.
-        LinkLost, DeviceError: a device failed; the log is closed and contains everything up to the failure.
+        LinkLost, DeviceError: a device or an interlock ended the recording. The log is closed and contains everything
+            up to the failure.
     """
     with ReservedName(Path(path)) as name:
         session.start_recording(name, {"test": "record", **(metadata or {})})

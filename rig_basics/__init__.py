@@ -1,5 +1,1 @@
-"""What every package needs: the root of all errors, units, array types. It imports no other package of the project."""
-
-from rig_basics.errors import RigError
-
-__all__ = ["RigError"]
+"""What every package needs: units and array types. It imports no other package of the project."""
