@@ -8,8 +8,10 @@ AnalysisError
 └── NoStableState     the model has no stable steady state at the speed, or the search for one failed
 """
 
+from rig_basics.errors import RigError
 
-class AnalysisError(Exception):
+
+class AnalysisError(RigError):
     """Root of the errors that the analysis raises deliberately."""
 
 

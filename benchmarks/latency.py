@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.acquisition.session import Session
-from daq.errors import RigError
+from daq.errors import AcquisitionError
 from daq.log import open_log
 from daq.transports import HostClock
 from daq.virtual_rig.control import OperatorLine
@@ -141,7 +141,7 @@ def main() -> int:
                     clock.wait(1.0 + dice.uniform(0.0, 0.3))
                     line.ask("pluck", x_mm=1e3 * _PULL * rig.limits.amplitude_m, y_mm=0.0, hold_s=0.2)
                     session.wait_for(lambda: False, 3.0, "the trip")
-            except RigError as ended:
+            except AcquisitionError as ended:
                 if not ours.poll(1.0):
                     print(f"no stop: {ended}")
                     continue

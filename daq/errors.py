@@ -1,6 +1,6 @@
 """Errors of the acquisition as one tree.
 
-    RigError
+    AcquisitionError
     ├── LinkLost            the link to a device is lost: unplugged, powered off, port closed
     ├── DeviceError         a device answered wrongly, refused a command, or did not answer in time
     ├── LogError            a file is not a readable log, or contains invalid records
@@ -12,20 +12,22 @@
 Every message states what was expected, what was found, where, and what to do next.
 """
 
+from rig_basics.errors import RigError
 
-class RigError(Exception):
+
+class AcquisitionError(RigError):
     """Base of all errors that this package raises on purpose. Other exceptions are bugs."""
 
 
-class LinkLost(RigError):
+class LinkLost(AcquisitionError):
     """The link to a device is lost: reading and writing fail until the device is opened again."""
 
 
-class DeviceError(RigError):
+class DeviceError(AcquisitionError):
     """A device answered wrongly, refused a command, or did not answer in time. Its link works."""
 
 
-class LogError(RigError):
+class LogError(AcquisitionError):
     """A file is not a readable log, or a record contradicts its header."""
 
 
@@ -37,11 +39,11 @@ class ChannelMissing(LogError, KeyError):
         return str(self.args[0]) if self.args else ""
 
 
-class RecordingError(RigError):
+class RecordingError(AcquisitionError):
     """A log cannot be written further. Its content up to the last flush stays readable in the .part file."""
 
 
-class ProcedureError(RigError):
+class ProcedureError(AcquisitionError):
     """A guided test cannot continue: the condition of a step was not met, or the operator stopped it."""
 
 

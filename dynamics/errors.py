@@ -6,8 +6,10 @@ DynamicsError
 └── NotConverged       an iteration or a step-size search did not reach its target
 """
 
+from rig_basics.errors import RigError
 
-class DynamicsError(Exception):
+
+class DynamicsError(RigError):
     """Base class of all errors of the dynamics package."""
 
 

@@ -5,8 +5,10 @@ IdentificationError
 └── FitFailed          the record is complete, but no parameters reproduce it
 """
 
+from rig_basics.errors import RigError
 
-class IdentificationError(Exception):
+
+class IdentificationError(RigError):
     """Base class of all errors of the identification package."""
 
 

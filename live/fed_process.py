@@ -17,8 +17,8 @@ from multiprocessing.connection import Connection
 from typing import Any, Self, TypeVar
 
 from daq.acquisition.session import Session
-from daq.errors import RigError
 from daq.items import Event
+from live.errors import LiveError
 
 _Item = TypeVar("_Item")
 _INTERVAL_S = 1 / 30
@@ -38,7 +38,7 @@ class FedProcess(ABC):
     Attributes:
         offered: first message of the process, once the context is entered.
     Raises:
-        RigError: the process did not start, or failed.
+        LiveError: the process did not start, or failed.
     """
 
     def __init__(self, name: str, label: str, run: Callable[..., None], args: tuple[Any, ...]) -> None:
@@ -83,7 +83,7 @@ class FedProcess(ABC):
             first = {"failed": "its process ended"}
         if "failed" in first:
             self.__exit__()
-            raise RigError(f"{self._label}: {first['failed']}")
+            raise LiveError(f"{self._label}: {first['failed']}")
         self.offered = first
         self._receiving.start()
         return self

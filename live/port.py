@@ -6,12 +6,8 @@ from __future__ import annotations
 import socket
 from ipaddress import ip_address
 
-from daq.errors import RigError
+from live.errors import PortTaken
 from live.guard import LOOPBACK
-
-
-class PortTaken(RigError):
-    """The port is not available."""
 
 
 def bound(host: str, port: int) -> socket.socket:
@@ -28,14 +24,14 @@ def bound(host: str, port: int) -> socket.socket:
     name = host or LOOPBACK[0]
     if _is_any(name):
         raise PortTaken(
-            f"--host {host}: expected the name or address by which others reach this machine, not all of "
+            f"host {host}: expected the name or address by which others reach this machine, not all of "
             "them: the page checks the name in each request"
         )
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_STREAM)[0]
         made = socket.socket(family, kind, protocol)
     except OSError as fault:
-        raise PortTaken(f"--host {host}: no address of this machine ({fault.strerror or fault})") from fault
+        raise PortTaken(f"host {host}: no address of this machine ({fault.strerror or fault})") from fault
     try:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         made.bind(address)
@@ -43,7 +39,7 @@ def bound(host: str, port: int) -> socket.socket:
     except OSError as fault:
         made.close()
         raise PortTaken(
-            f"{name}:{port}: the page cannot be served there ({fault.strerror}); give another --port or --host"
+            f"{name}:{port}: the page cannot be served there ({fault.strerror}); choose another port or host"
         ) from fault
     return made
 

@@ -11,8 +11,9 @@ from typing import Any
 from daq.errors import LogError
 from daq.log import Log
 from daq.log.losses import losses_of
+from live.errors import CommandRefused
 from live.signals import Signals
-from live.source import Facts, Refused
+from live.source import Facts
 from live.transport import Transport
 from rig_configs.schema import Rig
 
@@ -121,9 +122,9 @@ class Replayed:
                 case "speed":
                     self.transport.set_speed(float(given["speed"]))
                 case _:
-                    raise Refused(f"{verb}: not possible for a log")
+                    raise CommandRefused(f"{verb}: not possible for a log")
         except (KeyError, TypeError, ValueError) as fault:
-            raise Refused(f"{verb}: {fault}") from fault
+            raise CommandRefused(f"{verb}: {fault}") from fault
         answer.set_result({"done": True, "at_s": self.transport.at()})
         return answer
 

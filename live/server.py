@@ -25,9 +25,10 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from live.errors import CommandRefused
 from live.guard import Guard
 from live.picture import Pictures, View
-from live.source import Facts, Refused, Source
+from live.source import Facts, Source
 
 FRAMES_PER_S = 30.0
 MOST_VIEWERS = 16
@@ -189,7 +190,7 @@ class Page:
         """Forward a command in this thread; another thread would double the delay on a busy machine."""
         try:
             return JSONResponse(await asyncio.wait_for(asyncio.wrap_future(self._source.act(verb, given)), _ANSWER_S))
-        except Refused as why:
+        except CommandRefused as why:
             return JSONResponse({"error": str(why)}, 409)
         except TimeoutError:
             return JSONResponse({"error": f"{verb}: no answer from the recorder within {_ANSWER_S:g} s"}, 409)

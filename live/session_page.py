@@ -10,13 +10,14 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from daq.acquisition.session import Session
-from daq.errors import DeviceError, RigError
+from daq.errors import DeviceError
 from daq.guided_tests.controls import Controls
 from daq.items import Event
 from live.fed_process import FedProcess, drained
 from live.newest import Newest
 from live.signals import Signals
 from live.watched import run_page
+from rig_basics.errors import RigError
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
@@ -80,7 +81,7 @@ class LivePage(FedProcess):
         host, port: as for live.port.bound.
 
     Raises:
-        RigError: on entering, if the page cannot be served.
+        LiveError: on entering, if the page cannot be served.
     """
 
     def __init__(

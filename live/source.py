@@ -12,10 +12,6 @@ from live.signals import Signals
 Facts = dict[str, Any]
 
 
-class Refused(Exception):
-    """A command cannot be carried out here; the text contains the reason."""
-
-
 class Source(Protocol):
     """Source of the page.
 
@@ -54,8 +50,8 @@ class Source(Protocol):
         """Forward a viewer's command immediately, in the caller's thread.
 
         Returns:
-            The answer once it exists; Refused if the command cannot be carried out here.
+            The answer once it exists; CommandRefused if the command cannot be carried out here.
         Raises:
-            Refused: the same, if this is known at once.
+            CommandRefused: the same, if this is known at once.
         """
         ...

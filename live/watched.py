@@ -15,12 +15,12 @@ from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from typing import Any
 
-from daq.errors import RigError
+from live.errors import CommandRefused, LiveError
 from live.followers import compile_followers
 from live.model import Model
 from live.serving import Serving
 from live.signals import Signals
-from live.source import Facts, Refused
+from live.source import Facts
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
@@ -114,7 +114,7 @@ class Watched:
         if waiting is None or not waiting.set_running_or_notify_cancel():
             return  # the request was cancelled
         if "error" in answer:
-            waiting.set_exception(Refused(str(answer["error"])))
+            waiting.set_exception(CommandRefused(str(answer["error"])))
         else:
             waiting.set_result(answer)
 
@@ -150,7 +150,7 @@ class Watched:
     def act(self, verb: str, given: Mapping[str, Any]) -> Future[Facts]:
         """See Source; the session's process carries it out."""
         if self._facts["ended"]:
-            raise Refused(f"{verb}: the run has ended")
+            raise CommandRefused(f"{verb}: the run has ended")
         number, answer = next(self._numbers), Future[Facts]()
         self._waiting[number] = answer
         answer.add_done_callback(lambda _: self._waiting.pop(number, None))  # cancelled requests too
@@ -159,7 +159,7 @@ class Watched:
                 self._pipe.send({"act": verb, "given": dict(given), "number": number})
         except (OSError, ValueError) as fault:
             answer.cancel()
-            raise Refused(f"{verb}: the recorder has ended") from fault
+            raise CommandRefused(f"{verb}: the recorder has ended") from fault
         return answer
 
 
@@ -183,7 +183,7 @@ def run_page(
         compile_followers(rig, model)  # before a rotor turns, because a stop command passes through this process
     try:
         serving = Serving(watched, model, host, port)
-    except RigError as fault:
+    except LiveError as fault:
         pipe.send({"failed": str(fault)})
         return
     with serving:

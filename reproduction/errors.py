@@ -1,11 +1,18 @@
 # pyright: strict
-"""Errors of the reproduction."""
+"""Errors of the reproduction.
+
+ReproductionError
+├── UnknownItem       no item of the source has this number
+└── NoDataOfSeries    a recording of an item's series did not reach its end
+"""
 
 from __future__ import annotations
 
+from rig_basics.errors import RigError
 
-class ReproductionError(Exception):
-    """Base of all."""
+
+class ReproductionError(RigError):
+    """Root of the errors of the reproduction."""
 
 
 class UnknownItem(ReproductionError):

@@ -109,7 +109,7 @@ def foxglove_of_log(
     if not options.wanted:
         yield
         return
-    from live.foxglove.played import Giving, Played  # only if requested
+    from live.foxglove.played import LogSender, Played  # only if requested
     from live.foxglove.served import Refusals, facts_of
     from live.foxglove.server import FoxgloveServer
 
@@ -118,7 +118,7 @@ def foxglove_of_log(
     server = FoxgloveServer(
         log.path.name, played.offered, metadata, _checked(options.origins), options.port, Refusals(notify)
     )
-    with server, Giving(played, transport, origin_ns, server):
+    with server, LogSender(played, transport, origin_ns, server):
         _announce(server.url, as_json, notify)
         yield
     _report_skipped(server.left_out, notify)

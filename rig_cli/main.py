@@ -17,17 +17,16 @@ from keyword import iskeyword
 
 from cyclopts import App, CycloptsError
 
-from analysis.errors import AnalysisError
-from daq.errors import LogError, OperatorStop, RigError
+from daq.errors import AcquisitionError, LogError, OperatorStop
 from daq.version import software_version
 from dynamics.compiled_code import keep_compiled_code
-from dynamics.errors import DynamicsError
+from live.errors import LiveError
 from reproduction.errors import ReproductionError, UnknownItem
+from rig_basics.errors import RigError
 from rig_cli import answer, crash
 from rig_cli.console import notify, wait_for_compilation
 from rig_cli.misused import error_panel, error_words
 from rig_cli.numbers import NUMBERS_ARE_FINITE
-from rig_configs.errors import RigConfigError
 from studies.errors import EngineMissing, OtherSoftware, StudyError, StudyInputError
 
 _VERBS = {  # modules are imported when their verb is called: `rig --help` and `rig predict` start without the drivers
@@ -188,16 +187,14 @@ def _exit_code(error: Exception) -> int | None:
     """Return 2 for bad input, 3 for hardware, I/O and memory errors, None for an unexpected error."""
     if isinstance(error, OperatorStop):
         return 130
-    identification = sys.modules.get("identification")  # imports scipy: used only if the command has loaded it
-    if isinstance(error, RigConfigError | DynamicsError | LogError | AnalysisError) or (
-        identification is not None and isinstance(error, identification.IdentificationError)
-    ):
+    hardware = isinstance(error, AcquisitionError | LiveError) and not isinstance(error, LogError)
+    study = isinstance(error, StudyError) and not isinstance(error, StudyInputError | EngineMissing | OtherSoftware)
+    unfinished = isinstance(error, ReproductionError) and not isinstance(error, UnknownItem)
+    if hardware or study or unfinished:
+        return 3
+    if isinstance(error, RigError):
         return 2
-    if isinstance(error, ReproductionError):
-        return 2 if isinstance(error, UnknownItem) else 3
-    if isinstance(error, StudyError):
-        return 2 if isinstance(error, StudyInputError | EngineMissing | OtherSoftware) else 3
-    return 3 if isinstance(error, RigError | OSError | MemoryError) else None
+    return 3 if isinstance(error, OSError | MemoryError) else None
 
 
 def main() -> None:

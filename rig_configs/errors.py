@@ -5,8 +5,10 @@ RigConfigError (also a ValueError)
 └── ParametersFileError    a parameters.toml that cannot be used
 """
 
+from rig_basics.errors import RigError
 
-class RigConfigError(ValueError):
+
+class RigConfigError(RigError, ValueError):
     """Root of the package's errors; the message contains the file, the key, the expected and the actual value."""
 
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from daq.acquisition.session import Session
 from daq.drivers.contract import SampleClock, claims_of
 from daq.drivers.devices import devices_of
-from daq.errors import RigError
+from daq.errors import AcquisitionError
 from daq.lockstep.rig import STEP_S, LockstepRig
 from daq.log import Log, open_log
 from daq.replay import check
@@ -180,7 +180,7 @@ def _run(rig: Rig, schedule: Schedule, folder: Path, stage: Stage) -> Result:
                 stage.after(fault.at_s, partial(_begin, stage, fault, over))
             _operate(session, schedule)
             session.stop_recording({})
-    except RigError as error:
+    except AcquisitionError as error:
         result.ended = str(error)
     except Exception as error:
         result.wrong.append(f"ended with {type(error).__name__}: {error}")

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
-from daq.errors import RigError
+from daq.errors import AcquisitionError
 from daq.guided_tests.test_inputs import possible_tests
 from daq.lockstep.rehearsal import Rehearsal
 from identification import IdentificationError, identify
@@ -82,7 +82,7 @@ class Campaigns:
             rig.write_text(question["rig"], encoding="utf-8")
             try:
                 return {"seed": np.array(seed), **_campaign(rig, [*question["settings"], f"virtual.seed={seed}"])}
-            except (RigError, IdentificationError, AnalysisError) as fault:
+            except (AcquisitionError, IdentificationError, AnalysisError) as fault:
                 return {"seed": np.array(seed), "error": np.array(f"{type(fault).__name__}: {fault}")}
 
 

@@ -9,8 +9,10 @@ StudyError
 └── FolderFault         a finished tile cannot be written or read
 """
 
+from rig_basics.errors import RigError
 
-class StudyError(Exception):
+
+class StudyError(RigError):
     """Root of the errors that end a study."""
 
 

@@ -7,8 +7,10 @@ UncertaintyError
 └── TooManyTrials  the values of the requested trials exceed the allowed memory (also a ValueError)
 """
 
+from rig_basics.errors import RigError
 
-class UncertaintyError(Exception):
+
+class UncertaintyError(RigError):
     """Base class of all errors raised by the uncertainty package."""
 
 

@@ -32,7 +32,7 @@ from daq.clock import CLOCK_RULES, NEWEST_RULES, compile_line
 from daq.drivers.checks import Checks
 from daq.drivers.contract import DescribesItself, HasClockSeed, ObservesIdentity, SpeedSource
 from daq.drivers.devices import channels_of, devices_of, make_pipelines
-from daq.errors import DeviceError, OperatorStop, RigError
+from daq.errors import AcquisitionError, DeviceError, OperatorStop
 from daq.items import RX, TX, Batch, Event
 from daq.log.file import ReservedName
 from daq.log.outcome import ENDED, tripping
@@ -208,7 +208,7 @@ class Session:
             return str(because) or "Ctrl-C"
         if because is None or isinstance(because, GeneratorExit | SystemExit):
             return ""
-        return str(because) if isinstance(because, RigError) else f"{type(because).__name__}: {because}"
+        return str(because) if isinstance(because, AcquisitionError) else f"{type(because).__name__}: {because}"
 
     def _reach_drive(self) -> bool:
         """Open the drive's link again if it was lost. Return whether it was lost and is open now."""

@@ -13,7 +13,7 @@ import numpy as np
 from daq.acquisition.channel_watch import HOST
 from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, misplaced
 from daq.acquisition.session import Session
-from daq.errors import DeviceError, ProcedureError, RigError
+from daq.errors import AcquisitionError, DeviceError, ProcedureError
 from daq.guided_test_kinds import Asked
 from daq.guided_tests.hands import (
     CommandedLocks,
@@ -163,7 +163,7 @@ class Orders:
             return
         try:
             path = self._begin(_PAST_S)
-        except (RigError, OSError) as error:
+        except (AcquisitionError, OSError) as error:
             self.warn(f"no log had begun, and the last {_PAST_S:g} s cannot be recorded: {error}")
         else:
             self.warn(f"no log had begun: the last {_PAST_S:g} s and the run-down of the rotor are recorded in {path}")
@@ -172,7 +172,7 @@ class Orders:
         """Finish the log, if one has begun.
 
         Raises:
-            RigError: a device or an interlock failed in the last stretch of the log.
+            AcquisitionError: a device or an interlock failed in the last stretch of the log.
         """
         if not self._recording:
             return
@@ -198,7 +198,7 @@ class Orders:
         """Check the session, and the encoders if the test needs the angles.
 
         Raises:
-            RigError: an interlock, a reader or an encoder reported an error.
+            AcquisitionError: an interlock, a reader or an encoder reported an error.
         """
         self.session.check()
         if self._trusts_angles:

@@ -69,7 +69,7 @@ class Procedures:
         Raises:
             Refused: the rig cannot run the requested test. The rotor was not turned.
             NotReached: the test ended before its log began.
-            RigError: an interlock or a device ended the test.
+            AcquisitionError: an interlock or a device ended the test.
         """
         return self.carry_out(asked(rig or self._rig, test, numbers, point))
 

@@ -85,7 +85,7 @@ class Runner:
 
         Raises:
             NotReached: the test ended before its log began.
-            RigError: an interlock, a device or an encoder ended the test. The rotor was stopped.
+            AcquisitionError: an interlock, a device or an encoder ended the test. The rotor was stopped.
         """
         orders = self._orders
         orders.prepare(request, facts)

@@ -71,7 +71,7 @@ class Rehearsal:
         Raises:
             Refused: the rig cannot run the requested test.
             NotReached: the test ended before its log began.
-            RigError: an interlock or a device ended the test.
+            AcquisitionError: an interlock or a device ended the test.
         """
         rig = self.rig if parameters is None else with_parameters(self.rig, parameters)
         self._tests.parameters = "" if parameters is None else "identified parameters"

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 from websockets.asyncio.server import ServerConnection
 
+from live.errors import InvalidRequest
 from live.foxglove.protocol import (
     ERROR,
     WARNING,
     Block,
-    InvalidRequest,
     Offered,
     Subscribe,
     Unsubscribe,

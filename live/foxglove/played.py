@@ -61,7 +61,7 @@ class Played:
         return Turn(blocks, until_ns, restarted)
 
 
-class Giving:
+class LogSender:
     """Sends a log's messages to a server as its replay advances; a context.
 
     Args:
@@ -76,7 +76,7 @@ class Giving:
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._send, name="foxglove log", daemon=True)
 
-    def __enter__(self) -> Giving:
+    def __enter__(self) -> LogSender:
         self._thread.start()
         return self
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
+from live.errors import InvalidRequest
 
 SUBPROTOCOLS = ("foxglove.websocket.v1", "foxglove.sdk.v1")
 """Names of the protocol, the preferred one first; programs that offer both may accept the first only. The messages are
@@ -40,10 +41,6 @@ _READ_ONLY = {
     "unsubscribeConnectionGraph": "the connection graph",
 }
 _READ_ONLY_BYTES = {1: "publishing", 2: "services"}
-
-
-class InvalidRequest(Exception):
-    """The client's message violates the protocol or requests a write. The text contains what was expected."""
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ import numpy as np
 
 from daq.channels import Channel, pack_note
 from daq.drivers.devices import channels_of
-from daq.errors import RigError
 from daq.version import software_version
+from live.errors import LiveError
 from live.foxglove.client import Turn
 from live.foxglove.protocol import Block, Offered, offered
 from live.foxglove.server import FoxgloveServer
@@ -112,7 +112,7 @@ def run_foxglove(pipe: Connection, rig: Rig, port: int, origins: tuple[str, ...]
 
     try:
         server = FoxgloveServer(rig.name, packing.offered, facts_of(rig), origins, port, Refusals(notify))
-    except RigError as fault:
+    except LiveError as fault:
         pipe.send({"failed": str(fault)})
         return
     with server:

@@ -20,11 +20,11 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
-from daq.errors import RigError
+from live.errors import PortTaken
 from live.foxglove.client import Client, Turn
 from live.foxglove.protocol import SUBPROTOCOLS, Offered, advertise, server_info
 from live.guard import LOOPBACK, hosts_of, judge_without_token
-from live.port import PortTaken, bound
+from live.port import bound
 
 USUAL_PORT = 8765
 """Default port in Foxglove and Lichtblick."""
@@ -50,7 +50,7 @@ class FoxgloveServer:
     Attributes:
         url: address of the connection.
     Raises:
-        RigError: the port is not available.
+        PortTaken: the port is not available.
     """
 
     def __init__(
@@ -65,9 +65,9 @@ class FoxgloveServer:
         try:
             self._listening = bound("", port)
         except PortTaken as fault:
-            raise RigError(
+            raise PortTaken(
                 f"{LOOPBACK[0]}:{port}: the connection for Foxglove cannot be offered there "
-                f"({fault.__cause__ or fault}); another run may offer one, give another --foxglove-port"
+                f"({fault.__cause__ or fault}); another run may offer one; choose another port"
             ) from fault
         port = int(self._listening.getsockname()[1])
         self.url = f"ws://{LOOPBACK[0]}:{port}"

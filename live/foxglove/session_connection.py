@@ -34,13 +34,13 @@ class FoxgloveConnection(FedProcess):
     Attributes:
         left_out: number of messages that slow clients were not sent; known after the context is left.
     Raises:
-        RigError: on entering, if the connection cannot be offered.
+        LiveError: on entering, if the connection cannot be offered.
     """
 
     def __init__(
         self, rig: Rig, rate: float, port: int, origins: Collection[str], notify: Callable[[str], None]
     ) -> None:
-        super().__init__("foxglove", "--foxglove", run_foxglove, (rig, port, tuple(origins)))
+        super().__init__("foxglove", "connection for Foxglove", run_foxglove, (rig, port, tuple(origins)))
         self.left_out = 0
         self._notify, self._hold_ns = notify, int(HOLD_S * 1e9 * (rate if math.isfinite(rate) else 1.0))
         self._notes: deque[NoteRow] = deque(maxlen=_MAX_NOTES)

@@ -13,7 +13,7 @@ import pytest
 
 from daq.acquisition.session import Session
 from daq.clock import ClockMap
-from daq.errors import DeviceError, LinkLost, RigError
+from daq.errors import AcquisitionError, DeviceError, LinkLost
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.clock import SimulatedClock, WaitNeverEnds
 from daq.lockstep.rig import STEP_S, LockstepRig
@@ -484,7 +484,7 @@ def test_a_test_that_ends_at_rest_before_its_log_records_none(tmp_path: Path) ->
     tests = Procedures(session, SimulatedOperator(sim), tmp_path, lambda text, share: None)
     with session:
         sim.ask("unplug", device="drive")
-        with pytest.raises(RigError, match="the rotor is not turned: motor: silent"):
+        with pytest.raises(AcquisitionError, match="the rotor is not turned: motor: silent"):
             tests.point("B", 500.0 * np.pi / 30)
     assert list(tmp_path.glob("*.mcap")) == []
 

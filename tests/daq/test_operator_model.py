@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from daq.acquisition.session import Session
-from daq.errors import RigError
+from daq.errors import AcquisitionError
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
@@ -109,7 +109,7 @@ def test_no_path_releases_at_rest_spins_up_unlocked_or_leaves_the_rotor_turning(
                 name, _, point = test.partition("point-")
                 numbers = {"top_rpm": 300.0, "duration_s": 5.0} if test == "run-up" else {}
                 tests.run("point" if point else name, point=point, **numbers)
-    except RigError:
+    except AcquisitionError:
         pass  # a fault ended it, or the rig refused to go on
     except ValueError as error:
         assert "virtual rig" in str(error)  # noqa: PT017 (a hand that found nothing to flick)

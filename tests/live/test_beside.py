@@ -19,13 +19,14 @@ from websockets.sync.client import connect
 from websockets.typing import Origin
 
 from daq.acquisition.session import Session
-from daq.errors import OperatorStop, RigError
+from daq.errors import OperatorStop
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from live import watched
+from live.errors import LiveError
 from live.model import Model
 from live.port import bound
 from live.serving import Serving
@@ -149,7 +150,7 @@ def test_a_page_that_was_killed_does_not_end_the_session(virtual_rig: VirtualRig
 
 
 def test_a_port_that_is_taken_is_said_before_a_device_is_opened() -> None:
-    with bound("", 0) as taken, pytest.raises(RigError, match=r"the live page: .*--port"):
+    with bound("", 0) as taken, pytest.raises(LiveError, match=r"the live page: .*another port"):
         LivePage(load_rig("virtual"), None, "", 1.0, "", "", taken.getsockname()[1]).__enter__()
 
 

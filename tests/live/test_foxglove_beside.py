@@ -19,12 +19,12 @@ from websockets.typing import Subprotocol
 from daq.acquisition.recent import Recent
 from daq.acquisition.session import Session
 from daq.channels import LASER_X, TACHO
-from daq.errors import RigError
 from daq.guided_tests.procedure import Procedures
 from daq.items import Batch, Event
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.virtual_rig.simulated_operator import SimulatedOperator
+from live.errors import LiveError
 from live.foxglove.protocol import SUBPROTOCOLS
 from live.foxglove.served import Packing, Refusals
 from live.foxglove.session_connection import FoxgloveConnection
@@ -126,7 +126,7 @@ def test_a_connection_that_was_killed_does_not_end_the_session(virtual_rig: Virt
 
 
 def test_a_port_that_is_taken_is_said_before_a_device_is_opened() -> None:
-    with bound("", 0) as taken, pytest.raises(RigError, match=r"--foxglove: .*another --foxglove-port"):
+    with bound("", 0) as taken, pytest.raises(LiveError, match=r"connection for Foxglove: .*another port"):
         FoxgloveConnection(load_rig("virtual"), 1.0, taken.getsockname()[1], (), print).__enter__()
 
 

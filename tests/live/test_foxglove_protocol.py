@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.channels import CHANNELS, LASER_X, MOTOR, Channel
+from live.errors import InvalidRequest
 from live.foxglove.client import Subscriptions
 from live.foxglove.protocol import (
     Block,
-    InvalidRequest,
     Subscribe,
     Unsubscribe,
     advertise,

@@ -20,10 +20,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from daq.errors import RigError
 from daq.log import Log, open_log
+from live.errors import PortTaken
 from live.foxglove.client import LEFT_OUT, MOST_BYTES, MOST_REFUSED, Turn
-from live.foxglove.played import Giving, Played
+from live.foxglove.played import LogSender, Played
 from live.foxglove.protocol import SUBPROTOCOLS, time_data
 from live.foxglove.server import MOST_CLIENTS, FoxgloveServer
 from live.transport import Transport
@@ -218,7 +218,7 @@ def test_too_many_clients_are_refused(server: FoxgloveServer) -> None:
 def test_a_port_that_cannot_be_had_is_named(server: FoxgloveServer) -> None:
     taken = int(server.url.rpartition(":")[2])
     for port in (taken, 65536, -1):
-        with pytest.raises(RigError, match=f"127.0.0.1:{port}.*--foxglove-port"):
+        with pytest.raises(PortTaken, match=f"127.0.0.1:{port}.*another port"):
             FoxgloveServer("b", [], {}, (), port)
 
 
@@ -304,7 +304,7 @@ def test_a_log_is_given_as_it_is_played_and_sought(server: FoxgloveServer, playe
     transport.await_viewer()  # a subscriber counts as a viewer
     with _client(server) as line:
         _subscribed(line, "motor")
-        with Giving(played, transport, origin_ns, server):
+        with LogSender(played, transport, origin_ns, server):
             _messages(line, origin_ns)  # it has begun
             clock_s[0] = 0.5
             first = _messages(line, origin_ns + 5 * 10**8)

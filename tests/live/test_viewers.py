@@ -18,9 +18,10 @@ from websockets.typing import Origin
 
 from daq.log import open_log
 from daq.log.snapshot import rig_of
+from live.errors import PortTaken
 from live.frames import decode
 from live.model import Model
-from live.port import PortTaken, bound
+from live.port import bound
 from live.replayed import Replayed
 from live.server import MOST_UNANSWERED, MOST_VIEWERS
 from live.serving import Serving
@@ -182,7 +183,7 @@ def test_files_beside_the_page_are_not_served(serving: Serving) -> None:
 
 
 def test_a_port_that_is_taken_or_a_host_that_is_all_is_refused() -> None:
-    with bound("", 0) as first, pytest.raises(PortTaken, match="--port"):
+    with bound("", 0) as first, pytest.raises(PortTaken, match="another port"):
         bound("", first.getsockname()[1])
     for host in ("0.0.0.0", "::", " "):
         with pytest.raises(PortTaken, match="not all of them"):

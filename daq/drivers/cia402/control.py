@@ -185,7 +185,7 @@ class DriveControl:
 
         Raises:
             DeviceError: the drive does not reach the state, has another fault, or does not watch the host's heartbeat.
-            RigError: raised by `permit`.
+            AcquisitionError: raised by `permit`.
         """
         deadline = self._clock.wall_s() + 3.0
         self._armed, self.dropped_out, was_reset, watched = False, None, False, False
@@ -297,7 +297,7 @@ class DriveControl:
 
         Raises:
             DeviceError: the host's heartbeat is not sent.
-            RigError: raised by `permit`.
+            AcquisitionError: raised by `permit`.
         """
         self._guarded.permit(rpm)
         if rpm:

@@ -218,7 +218,7 @@ class VescControl:
 
         Raises:
             DeviceError: the controller has a fault or does not obey.
-            RigError: raised by `permit`.
+            AcquisitionError: raised by `permit`.
         """
         deadline = self._clock.wall_s() + _ENABLE_S
         with self._deciding:
@@ -281,7 +281,7 @@ class VescControl:
 
         Raises:
             DeviceError: the controller cannot hold that speed, or is not enabled.
-            RigError: raised by `permit`.
+            AcquisitionError: raised by `permit`.
         """
         least = self._settings.min_rpm
         if rpm and not abs(rpm) >= least:
