@@ -21,11 +21,11 @@ from analysis.dry_friction import LeftOpen
 from analysis.prediction import AXIS_ANGLE, QUANTITIES, Prediction
 from rig_basics.arrays import Array
 from rig_configs import Rig
-from rig_configs.known import Known
+from rig_configs.known import KnownNumbers
 from rig_configs.shared_errors import EXACT_STEP, is_known, known_source, shared_source
 from rig_configs.slow_roll import SlowRoll
 from rig_configs.suspension_terms import TERMS, SuspensionTerms
-from uncertainty import Budgets, Group, Source
+from uncertainty import Budgets, ErrorSource, Group
 from uncertainty.group import Input
 
 _AT_REST_M = 1e-12  # amplitude below which a quantity is 0 for all parameters
@@ -73,7 +73,7 @@ class PredictedBudgets:
     budgets: Budgets
     parameter_sensitivities: Array
     axis_angle_rad: float
-    known: Known
+    known: KnownNumbers
     slow_roll: SlowRoll | None
     slow_roll_sensitivities: Array
     term_sensitivities: Array
@@ -165,20 +165,20 @@ def predicted_budgets(
     )
 
 
-def _axis_source(std_deg: float, identified: bool) -> list[Source]:
+def _axis_source(std_deg: float, identified: bool) -> list[ErrorSource]:
     """Return the source of the axis angle's error; an empty list for an exact angle."""
     kind = "A" if identified else "B"
-    return [Source(AXIS_ANGLE, math.radians(std_deg), "rad", kind)] if std_deg > 0 else []
+    return [ErrorSource(AXIS_ANGLE, math.radians(std_deg), "rad", kind)] if std_deg > 0 else []
 
 
 def _with_further_sources(
-    axis: list[Source],
+    axis: list[ErrorSource],
     parameters: Budgets,
     predictions: Mapping[str, Prediction],
     rig: Rig,
-    rolled: Mapping[str, tuple[Source, Array]],
+    rolled: Mapping[str, tuple[ErrorSource, Array]],
     changed: Mapping[str, Array],
-) -> list[Source]:
+) -> list[ErrorSource]:
     """Return the sources that the parameters' budgets do not contain.
 
     Args:
@@ -224,12 +224,12 @@ def _friction_source(point: str, friction: LeftOpen) -> Input | None:
         case 0:
             return None
         case 1:
-            return Source(name, math.sqrt(float(friction.covariance[0, 0])), "1")
+            return ErrorSource(name, math.sqrt(float(friction.covariance[0, 0])), "1")
         case _:
             return Group(name, ("θ3", "θ4"), ("rad", "rad"), friction.covariance)
 
 
-def _slow_roll_errors(slow_roll: SlowRoll | None, rig: Rig, there: set[str]) -> dict[str, tuple[Source, Array]]:
+def _slow_roll_errors(slow_roll: SlowRoll | None, rig: Rig, there: set[str]) -> dict[str, tuple[ErrorSource, Array]]:
     """Return label → source and shift of SlowRoll.values per standard deviation of the source, shape (6,).
 
     Args:
@@ -237,10 +237,10 @@ def _slow_roll_errors(slow_roll: SlowRoll | None, rig: Rig, there: set[str]) -> 
     """
     if slow_roll is None:
         return {}
-    found: dict[str, tuple[Source, Array]] = {}
+    found: dict[str, tuple[ErrorSource, Array]] = {}
     for error in slow_roll.own_errors:
         name = error.label if error.label in there else f"{error.label}: {error.words}"
-        found[error.label] = Source(name, error.std_m, "m", "A"), error.std_m * error.direction
+        found[error.label] = ErrorSource(name, error.std_m, "m", "A"), error.std_m * error.direction
     for label, shift in slow_roll.errors(rig.roles.gain_stds, rig.known).items():
         if label not in found and np.any(shift):
             found[label] = (shared_source(label, rig), shift)
@@ -280,11 +280,11 @@ def _shown(name: str) -> tuple[str, str, float]:
 
 
 def _direct(
-    quantities: Sequence[Quantity], predictions: Mapping[str, Prediction], sources: Sequence[Input], known: Known
+    quantities: Sequence[Quantity], predictions: Mapping[str, Prediction], sources: Sequence[Input], known: KnownNumbers
 ) -> Array:
     """Return the sensitivities at fixed parameters: to the axis angle and to the numbers of the rig file."""
     columns = columns_of(sources)
-    units = {source.name: float(source.factor[0, 0]) for source in sources if isinstance(source, Source)}
+    units = {source.name: float(source.factor[0, 0]) for source in sources if isinstance(source, ErrorSource)}
     table = np.zeros((len(quantities), sum(source.width for source in sources)))
     for row, q in enumerate(quantities):
         found = predictions[q.point]

@@ -98,7 +98,7 @@ class Rows(Protocol):
 
 
 @dataclass(frozen=True)
-class Compared:
+class PointComparison:
     """Measurement of one point with the prediction for its speed."""
 
     name: str
@@ -189,7 +189,7 @@ class Differences:
 
 
 def differences(
-    compared: Sequence[Compared],
+    compared: Sequence[PointComparison],
     rig: Rig,
     identified: IdentifiedParameters,
     releases: Sequence[Rows] = (),
@@ -278,7 +278,7 @@ class _Part:
         )
 
     @classmethod
-    def of(cls, compared: Compared, rig: Rig) -> _Part:
+    def of(cls, compared: PointComparison, rig: Rig) -> _Part:
         measured, predicted = compared.measured, compared.predicted
         seen = measured_shifts(measured, rig)
         shared = {

@@ -18,7 +18,7 @@ AT = 3.0
 
 
 @dataclass(frozen=True)
-class Noticed:
+class DetectableSizes:
     """Detectable sizes of one cause.
 
     Attributes:
@@ -55,7 +55,7 @@ class Noticed:
         }
 
 
-def noticed(differences: Differences, causes: Sequence[Cause]) -> tuple[Noticed, ...]:
+def noticed(differences: Differences, causes: Sequence[Cause]) -> tuple[DetectableSizes, ...]:
     """Return the sizes of each cause that each point alone and all points together would detect.
 
     Args:
@@ -72,5 +72,6 @@ def noticed(differences: Differences, causes: Sequence[Cause]) -> tuple[Noticed,
 
     everything = list(range(len(differences.rows)))
     return tuple(
-        Noticed(c, {n: size(parts[n], at[n], c) for n in names}, size(differences, everything, c)) for c in causes
+        DetectableSizes(c, {n: size(parts[n], at[n], c) for n in names}, size(differences, everything, c))
+        for c in causes
     )

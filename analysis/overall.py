@@ -11,10 +11,10 @@ import numpy as np
 
 from analysis.agreement import Agreement, agreement
 from analysis.causes import Cause, causes, torques_of
-from analysis.differences import Compared, Differences, Rows, differences
+from analysis.differences import Differences, PointComparison, Rows, differences
 from analysis.errors import NoStableState
 from analysis.explanations import Explanations, explanations
-from analysis.noticed import Noticed, noticed
+from analysis.noticed import DetectableSizes, noticed
 from analysis.prediction import predict_point
 from dynamics.errors import DynamicsError
 from rig_configs import IdentifiedParameters, Rig
@@ -36,7 +36,7 @@ class Overall:
 
     agreement: Agreement
     explanations: Explanations | None
-    noticed: tuple[Noticed, ...]
+    noticed: tuple[DetectableSizes, ...]
     _case: _Case
 
     def explain(self) -> Explanations:
@@ -45,7 +45,7 @@ class Overall:
 
 
 def overall(
-    compared: Sequence[Compared],
+    compared: Sequence[PointComparison],
     rig: Rig,
     identified: IdentifiedParameters,
     axis_angle_deg: tuple[float, float] | None = None,
@@ -83,7 +83,7 @@ def _as_kept(torques: Mapping[str, float]) -> dict[str, Any]:
 class _Case:
     """Inputs of a validation, with which a cause can be tried."""
 
-    compared: tuple[Compared, ...]
+    compared: tuple[PointComparison, ...]
     rig: Rig
     identified: IdentifiedParameters
     differences: Differences
@@ -137,7 +137,7 @@ class _Case:
         return differences(predicted, self.rig, identified, self.releases, changed)
 
     @staticmethod
-    def _predicted(each: Compared, rig: Rig, identified: IdentifiedParameters) -> Compared:
+    def _predicted(each: PointComparison, rig: Rig, identified: IdentifiedParameters) -> PointComparison:
         speed, near = each.measured.speed_rad_s, [theta.value for theta in each.measured.theta_rad]
         found = predict_point(rig, identified, speed.value, speed_std_rad_s=speed.std, near_rad=near)
-        return Compared(each.name, each.measured, found)
+        return PointComparison(each.name, each.measured, found)

@@ -27,7 +27,7 @@ from dynamics.steady.held_band import HeldBand
 from rig_basics.arrays import Array
 from rig_basics.units import TO_RPM
 from rig_configs import IdentifiedParameters, Rig
-from rig_configs.known import Known, physical_numbers, with_number
+from rig_configs.known import KnownNumbers, physical_numbers, with_number
 from rig_configs.suspension_terms import TERMS, moved_term
 
 Start = Array
@@ -197,7 +197,7 @@ def _add_roll_and_term_errors(
 
 
 def _shared(
-    known: Known, identified: IdentifiedParameters, by_parameter: Array, by_number: Mapping[str, Array]
+    known: KnownNumbers, identified: IdentifiedParameters, by_parameter: Array, by_number: Mapping[str, Array]
 ) -> dict[str, Array]:
     """Return label → shift of the values per standard deviation of a shared error, shape (5,) each."""
     shared = {label: by_parameter @ shift for label, shift in identified.shared_with(known).items()}

@@ -17,7 +17,7 @@ import numpy as np
 
 from daq.signals.clock_rates import rate_std_between
 from daq.signals.decay import MIN_WINDOWS
-from daq.signals.limit import Limit, limit
+from daq.signals.limit import ApproachLimit, limit
 from daq.signals.rounding import rounding_covariance
 from daq.signals.run import Run
 from daq.signals.window_means import WindowMeans, angle_means, orbit_means, whole_revolutions
@@ -111,7 +111,7 @@ def to_come(run: Run, release_s: float, end_s: float, means: Array, stds: Array)
     return ToCome(shift, found.covariance, found.to_come, found.model, found.rate_per_s, found.windows)
 
 
-def _limit(run: Run, release_s: float, end_s: float, means: Array) -> Limit | None:
+def _limit(run: Run, release_s: float, end_s: float, means: Array) -> ApproachLimit | None:
     """Fit the windows since the release and return their limit; None with too few windows or no fit."""
     marks = (run.mark_time_s >= release_s) & (run.mark_time_s <= end_s)
     time, phase = run.mark_time_s[marks], run.mark_phase_rad[marks]

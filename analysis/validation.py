@@ -19,10 +19,10 @@ import numpy as np
 
 from analysis.agreement import Agreement
 from analysis.bent_shaft import blamed_on_bow
-from analysis.differences import RELEASE, Compared, Rows
+from analysis.differences import RELEASE, PointComparison, Rows
 from analysis.errors import NoStableState, NotEnoughData
 from analysis.explanations import Explanations
-from analysis.noticed import Noticed
+from analysis.noticed import DetectableSizes
 from analysis.overall import overall
 from analysis.prediction import Prediction, predict_point
 from analysis.results import PointResult
@@ -61,7 +61,7 @@ class Validation:
     points: Mapping[str, PointResult] = field(default_factory=dict[str, PointResult])
     agreement: Agreement | None = None
     explanations: Explanations | None = None
-    noticed: Sequence[Noticed] = ()
+    noticed: Sequence[DetectableSizes] = ()
     start_ups: Sequence[StartUps] = ()
     reading: Reading = ""
     of_releases: Sequence[str] = ()
@@ -145,7 +145,7 @@ def validate(
         if point.scores and point.prediction is not None and point.state == point.prediction.state.type
     }
     found = overall(
-        [Compared(n, p.measurement, p.prediction) for n, p in settled.items() if p.measurement and p.prediction],
+        [PointComparison(n, p.measurement, p.prediction) for n, p in settled.items() if p.measurement and p.prediction],
         rig,
         identified,
         axis_angle_deg,

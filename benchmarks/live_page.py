@@ -38,8 +38,8 @@ from daq.acquisition.session import Session
 from daq.log import open_log
 from live.followers import Followers
 from live.frames import decode
-from live.model import Model
-from live.picture import Pictures, View
+from live.model import LiveModel
+from live.picture import Pictures, ViewerView
 from live.session_page import Asking, LivePage
 from live.watched import Watched
 from rig_cli.simulated import VirtualRigProcess
@@ -185,10 +185,10 @@ def _hour(rig_name: str, minutes: int = 60) -> None:
     rig = load_rig(rig_name)
     ours, theirs = multiprocessing.Pipe()
     watched = Watched(rig, theirs, 1.0, "an hour")
-    pictures = Pictures(watched, Model(rig), followers := Followers(watched.signals, Model(rig)))
+    pictures = Pictures(watched, LiveModel(rig), followers := Followers(watched.signals, LiveModel(rig)))
     channels = watched.signals.topics
     print(f"{minutes} min of samples: memory of the page's process after each tenth, MB:", end="", flush=True)
-    view = View(600.0, None, 700)
+    view = ViewerView(600.0, None, 700)
     for second in range(60 * minutes):
         rows: list[tuple[str, object, dict[str, object]]] = []
         for topic, fields in channels.items():

@@ -17,7 +17,7 @@ from daq.errors import ProcedureError
 from rig_configs.roles import Roles
 
 if TYPE_CHECKING:
-    from daq.guided_tests.table import Table
+    from daq.guided_tests.table import StateTable
     from rig_configs.schema import Rig
 
 GROUP = "rig.guided_tests"
@@ -32,7 +32,7 @@ CHANNELS: Mapping[str, str] = {"x": "laser/x", "y": "laser/y", "angles": "pendul
 """Topics of the signals in every log."""
 
 
-class Refused(ProcedureError):
+class GuidedTestRefused(ProcedureError):
     """A test request was refused. The rotor was not turned and nothing was recorded."""
 
 
@@ -59,7 +59,7 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Asked:
+class GuidedTestRequest:
     """A requested test with all its numbers.
 
     Attributes:
@@ -77,7 +77,7 @@ class Asked:
     numbers: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
-def _no_text(request: Asked) -> str:
+def _no_text(request: GuidedTestRequest) -> str:
     return ""
 
 
@@ -105,12 +105,12 @@ class TestKind:
     line: str
     needs: tuple[str, ...]
     turns: bool
-    table: Callable[[Asked], Table]
+    table: Callable[[GuidedTestRequest], StateTable]
     gives: tuple[str, ...] = ()
     point: Literal["", "named", "optional"] = ""
     numbers: Mapping[str, Number] = field(default_factory=dict[str, Number])
-    refusal: Callable[[Asked], str] = _no_text
-    warning: Callable[[Asked], str] = _no_text
+    refusal: Callable[[GuidedTestRequest], str] = _no_text
+    warning: Callable[[GuidedTestRequest], str] = _no_text
     summed: Callable[[Sequence[Mapping[str, Any]]], Mapping[str, Any]] | None = None
 
     @property
@@ -164,9 +164,11 @@ def _loaded(point: EntryPoint) -> TestKind:
         kind = point.load()
     except Exception as error:
         text = f"guided test {point.name!r} ({point.value}) cannot be loaded: {type(error).__name__}: {error}"
-        raise Refused(text) from error
+        raise GuidedTestRefused(text) from error
     if not isinstance(kind, TestKind) or kind.name != point.name:
-        raise Refused(f"guided test {point.name!r} ({point.value}): expected a TestKind of that name, got {kind!r:.80}")
+        raise GuidedTestRefused(
+            f"guided test {point.name!r} ({point.value}): expected a TestKind of that name, got {kind!r:.80}"
+        )
     return kind
 
 

@@ -32,7 +32,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Event:
+class DeviceEvent:
     """An event of a device: a gap, a released lock, an answer, damage.
 
     Attributes:

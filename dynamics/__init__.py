@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dynamics.equations.balancing import GravityDisk, balanced_angles, balancing_region, gravity_disk
-    from dynamics.equations.model import Model, choose_model
+    from dynamics.equations.model import ChosenModel, choose_model
     from dynamics.equations.parameters import Pendulum, RotorParameters
     from dynamics.equations.scene import Scene
     from dynamics.equations.speed_history import SpeedHistory
@@ -51,8 +51,8 @@ _MODULE_OF = {  # imported at the first access, so that reading a rig file does 
 
 __all__ = [
     "BatchMotion",
+    "ChosenModel",
     "GravityDisk",
-    "Model",
     "Motion",
     "Pendulum",
     "ReleaseOutcome",

@@ -1,8 +1,8 @@
 """Estimation of k1, k2, ζ1, ζ2, c3, c4 and S_P from recorded runs, with covariance."""
 
-from identification.compare import Comparison
-from identification.compare import compare as compare_parameters
-from identification.curve import Curve
+from identification.compare import ParameterComparison
+from identification.compare import compare_parameters as compare_parameters
+from identification.curve import FittedCurve
 from identification.errors import FitFailed, IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.identify import Identification, NamedFit, identify
@@ -17,16 +17,16 @@ from identification.ring_down.fit import RingDownFit, fit_ring_down, fit_ring_do
 from identification.run_up.fit import RunUpFit, fit_run_up, fit_run_up_run
 
 __all__ = [
-    "Comparison",
     "ConsistencyRow",
-    "Curve",
     "EquivalentLinear",
     "Estimate",
     "FitFailed",
+    "FittedCurve",
     "Identification",
     "IdentificationError",
     "NamedFit",
     "NotIdentifiable",
+    "ParameterComparison",
     "RingDownFit",
     "RunUpFit",
     "SpinDownFit",

@@ -61,7 +61,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ParameterComparison:
     """Comparison of two parameter sets.
 
     Attributes:
@@ -102,7 +102,7 @@ class Comparison:
         return "nothing changed significantly"
 
 
-def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
+def compare_parameters(old: IdentifiedParameters, new: IdentifiedParameters) -> ParameterComparison:
     """Compare two identifications of one rig.
 
     Raises:
@@ -144,7 +144,7 @@ def compare(old: IdentifiedParameters, new: IdentifiedParameters) -> Comparison:
     notes = [*apart.notes]
     if dof < len(names):
         notes.append(f"{len(names) - dof} of {len(names)} directions rest on the same logs both times: no change there")
-    return Comparison(
+    return ParameterComparison(
         changes,
         covariance,
         chi2,

@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Curve:
+class FittedCurve:
     """Measured signal and its fit, for a plot.
 
     Attributes:

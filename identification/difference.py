@@ -30,7 +30,7 @@ Joint = tuple[JointEstimate, list[KeptTest]]
 
 
 @dataclass(frozen=True)
-class Difference:
+class ParameterDifference:
     """Difference NEW − OLD.
 
     Attributes:
@@ -90,7 +90,7 @@ class _Side:
         return {label for test in self.tests for label in test.estimate.shared}
 
 
-def difference(old: IdentifiedParameters, new: IdentifiedParameters) -> Difference:
+def difference(old: IdentifiedParameters, new: IdentifiedParameters) -> ParameterDifference:
     """Return the covariance of the difference of two parameter sets, with their common errors.
 
     Raises:
@@ -101,7 +101,7 @@ def difference(old: IdentifiedParameters, new: IdentifiedParameters) -> Differen
     if first is None or second is None:
         which = " and ".join(name for name, f in (("OLD", first), ("NEW", second)) if f is None)
         note = f"{which} keeps too little of its tests to identify shared errors; all errors count as independent"
-        return Difference(
+        return ParameterDifference(
             names, _spread(old, names) + _spread(new, names), 0.0, [note], (first is None, second is None)
         )
     before, after = _Side.of(first, names), _Side.of(second, names)
@@ -119,7 +119,7 @@ def difference(old: IdentifiedParameters, new: IdentifiedParameters) -> Differen
         notes.append(f"{', '.join(both)} {is_} in both: {its} own errors cancel")
     residue = max(_residue(first[0], old), _residue(second[0], new))
     blur = max(_MIN_BLUR, _BLUR_PER_RESIDUE * residue)
-    return Difference(names, 0.5 * (covariance + covariance.T), blur if pairs else 0.0, notes)
+    return ParameterDifference(names, 0.5 * (covariance + covariance.T), blur if pairs else 0.0, notes)
 
 
 def _spread(parameters: IdentifiedParameters, names: Sequence[str]) -> np.ndarray:

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 
-from identification.compare import Comparison, compare, holm
+from identification.compare import ParameterComparison, compare_parameters, holm
 from identification.errors import NotIdentifiable
 from identification.joint.provenance import KeptTest, kept_tests
 from rig_configs.errors import ParametersFileError
@@ -52,11 +52,11 @@ class History:
     """
 
     instants: list[Instant]
-    steps: list[Comparison | None]
+    steps: list[ParameterComparison | None]
     skipped: list[str]
 
 
-def history(paths: Sequence[Path], rig: str | None = None) -> History:
+def parameter_history(paths: Sequence[Path], rig: str | None = None) -> History:
     """Build the history from parameters files.
 
     Args:
@@ -117,12 +117,12 @@ def _aware(time: datetime) -> datetime:
     return time if time.tzinfo is not None else time.replace(tzinfo=UTC)
 
 
-def _steps(instants: list[Instant]) -> list[Comparison | None]:
+def _steps(instants: list[Instant]) -> list[ParameterComparison | None]:
     """Compare each instant with the previous one. The p values are adjusted for all comparisons of the history."""
-    steps: list[Comparison | None] = [None]
+    steps: list[ParameterComparison | None] = [None]
     for before, after in pairwise(instants):
         try:
-            steps.append(compare(before.parameters, after.parameters))
+            steps.append(compare_parameters(before.parameters, after.parameters))
         except NotIdentifiable:
             steps.append(None)
     looked = [c for step in steps if step for c in step.changes]

@@ -14,7 +14,7 @@ from daq.signals.completeness import missing_warnings
 from daq.signals.phase_noise import phase_remarks
 from daq.signals.run import Run
 from daq.signals.threads import on_one_thread
-from daq.signals.witnesses import Agreement
+from daq.signals.witnesses import WitnessAgreement
 from identification.errors import FitFailed, IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.joint import ConsistencyRow, combine, joint_estimate
@@ -79,7 +79,7 @@ class Identification:
     fits: list[NamedFit]
     consistency: list[ConsistencyRow]
     warnings: list[str]
-    witnesses: list[Agreement] = field(default_factory=list[Agreement])
+    witnesses: list[WitnessAgreement] = field(default_factory=list[WitnessAgreement])
 
 
 @dataclass

@@ -122,7 +122,7 @@ def inverse_normal(jacobian: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Block:
+class SeparableBlock:
     """Independent part of a separable model with its own data and its own linear unknowns c.
 
     Attributes:
@@ -155,7 +155,7 @@ class Solution:
     chi2_per_dof: float
 
 
-Model = Callable[[Array], Sequence[Block]]
+Model = Callable[[Array], Sequence[SeparableBlock]]
 
 
 def solve_separable(model: Model, start: Array, prior: Array, prior_std: Array, max_iterations: int = 40) -> Solution:
@@ -187,12 +187,12 @@ def solve_separable(model: Model, start: Array, prior: Array, prior_std: Array, 
     return _solution(model, minimum)
 
 
-def linear_unknowns(block: Block) -> Array:
+def linear_unknowns(block: SeparableBlock) -> Array:
     """Best-fitting c of a block, shape (k,)."""
     return _projected(block)[1]
 
 
-def _projected(block: Block) -> tuple[Array, Array]:
+def _projected(block: SeparableBlock) -> tuple[Array, Array]:
     q, r = _orthonormal(block.basis)
     diagonal = np.abs(np.diag(r))
     ridge = np.where(diagonal > 1e-12 * diagonal.max(), 0.0, 1.0)  # for a column that depends on the others

@@ -37,7 +37,7 @@ _NUTTALL = (0.3635819, 0.4891775, 0.1365995, 0.0106411)
 
 
 @dataclass(frozen=True)
-class Line:
+class SpectralLine:
     """Sinusoid that is not part of the motion to be identified.
 
     Attributes:
@@ -91,7 +91,7 @@ def _turning(angle_rad: float, count: int) -> np.ndarray:
     return np.multiply.outer(coarse, fine).ravel()[:count]
 
 
-def steady_lines(time_s: np.ndarray, value_m: np.ndarray, keep: np.ndarray) -> list[Line]:
+def steady_lines(time_s: np.ndarray, value_m: np.ndarray, keep: np.ndarray) -> list[SpectralLine]:
     """Find the steady lines of one sensor outside the peaks of its motion, strongest first.
 
     Args:
@@ -109,7 +109,7 @@ def steady_lines(time_s: np.ndarray, value_m: np.ndarray, keep: np.ndarray) -> l
     tail = value[first:] if len(value) - first >= max(_MIN_SAMPLES, len(value) // 4) else value
     span = Span(start + (len(value) - len(tail)) * step, step, tail - rest)
     head = _quiet_head(value - np.median(value[: max(len(value) // 50, 1)]), largest)
-    found: list[Line] = []
+    found: list[SpectralLine] = []
     for at, noise in _peaks(span):
         line = _steady(span, at, noise, largest)
         if line is None:
@@ -215,7 +215,7 @@ def _amplitudes(span: Span, frequency: float, centres: Sequence[float] = _CENTRE
     return np.array(middles), np.array(out)
 
 
-def _steady(span: Span, frequency: float, noise: float, largest: float) -> Line | None:
+def _steady(span: Span, frequency: float, noise: float, largest: float) -> SpectralLine | None:
     """Line at a peak; None if the peak decays, jumps, is too weak to classify, or may be the motion itself."""
     if _clearly_decays(span, frequency, 1.8 * noise):
         return None
@@ -243,7 +243,7 @@ def _steady(span: Span, frequency: float, noise: float, largest: float) -> Line 
     bent = float(np.max(np.abs(phase - np.polyval(np.polyfit(middle, phase, 1), middle))))
     order = 1 if bent < 0.02 + 3 * own / mean else max(4, round(length / 2.0))
     constant = complex(np.mean(amplitude)) if order == 1 else complex(mean * np.exp(1j * phase.mean()))
-    return Line(frequency, constant, span.start_s, order=min(order, 40))
+    return SpectralLine(frequency, constant, span.start_s, order=min(order, 40))
 
 
 def _clearly_decays(span: Span, frequency: float, noise: float) -> bool:
@@ -262,7 +262,7 @@ def _quiet_head(value: np.ndarray, largest: float) -> int:
     return int(np.argmax(moved)) if moved.any() else len(value)
 
 
-def _absent(head: np.ndarray, start: float, step: float, line: Line) -> bool:
+def _absent(head: np.ndarray, start: float, step: float, line: SpectralLine) -> bool:
     """Whether a quiet head contains significantly less than half of a line, which then began with the release."""
     t = step * np.arange(len(head))
     wave = np.exp(2j * np.pi * line.frequency_Hz * (t + start - line.zero_s))
@@ -272,7 +272,9 @@ def _absent(head: np.ndarray, start: float, step: float, line: Line) -> bool:
     return float(np.hypot(found[0], found[1])) + 3 * left < 0.5 * abs(line.amplitude_m)
 
 
-def _true_frequency(line: Line, time: np.ndarray, value: np.ndarray, keep: np.ndarray, step: float) -> Line:
+def _true_frequency(
+    line: SpectralLine, time: np.ndarray, value: np.ndarray, keep: np.ndarray, step: float
+) -> SpectralLine:
     """Resolve the alias of a line found in an averaged record: the frequency with the largest amplitude in the record.
 
     The line is unchanged if the record was not averaged.
@@ -295,17 +297,17 @@ def _true_frequency(line: Line, time: np.ndarray, value: np.ndarray, keep: np.nd
     k = int(np.argmax(np.abs(best)))
     mean = np.sinc(line.frequency_Hz * step) / np.sinc(line.frequency_Hz * every)
     if k == 0:
-        return Line(line.frequency_Hz, line.amplitude_m / mean, line.zero_s, 0.0, line.order)
-    return Line(alike[k], best[k], line.zero_s, 0.0, line.order)
+        return SpectralLine(line.frequency_Hz, line.amplitude_m / mean, line.zero_s, 0.0, line.order)
+    return SpectralLine(alike[k], best[k], line.zero_s, 0.0, line.order)
 
 
-def sentences(per_sensor: Sequence[tuple[str, Sequence[Line]]]) -> list[str]:
+def sentences(per_sensor: Sequence[tuple[str, Sequence[SpectralLine]]]) -> list[str]:
     """Return messages that name lines by frequency and by amplitude in each sensor; empty without lines.
 
     Args:
         per_sensor: (name of the sensor, its lines) for every record.
     """
-    groups: list[list[tuple[str, Line]]] = []
+    groups: list[list[tuple[str, SpectralLine]]] = []
     for sensor, lines in per_sensor:
         for line in lines:
             near = [g for g in groups if abs(g[0][1].frequency_Hz - line.frequency_Hz) < 0.06]
@@ -325,7 +327,7 @@ def sentences(per_sensor: Sequence[tuple[str, Sequence[Line]]]) -> list[str]:
     return out
 
 
-def _named(group: Sequence[tuple[str, Line]]) -> str:
+def _named(group: Sequence[tuple[str, SpectralLine]]) -> str:
     frequency = group[int(np.argmax([abs(line.amplitude_m) for _, line in group]))][1].frequency_Hz
     largest: dict[str, float] = {}
     for sensor, line in group:

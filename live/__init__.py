@@ -3,6 +3,6 @@
     rig ─▶ Session ─▶ session_page.LivePage ══pipe══▶ page process: watched.Watched ┐
     log ────────────────────────────────────────────────────────▶ replayed.Replayed ┴▶ picture ─▶ server ─▶ browser
 
-The page displays a `Source` (live.source): signals up to an instant, further facts, and the commands that it accepts.
-`guard` checks every request. The recorder's process copies new samples into a pipe and does no other work for the page.
+The page displays a `PageSource` (live.source): signals up to an instant, further facts, and the commands that it
+accepts. `guard` checks every request. The recorder's process copies new samples into a pipe and does no other work for the page.
 """

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from live.levels import Stretch
+from live.levels import ChartRows
 
 FIRST_DEG = -5.0
 """Lower end of the displayed turn: a pendulum held at 0° does not flicker between the ends of its chart."""
@@ -17,7 +17,7 @@ def shown_deg(angle_deg: float) -> float:
     return float(np.mod(angle_deg - FIRST_DEG, 360.0) + FIRST_DEG)
 
 
-def within_a_turn(stretch: Stretch) -> Stretch:
+def within_a_turn(stretch: ChartRows) -> ChartRows:
     """Convert a stretch of an unwrapped angle, °, to the displayed turn.
 
     The line is interrupted (NaN) where the angle passes FIRST_DEG. A row whose minimum and maximum are on both sides of
@@ -37,4 +37,4 @@ def within_a_turn(stretch: Stretch) -> Stretch:
     gap: NDArray[np.float64] = np.full(len(at), np.nan)
     bottom, top = np.insert(bottom, at, gap), np.insert(top, at, gap)
     time_s = np.insert(stretch.time_s[row], at, stretch.time_s[row[at - 1]])
-    return Stretch(time_s, bottom, top, stretch.bucket_s)
+    return ChartRows(time_s, bottom, top, stretch.bucket_s)

@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Self, TypeVar
 
 from daq.acquisition.session import Session
-from daq.items import Event
+from daq.items import DeviceEvent
 from live.errors import LiveError
 
 _Item = TypeVar("_Item")
@@ -62,12 +62,12 @@ class FedProcess(ABC):
     def _on_message(self, message: Mapping[str, Any]) -> None:
         """Handle a message of the process."""
 
-    def _on_event(self, session: Session, event: Event) -> None:
+    def _on_event(self, session: Session, event: DeviceEvent) -> None:
         """Store an event of a device; called by the session's threads, so it must return at once."""
         self._on_note(event, session.clock.now_ns())
 
     @abstractmethod
-    def _on_note(self, event: Event, host_ns: int) -> None:
+    def _on_note(self, event: DeviceEvent, host_ns: int) -> None:
         """Store an event of the host; as `_on_event`."""
 
     def _on_health(self, facts: Mapping[str, Any], host_ns: int) -> None:
@@ -118,7 +118,7 @@ class FedProcess(ABC):
         session.reported.append(self._on_health)
         self._feeding.start()
 
-    def _on_session_event(self, event: Event) -> None:
+    def _on_session_event(self, event: DeviceEvent) -> None:
         if self._session is not None:
             self._on_event(self._session, event)
 

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import LOCK_A_CLOSED, LOCK_B_CLOSED
-from identification.tracking.tracker import Sensors, Tracker
+from identification.tracking.tracker import SensorNoise, Tracker
 from live.levels import Array
-from live.model import Model
-from live.planned import Ramp, simulated_ramp
+from live.model import LiveModel
+from live.planned import SpeedRamp, simulated_ramp
 from live.signals import Signals
-from live.vectors import Vectors
+from live.vectors import LiveVectors
 from rig_configs.schema import Rig
 
 _INTERVAL_S = 0.1  # wall time between two updates
@@ -30,10 +30,10 @@ _COMPILED_RPM = 400.0  # speed of the calls that compile the code
 _C3, _C4 = "c3_Nms_per_rad", "c4_Nms_per_rad"
 
 
-def compile_followers(rig: Rig, model: Model) -> None:
+def compile_followers(rig: Rig, model: LiveModel) -> None:
     """Compile all code of the followers in advance, which takes tens of seconds once."""
     model.compute_states(_COMPILED_RPM)
-    simulated_ramp(rig, model, Ramp(0.0, _COMPILED_RPM, 2.0))
+    simulated_ramp(rig, model, SpeedRamp(0.0, _COMPILED_RPM, 2.0))
     tracker = Tracker(model.physics)
     tracker.feed_marks(np.array([0, 10**8]), np.array([0.0, 2 * math.pi]))
     tracker.feed_encoders(np.arange(0, 10**9, 10**7), np.zeros((100, 2)))
@@ -47,11 +47,11 @@ class Damping:
         model: model with the initial values.
     """
 
-    def __init__(self, signals: Signals, model: Model) -> None:
+    def __init__(self, signals: Signals, model: LiveModel) -> None:
         roles = signals.rig.roles
         self._signals, self._phase = signals, roles.phase
-        step = roles.angles.step_rad if roles.angles else Sensors.encoder_step_rad
-        self._tracker = Tracker(model.physics, Sensors(encoder_step_rad=step), released=(False, False))
+        step = roles.angles.step_rad if roles.angles else SensorNoise.encoder_step_rad
+        self._tracker = Tracker(model.physics, SensorNoise(encoder_step_rad=step), released=(False, False))
         self._closed: list[bool | None] = [None, None]
         self._done_s = self._marks_s = -math.inf
         self._rows: deque[tuple[float, float, float, float, float]] = deque(maxlen=_MAX_TRACKED)
@@ -108,14 +108,14 @@ class Followers:
         model: model of the rig.
     """
 
-    def __init__(self, signals: Signals, model: Model) -> None:
+    def __init__(self, signals: Signals, model: LiveModel) -> None:
         self._signals, self._model = signals, model
-        self.vectors = Vectors(signals)
+        self.vectors = LiveVectors(signals)
         self.damping = Damping(signals, model) if signals.rig.roles.angles is not None else None
         self.trouble = ""
         self.wanted_rpm = math.nan
-        self.wanted_ramp: Ramp | None = None
-        self.planned: tuple[Ramp, Array] | None = None  # the newest requested ramp with its vectors
+        self.wanted_ramp: SpeedRamp | None = None
+        self.planned: tuple[SpeedRamp, Array] | None = None  # the newest requested ramp with its vectors
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="followers", daemon=True)
 

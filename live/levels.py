@@ -24,7 +24,7 @@ _BREAK_RATIO = 4.0  # gap over the median distance of samples above which a line
 
 
 @dataclass(frozen=True)
-class Stretch:
+class ChartRows:
     """Rows of one signal for a chart.
 
     Attributes:
@@ -39,7 +39,7 @@ class Stretch:
     bucket_s: float = 0.0
 
 
-def decimate(time_s: Array, low: Array, high: Array, start_s: float, end_s: float, buckets: int) -> Stretch:
+def decimate(time_s: Array, low: Array, high: Array, start_s: float, end_s: float, buckets: int) -> ChartRows:
     """Reduce a window to the minimum and maximum of every bucket; few rows are returned unchanged.
 
     Args:
@@ -65,17 +65,17 @@ def decimate(time_s: Array, low: Array, high: Array, start_s: float, end_s: floa
         at = np.flatnonzero(waits > max(width, _BREAK_RATIO * float(np.median(np.diff(time_s))))) + 1
         middles = np.insert(middles, at, middles[at - 1] + 0.5 * width)
         lows, highs = np.insert(lows, at, np.nan), np.insert(highs, at, np.nan)
-    return Stretch(middles, lows, highs, width)
+    return ChartRows(middles, lows, highs, width)
 
 
-def _samples(time_s: Array, low: Array, high: Array) -> Stretch:
+def _samples(time_s: Array, low: Array, high: Array) -> ChartRows:
     if len(time_s) > 2:
         steps = np.diff(time_s)
         at = np.flatnonzero(steps > _BREAK_RATIO * np.median(steps)) + 1
         if len(at):
             between = time_s[at - 1] + 1e-6
-            return Stretch(np.insert(time_s, at, between), np.insert(low, at, np.nan), np.insert(high, at, np.nan))
-    return Stretch(time_s, low, high)
+            return ChartRows(np.insert(time_s, at, between), np.insert(low, at, np.nan), np.insert(high, at, np.nan))
+    return ChartRows(time_s, low, high)
 
 
 class _Rows:
@@ -163,7 +163,7 @@ class Levels:
         place = int(np.searchsorted(self._samples.time_s, at_s, side="right"))
         return float(self._samples.low[place - 1]) if place else np.nan
 
-    def stretch(self, start_s: float, end_s: float, buckets: int) -> Stretch:
+    def stretch(self, start_s: float, end_s: float, buckets: int) -> ChartRows:
         """Return the signal in a window for a chart of `buckets` pixels."""
         samples = self._samples
         reaches = not samples.dropped or (samples.end > 0 and samples.time_s[0] <= start_s)

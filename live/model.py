@@ -40,7 +40,7 @@ class Predicted:
     amplitude_mm: float
 
 
-class Model:
+class LiveModel:
     """Predictions of the model for the page.
 
     Args:

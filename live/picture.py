@@ -19,10 +19,10 @@ from live.followers import Followers
 from live.frames import encode
 from live.levels import Array
 from live.limits import Lamps, distances
-from live.model import Model, Predicted
-from live.planned import Ramp
+from live.model import LiveModel, Predicted
+from live.planned import SpeedRamp
 from live.signals import DEG
-from live.source import Facts, Source
+from live.source import Facts, PageSource
 
 STRIPS = ("x", "y", "theta3", "theta4", "drive", "target", "marks")
 _VECTOR = ("rpm", "x.re", "x.im", "y.re", "y.im")
@@ -37,7 +37,7 @@ _ELLIPSE = np.exp(2j * np.pi * np.arange(97) / 96)
 
 
 @dataclass(frozen=True)
-class View:
+class ViewerView:
     """View of a viewer.
 
     Attributes:
@@ -51,7 +51,7 @@ class View:
     pixels: int = 600
 
     @classmethod
-    def of(cls, request: Mapping[str, Any]) -> View:
+    def of(cls, request: Mapping[str, Any]) -> ViewerView:
         """Return the view requested by the page, limited to the possible range.
 
         Raises:
@@ -77,12 +77,12 @@ class Pictures:
         followers: followers of its signals.
     """
 
-    def __init__(self, source: Source, model: Model, followers: Followers) -> None:
+    def __init__(self, source: PageSource, model: LiveModel, followers: Followers) -> None:
         self._source, self._model, self._followers = source, model, followers
         self._signals = source.signals
         self._lamps = Lamps(source.signals)
 
-    def frame(self, view: View, number: int) -> bytes:
+    def frame(self, view: ViewerView, number: int) -> bytes:
         """Return the fast values for one viewer."""
         now_s = self._source.now_s()
         end_s = now_s if view.end_s is None else min(view.end_s, now_s)
@@ -177,7 +177,7 @@ class Pictures:
         now_s, since_s = self._source.now_s(), float(facts.get("since_s", 0.0))
         vectors = self._followers.vectors.between(since_s, now_s)
         columns = {f"bode.{name}": vectors[:, i] for i, name in enumerate(_VECTOR)}
-        self._followers.wanted_ramp = Ramp.of(facts)
+        self._followers.wanted_ramp = SpeedRamp.of(facts)
         planned = self._followers.planned
         if planned is not None and planned[0] == self._followers.wanted_ramp:
             columns |= {f"ramp.{name}": planned[1][:, i] for i, name in enumerate(_VECTOR)}

@@ -14,9 +14,9 @@ from dynamics import Scene, SpeedHistory, simulate
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import locked_state
 from live.levels import Array
-from live.model import Model
+from live.model import LiveModel
 from live.signals import Signals
-from live.vectors import Vectors
+from live.vectors import LiveVectors
 from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
@@ -27,7 +27,7 @@ _MAX_DURATION_S = 1200.0  # a longer ramp is nearly steady, and slow to simulate
 
 
 @dataclass(frozen=True)
-class Ramp:
+class SpeedRamp:
     """A constant change of speed with the pendulums locked at 0° and 180°.
 
     Attributes:
@@ -40,7 +40,7 @@ class Ramp:
     duration_s: float
 
     @classmethod
-    def of(cls, facts: Mapping[str, Any]) -> Ramp | None:
+    def of(cls, facts: Mapping[str, Any]) -> SpeedRamp | None:
         """Return the ramp of the running test from its numbers; None if it is not a ramp, or longer than 20 minutes."""
         numbers: Mapping[str, float] = facts.get("numbers", {})
         top, duration = numbers.get("top_rpm", 0.0), numbers.get("duration_s", 0.0)
@@ -50,7 +50,7 @@ class Ramp:
         return None if ends is None else cls(*ends, duration)
 
 
-def simulated_ramp(rig: Rig, model: Model, ramp: Ramp) -> Array:
+def simulated_ramp(rig: Rig, model: LiveModel, ramp: SpeedRamp) -> Array:
     """Return the 1× vectors of a ramp as the page will measure them, without noise and run-out.
 
     Returns:
@@ -75,6 +75,6 @@ def simulated_ramp(rig: Rig, model: Model, ramp: Ramp) -> Array:
     first, last = ((float(phase[at]) - index) / (2 * math.pi) for at in (0, -1))
     turns = np.asarray(range(math.ceil(first), math.floor(last) + 1), np.float64)
     signals.by_name["turns"].add(np.interp(2 * math.pi * turns + index, phase, time_s), turns)
-    vectors = Vectors(signals)
+    vectors = LiveVectors(signals)
     vectors.follow(ramp.duration_s)
     return vectors.between(0.0, ramp.duration_s)

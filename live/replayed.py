@@ -21,7 +21,7 @@ _QUIET = ("status", "reply", "acknowledge")
 
 
 class Replayed:
-    """A log as live.source.Source. It stays at its start until the first viewer has displayed a picture.
+    """A log as live.source.PageSource. It stays at its start until the first viewer has displayed a picture.
 
     Args:
         log: open log; it is read here and not needed afterwards.

@@ -27,8 +27,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from live.errors import CommandRefused
 from live.guard import Guard
-from live.picture import Pictures, View
-from live.source import Facts, Source
+from live.picture import Pictures, ViewerView
+from live.source import Facts, PageSource
 
 FRAMES_PER_S = 30.0
 MOST_VIEWERS = 16
@@ -46,7 +46,7 @@ class _Viewer:
 
     def __init__(self, socket: WebSocket, pictures: Pictures, looked_at: Callable[[], None]) -> None:
         self._socket, self._pictures, self._looked_at = socket, pictures, looked_at
-        self.view = View()
+        self.view = ViewerView()
         self.sent = self.answered = self.missed = 0
         self.state_sent_s = -math.inf  # time of the newest state that it was sent
         self._free = asyncio.Event()
@@ -60,7 +60,7 @@ class _Viewer:
                 raise ValueError("expected an object")
             request = cast("dict[str, Any]", message)
             if "view" in request:
-                self.view = View.of(request["view"])
+                self.view = ViewerView.of(request["view"])
             if "seen" in request:
                 self.answered = max(self.answered, min(int(request["seen"]), self.sent))
                 self._free.set()
@@ -95,7 +95,7 @@ class _Viewer:
             await asyncio.sleep(max(0.0, due - time.monotonic()))
 
 
-class Page:
+class PageApplication:
     """The application behind the guard.
 
     Args:
@@ -104,7 +104,7 @@ class Page:
         token: token of the page.
     """
 
-    def __init__(self, source: Source, pictures: Pictures, token: str) -> None:
+    def __init__(self, source: PageSource, pictures: Pictures, token: str) -> None:
         self._source, self._pictures, self._token = source, pictures, token
         self._viewers: list[_Viewer] = []
         self._files = {path.name: path for path in _files()}

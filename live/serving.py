@@ -10,11 +10,11 @@ import uvicorn
 
 from live.followers import Followers
 from live.guard import LOOPBACK, hosts_of, new_token
-from live.model import Model
+from live.model import LiveModel
 from live.picture import Pictures
 from live.port import bound
-from live.server import Page
-from live.source import Source
+from live.server import PageApplication
+from live.source import PageSource
 
 _ENDS_S = 5.0
 _MAX_MESSAGE_BYTES = 4096  # of one message from a browser
@@ -34,14 +34,14 @@ class Serving:
         page: application.
     """
 
-    def __init__(self, source: Source, model: Model, host: str = "", port: int = 0) -> None:
+    def __init__(self, source: PageSource, model: LiveModel, host: str = "", port: int = 0) -> None:
         self.token = new_token()
         self._socket = bound(host, port)
         self._port = int(self._socket.getsockname()[1])
         shown = host or LOOPBACK[0]
         self.url = f"http://{f'[{shown}]' if ':' in shown else shown}:{self._port}/?token={self.token}"
         self._followers = Followers(source.signals, model)
-        self.page = Page(source, Pictures(source, model, self._followers), self.token)
+        self.page = PageApplication(source, Pictures(source, model, self._followers), self.token)
         config = uvicorn.Config(
             self.page.app(hosts_of(host, self._port)),
             log_config=None,

@@ -12,7 +12,7 @@ from typing import Any
 from daq.acquisition.session import Session
 from daq.errors import DeviceError
 from daq.guided_tests.controls import Controls
-from daq.items import Event
+from daq.items import DeviceEvent
 from live.fed_process import FedProcess, drained
 from live.newest import Newest
 from live.signals import Signals
@@ -124,11 +124,11 @@ class LivePage(FedProcess):
         self._asking, self._stop, self._facts = asking, stop, dict(facts)
         self._feed_from(session)
 
-    def _on_event(self, session: Session, event: Event) -> None:
+    def _on_event(self, session: Session, event: DeviceEvent) -> None:
         if event.kind not in _QUIET:
             super()._on_event(session, event)
 
-    def _on_note(self, event: Event, host_ns: int) -> None:
+    def _on_note(self, event: DeviceEvent, host_ns: int) -> None:
         facts = {name: value for name, value in event.facts.items() if name not in _HIDDEN_FACTS}
         self._events.append(
             {"time_ns": host_ns, **facts, "kind": event.kind, "device": event.device, "text": event.text}
@@ -185,7 +185,7 @@ class LivePage(FedProcess):
             case "note" if text and controls is not None and controls.status.test:
                 controls.note(text)
             case "note" if text:
-                session.note(Event("note", "host", text, {"time_ns": session.clock.now_ns()}))
+                session.note(DeviceEvent("note", "host", text, {"time_ns": session.clock.now_ns()}))
             case "pause" if controls is not None:
                 controls.pause()
             case "resume" if controls is not None:

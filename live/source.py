@@ -12,7 +12,7 @@ from live.signals import Signals
 Facts = dict[str, Any]
 
 
-class Source(Protocol):
+class PageSource(Protocol):
     """Source of the page.
 
     Attributes:

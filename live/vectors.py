@@ -18,7 +18,7 @@ _MAX_RAMP_RPM_S = 60.0  # above, no meaningful 1× exists, as during braking
 _MAX_VECTORS = 6000
 
 
-class Vectors:
+class LiveVectors:
     """1× amplitudes of x and y between index marks.
 
     Args:

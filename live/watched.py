@@ -17,7 +17,7 @@ from typing import Any
 
 from live.errors import CommandRefused, LiveError
 from live.followers import compile_followers
-from live.model import Model
+from live.model import LiveModel
 from live.serving import Serving
 from live.signals import Signals
 from live.source import Facts
@@ -52,7 +52,7 @@ _INITIAL: Facts = {
 
 
 class Watched:
-    """A rig as live.source.Source.
+    """A rig as live.source.PageSource.
 
     Args:
         rig: rig of the session.
@@ -178,7 +178,7 @@ def run_page(
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     watched = Watched(rig, pipe, rate if math.isfinite(rate) else 1.0, title)
-    model = Model(rig, identified, source)
+    model = LiveModel(rig, identified, source)
     if rig.roles.angles is not None:
         compile_followers(rig, model)  # before a rotor turns, because a stop command passes through this process
     try:

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq  # pyright: ignore[reportMissingTypeStubs]  # no st
 
 from analysis.figures.style import save, to_svg
 from reproduction.catalogue import Item
-from reproduction.results import Reproduced, Table
+from reproduction.results import Reproduced, SourceTable
 
 _RECORD = "item.json"
 _MAX_ROWS = 200  # printed rows of a table in the book
@@ -98,7 +98,7 @@ def read_item(item: Item, folder: Path) -> Written:
     return Written(item, folder, json.loads((folder / _RECORD).read_text(encoding="utf-8")))
 
 
-def _write_table(path: Path, item: Item, table: Table, parameters: Mapping[str, float | str]) -> None:
+def _write_table(path: Path, item: Item, table: SourceTable, parameters: Mapping[str, float | str]) -> None:
     lengths = {name: len(values) for name, values in table.columns.items()}
     if len(set(lengths.values())) != 1:
         raise ValueError(f"{item.id} {table.name}: expected columns of one length, got {lengths}")
@@ -108,7 +108,7 @@ def _write_table(path: Path, item: Item, table: Table, parameters: Mapping[str, 
     pq.write_table(columns.replace_schema_metadata(about), path)
 
 
-def _table_json(table: Table) -> dict[str, Any]:
+def _table_json(table: SourceTable) -> dict[str, Any]:
     columns = {name: [_plain(value) for value in np.asarray(values).tolist()] for name, values in table.columns.items()}
     rows = [list(row) for row in zip(*columns.values(), strict=True)][:_MAX_ROWS] if table.shown else []
     return {"name": table.name, "title": table.title, "columns": list(columns), "rows": rows}

@@ -43,7 +43,7 @@ class Claim:
 
 
 @dataclass(frozen=True)
-class Table:
+class SourceTable:
     """The data of a figure, or a table of the source.
 
     Attributes:
@@ -87,7 +87,7 @@ class Reproduced:
     """
 
     panels: tuple[Panel, ...]
-    tables: tuple[Table, ...]
+    tables: tuple[SourceTable, ...]
     parameters: Mapping[str, float | str]
     assumed: tuple[str, ...]
     claims: tuple[Claim, ...]

@@ -86,7 +86,7 @@ def check(
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Recording:
+class RecordingOptions:
     """What is recorded, and for how long.
 
     Attributes:
@@ -111,7 +111,7 @@ class Recording:
 def record(
     rig: Annotated[str, Parameter(help="a rig file, a shipped rig, or a log whose rig and devices are used")],
     *,
-    recording: Recording,
+    recording: RecordingOptions,
     displays: Displays = TERMINAL_ONLY,
     time_scale: TimeScale = 1.0,
     settings: Settings = None,

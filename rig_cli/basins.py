@@ -33,7 +33,7 @@ _MOST = 1_000_000
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Releases:
+class BasinReleases:
     """Releases of a basin map, and of rigs drawn from the parameters.
 
     Attributes:
@@ -66,14 +66,14 @@ class BasinFiles:
     plot: Plot = None
 
 
-_DEFAULT_RELEASES, _NO_FILES = Releases(), BasinFiles()
+_DEFAULT_RELEASES, _NO_FILES = BasinReleases(), BasinFiles()
 
 
 def basins(
     rig: str,
     *,
     speed: SpeedChoice = NO_SPEED,
-    releases: Releases = _DEFAULT_RELEASES,
+    releases: BasinReleases = _DEFAULT_RELEASES,
     files: BasinFiles = _NO_FILES,
     scheduler: Scheduler = None,
     parameters: ParametersPath = None,
@@ -120,7 +120,7 @@ def basins(
     return 0
 
 
-def _check(releases: Releases, files: BasinFiles) -> None:
+def _check(releases: BasinReleases, files: BasinFiles) -> None:
     """Check files and number of draws before the work.
 
     Raises:
@@ -139,7 +139,7 @@ def _computed(
     study: Study,
     rig: Rig,
     known: IdentifiedParameters,
-    releases: Releases,
+    releases: BasinReleases,
     files: BasinFiles,
     scheduler: str | None,
 ) -> dict[str, Any]:
@@ -177,7 +177,7 @@ def _found(what: BasinQuestion, study: Study, place: Path, scheduler: str | None
         raise
 
 
-def _chances(what: BasinQuestion, known: IdentifiedParameters, releases: Releases, draws: int) -> dict[str, Any]:
+def _chances(what: BasinQuestion, known: IdentifiedParameters, releases: BasinReleases, draws: int) -> dict[str, Any]:
     """Return the probabilities of the ends of a release from the real locks."""
     from analysis.release_probabilities import end_probabilities
 

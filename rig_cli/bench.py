@@ -23,7 +23,7 @@ from rig_configs import load_rig
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dynamics.bench.tables import Page
+    from dynamics.bench.tables import BenchmarkPage
 
 _Row = TypeVar("_Row")
 _RIG = "virtual"
@@ -45,7 +45,7 @@ class _Run:
     """Result of a benchmark: rows under their field names, the page, and the figure, drawn on request."""
 
     measurements: list[dict[str, Any]]
-    page: Page
+    page: BenchmarkPage
     figure: Callable[[], Figure]
     file_stem: str
 
@@ -180,7 +180,7 @@ def _write(directory: Path, found: _Run, result: dict[str, Any]) -> list[str]:
     return files
 
 
-def _print(page: Page, files: Sequence[str]) -> None:
+def _print(page: BenchmarkPage, files: Sequence[str]) -> None:
     from dynamics.bench import tables
 
     console = Console(highlight=False, markup=False)

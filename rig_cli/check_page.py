@@ -12,10 +12,10 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from daq.acquisition.device_check import Checks, Look, ObservedAngles, ObservedSpeed, passed
+from daq.acquisition.device_check import Checks, ObservedAngles, ObservedSpeed, RigObservation, passed
 from daq.acquisition.session import Session
-from daq.drivers.checks import Check
-from daq.items import Event
+from daq.drivers.checks import DeviceCheck
+from daq.items import DeviceEvent
 from rig_cli.words import printable, stdout_console
 from rig_configs.roles import PendulumAngles, Roles
 
@@ -23,9 +23,9 @@ _LOCKED_S = 0.1  # duration of the newest pendulum angles that are checked
 _STATUS_WAIT_S = 3.0  # devices that report their status do so each second; longest wait for one report, rig time
 
 
-def look_at(session: Session, seconds: float) -> Look:
+def look_at(session: Session, seconds: float) -> RigObservation:
     """Observe an open rig for `seconds` of wall time, longer only for the devices' status reports, one each second."""
-    events: list[Event] = []
+    events: list[DeviceEvent] = []
     session.observers.append(events.append)
     before, started = session.losses(), session.clock.now_ns()
     time.sleep(seconds)
@@ -35,7 +35,7 @@ def look_at(session: Session, seconds: float) -> Look:
     session.observers.remove(events.append)
     roles, plain = session.rig.roles, plain_rates(session, started)
     speed = roles.speed and ObservedSpeed(plain[roles.speed.topic], session.drive.actual_rpm)
-    return Look(
+    return RigObservation(
         seconds=(session.clock.now_ns() - started) * 1e-9,
         rates=session.rates.rates(),
         losses={name: _more(lost, before[name]) for name, lost in session.losses().items()},
@@ -54,7 +54,7 @@ def _with_duties(own: Mapping[str, Checks], roles: Roles) -> dict[str, Checks]:
     """Return the checks of the devices' drivers, with what each displacement sensor measures for the rig."""
     out = {name: dict(checks) for name, checks in own.items()}
     for device, words in roles.duties.items():
-        out.setdefault(device, {})["measures"] = Check(words, None, True)
+        out.setdefault(device, {})["measures"] = DeviceCheck(words, None, True)
     return out
 
 

@@ -42,7 +42,7 @@ _USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # s, w
 
 
 @dataclass(frozen=True)
-class Fault:
+class TruthChange:
     """A change of the simulated rig's truth just before a step."""
 
     key: str
@@ -129,7 +129,7 @@ def _steps(rig: Rig) -> list[str]:
     return ["start", *(test for test in _BEFORE_POINTS if test in tests), "identify", *points, "report"]
 
 
-def _parse_fault(text: str, rig: Rig) -> Fault:
+def _parse_fault(text: str, rig: Rig) -> TruthChange:
     setting, sign, step = text.rpartition("@")
     known = _steps(rig)
     names = {s.removeprefix("point-"): s for s in known} | {s: s for s in known}
@@ -140,7 +140,7 @@ def _parse_fault(text: str, rig: Rig) -> Fault:
         with_truth(rig, key, value)  # the simulated rig does the same later, after several tests
     except RigFileError as fault:
         raise RigFileError(f"--fault {text}: {fault}") from fault
-    return Fault(key.removeprefix("virtual.truth."), value, names[step])
+    return TruthChange(key.removeprefix("virtual.truth."), value, names[step])
 
 
 def _fresh(out: Path) -> Path:
@@ -171,7 +171,7 @@ class _Setup:
     name: str
     changes: list[str]
     rig: Rig
-    faults: list[Fault]
+    faults: list[TruthChange]
     folder: Path
     far: VirtualRigProcess | LockstepRig
     page: LivePage | None

@@ -51,7 +51,7 @@ def check(
     """
     chosen = _chosen(name)
     from rig_testing import cases  # numba takes a third of a second to import
-    from rig_testing.report import Report
+    from rig_testing.report import DriverReport
 
     all_cases = cases(chosen, thorough=thorough)
     with StepProgress(dict.fromkeys((str(case) for case in all_cases), 1.0)) as progress:
@@ -59,7 +59,7 @@ def check(
         for case in all_cases:
             progress.step(str(case))
             outcomes.append(case.run())
-    report = Report(chosen.name, tuple(outcomes))
+    report = DriverReport(chosen.name, tuple(outcomes))
     if json:
         failed = [{"test": outcome.name, "why": outcome.why} for outcome in report.failed]
         print_json({"driver": report.driver, "passed": report.passed, "failed": failed})

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rig_cli.words import printable, stdout_console
-from rig_testing.report import Report
+from rig_testing.report import DriverReport
 
 
 def print_drivers(drivers: Sequence[Mapping[str, Any]]) -> None:
@@ -26,7 +26,7 @@ def print_drivers(drivers: Sequence[Mapping[str, Any]]) -> None:
     stdout_console().print(table)
 
 
-def print_report(report: Report) -> None:
+def print_report(report: DriverReport) -> None:
     """Print one line a test, failed ones in red, and the verdict."""
     console = stdout_console()
     table = Table(box=None, pad_edge=False, show_header=False, padding=(0, 2))

@@ -109,11 +109,11 @@ def foxglove_of_log(
     if not options.wanted:
         yield
         return
-    from live.foxglove.played import LogSender, Played  # only if requested
+    from live.foxglove.played import LogMessages, LogSender  # only if requested
     from live.foxglove.served import Refusals, facts_of
     from live.foxglove.server import FoxgloveServer
 
-    played = Played(log)
+    played = LogMessages(log)
     metadata = {**facts_of(rig), "log": log.path.name}
     server = FoxgloveServer(
         log.path.name, played.offered, metadata, _checked(options.origins), options.port, Refusals(notify)

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from daq.errors import LogError
 from daq.guided_test_kinds import given_on, kind_of, refusal
-from daq.guided_tests.plan import Plan, PlannedState
+from daq.guided_tests.plan import GuidedTestPlan, PlannedState
 from daq.guided_tests.test_inputs import test_names
 from daq.log import open_log
 from daq.log.outcome import not_reached_of
@@ -18,7 +18,7 @@ from rig_cli.words import length, stdout_console
 from rig_configs.schema import Rig
 
 
-def print_plan(plan: Plan) -> None:
+def print_plan(plan: GuidedTestPlan) -> None:
     """Print a plan: its head, the table of states, and the prompts."""
     times = f", {plan.repeats} times" if plan.repeats > 1 else ""
     show(f"{plan.test}: {plan.line}{times}; about {length(plan.usual_s)}")

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from daq.acquisition.session import Session
-from daq.guided_test_kinds import Asked, Refused
+from daq.guided_test_kinds import GuidedTestRefused, GuidedTestRequest
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.plan import plan as plan_of
 from daq.guided_tests.procedure import Procedures, TestDone
 from daq.guided_tests.runner import NotReached
-from daq.guided_tests.test_inputs import asked
+from daq.guided_tests.test_inputs import requested_test
 from daq.transports import HostClock
 from rig_cli.console import notify, print_json, wait_for_compilation
 from rig_cli.foxglove import follow_session, foxglove_of_session
@@ -157,15 +157,15 @@ def _numbers(texts: list[str]) -> dict[str, float]:
     return found
 
 
-def _asked(rig: Rig, name: str, given: dict[str, float], point: str = "") -> Asked:
+def _asked(rig: Rig, name: str, given: dict[str, float], point: str = "") -> GuidedTestRequest:
     """Return a test with all its numbers.
 
     Raises:
         RigFileError: the test cannot be run with these numbers.
     """
     try:
-        return asked(rig, name, given, point)
-    except Refused as why:
+        return requested_test(rig, name, given, point)
+    except GuidedTestRefused as why:
         raise RigFileError(str(why)) from why
 
 
@@ -184,7 +184,9 @@ class _Displays:
     foxglove: AbstractContextManager[FoxgloveConnection | None]
 
 
-def _tracking(wanted: Asked, parameters: Path | None, settings: list[str] | None) -> Callable[[Session], LiveTracking]:
+def _tracking(
+    wanted: GuidedTestRequest, parameters: Path | None, settings: list[str] | None
+) -> Callable[[Session], LiveTracking]:
     """Return a function that starts tracking of a session. The tracker is compiled before a device is opened."""
     with wait_for_compilation("tracking"):
         from rig_cli import tracking  # numba takes seconds to import
@@ -194,7 +196,7 @@ def _tracking(wanted: Asked, parameters: Path | None, settings: list[str] | None
     return lambda session: tracking.LiveTracking(session, std, parameters)
 
 
-def _run(wanted: Asked, options: TestRun, label: str, displays: _Displays, as_json: bool) -> int:
+def _run(wanted: GuidedTestRequest, options: TestRun, label: str, displays: _Displays, as_json: bool) -> int:
     controls = Controls()
     keys = Keys(controls)
     early: NotReached | None = None

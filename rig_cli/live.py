@@ -110,7 +110,7 @@ def _log(
 ) -> int:
     from daq.log import open_log  # numba takes a third of a second to import
     from daq.log.snapshot import rig_of
-    from live.model import Model
+    from live.model import LiveModel
     from live.replayed import Replayed
     from live.serving import Serving
 
@@ -121,7 +121,7 @@ def _log(
                 replayed = Replayed(log, rig, speed)
             except ValueError as fault:
                 raise LogError(f"--speed: {fault}") from fault
-            serving = stack.enter_context(Serving(replayed, Model(rig, known, source), place.host, place.port))
+            serving = stack.enter_context(Serving(replayed, LiveModel(rig, known, source), place.host, place.port))
             _announce(serving.url, serving.token, place.host, as_json)
             origin_ns = replayed.signals.origin_ns
             stack.enter_context(foxglove_of_log(foxglove, log, rig, replayed.transport, origin_ns, as_json))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from analysis.maps.axes import MapAxis
-from analysis.maps.families import Family, SearchRange
+from analysis.maps.families import BorderFamily, SearchRange
 from rig_configs import RigFileError
 
 _T = TypeVar("_T")
@@ -31,7 +31,7 @@ def read_axis(option: str, text: str, command: str = "rig map") -> MapAxis:
     return _read(option, text, wanted, read, command)
 
 
-def read_family(option: str, text: str) -> Family:
+def read_family(option: str, text: str) -> BorderFamily:
     """Read KEY=V,V,V or KEY=A:B:N[:log].
 
     Raises:
@@ -39,12 +39,12 @@ def read_family(option: str, text: str) -> Family:
     """
     wanted = "KEY=V,V,V or KEY=A:B:N or KEY=A:B:N:log, for example suspension.zeta1+suspension.zeta2=0.005,0.02,0.1"
 
-    def read(keys: tuple[str, ...], values: str) -> Family:
+    def read(keys: tuple[str, ...], values: str) -> BorderFamily:
         if ":" in values:
             axis = read_axis(option, text)
-            return _made(option, lambda: Family(axis.keys, tuple(axis.values.tolist())))
+            return _made(option, lambda: BorderFamily(axis.keys, tuple(axis.values.tolist())))
         numbers = tuple(sorted(float(value) for value in values.split(",")))
-        return _made(option, lambda: Family(keys, numbers))
+        return _made(option, lambda: BorderFamily(keys, numbers))
 
     return _read(option, text, wanted, read)
 

@@ -15,9 +15,9 @@ from rig_cli.plan import share
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, ParametersFileError, RigFileError
 
 if TYPE_CHECKING:
-    from identification.compare import Comparison
+    from identification.compare import ParameterComparison
     from identification.history import History
-    from identification.joint.limits import Limit
+    from identification.joint.limits import ParameterLimit
 
 app = App(name="parameters", help="Show identified parameters, compare them, follow them over time.")
 app.command(budget)
@@ -60,11 +60,11 @@ def diff(
         old: the parameters before.
         new: the parameters after.
     """
-    from identification.compare import compare  # scipy and numba take seconds to import
+    from identification.compare import compare_parameters  # scipy and numba take seconds to import
 
     if not 0 < level < 1:
         raise RigFileError(f"rig parameters diff: --level expected a chance between 0 and 1, got {level:g}")
-    found = compare(_load(old), _load(new))
+    found = compare_parameters(_load(old), _load(new))
     words = found.in_words(level)
     if json:
         print_json({"old": str(old), "new": str(new), "level": level, "words": words, **comparison_json(found)})
@@ -88,8 +88,8 @@ def history(
     Args:
         places: parameters files, and folders that are searched for them. A log is included after it is identified.
     """
-    from identification.compare import compare  # scipy and numba take seconds to import
-    from identification.history import history as follow
+    from identification.compare import compare_parameters  # scipy and numba take seconds to import
+    from identification.history import parameter_history as follow
 
     if plot is not None:
         check_outputs("rig parameters history: --plot", plot)
@@ -102,7 +102,7 @@ def history(
     first, last = found.instants[0], found.instants[-1]
     overall = None
     if len(found.instants) > 1 and set(first.parameters.values) & set(last.parameters.values):
-        overall = compare(first.parameters, last.parameters).in_words(level)
+        overall = compare_parameters(first.parameters, last.parameters).in_words(level)
     if json:
         print_json(_history_json(found, overall, plot))
         return 0
@@ -173,12 +173,12 @@ def _out(test: dict[str, Any], name: str, tests: list[dict[str, Any]]) -> bool:
     return "left_out" in test and any(name in t.get("values", {}) for t in tests if "left_out" not in t)
 
 
-def limit_json(limit: Limit) -> dict[str, Any]:
+def limit_json(limit: ParameterLimit) -> dict[str, Any]:
     """Return the main source, the share of each source, and advice."""
     return {"main": limit.main, "shares": limit.shares, "advice": limit.advice}
 
 
-def comparison_json(found: Comparison) -> dict[str, Any]:
+def comparison_json(found: ParameterComparison) -> dict[str, Any]:
     """Return the numbers of `rig parameters diff --json`."""
     return {
         "changes": {

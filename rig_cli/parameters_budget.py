@@ -56,7 +56,7 @@ class Selection:
 
 
 @dataclass(frozen=True)
-class Answer:
+class BudgetAnswer:
     """Budgets of parameters and predictions, with the other results."""
 
     selection: Selection
@@ -118,7 +118,7 @@ def budget(
         kept = identified.without(overridden(identified, settings or []))
         predicted, skipped = _predicted(loaded, kept, selection, of_parameters)
     exact = {} if loaded is None else _exact(loaded, identified, selection, predicted)
-    answer = Answer(selection, of_parameters, predicted, exact, skipped)
+    answer = BudgetAnswer(selection, of_parameters, predicted, exact, skipped)
     if not selection.parameters and not (predicted and any(map(selection.shows, predicted.budgets.names))):
         raise RigFileError(
             f"rig parameters budget: nothing to budget: {'; '.join(f'{n}: {w}' for n, w in skipped.items())}"
@@ -149,7 +149,7 @@ def all_budgets(rig: Rig, identified: IdentifiedParameters) -> Budgets:
         parameter_budgets(identified, rig),
     )
     predicted, skipped = _predicted(rig, identified, selection, of_parameters)
-    return Answer(selection, of_parameters, predicted, {}, skipped).together
+    return BudgetAnswer(selection, of_parameters, predicted, {}, skipped).together
 
 
 def _selected(names: Sequence[str], identified: IdentifiedParameters, rig: Rig | None) -> Selection:
@@ -237,7 +237,7 @@ def _exact(
     return shifts
 
 
-def _drawn(answer: Answer, rig: Rig | None, level: float, trials: int | None, seed: int) -> Answer:
+def _drawn(answer: BudgetAnswer, rig: Rig | None, level: float, trials: int | None, seed: int) -> BudgetAnswer:
     """Return the answer with a Monte Carlo calculation and its verdicts on the linear intervals."""
     from dataclasses import replace
 
@@ -280,7 +280,7 @@ def _drawn(answer: Answer, rig: Rig | None, level: float, trials: int | None, se
     return replace(answer, sampled=tuple(sampled), checks=checks)
 
 
-def _json(file: Path, rig: Rig | None, answer: Answer, level: float, settings: Sequence[str]) -> dict[str, Any]:
+def _json(file: Path, rig: Rig | None, answer: BudgetAnswer, level: float, settings: Sequence[str]) -> dict[str, Any]:
     from uncertainty.rows import budget_json
 
     together = answer.together

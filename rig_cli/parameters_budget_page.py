@@ -18,7 +18,7 @@ from uncertainty import Budget, Budgets
 from uncertainty.rows import BudgetRow, budget_rows
 
 if TYPE_CHECKING:
-    from rig_cli.parameters_budget import Answer
+    from rig_cli.parameters_budget import BudgetAnswer
 
 _LEAST_SHARE = 1e-3  # share of a variance below which a source has no row of its own
 _LEAST_SIGMAS = 0.1  # standard uncertainties below which a change is not shown among the numbers taken as exact
@@ -26,7 +26,7 @@ _CORRELATED = 0.5
 _MATRIX = 9  # number of quantities up to which the correlation matrix fits a page
 
 
-def print_budget(file: str, rig: Rig | None, answer: Answer, level: float) -> None:
+def print_budget(file: str, rig: Rig | None, answer: BudgetAnswer, level: float) -> None:
     """Print the page of `rig parameters budget`."""
     console, together = stdout_console(), answer.together
     console.print(Text(printable(file if rig is None else f"{file} · {rig.name}"), "bold"), soft_wrap=True)
@@ -132,7 +132,7 @@ def _print_correlation(console: Console, together: Budgets) -> None:
         console.print(Text.assemble(("correlated   ", "dim"), f"{one} and {other} {r:+.2f}"))
 
 
-def _print_exact(console: Console, rig: Rig | None, answer: Answer, together: Budgets) -> None:
+def _print_exact(console: Console, rig: Rig | None, answer: BudgetAnswer, together: Budgets) -> None:
     if rig is None or not rig.known.exact:
         return
     console.print(Text(f"taken as exact: effect of {100 * EXACT_STEP:g} % of each number", "bold"))
@@ -157,7 +157,7 @@ def _print_exact(console: Console, rig: Rig | None, answer: Answer, together: Bu
         console.print(Text(f"{hidden} changes below {_LEAST_SIGMAS:g} standard uncertainties are in --json", "dim"))
 
 
-def _print_monte_carlo(console: Console, answer: Answer) -> None:
+def _print_monte_carlo(console: Console, answer: BudgetAnswer) -> None:
     if not answer.checks:
         return
     trials = " and ".join(str(result.trials) for result in answer.sampled)

@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from identification.compare import Change, Comparison, short
+from identification.compare import Change, ParameterComparison, short
 from identification.history import History
-from identification.joint.limits import Limit
+from identification.joint.limits import ParameterLimit
 from rig_cli.words import local_time, percent, printable, stdout_console
 from rig_configs import PARAMETER_UNITS
 
@@ -54,7 +54,7 @@ def print_parameters(facts: Mapping[str, Any]) -> None:
         console.print(Text("the file has too little of its tests to derive what limits it", "dim"), soft_wrap=True)
 
 
-def limit_lines(found: list[Limit]) -> list[str]:
+def limit_lines(found: list[ParameterLimit]) -> list[str]:
     """Return what limited each result, one line each, for the end of `rig identify`."""
     return [
         f"{limit.name:16} limited by {shares_in_words(limit.shares)}; to do better: {limit.advice}" for limit in found
@@ -67,7 +67,7 @@ def shares_in_words(shares: Mapping[str, float]) -> str:
     return ", ".join(f"{k} {100 * v:.0f} %" for v, k in main)
 
 
-def print_comparison(found: Comparison, words: str, level: float) -> None:
+def print_comparison(found: ParameterComparison, words: str, level: float) -> None:
     """Print what changed: as text, then as a table."""
     console = stdout_console()
     changed = bool(found.significant(level)) or found.p < level
@@ -170,7 +170,7 @@ def _counted(tests: list[str]) -> str:
     return ", ".join(f"{n} × {t}" if (n := tests.count(t)) > 1 else t for t in dict.fromkeys(tests))
 
 
-def _leading(found: Comparison) -> list[Change]:
+def _leading(found: ParameterComparison) -> list[Change]:
     return [c for c in sorted(found.changes, key=lambda c: -c.share) if c.share > 0.05]
 
 

@@ -13,7 +13,7 @@ from rig_configs import RigFileError, load_rig
 
 if TYPE_CHECKING:
     from identification.plan.experiment import Experiment
-    from identification.plan.planning import Answer, Plan
+    from identification.plan.planning import ExperimentPlan, PlanAnswer
 
 
 def plan(
@@ -31,16 +31,16 @@ def plan(
     Args:
         rig: a rig file, or the name of a shipped one; its parameters are the prior estimates.
     """
-    from identification.plan.planning import plan as find  # numba takes seconds to import
+    from identification.plan.planning import plan_experiments as find  # numba takes seconds to import
     from identification.plan.requirements import parse_requirement
-    from identification.plan.sensors import Sensors
+    from identification.plan.sensors import SensorProperties
 
     if not want:
         raise RigFileError("rig plan: give what is to be identified, for example --want zeta1=1% --want c3=2%")
     wants = [parse_requirement(text) for text in want]
     mass = share(mass_std, "rig plan: --mass-std")
     loaded = load_rig(rig, parameters, settings or [])
-    sensors = Sensors.of(loaded)
+    sensors = SensorProperties.of(loaded)
     if log:
         from daq.signals.run import load_run
 
@@ -73,7 +73,7 @@ def share(text: str, where: str) -> float:
     return value
 
 
-def plan_json(found: Plan) -> dict[str, Any]:
+def plan_json(found: ExperimentPlan) -> dict[str, Any]:
     """Return the numbers of `rig plan --json`."""
     sensors = found.sensors
     return {
@@ -104,7 +104,7 @@ def _experiment_json(experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def _answer_json(answer: Answer) -> dict[str, Any]:
+def _answer_json(answer: PlanAnswer) -> dict[str, Any]:
     return {
         "believed": answer.believed,
         "wanted_relative_std": answer.wanted,

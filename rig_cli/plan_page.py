@@ -8,11 +8,11 @@ from rich.text import Text
 
 from identification.compare import short
 from identification.plan.experiment import Experiment
-from identification.plan.planning import MOST_RUNS, Answer, Plan
+from identification.plan.planning import MOST_RUNS, ExperimentPlan, PlanAnswer
 from rig_cli.words import length, percent, stdout_console
 
 
-def print_plan(rig: str, found: Plan) -> None:
+def print_plan(rig: str, found: ExperimentPlan) -> None:
     """Print what to record, what it reaches, what cannot be reached and why."""
     console = stdout_console()
     console.print(Text.assemble(("plan ", "dim"), (rig, "bold")))
@@ -27,7 +27,7 @@ def print_plan(rig: str, found: Plan) -> None:
         console.print(Text(f"note: {remark}", "dim"), soft_wrap=True)
 
 
-def _sensors(found: Plan) -> str:
+def _sensors(found: ExperimentPlan) -> str:
     s = found.sensors
     there = ["xy".index(axis) for axis in s.axes]
     if not there:
@@ -39,7 +39,7 @@ def _sensors(found: Plan) -> str:
     return f"displacements along {' and '.join(s.axes)}: {noise} noise at {rate} ({source}), gain known to {gain}"
 
 
-def _steps(found: Plan) -> Table:
+def _steps(found: ExperimentPlan) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False, title_justify="left")
     for title in ("record", "times", "how", "length", "for"):
         table.add_column(title, justify="right" if title in ("times", "length") else "left", no_wrap=title != "how")
@@ -62,7 +62,7 @@ def _how(experiment: Experiment) -> str:
     return f"release at {s['speed_rpm']:.0f} rpm"
 
 
-def _wants(found: Plan) -> Table:
+def _wants(found: ExperimentPlan) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for title in ("want", "wanted ±", "this plan ±", "best of one run each"):
         table.add_column(title, justify="right" if "±" in title else "left", no_wrap=title != "best of one run each")
@@ -75,7 +75,7 @@ def _wants(found: Plan) -> Table:
     return table
 
 
-def _cannot(answer: Answer) -> str:
+def _cannot(answer: PlanAnswer) -> str:
     name, wanted = short(answer.want.name), percent(answer.wanted)
     if not answer.best:
         return f"{name} to {wanted} cannot be reached: no test on this rig shows it"

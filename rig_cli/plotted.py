@@ -197,7 +197,7 @@ def _residuals(logs: Sequence[Path], source: _Model) -> Drawn:
 
 
 def _history(files: Sequence[Path], source: _Model) -> Drawn:
-    from identification.history import history
+    from identification.history import parameter_history
     from rig_cli.history_figure import history_figure
 
-    return history_figure(history(list(files), None), _LEVEL), _facts("history", files, "")
+    return history_figure(parameter_history(list(files), None), _LEVEL), _facts("history", files, "")

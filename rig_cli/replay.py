@@ -14,8 +14,8 @@ from cyclopts import Parameter
 
 from daq.errors import LogError
 from daq.log import Log, open_log
-from daq.playback import Playback, Played, open_outlets, played_devices
-from daq.replay import Check, check
+from daq.playback import Playback, PlaybackState, open_outlets, played_devices
+from daq.replay import ReplayCheck, check
 from daq.replay.calibration import Calibration
 from daq.replay.compare import ChannelCheck
 from daq.replay.decoded_again import DecodedLog, decode_again
@@ -135,7 +135,7 @@ def _check(path: Path, wanted: bool, json: bool) -> int:
     return 1 if wanted and not found.identical else 0
 
 
-def _check_json(found: Check) -> dict[str, Any]:
+def _check_json(found: ReplayCheck) -> dict[str, Any]:
     rows = [
         {key: value for key, value in vars(row).items() if key not in ("first", "fields")}
         | {"difference": row.difference, "fields": _fields_json(row), "first": vars(row.first) if row.first else None}
@@ -151,7 +151,7 @@ def _fields_json(row: ChannelCheck) -> dict[str, Any]:
     }
 
 
-def _print_check(found: Check) -> None:
+def _print_check(found: ReplayCheck) -> None:
     for row in found:
         same = "identical" if row.live == row.again else "identical as far as compared"
         show(f"{row.topic:10} {row.live:9d} live {row.again:9d} again   {row.difference or same}")
@@ -329,7 +329,7 @@ class _PlayedLines:
         self._line_s = time.monotonic()
         self._gone: set[str] = set()
 
-    def report(self, state: Played) -> None:
+    def report(self, state: PlaybackState) -> None:
         """See Playback.play."""
         for device in state.gone.keys() - self._gone:
             self._gone.add(device)
@@ -343,7 +343,7 @@ class _PlayedLines:
             STDERR.print(f"{at_s:.1f} s of {self._span_s:.1f} s played{late}")
 
 
-def _lost_lines(state: Played) -> list[str]:
+def _lost_lines(state: PlaybackState) -> list[str]:
     undelivered: Mapping[str, int] = {} if state.stopped else state.undelivered
     return [
         *(

@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.table import Table
 
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log import Log
 from daq.log.losses import Losses
 from daq.replay.pace import Paced
@@ -43,7 +43,7 @@ class ReplayView(LiveTable):
         self._rates = dict.fromkeys(_LAST, 0.0)
         self._shown_s, self._shown_ns, self._shown_samples = -math.inf, self._now_ns, dict(self._samples)
 
-    def add(self, host_ns: int, items: list[Batch | Event]) -> None:
+    def add(self, host_ns: int, items: list[Batch | DeviceEvent]) -> None:
         """Add the result of one read."""
         self._now_ns = max(self._now_ns, host_ns)
         for item in items:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from analysis.figures.fit import fit_curves
 from analysis.report.campaign import Changes, ConsistencyCheck, IdentificationResult, ParameterChange, TestEstimate
 from identification import Identification
-from identification.compare import compare
+from identification.compare import compare_parameters
 from rig_configs import IdentifiedParameters
 
 
@@ -28,7 +28,7 @@ def report_changes(label: str, old: IdentifiedParameters, new: IdentifiedParamet
     Args:
         label: name of the earlier one in the report.
     """
-    found = compare(old, new)
+    found = compare_parameters(old, new)
     rows = [ParameterChange(c.name, c.old, c.new, c.change, c.std, c.p_holm) for c in found.changes]
     return Changes(label, found.in_words(_LEVEL), rows, found.notes)
 

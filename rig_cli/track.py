@@ -16,7 +16,7 @@ from rig_cli.share_progress import share_progress
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, overridden, with_parameters
 
 if TYPE_CHECKING:
-    from rig_cli.track_files import Places
+    from rig_cli.track_files import TrackFiles
     from rig_cli.track_page import Tracking
     from rig_configs.schema import Rig
 
@@ -64,7 +64,7 @@ def track(
     return 0
 
 
-def _places(logs: Sequence[Path], output: Path | None, force: bool) -> list[Places]:
+def _places(logs: Sequence[Path], output: Path | None, force: bool) -> list[TrackFiles]:
     """Return the files of each log's results. Existing files are rejected before the work."""
     from daq.exchange.staging import Staging
     from rig_cli.track_files import places  # matplotlib
@@ -134,7 +134,7 @@ def _tracked(
     setting: Literal["fast", "reference"],
     every_ms: float,
     settings: Sequence[str],
-    place: Places,
+    place: TrackFiles,
     force: bool,
 ) -> Tracking:
     """Track one log and write its files."""

@@ -32,14 +32,14 @@ _DAMPINGS = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 
 
 @dataclass(frozen=True)
-class Places:
+class TrackFiles:
     """Files of one log's results; None: not requested."""
 
     table: Path | None = None
     figure: Path | None = None
 
 
-def places(output: Path | None, log: Path, alone: bool) -> Places:
+def places(output: Path | None, log: Path, alone: bool) -> TrackFiles:
     """Return the files that `-o` means for one log.
 
     Args:
@@ -48,11 +48,11 @@ def places(output: Path | None, log: Path, alone: bool) -> Places:
         ExchangeError: a file for several logs, or a file with an unsupported ending.
     """
     if output is None:
-        return Places()
+        return TrackFiles()
     suffix = output.suffix.lower()
     if output.is_dir() or not suffix:
         stem = log.name.removesuffix(".part").removesuffix(".mcap")
-        return Places(output / f"{stem}.track.parquet", output / f"{stem}.track.svg")
+        return TrackFiles(output / f"{stem}.track.parquet", output / f"{stem}.track.svg")
     if suffix not in TABLES + FIGURES:
         raise ExchangeError(
             f"rig track: -o {output}: expected a folder, a table ({', '.join(TABLES)}) or a figure "
@@ -60,7 +60,9 @@ def places(output: Path | None, log: Path, alone: bool) -> Places:
         )
     if not alone:
         raise ExchangeError(f"rig track: -o {output}: one file for several logs; give a folder")
-    return Places(table=output, figure=output.with_suffix(".svg")) if suffix in TABLES else Places(figure=output)
+    return (
+        TrackFiles(table=output, figure=output.with_suffix(".svg")) if suffix in TABLES else TrackFiles(figure=output)
+    )
 
 
 def columns(found: TrackedRun) -> dict[str, NDArray[Any]]:
@@ -151,7 +153,7 @@ def _scaled(found: TrackedRun | SmoothedRun, j: int, factor: float) -> tuple[Arr
     return factor * found.states[:, j], factor * found.state_std[:, j]
 
 
-def write_files(result: Tracking, place: Places, force: bool) -> list[Path]:
+def write_files(result: Tracking, place: TrackFiles, force: bool) -> list[Path]:
     """Write table and figure, both or none; return the files written.
 
     Args:

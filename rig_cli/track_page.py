@@ -25,7 +25,7 @@ _MAX_NARROWED = 0.5  # ratio of final to initial relative standard deviation abo
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownDamping:
     """A damping for comparison with the tracked one: value, standard deviation and 95 % interval, N m s/rad."""
 
     value: float
@@ -70,14 +70,14 @@ class Tracking:
         return replace(self, files=tuple(files))
 
     @property
-    def known(self) -> dict[str, Known]:
+    def known(self) -> dict[str, KnownDamping]:
         """Dampings of the parameters file by their short names, or the rig file's with an unknown uncertainty (0)."""
         physics = self.rig.physics
         own = (physics.a.damping_Nms_per_rad, physics.b.damping_Nms_per_rad)
         if self.against is None:
-            return {short: Known(value, 0.0) for short, value in zip(_NAMES, own, strict=True)}
+            return {short: KnownDamping(value, 0.0) for short, value in zip(_NAMES, own, strict=True)}
         values, std = self.against.values, self.against.std
-        return {short: Known(values[name], std[name]) for short, name in _NAMES.items() if name in values}
+        return {short: KnownDamping(values[name], std[name]) for short, name in _NAMES.items() if name in values}
 
     @property
     def known_text(self) -> str:
@@ -192,7 +192,7 @@ def tracking_json(result: Tracking) -> dict[str, Any]:
     }
 
 
-def _against(known: Known, found: TrackedRun, j: int) -> dict[str, float]:
+def _against(known: KnownDamping, found: TrackedRun, j: int) -> dict[str, float]:
     """Return a known damping and the deviation of the tracked one in standard deviations of both together."""
     both = math.hypot(known.std, float(found.std[-1, j]))
     return {"value": known.value, "std": known.std, "z": (float(found.values[-1, j]) - known.value) / both}

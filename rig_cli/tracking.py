@@ -14,7 +14,7 @@ import numpy as np
 from daq.acquisition.session import Session
 from daq.channels import LOCK_A_CLOSED, LOCK_B_CLOSED
 from dynamics import RotorParameters
-from identification.tracking.tracker import Sensors, Tracked, Tracker
+from identification.tracking.tracker import SensorNoise, Tracked, Tracker
 from rig_configs import IdentifiedParameters, overridden
 
 _POLL_S = 0.1  # wall seconds between two reads of the newest readings
@@ -54,7 +54,7 @@ class LiveTracking:
         self._session = session
         self._tracker = Tracker(
             physics,
-            Sensors(encoder_step_rad=roles.angles.step_rad) if roles.angles else Sensors(),
+            SensorNoise(encoder_step_rad=roles.angles.step_rad) if roles.angles else SensorNoise(),
             released=(False, False),
             imbalance_std=imbalance_std,
         )

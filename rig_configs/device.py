@@ -16,17 +16,17 @@ from rig_configs.roles import (
     USUAL_GAIN_STD,
     USUAL_ZERO_STD_DEG,
     Axis,
-    Displacement,
+    DisplacementSensor,
     PendulumAngles,
     PendulumLocks,
     Role,
     RotorPhase,
     read_role,
 )
-from rig_configs.table import Finite, NotNegative, Positive, Table
+from rig_configs.table import Finite, NotNegative, Positive, RigTable
 
 
-class DeviceSettings(Table):
+class DeviceSettings(RigTable):
     """Settings of every device.
 
     Attributes:
@@ -103,7 +103,7 @@ class DisplacementSettings(DeviceSettings):
     def roles(self, device: str) -> tuple[Role, ...]:
         """Return the roles; see DeviceSettings."""
         return (
-            Displacement(
+            DisplacementSensor(
                 device=device,
                 topic=self.topic,
                 axis=self.axis,

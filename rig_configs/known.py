@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from dynamics.equations.parameters import RotorParameters
-from rig_configs.table import Positive, Table
+from rig_configs.table import Positive, RigTable
 
 Kind = Literal["A", "B"]
 Distribution = Literal["normal", "rectangular", "triangular", "arcsine", "t"]
@@ -59,7 +59,7 @@ def known_label(name: str) -> str:
     return f"{LABEL} {name}"
 
 
-class Instrument(Table):
+class Instrument(RigTable):
     """Instrument with which several numbers were measured: a balance, a caliper.
 
     relative_std is the relative standard uncertainty of its scale: one error common to all its measurements. type,
@@ -100,7 +100,7 @@ class KnownSource:
 
 
 @dataclass(frozen=True)
-class Known:
+class KnownNumbers:
     """All known numbers of a rig.
 
     Attributes:

@@ -16,7 +16,7 @@ from dynamics.equations.parameters import RotorParameters
 from rig_basics.arrays import Array
 from rig_configs.drag import Drag
 from rig_configs.errors import ParametersFileError, RigFileError
-from rig_configs.known import LABEL, Known, KnownSource
+from rig_configs.known import LABEL, KnownNumbers, KnownSource
 from rig_configs.slow_roll import SlowRoll
 from rig_configs.suspension_terms import SuspensionTerms
 from rig_configs.toml_text import parse_toml, read_text
@@ -157,7 +157,7 @@ class IdentifiedParameters:
         parts = [self.by_number[number] * step for number, step in source.effects.items() if number in self.by_number]
         return np.sum([np.zeros(len(self.values)), *parts], axis=0)
 
-    def shared_with(self, known: Known) -> dict[str, Array]:
+    def shared_with(self, known: KnownNumbers) -> dict[str, Array]:
         """Return the shared errors with the current uncertainties of the rig file's known numbers.
 
         Values without derivatives by these numbers keep the errors of their identification.

@@ -9,12 +9,12 @@ import difflib
 from dynamics import RotorParameters
 from rig_configs.errors import RigFileError
 from rig_configs.schema import Imbalance, Pendulums, PendulumTable, Rotor, Suspension
-from rig_configs.table import Table
+from rig_configs.table import RigTable
 
 _IN_THE_ARM = "rolling_resistance_m"  # enters the physics only as a part of friction_arm_m
 
 
-def _numbers(table: type[Table]) -> list[str]:
+def _numbers(table: type[RigTable]) -> list[str]:
     """Return the keys of a table's numbers, without their uncertainties."""
     return [
         key

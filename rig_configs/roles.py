@@ -26,7 +26,7 @@ USUAL_GAIN_STD, USUAL_ZERO_STD_DEG, USUAL_DIRECTION_STD_DEG = 0.001, 0.05, 1.0
 
 
 @dataclass(frozen=True)
-class Displacement:
+class DisplacementSensor:
     """A sensor of the column's motion.
 
     Attributes:
@@ -152,9 +152,10 @@ class OtherQuantity:
     fields: tuple[str, ...]
 
 
-Role = Displacement | PendulumAngles | RotorPhase | SpeedSource | PendulumLocks | OtherQuantity
+Role = DisplacementSensor | PendulumAngles | RotorPhase | SpeedSource | PendulumLocks | OtherQuantity
 _KINDS: dict[str, type[Role]] = {
-    kind.role: kind for kind in (Displacement, PendulumAngles, RotorPhase, SpeedSource, PendulumLocks, OtherQuantity)
+    kind.role: kind
+    for kind in (DisplacementSensor, PendulumAngles, RotorPhase, SpeedSource, PendulumLocks, OtherQuantity)
 }
 
 
@@ -191,13 +192,13 @@ class Roles:
         witnesses: further sensors along an axis; each is recorded and compared with the measuring sensor.
     """
 
-    displacements: tuple[Displacement, ...] = ()
+    displacements: tuple[DisplacementSensor, ...] = ()
     angles: PendulumAngles | None = None
     phase: RotorPhase | None = None
     speed: SpeedSource | None = None
     locks: PendulumLocks | None = None
     others: tuple[OtherQuantity, ...] = ()
-    witnesses: tuple[Displacement, ...] = ()
+    witnesses: tuple[DisplacementSensor, ...] = ()
 
     @property
     def rest_rpm(self) -> float:
@@ -211,14 +212,14 @@ class Roles:
         Raises:
             ValueError: two devices have the same role, or the same channel.
         """
-        displacements: list[Displacement] = []
-        witnesses: list[Displacement] = []
+        displacements: list[DisplacementSensor] = []
+        witnesses: list[DisplacementSensor] = []
         others: list[OtherQuantity] = []
         single: dict[str, Any] = {}
         for role in played:
-            if isinstance(role, Displacement) and role.witness:
+            if isinstance(role, DisplacementSensor) and role.witness:
                 witnesses.append(role)
-            elif isinstance(role, Displacement):
+            elif isinstance(role, DisplacementSensor):
                 _refuse_second(
                     next((d for d in displacements if d.axis == role.axis), None),
                     role,
@@ -240,11 +241,11 @@ class Roles:
             raise ValueError(f"{both} fill the same channel {twice!r}")
         return found
 
-    def along(self, axis: str) -> Displacement | None:
+    def along(self, axis: str) -> DisplacementSensor | None:
         """Return the measuring sensor along an axis."""
         return next((d for d in self.displacements if d.axis == axis), None)
 
-    def beside(self, witness: Displacement) -> Displacement | None:
+    def beside(self, witness: DisplacementSensor) -> DisplacementSensor | None:
         """Return the measuring sensor that a witness is compared with; None if no sensor has its direction."""
         main = self.along(witness.axis)
         if main is None or abs(math.remainder(main.off_axis_deg - witness.off_axis_deg, 360.0)) > SQUARE_TOLERANCE_DEG:
@@ -298,11 +299,11 @@ class Roles:
 _PLACES = {"pendulum angles": "angles", "rotor phase": "phase", "speed source": "speed", "pendulum locks": "locks"}
 
 
-def _direction(sensor: Displacement) -> str:
+def _direction(sensor: DisplacementSensor) -> str:
     return "" if sensor.direction_deg is None else f", looking along {sensor.direction_deg:g}°"
 
 
-def _refuse_directions(sensors: tuple[Displacement, ...]) -> None:
+def _refuse_directions(sensors: tuple[DisplacementSensor, ...]) -> None:
     """Check directions: two sensors at right angles may be rotated, a single one must be near its axis."""
     if len(sensors) == 2:
         x, y = sensors

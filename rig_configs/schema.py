@@ -24,23 +24,23 @@ from rig_configs.known import (
     ZERO_A,
     ZERO_B,
     Instrument,
-    Known,
+    KnownNumbers,
     own_source,
     physical_numbers,
     scale_source,
 )
 from rig_configs.roles import Roles, role_table
-from rig_configs.table import Finite, NotNegative, Positive, Share, Table
+from rig_configs.table import Finite, NotNegative, Positive, RigTable, Share
 
 
-class Rotor(Table):
+class Rotor(RigTable):
     """Disk and column."""
 
     mass_kg: Annotated[float, Field(gt=0, le=1e4)]
     mass_std_kg: NotNegative = 0.0
 
 
-class Imbalance(Table):
+class Imbalance(RigTable):
     """The imbalance weight."""
 
     mass_kg: Annotated[float, Field(ge=0, le=100)]
@@ -49,7 +49,7 @@ class Imbalance(Table):
     radius_std_m: NotNegative = 0.0
 
 
-class PendulumTable(Table):
+class PendulumTable(RigTable):
     """One pendulum with its magnet pack, or a ball in a channel; mass 0: does not exist.
 
     drag_Nms2_per_rad2 is the air drag over the square of the speed relative to the rotor, friction_arm_m the dry
@@ -88,7 +88,7 @@ class PendulumTable(Table):
         return Pendulum(**own)
 
 
-class Pendulums(Table):
+class Pendulums(RigTable):
     """Both pendulums: A starts locked at 0°, B at 180°."""
 
     a: PendulumTable
@@ -98,7 +98,7 @@ class Pendulums(Table):
     pivot_shift_std_m: NotNegative = 0.0
 
 
-class Suspension(Table):
+class Suspension(RigTable):
     """Springs and eddy-current dampers, k1 and ζ1 along x, k2 and ζ2 along y; gravity along −y for a lying shaft."""
 
     k1_N_per_m: Annotated[float, Field(gt=0, le=1e9)]
@@ -130,21 +130,21 @@ NO_DRIVER = "no_driver"
 _RESERVED = ("host", "log")  # devices of events that the suite itself creates
 
 
-class Limits(Table):
+class Limits(RigTable):
     """Limits beyond which the rotor is stopped."""
 
     speed_rpm: Annotated[float, Field(gt=0, le=3000)] = 1200.0
     amplitude_m: Positive = 0.011
 
 
-class Point(Table):
+class Point(RigTable):
     """A validation point on the line of the rig's own stiffness ratio."""
 
     speed_ratio: Annotated[float, Field(gt=0, le=100)]
     expected: Literal["I", "II", "III", "slipping"]
 
 
-class ValidationTable(Table):
+class ValidationTable(RigTable):
     """Allowances of the comparison at the points.
 
     model_std_deg and model_std_mm are standard uncertainties of the model itself, for angles and for amplitudes, in
@@ -157,7 +157,7 @@ class ValidationTable(Table):
     releases: bool = True
 
 
-class Sensors(Table):
+class SimulatedSensors(RigTable):
     """Imperfections of the simulated sensors and wires; random values depend on the seed."""
 
     laser_noise_m: NotNegative = 4e-6
@@ -168,7 +168,7 @@ class Sensors(Table):
     draw_calibration: bool = True
 
 
-class Radio(Table):
+class Radio(RigTable):
     """Radio link between node and dongle: a two-state loss model and a delay with jitter."""
 
     burst_start: Share = 0.002
@@ -178,7 +178,7 @@ class Radio(Table):
     jitter_s: NotNegative = 0.002
 
 
-class VirtualDrive(Table):
+class VirtualDrive(RigTable):
     """The simulated drive: slip relative to the commanded speed, lag of its speed loop, interval of its reports."""
 
     slip: Annotated[float, Field(ge=-0.05, le=0.05)] = 0.002
@@ -186,7 +186,7 @@ class VirtualDrive(Table):
     report_s: Annotated[float, Field(ge=0.001, le=1)] = 0.01
 
 
-class TruthPendulum(Table):
+class TruthPendulum(RigTable):
     """True numbers of one pendulum; missing ones are those of the file's physical part."""
 
     mass_kg: Positive | None = None
@@ -195,7 +195,7 @@ class TruthPendulum(Table):
     friction_arm_m: NotNegative | None = None
 
 
-class TruthPendulums(Table):
+class TruthPendulums(RigTable):
     """True numbers of the pendulums."""
 
     a: TruthPendulum = TruthPendulum()
@@ -203,20 +203,20 @@ class TruthPendulums(Table):
     pivot_shift_m: NotNegative | None = None
 
 
-class TruthRotor(Table):
+class TruthRotor(RigTable):
     """True mass of the rotor."""
 
     mass_kg: Positive | None = None
 
 
-class TruthImbalance(Table):
+class TruthImbalance(RigTable):
     """True imbalance."""
 
     mass_kg: NotNegative | None = None
     radius_m: NotNegative | None = None
 
 
-class TruthSuspension(Table):
+class TruthSuspension(RigTable):
     """True suspension."""
 
     k1_N_per_m: Positive | None = None
@@ -225,7 +225,7 @@ class TruthSuspension(Table):
     zeta2: NotNegative | None = None
 
 
-class Truth(Table):
+class Truth(RigTable):
     """True numbers of the simulated rig that differ from the rig file's physical part. Only its bytes reveal them."""
 
     rotor: TruthRotor = TruthRotor()
@@ -234,18 +234,18 @@ class Truth(Table):
     suspension: TruthSuspension = TruthSuspension()
 
 
-class Virtual(Table):
+class Virtual(RigTable):
     """A simulated rig with the same wires as a real one."""
 
     seed: Annotated[int, Field(ge=0)] = 0
     lock_play_deg: NotNegative = 0.2
-    sensors: Sensors = Sensors()
+    sensors: SimulatedSensors = SimulatedSensors()
     radio: Radio = Radio()
     drive: VirtualDrive = VirtualDrive()
     truth: Truth = Truth()
 
 
-class Rig(Table):
+class Rig(RigTable):
     """A complete rig file."""
 
     name: str
@@ -271,13 +271,13 @@ class Rig(Table):
         return Roles.of(role for name, device in self.devices.items() for role in device.roles(name))
 
     @property
-    def known(self) -> Known:
+    def known(self) -> KnownNumbers:
         """Known numbers with standard uncertainties and common sources of error."""
         values = physical_numbers(self.physics) | {ZERO_A: 0.0, ZERO_B: 0.0, INDEX: 0.0}
         instrument_of = {name: each for each in self.instruments.values() for name in each.measures}
         found = [own_source(name, std, instrument_of.get(name)) for name, std in self._stds().items() if std]
         scales = [scale_source(name, each, values) for name, each in self.instruments.items()]
-        return Known(values, (*found, *(scale for scale in scales if scale is not None)))
+        return KnownNumbers(values, (*found, *(scale for scale in scales if scale is not None)))
 
     def _stds(self) -> dict[str, float]:
         """Return the standard uncertainty of each number alone."""
@@ -339,7 +339,7 @@ class Rig(Table):
             value: new value in its unit.
         """
         *path, key = name.split(".")
-        tables: list[Table] = [self]
+        tables: list[RigTable] = [self]
         for part in path:
             tables.append(getattr(tables[-1], part))
         changed = tables.pop().model_copy(update={key: value})
@@ -381,7 +381,7 @@ def _physics(rotor: Rotor, imbalance: Imbalance, pendulums: Pendulums, suspensio
 def _laid_over(physics: RotorParameters, truth: Truth) -> RotorParameters:
     """Return the physics with the numbers of the truth in place of its own."""
 
-    def given(table: Table) -> dict[str, float]:
+    def given(table: RigTable) -> dict[str, float]:
         return {k: v for k, v in table if isinstance(v, float)}
 
     shift = truth.pendulums.pivot_shift_m

@@ -8,7 +8,7 @@ import re
 from rig_configs.known import LABEL, KnownSource, gain_label
 from rig_configs.schema import Rig
 from rig_configs.suspension_terms import LABEL as TERMS_LABEL
-from uncertainty import Source
+from uncertainty import ErrorSource
 
 STANDARD = "u"
 """Unit of a source whose standard uncertainty is not stored in a parameters file: multiples of that uncertainty."""
@@ -18,7 +18,7 @@ EXACT_STEP = 1e-3
 """Relative change of a number without a standard uncertainty, for the statement on its effect."""
 
 
-def shared_source(label: str, rig: Rig | None = None) -> Source:
+def shared_source(label: str, rig: Rig | None = None) -> ErrorSource:
     """Return the source of errors with a label.
 
     A gain and a known number have standard uncertainty, type, distribution and degrees of freedom from the rig file. A
@@ -33,17 +33,17 @@ def shared_source(label: str, rig: Rig | None = None) -> Source:
     if rig is not None:
         for axis, std in zip("xy", rig.roles.gain_stds, strict=True):
             if label == gain_label(axis) and std > 0:
-                return Source(label, std, "1")
+                return ErrorSource(label, std, "1")
         for known in rig.known.sources:
             if label == known.label:
                 return known_source(known)
     kind = "A" if label.startswith((FRICTION_LABEL, f"{TERMS_LABEL} ")) or _READ.match(label) else "B"
-    return Source(label, 1.0, STANDARD, kind)
+    return ErrorSource(label, 1.0, STANDARD, kind)
 
 
-def known_source(known: KnownSource) -> Source:
+def known_source(known: KnownSource) -> ErrorSource:
     """Return a known number of a rig file as a source with its label."""
-    return Source(known.label, known.std, known.unit, known.kind, known.distribution, known.degrees_of_freedom)
+    return ErrorSource(known.label, known.std, known.unit, known.kind, known.distribution, known.degrees_of_freedom)
 
 
 def is_known(label: str) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rig_basics.arrays import Array
-from rig_configs.known import INDEX, Known, gain_label
+from rig_configs.known import INDEX, KnownNumbers, gain_label
 
 ORDER = ("run_out_x", "run_out_y", "bow")
 """Names of the complex numbers, in the order of the covariance: real and imaginary part of each."""
@@ -101,7 +101,7 @@ class SlowRoll:
         """Independent errors: label → shift of `values` per standard deviation, shape (6,)."""
         return {error.label: error.std_m * error.direction for error in self.own_errors}
 
-    def errors(self, gain_stds: tuple[float, float], known: Known) -> dict[str, Array]:
+    def errors(self, gain_stds: tuple[float, float], known: KnownNumbers) -> dict[str, Array]:
         """Return all errors shared with other quantities: label → shift of `values` per standard deviation, shape (6,).
 
         Args:

@@ -13,7 +13,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, lt=1)]
 
 
-class Table(BaseModel):
+class RigTable(BaseModel):
     """A table of the rig file: frozen, unknown keys refused; numbers are finite, neither booleans nor texts."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

@@ -14,7 +14,7 @@ A test depends on the contract (`daq.drivers.contract`) and on no device. A test
 reason.
 """
 
-from rig_testing.examination import Case, cases, examine
-from rig_testing.report import Failed, NotTried, Outcome, Report
+from rig_testing.examination import ContractCase, cases, examine
+from rig_testing.report import CaseOutcome, DriverReport, Failed, NotTried
 
-__all__ = ["Case", "Failed", "NotTried", "Outcome", "Report", "cases", "examine"]
+__all__ = ["CaseOutcome", "ContractCase", "DriverReport", "Failed", "NotTried", "cases", "examine"]

@@ -14,24 +14,24 @@ from numpy.typing import NDArray
 
 from daq.drivers.contract import (
     Driver,
+    LockControl,
     MovesLocks,
-    PendulumLocks,
     Pipeline,
     RotorGuard,
-    SpeedSource,
+    SpeedControl,
     TurnsRotor,
     example_of,
 )
 from daq.drivers.played import PlayedDevice
 from daq.errors import LinkLost
-from daq.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports.host_clock import HostClock
-from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import DeviceClock, World
 from rig_basics.units import TO_RPM
 from rig_configs import load_rig
 from rig_configs.device import DeviceSettings
-from rig_configs.schema import Radio, Sensors, Virtual
+from rig_configs.schema import Radio, SimulatedSensors, Virtual
 from rig_testing.simulated_time import SimulatedTime
 
 NAME = "device"
@@ -41,7 +41,7 @@ PLUCK_M = (3e-3, 2e-3)
 """Displacement of the column before it is released, x and y, m."""
 _HOLD_S, _TURN_RAD_S, _RAMP_RAD_S2, _FLICK_RAD_S = 0.3, 20.0, 40.0, 4.0
 
-Items = list[Batch | Event]
+Items = list[Batch | DeviceEvent]
 
 
 def settings_for(driver: Driver) -> DeviceSettings:
@@ -84,18 +84,18 @@ class Tape:
         reads: direction, bytes and host time, ns, in order.
         items: decoded batches and events.
         losses: counted by the pipeline at the end.
-        motion_s, motion: the rig's motion, rows as in `daq.drivers.simulated.Stretch`.
+        motion_s, motion: the rig's motion, rows as in `daq.drivers.simulated.MotionInterval`.
     """
 
     identity: Mapping[str, Any]
     reads: list[tuple[int, bytes, int]] = field(default_factory=list[tuple[int, bytes, int]])
-    items: Items = field(default_factory=list["Batch | Event"])
+    items: Items = field(default_factory=list["Batch | DeviceEvent"])
     losses: dict[str, int] = field(default_factory=dict[str, int])
     motion_s: NDArray[np.floating[Any]] = field(default_factory=lambda: np.zeros(0))
     motion: NDArray[np.floating[Any]] = field(default_factory=lambda: np.zeros((0, 10)))
 
 
-class Bench:
+class DriverBench:
     """One device on its line, the rig that moves in front of it, and the host's side of the line (see Talk).
 
     Args:
@@ -113,12 +113,12 @@ class Bench:
     """
 
     def __init__(self, driver: Driver, seed: int = 1, clock_at_s: float | None = None) -> None:
-        sensors = Sensors(laser_noise_m=NOISE_M, axis_angle_deg=0.0, draw_calibration=False)
+        sensors = SimulatedSensors(laser_noise_m=NOISE_M, axis_angle_deg=0.0, draw_calibration=False)
         virtual = Virtual(seed=seed, lock_play_deg=0.0, sensors=sensors, radio=Radio(burst_start=0.0))
         self.driver, self.settings = driver, settings_for(driver)
         self.time = SimulatedTime(self._moved)
         self.clock = RigTime(self.time)
-        self.motion = Motion(load_rig("virtual").true_physics, virtual.drive.slip, virtual.drive.lag_s)
+        self.motion = SimulatedMotion(load_rig("virtual").true_physics, virtual.drive.slip, virtual.drive.lag_s)
         world = SetClockWorld if clock_at_s is not None else World
         self.world = world(virtual, self.motion)
         if isinstance(self.world, SetClockWorld) and clock_at_s is not None:
@@ -126,8 +126,8 @@ class Bench:
         self.far = driver.far_end(NAME, self.settings, self.world)
         self.replies: queue.Queue[str] = queue.Queue()
         self.gone = self.closed = False
-        self.control: SpeedSource | None = None
-        self.locks: PendulumLocks | None = None
+        self.control: SpeedControl | None = None
+        self.locks: LockControl | None = None
         self.permitted: list[float | None] = []
         self.refuse: Exception | None = None
         self.identity: dict[str, Any] = {}
@@ -171,9 +171,9 @@ class Bench:
         if self.control is not None and direction == RX:
             self.control.notice(self.pipeline)
         for item in found:
-            if isinstance(item, Event) and item.kind == "reply":
+            if isinstance(item, DeviceEvent) and item.kind == "reply":
                 self.replies.put(item.text)
-            elif isinstance(item, Event) and item.kind == "acknowledge" and self.locks is not None:
+            elif isinstance(item, DeviceEvent) and item.kind == "acknowledge" and self.locks is not None:
                 self.locks.heard(item)
 
     def _moved(self, now_s: float) -> None:
@@ -188,7 +188,7 @@ class Bench:
     # --- actions ------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
-    def running(self) -> Generator[Bench]:
+    def running(self) -> Generator[DriverBench]:
         """Simulated time passes while a thread waits. At the end the link is lost for threads that still run."""
         with self.time.running():
             try:
@@ -249,12 +249,12 @@ class Bench:
 class PlayedTalk:
     """Line to the stand-in for a device of a log (see Talk)."""
 
-    def __init__(self, bench: Bench, played: PlayedDevice) -> None:
+    def __init__(self, bench: DriverBench, played: PlayedDevice) -> None:
         self._bench, self._played = bench, played
         self.clock = bench.clock
         self.replies: queue.Queue[str] = queue.Queue()
         self.bytes_in = 0
-        self.control: SpeedSource | None = None
+        self.control: SpeedControl | None = None
         self.begin_anew()
 
     def send(self, data: bytes) -> None:
@@ -267,7 +267,7 @@ class PlayedTalk:
             return
         self.bytes_in += len(answer)
         for item in self._pipeline.feed(RX, answer, self._bench.clock.now_ns()):
-            if isinstance(item, Event) and item.kind == "reply":
+            if isinstance(item, DeviceEvent) and item.kind == "reply":
                 self.replies.put(item.text)
         if self.control is not None:
             self.control.notice(self._pipeline)

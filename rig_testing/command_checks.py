@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 from daq.channels import LOCKS_CLOSED
-from daq.drivers.contract import MovesLocks, SpeedSource, TurnsRotor
+from daq.drivers.contract import MovesLocks, SpeedControl, TurnsRotor
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from rig_basics.units import TO_RPM
 from rig_configs.roles import PendulumAngles, PendulumLocks
 from rig_configs.roles import SpeedSource as SpeedRole
-from rig_testing.bench import Bench
+from rig_testing.bench import DriverBench
 from rig_testing.report import Failed, NotTried, need
 from rig_testing.subject import RAMP_RPM_S, SPEED_RPM, Subject, together, turn
 
@@ -19,7 +19,7 @@ _LATE_S = 1.0
 def check_speed_source(subject: Subject) -> str:
     """It enables, follows a ramp and stops quickly; it requests permission; its silence is not taken for off."""
     _need_role(subject, SpeedRole, TurnsRotor, "speed source", "speed_source")
-    bench = Bench(subject.driver)
+    bench = DriverBench(subject.driver)
     with bench.running():
         bench.begin()
         control = _control(bench)
@@ -68,7 +68,7 @@ def check_speed_source(subject: Subject) -> str:
 def check_stops_by_itself(subject: Subject) -> str:
     """A speed source whose host is disconnected stops the rotor by itself."""
     _need_role(subject, SpeedRole, TurnsRotor, "speed source", "speed_source")
-    bench = Bench(subject.driver)
+    bench = DriverBench(subject.driver)
     with bench.running():
         bench.begin()
         turn(bench)
@@ -78,7 +78,7 @@ def check_stops_by_itself(subject: Subject) -> str:
         return f"in {_time_to_rest(bench, 10.0):.2f} s, from {before:.0f} rpm"
 
 
-def _refuses(bench: Bench, control: SpeedSource) -> None:
+def _refuses(bench: DriverBench, control: SpeedControl) -> None:
     bench.refuse = ProcedureError("not permitted")
     try:
         control.enable()
@@ -91,7 +91,7 @@ def _refuses(bench: Bench, control: SpeedSource) -> None:
     bench.refuse = None
 
 
-def _rejects_silence(bench: Bench, control: SpeedSource) -> None:
+def _rejects_silence(bench: DriverBench, control: SpeedControl) -> None:
     """Check that `disable` raises if the device does not answer: it may still drive the rotor."""
     control.enable()
     step, receive = bench.far.step, bench.far.receive
@@ -108,7 +108,7 @@ def _rejects_silence(bench: Bench, control: SpeedSource) -> None:
     bench.time.pass_time(_LATE_S)
 
 
-def _time_to_rest(bench: Bench, longest_s: float = 5.0) -> float:
+def _time_to_rest(bench: DriverBench, longest_s: float = 5.0) -> float:
     begun = bench.time.now_s
     while abs(_rpm(bench)) > 1.0:
         bench.time.pass_time(0.02)
@@ -116,19 +116,19 @@ def _time_to_rest(bench: Bench, longest_s: float = 5.0) -> float:
     return bench.time.now_s - begun
 
 
-def _control(bench: Bench) -> SpeedSource:
+def _control(bench: DriverBench) -> SpeedControl:
     assert bench.control is not None
     return bench.control
 
 
-def _rpm(bench: Bench) -> float:
+def _rpm(bench: DriverBench) -> float:
     return bench.motion.speed_rad_s * TO_RPM
 
 
 def check_locks(subject: Subject) -> str:
     """Locks release and close as commanded, acknowledge, show it in the flags, and stop waiting on request."""
     _need_role(subject, PendulumLocks, MovesLocks, "pendulum locks", "locks")
-    bench = Bench(subject.driver)
+    bench = DriverBench(subject.driver)
     with bench.running():
         bench.begin()
         assert bench.locks is not None
@@ -157,7 +157,7 @@ def _give_up() -> None:
     raise ProcedureError("given up")
 
 
-def _lock_flags(subject: Subject, bench: Bench) -> int | None:
+def _lock_flags(subject: Subject, bench: DriverBench) -> int | None:
     """Return the lock flags of the newest pendulum sample; None if the device measures no angles."""
     for role in subject.roles:
         if isinstance(role, PendulumAngles):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from daq.drivers.contract import Pipeline
-from daq.items import RX, Batch, Event
+from daq.items import RX, Batch, DeviceEvent
 from rig_testing.bench import Items
 from rig_testing.report import Failed, NotTried, need
 from rig_testing.sizes import size_of
@@ -43,7 +43,7 @@ def _difference(first: Items, second: Items) -> str:
     if len(first) != len(second):
         return f"{len(second)} batches and events, expected {len(first)}"
     for number, (a, b) in enumerate(zip(first, second, strict=True)):
-        if isinstance(a, Event) or isinstance(b, Event):
+        if isinstance(a, DeviceEvent) or isinstance(b, DeviceEvent):
             if a != b:
                 return f"number {number} is {b!r:.200}, expected {a!r:.200}"
             continue

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from daq.drivers.contract import CLAIMS, Line, TurnsRotor, claims_of, example_of
+from daq.drivers.contract import CLAIMS, DeviceLine, TurnsRotor, claims_of, example_of
 from daq.drivers.simulated import FarEnd
 from daq.errors import DeviceError, LinkLost
 from daq.items import RX
 from rig_configs.device import DeviceSettings
-from rig_configs.roles import Displacement, OtherQuantity, PendulumAngles, PendulumLocks, Roles
-from rig_testing.bench import NAME, START_NS, Bench, PlayedTalk
+from rig_configs.roles import DisplacementSensor, OtherQuantity, PendulumAngles, PendulumLocks, Roles
+from rig_testing.bench import NAME, START_NS, DriverBench, PlayedTalk
 from rig_testing.report import Failed, need
 from rig_testing.subject import Subject, events, together, turn
 
@@ -45,7 +45,7 @@ def check_settings(subject: Subject) -> str:
     again = driver.settings.model_validate_json(settings.model_dump_json())
     need(again == settings, f"settings: {settings!r} became {again!r} through JSON, the format of a log")
     line: Any = driver.line(settings)
-    need(isinstance(line, Line), f"line: expected a Line, got {line!r}")
+    need(isinstance(line, DeviceLine), f"line: expected a Line, got {line!r}")
     need(driver.rest_s > 0, f"rest_s: expected a time above 0 s, got {driver.rest_s}")
     unknown = claims_of(driver) - set(CLAIMS)
     need(not unknown, f"claims: {', '.join(sorted(unknown))} unknown, expected some of {', '.join(CLAIMS)}")
@@ -76,7 +76,7 @@ def check_roles(subject: Subject) -> str:
 
 def check_opening(subject: Subject) -> str:
     """The opening dialogue with the far end returns an identity of plain words and numbers."""
-    bench = Bench(subject.driver)
+    bench = DriverBench(subject.driver)
     with bench.running():
         try:
             bench.begin()
@@ -95,7 +95,7 @@ def check_opening(subject: Subject) -> str:
 
 def check_silence(subject: Subject) -> str:
     """A device that does not answer causes an error in finite time, unless the driver sends it no request."""
-    bench = Bench(subject.driver)
+    bench = DriverBench(subject.driver)
     bench.far = FarEnd()  # never answers
     with bench.running():
         try:
@@ -119,7 +119,7 @@ def check_streaming(subject: Subject) -> str:
     need(not counted, f"on an undisturbed line, losses were counted: {counted}")
     hosts = [host_ns for _, _, host_ns in tape.reads]
     rates = {clock.topic: clock.rate_Hz for clock in subject.clocks} | {
-        role.topic: role.rate_Hz for role in subject.roles if isinstance(role, Displacement | PendulumAngles)
+        role.topic: role.rate_Hz for role in subject.roles if isinstance(role, DisplacementSensor | PendulumAngles)
     }
     for topic in subject.channels:
         whole = together(tape.items, topic)
@@ -171,7 +171,7 @@ def _check_batch(columns: Any, topic: str, subject: Subject) -> None:
 
 def check_stop(subject: Subject) -> str:
     """The stream can be stopped twice, and the device opened again."""
-    bench = Bench(subject.driver)
+    bench = DriverBench(subject.driver)
     with bench.running():
         bench.begin()
         bench.time.pass_time(0.3)
@@ -195,7 +195,7 @@ def check_stop(subject: Subject) -> str:
 def check_link_lost(subject: Subject) -> str:
     """Stopping, and opening, a disconnected device ends without an error or with LinkLost or DeviceError."""
     outcomes: list[str] = []
-    bench = Bench(subject.driver)
+    bench = DriverBench(subject.driver)
     with bench.running():
         bench.begin()
         if bench.control is not None:
@@ -219,7 +219,7 @@ def check_link_lost(subject: Subject) -> str:
     return ", ".join(outcomes)
 
 
-def _stop(bench: Bench) -> None:
+def _stop(bench: DriverBench) -> None:
     """Stop as a session does: the driver too, even if the speed source fails."""
     try:
         if bench.control is not None:
@@ -228,14 +228,14 @@ def _stop(bench: Bench) -> None:
         bench.driver.stop(bench)
 
 
-def _open(bench: Bench) -> None:
+def _open(bench: DriverBench) -> None:
     bench.driver.open(NAME, bench.settings, bench)
 
 
 def check_played(subject: Subject) -> str:
     """The stand-in for a device of a log answers the opening dialogue, and then plays."""
     tape = subject.tape
-    bench = Bench(subject.driver)
+    bench = DriverBench(subject.driver)
     with bench.running():
         stand_in = subject.driver.played(subject.settings, tape.identity)
         talk = PlayedTalk(bench, stand_in)

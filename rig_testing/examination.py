@@ -14,7 +14,7 @@ from types import FrameType
 
 from daq.drivers.contract import Driver
 from rig_testing import command_checks, decoding_checks, device_checks, measured_checks, mutations
-from rig_testing.report import Failed, NotTried, Outcome, Report
+from rig_testing.report import CaseOutcome, DriverReport, Failed, NotTried
 from rig_testing.subject import Subject
 
 CHECKS: dict[str, Callable[[Subject], str]] = {
@@ -50,7 +50,7 @@ _LONGEST_S, _LONGEST_THOROUGH_S = 120.0, 7200.0
 
 
 @dataclass(frozen=True)
-class Case:
+class ContractCase:
     """One test of one driver.
 
     Attributes:
@@ -63,7 +63,7 @@ class Case:
     def __str__(self) -> str:
         return self.name
 
-    def run(self) -> Outcome:
+    def run(self) -> CaseOutcome:
         """Run it. Any exception of the driver is a failure."""
         began = time.perf_counter()
         passed, tried = True, True
@@ -76,7 +76,7 @@ class Case:
             passed, why = False, str(failed)
         except Exception as error:
             passed, why = False, f"{type(error).__name__}: {error} ({_where(error)})"
-        return Outcome(self.name, passed, why, time.perf_counter() - began, tried)
+        return CaseOutcome(self.name, passed, why, time.perf_counter() - began, tried)
 
     def __call__(self) -> None:
         """Run it as a test of pytest or unittest.
@@ -92,17 +92,19 @@ class Case:
             raise Failed(f"{self.name}: {outcome.why}")
 
 
-def cases(driver: Driver, *, thorough: bool = False) -> list[Case]:
+def cases(driver: Driver, *, thorough: bool = False) -> list[ContractCase]:
     """Return all tests of a driver, for any order; they share recordings that take long.
 
     Args:
         thorough: 10⁶ damaged inputs in place of 10⁴.
     """
     subject = Subject(driver, thorough)
-    return [Case(name, subject) for name in CHECKS]
+    return [ContractCase(name, subject) for name in CHECKS]
 
 
-def examine(driver: Driver, *, thorough: bool = False, notify: Callable[[str], None] = lambda name: None) -> Report:
+def examine(
+    driver: Driver, *, thorough: bool = False, notify: Callable[[str], None] = lambda name: None
+) -> DriverReport:
     """Run all tests on a driver.
 
     Args:
@@ -112,11 +114,11 @@ def examine(driver: Driver, *, thorough: bool = False, notify: Callable[[str], N
     Returns:
         One outcome per test. A test that the driver prevents by an exception is a failed one.
     """
-    outcomes: list[Outcome] = []
+    outcomes: list[CaseOutcome] = []
     for case in cases(driver, thorough=thorough):
         notify(case.name)
         outcomes.append(case.run())
-    return Report(driver.name, tuple(outcomes))
+    return DriverReport(driver.name, tuple(outcomes))
 
 
 def _where(error: Exception) -> str:

@@ -31,12 +31,12 @@ from daq.lockstep.rig import STEP_S, LockstepRig
 from daq.log import Log, open_log
 from daq.replay import check
 from daq.virtual_rig.faults import LINE_FAULTS
-from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import DeviceClock, World
 from rig_basics.units import RPM
 from rig_configs import load_rig
 from rig_configs.schema import Rig
-from rig_testing.stages import AFTER_S, LockstepStage, RealTimeStage, Stage, Truth
+from rig_testing.stages import AFTER_S, LockstepStage, RealTimeStage, Stage, TrueMotion
 
 Array = NDArray[np.floating[Any]]
 Fields = list[tuple[str, int, float]]
@@ -56,7 +56,7 @@ _CALM = ["virtual.sensors.axis_angle_deg=0", "virtual.sensors.draw_calibration=f
 
 
 @dataclass(frozen=True)
-class Fault:
+class ScheduledFault:
     """One fault of a schedule.
 
     Attributes:
@@ -89,7 +89,7 @@ class Schedule:
     rpm: float
     seconds: float
     turn_s: tuple[float, float]
-    faults: tuple[Fault, ...]
+    faults: tuple[ScheduledFault, ...]
 
 
 @dataclass
@@ -130,20 +130,20 @@ def draw(rig: Rig, seed: int, calm: bool = False) -> Schedule:
     return Schedule(seed, rpm, seconds, turn_s, faults)
 
 
-def _fault(rig: Rig, dice: np.random.Generator, seconds: float) -> Fault:
+def _fault(rig: Rig, dice: np.random.Generator, seconds: float) -> ScheduledFault:
     at_s, lasts_s = float(dice.uniform(0.2, seconds - 0.5)), float(10 ** dice.uniform(-1.7, 0.8))
     device = str(dice.choice([*rig.devices, ""]))
     if not device:
-        return Fault(at_s, float(10 ** dice.uniform(-2.5, 0.0)), "", "busy")
+        return ScheduledFault(at_s, float(10 ** dice.uniform(-2.5, 0.0)), "", "busy")
     own = LockstepRig(rig).far.far_ends[device].fault_kinds
     kinds = {**LINE_FAULTS, **own}
     what = str(dice.choice([*kinds, "unplug"]))
     if what == "unplug":
-        return Fault(at_s, lasts_s, device, what)
+        return ScheduledFault(at_s, lasts_s, device, what)
     kind = kinds[what]
     low, high = kind.limits
     values = [kind.value, kind.value, low, high] if kind.meaning and high < 1e5 else [kind.value]
-    return Fault(at_s, 0.0 if kind.end is None else lasts_s, device, what, float(dice.choice(values)))
+    return ScheduledFault(at_s, 0.0 if kind.end is None else lasts_s, device, what, float(dice.choice(values)))
 
 
 def run(
@@ -197,7 +197,7 @@ def _run(rig: Rig, schedule: Schedule, folder: Path, stage: Stage) -> Result:
     return result
 
 
-def _begin(stage: Stage, fault: Fault, over: threading.Event) -> None:
+def _begin(stage: Stage, fault: ScheduledFault, over: threading.Event) -> None:
     if over.is_set():
         return
     match fault.what:
@@ -227,7 +227,7 @@ def _operate(session: Session, schedule: Schedule) -> None:
 # --- what must hold ----------------------------------------------------------------------------------------------
 
 
-def _judged(path: Path, truth: Truth, rig: Rig, schedule: Schedule, result: Result) -> Iterator[str]:
+def _judged(path: Path, truth: TrueMotion, rig: Rig, schedule: Schedule, result: Result) -> Iterator[str]:
     """Compare the log with the truth."""
     with open_log(path) as log:
         if not log.complete:
@@ -266,7 +266,7 @@ def _device_times(log: Log, clock: SampleClock, own: DeviceClock, zero_ns: int) 
 
 
 def _aligned(
-    at_s: Array, late: Array, log: Log, topic: str, fields: Mapping[str, Fields], truth: Truth
+    at_s: Array, late: Array, log: Log, topic: str, fields: Mapping[str, Fields], truth: TrueMotion
 ) -> tuple[Array, Array]:
     """Return times of a device whose wire carries no time, from the time shift with the best fit to the truth.
 
@@ -314,11 +314,11 @@ def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock, b
             yield from ((name, clock, exact) for clock in device.clocks)
 
 
-def _samples_right(log: Log, rig: Rig, schedule: Schedule, truth: Truth) -> Iterator[str]:
+def _samples_right(log: Log, rig: Rig, schedule: Schedule, truth: TrueMotion) -> Iterator[str]:
     """Check that every valid displacement and angle is the truth at its time, and every missing sample counted."""
     virtual = rig.virtual
     assert virtual is not None
-    world, zero_ns = World(virtual, Motion(rig.true_physics, 0.0, 0.1)), truth.zero_ns
+    world, zero_ns = World(virtual, SimulatedMotion(rig.true_physics, 0.0, 0.1)), truth.zero_ns
     fields = {
         sensor.topic: [("displacement_m", "xy".index(sensor.axis), 8 * virtual.sensors.laser_noise_m + 8e-6)]
         for sensor in rig.roles.displacements
@@ -351,7 +351,7 @@ def _samples_right(log: Log, rig: Rig, schedule: Schedule, truth: Truth) -> Iter
                 yield f"{clock.topic} {field_name}: {len(far)} samples are wrong, the first by {off[far[0]]:.3g}"
 
 
-def _stopped_in_time(log: Log, rig: Rig, schedule: Schedule, result: Result, truth: Truth) -> Iterator[str]:
+def _stopped_in_time(log: Log, rig: Rig, schedule: Schedule, result: Result, truth: TrueMotion) -> Iterator[str]:
     """Check that the rotor was stopped in time if a guarding channel was silent while it turned."""
     stops = [event["time_ns"] for event in log.events if event["kind"] == "stop"]
     stop_ns = stops[0] if stops else None
@@ -380,7 +380,7 @@ def _stopped_in_time(log: Log, rig: Rig, schedule: Schedule, result: Result, tru
         result.stop_s = longest if math.isnan(result.stop_s) else max(result.stop_s, longest)
 
 
-def _left_behind(truth: Truth, session: Session) -> Iterator[str]:
+def _left_behind(truth: TrueMotion, session: Session) -> Iterator[str]:
     """Check that the rotor is at rest in the end, or that the operator was warned."""
     speed_rpm = float(truth.rows[-1, 9]) / RPM
     warned = any("keep away" in notice for notice in session.notices)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig_basics.units import TO_RPM
-from rig_configs.roles import Displacement, PendulumAngles, RotorPhase, SpeedSource
+from rig_configs.roles import DisplacementSensor, PendulumAngles, RotorPhase, SpeedSource
 from rig_testing.bench import NOISE_M, START_NS, Tape
 from rig_testing.report import Failed, NotTried, need
 from rig_testing.subject import Subject, together
@@ -23,7 +23,7 @@ _SETTLED_S = 0.5  # time after which the clock map has settled
 
 def check_displacement(subject: Subject) -> str:
     """Displacement is the disk centre's along its axis, m, within noise and gain, and increases with the coordinate."""
-    role = next((role for role in subject.roles if isinstance(role, Displacement)), None)
+    role = next((role for role in subject.roles if isinstance(role, DisplacementSensor)), None)
     if role is None:
         raise NotTried("it measures no displacement")
     value, rate = (0, 4) if role.axis == "x" else (1, 5)

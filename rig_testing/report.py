@@ -15,7 +15,7 @@ class NotTried(Exception):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CaseOutcome:
     """One test's outcome.
 
     Attributes:
@@ -34,7 +34,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Report:
+class DriverReport:
     """All outcomes of one driver.
 
     Attributes:
@@ -43,7 +43,7 @@ class Report:
     """
 
     driver: str
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[CaseOutcome, ...]
 
     @property
     def passed(self) -> bool:
@@ -51,7 +51,7 @@ class Report:
         return not self.failed
 
     @property
-    def failed(self) -> tuple[Outcome, ...]:
+    def failed(self) -> tuple[CaseOutcome, ...]:
         """The failed ones."""
         return tuple(outcome for outcome in self.outcomes if not outcome.passed)
 

@@ -30,7 +30,7 @@ _real_get = cast("Callable[..., Any]", queue.Queue.get)  # pyright: ignore[repor
 _real_sleep, _real_monotonic, _real_monotonic_ns = time.sleep, time.monotonic, time.monotonic_ns
 
 
-class WaitNeverEnds(RuntimeError):
+class EndlessWait(RuntimeError):
     """A thread waits without a timeout for an event that does not occur."""
 
 
@@ -104,7 +104,7 @@ class SimulatedTime:
         while not ready():
             if self.now_s >= due - 1e-12:
                 if seconds is None:
-                    raise WaitNeverEnds(
+                    raise EndlessWait(
                         f"waited {_FOREVER_S:g} s of simulated time without a timeout, and nothing happened"
                     )
                 return False

@@ -27,7 +27,7 @@ from daq.acquisition.edge import Edge, real_edge
 from daq.lockstep.rig import LockstepRig
 from daq.transports import HostClock
 from daq.virtual_rig.control import OperatorLine
-from daq.virtual_rig.motion import Motion, Trajectory
+from daq.virtual_rig.motion import SimulatedMotion, StepTrajectory
 from daq.virtual_rig.run import VirtualRig
 from rig_configs.schema import Rig
 
@@ -40,12 +40,12 @@ _READY_S, _GONE_S = 60.0, 20.0
 
 
 @dataclass(frozen=True)
-class Truth:
+class TrueMotion:
     """True motion of the simulated rig.
 
     Attributes:
         time_s: shape (n,), rig time.
-        rows: shape (n, 10), see `daq.virtual_rig.motion.Trajectory`.
+        rows: shape (n, 10), see `daq.virtual_rig.motion.StepTrajectory`.
         zero_ns: start of the rig's time on the host's clock.
         target_rad_s: last target of the drive.
     """
@@ -89,7 +89,7 @@ class Stage(Protocol):
         """Suspend the host for so long."""
         ...
 
-    def end(self) -> Truth:
+    def end(self) -> TrueMotion:
         """Continue the simulation for a while and return the truth."""
         ...
 
@@ -101,11 +101,11 @@ class Stage(Protocol):
 class _Kept:
     """Keeps the whole motion of a simulated rig."""
 
-    def __init__(self, motion: Motion) -> None:
-        self._stretches: list[Trajectory] = []
+    def __init__(self, motion: SimulatedMotion) -> None:
+        self._stretches: list[StepTrajectory] = []
         advance = motion.advance
 
-        def kept(until_s: float) -> Trajectory | None:
+        def kept(until_s: float) -> StepTrajectory | None:
             stretch = advance(until_s)
             if stretch is not None:
                 self._stretches.append(stretch)
@@ -151,13 +151,13 @@ class LockstepStage:
         """See Stage."""
         self.clock.busy(seconds)
 
-    def end(self) -> Truth:
+    def end(self) -> TrueMotion:
         """See Stage."""
         self._sim.turn_s = _COARSE_S
         self.clock.wait(AFTER_S)
         time_s, rows = self._kept.arrays()
         zero_ns = self.clock.now_ns() - round(self.clock.wall_s() * 1e9)
-        return Truth(time_s, rows, zero_ns, float(self._sim.far.motion.target_rad_s))
+        return TrueMotion(time_s, rows, zero_ns, float(self._sim.far.motion.target_rad_s))
 
     def close(self) -> None:
         """See Stage."""
@@ -218,7 +218,7 @@ class RealTimeStage:
         own = os.getpid()
         subprocess.run(["/bin/sh", "-c", f"kill -STOP {own}; sleep {seconds:.3f}; kill -CONT {own}"], check=True)
 
-    def end(self) -> Truth:
+    def end(self) -> TrueMotion:
         """See Stage."""
         for timer in self._timers:
             timer.cancel()
@@ -230,7 +230,7 @@ class RealTimeStage:
             self._line.ask("quit")
         self._process.join(_GONE_S)
         with np.load(self._truth) as kept:
-            return Truth(kept["time_s"], kept["rows"], int(kept["zero_ns"]), float(kept["target_rad_s"]))
+            return TrueMotion(kept["time_s"], kept["rows"], int(kept["zero_ns"]), float(kept["target_rad_s"]))
 
     def close(self) -> None:
         """See Stage."""

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from daq.channels import Channel
 from daq.drivers.contract import Driver, Pipeline, SampleClock, TurnsRotor, claims_of
-from daq.items import Batch, Event, joined
+from daq.items import Batch, DeviceEvent, joined
 from rig_configs.device import DeviceSettings
 from rig_configs.roles import (
-    Displacement,
+    DisplacementSensor,
     OtherQuantity,
     PendulumAngles,
     PendulumLocks,
@@ -22,7 +22,7 @@ from rig_configs.roles import (
     RotorPhase,
     SpeedSource,
 )
-from rig_testing.bench import NAME, Bench, Items, Tape, decoded, settings_for
+from rig_testing.bench import NAME, DriverBench, Items, Tape, decoded, settings_for
 from rig_testing.report import Failed
 
 SPEED_RPM, RAMP_RPM_S = 200.0, 400.0
@@ -100,7 +100,7 @@ class Subject:
         Raises:
             Failed: the device cannot be opened or does not accept commands.
         """
-        bench = Bench(self.driver, seed, clock_at_s)
+        bench = DriverBench(self.driver, seed, clock_at_s)
         with bench.running():
             try:
                 bench.begin()
@@ -116,7 +116,7 @@ class Subject:
         """Decode reads of the tape's device by a fresh pipeline."""
         return decoded(self.driver, self.settings, self.tape.identity, reads)
 
-    def rows(self, items: Iterable[Batch | Event], topic: str) -> NDArray[np.float64]:
+    def rows(self, items: Iterable[Batch | DeviceEvent], topic: str) -> NDArray[np.float64]:
         """Return the measured values, shape (samples, fields)."""
         whole = together(items, topic)
         fields = self.measured().get(topic, ())
@@ -125,7 +125,7 @@ class Subject:
         return np.column_stack([np.asarray(whole.columns[name], np.float64) for name in fields])
 
 
-def turn(bench: Bench) -> None:
+def turn(bench: DriverBench) -> None:
     """Command a speed source to turn the rotor."""
     assert bench.control is not None
     assert isinstance(bench.driver, TurnsRotor)
@@ -135,9 +135,9 @@ def turn(bench: Bench) -> None:
     bench.control.set_speed(SPEED_RPM)
 
 
-def _fields(role: Displacement | PendulumAngles | RotorPhase | SpeedSource | OtherQuantity) -> tuple[str, ...]:
+def _fields(role: DisplacementSensor | PendulumAngles | RotorPhase | SpeedSource | OtherQuantity) -> tuple[str, ...]:
     match role:
-        case Displacement():
+        case DisplacementSensor():
             return ("displacement_m",)
         case PendulumAngles():
             return ("theta3_rad", "theta4_rad")
@@ -149,15 +149,15 @@ def _fields(role: Displacement | PendulumAngles | RotorPhase | SpeedSource | Oth
             return role.fields
 
 
-def together(items: Iterable[Batch | Event], topic: str) -> Batch | None:
+def together(items: Iterable[Batch | DeviceEvent], topic: str) -> Batch | None:
     """Return all batches of a channel as one; None without any."""
     batches = [item for item in items if isinstance(item, Batch) and item.channel.topic == topic]
     return joined([(batch, 0) for batch in batches])[0] if batches else None
 
 
-def events(items: Iterable[Batch | Event], *kinds: str) -> list[Event]:
+def events(items: Iterable[Batch | DeviceEvent], *kinds: str) -> list[DeviceEvent]:
     """Return events of the given kinds; without kinds, all that report trouble."""
-    return [item for item in items if isinstance(item, Event) and item.kind in (kinds or _TROUBLE)]
+    return [item for item in items if isinstance(item, DeviceEvent) and item.kind in (kinds or _TROUBLE)]
 
 
 def lost(before: dict[str, int], after: dict[str, int]) -> dict[str, int]:

@@ -92,7 +92,7 @@ def _points(text: str) -> tuple[Plane, NDArray[np.float64], NDArray[np.float64]]
     return (question.plane(), x, y) if at is None else (question.plane(), x[at], y[at])
 
 
-class Releases:
+class ReleaseStudy:
     """Kind of study: arrays of `analysis.maps.states.states_at`, shape (points,)."""
 
     uses_threads = True
@@ -132,4 +132,4 @@ def assembled(folder: TileFolder, question: MapQuestion) -> StateMap:
     return StateMap(question, question.x.values, question.y.values, arrays)
 
 
-KIND = Releases()
+KIND = ReleaseStudy()

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daq.errors import RecordingError
-from daq.log.verdicts import Verdict, digest_of, keep_verdict
+from daq.log.verdicts import LoggedVerdict, digest_of, keep_verdict
 from daq.signals.run import Run, load_run
 from daq.version import software_version
 
@@ -78,7 +78,7 @@ def keep_verdicts(found: Validation, runs: Sequence[Run], parameters: str) -> li
     for name, point in [*found.points.items(), *repeated]:
         if point.source not in digests:  # the point has no log
             continue
-        verdict = Verdict(
+        verdict = LoggedVerdict(
             verdict=point.verdict,
             state=point.state,
             why=point.why,

@@ -13,7 +13,7 @@ from uncertainty.group import Group, Input
 from uncertainty.linear_check import LinearCheck, check_linear
 from uncertainty.monte_carlo import monte_carlo
 from uncertainty.sensitivities import linear_budgets, second_order_variance
-from uncertainty.source import Source, reliability_degrees
+from uncertainty.source import ErrorSource, reliability_degrees
 from uncertainty.spread import MonteCarlo, Spread
 
 __all__ = [
@@ -22,12 +22,12 @@ __all__ = [
     "Budget",
     "Budgets",
     "Contribution",
+    "ErrorSource",
     "Group",
     "GroupContribution",
     "Input",
     "LinearCheck",
     "MonteCarlo",
-    "Source",
     "Spread",
     "TooManyTrials",
     "UncertaintyError",

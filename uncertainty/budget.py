@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from uncertainty.coverage import Interval, coverage_factor
 from uncertainty.errors import BadInput
 from uncertainty.group import Group, Input, correlation_of
-from uncertainty.source import Source
+from uncertainty.source import ErrorSource
 
 REPORT_LEVEL = 0.95
 
@@ -27,7 +27,7 @@ class Contribution:
         sensitivity: derivative of the quantity by the source, c, in the quantity's unit over the source's.
     """
 
-    source: Source
+    source: ErrorSource
     sensitivity: float
 
     @property

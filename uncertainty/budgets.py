@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from uncertainty.budget import AnyContribution, Budget, Contribution, GroupContribution, check_names
 from uncertainty.errors import BadInput
 from uncertainty.group import Input
-from uncertainty.source import Source
+from uncertainty.source import ErrorSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class Budgets:
             row = tuple(float(c) for c in self.sensitivities[i, column : column + source.width])
             column += source.width
             contributions.append(
-                Contribution(source, row[0]) if isinstance(source, Source) else GroupContribution(source, row)
+                Contribution(source, row[0]) if isinstance(source, ErrorSource) else GroupContribution(source, row)
             )
         return Budget(name, float(self.values[i]), self.units[i], tuple(contributions))
 

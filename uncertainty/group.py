@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from uncertainty.errors import BadInput
-from uncertainty.source import Kind, Source, check_standing
+from uncertainty.source import ErrorSource, Kind, check_standing
 
 JointDistribution = Literal["normal", "t"]
 
@@ -112,7 +112,7 @@ class Group:
         return np.asarray(errors, dtype=np.float64)
 
 
-Input = Source | Group
+Input = ErrorSource | Group
 """A source of error: one column of a table of errors, or several correlated columns."""
 
 

@@ -12,7 +12,7 @@ from uncertainty.budgets import Budgets
 from uncertainty.errors import BadInput
 from uncertainty.group import Input
 from uncertainty.model import Model, values_of
-from uncertainty.source import Source
+from uncertainty.source import ErrorSource
 
 
 def linear_budgets(
@@ -43,7 +43,7 @@ def linear_budgets(
     return Budgets(tuple(names), values[0], tuple(units), tuple(sources), table)
 
 
-def second_order_variance(model: Model, sources: Sequence[Source]) -> NDArray[np.float64]:
+def second_order_variance(model: Model, sources: Sequence[ErrorSource]) -> NDArray[np.float64]:
     """Return the second-order terms of the variances of a model's quantities, shape (quantities,).
 
     The terms are Σ_i Σ_j [½ c_ij² + c_i c_ijj] u_i² u_j², with derivatives by differences over one and two standard

@@ -21,7 +21,7 @@ _HALF_WIDTH = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "arc
 
 
 @dataclass(frozen=True)
-class Source:
+class ErrorSource:
     """An independent source of error with expectation zero.
 
     Attributes:
@@ -56,7 +56,7 @@ class Source:
             )
 
     @classmethod
-    def of_readings(cls, name: str, readings: ArrayLike, unit: str = "") -> Source:
+    def of_readings(cls, name: str, readings: ArrayLike, unit: str = "") -> ErrorSource:
         """Create a type A source from the mean of independent readings: s/√n with n − 1 degrees of freedom.
 
         Args:
@@ -82,7 +82,7 @@ class Source:
         unit: str = "",
         distribution: Distribution = "rectangular",
         degrees_of_freedom: float = math.inf,
-    ) -> Source:
+    ) -> ErrorSource:
         """Create a type B source from a bounded error of known half-width.
 
         Args:

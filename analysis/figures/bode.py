@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from analysis.figures.intervals import TIMES, band, interval_words, phase_half_deg
-from analysis.figures.order_vectors import Vectors, amplification_words, cut_words, passed_vectors
+from analysis.figures.order_vectors import OrderVectors, amplification_words, cut_words, passed_vectors
 from analysis.figures.sheet import (
     AMPLITUDE,
     MEASURED_LOOK,
@@ -78,7 +78,7 @@ def _of(model: RigModel | None) -> str:
     return "" if model is None else model.name
 
 
-def _draw(upper: Axes, lower: Axes, found: Vectors, level: Vectors, look: Look, text: str) -> None:
+def _draw(upper: Axes, lower: Axes, found: OrderVectors, level: OrderVectors, look: Look, text: str) -> None:
     speed, phase, size = TO_RPM * found.speed_rad_s, found.phase_deg(level), 1e3 * np.abs(found.amplitude_m)
     upper.plot(speed, phase, **look)
     lower.plot(speed, size, label=text, **look)

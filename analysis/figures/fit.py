@@ -58,7 +58,7 @@ class FitCurve:
         return _SMALLER[self.unit] if fine else (self.unit, 1.0)
 
 
-class Fitted(Protocol):
+class FittedSignal(Protocol):
     """A measured signal with its fit, as returned by the identification."""
 
     @property
@@ -91,7 +91,7 @@ class Fit(Protocol):
     """A fit with its signals."""
 
     @property
-    def curves(self) -> Sequence[Fitted]:
+    def curves(self) -> Sequence[FittedSignal]:
         """Signals of the fit."""
         ...
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from analysis.figures.order_vectors import Vectors
+from analysis.figures.order_vectors import OrderVectors
 from rig_basics.arrays import Array
 
 TIMES = 1.96
@@ -31,13 +31,13 @@ def area(axes: Axes, x: Array, y: Array, colour: str) -> None:
     axes.fill(x, y, color=colour, label=NAME, **_LOOK)
 
 
-def phase_half_deg(found: Vectors) -> Array:
+def phase_half_deg(found: OrderVectors) -> Array:
     """Return half of the 95 % interval of the phase, °, at most 180, shape (n,)."""
     size = np.maximum(np.abs(found.amplitude_m), 1e-300)
     return np.minimum(np.degrees(TIMES * found.std_m / size), 180.0)
 
 
-def interval_words(measured: Mapping[str, Vectors]) -> list[str]:
+def interval_words(measured: Mapping[str, OrderVectors]) -> list[str]:
     """Describe the widths of the intervals of vectors in a sentence."""
     widths: list[str] = []
     for name, found in measured.items():

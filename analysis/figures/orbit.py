@@ -15,8 +15,8 @@ from matplotlib.ticker import FixedLocator, MaxNLocator
 from analysis.figures.intervals import TIMES, TIMES_IN_PLANE, area, interval_words
 from analysis.figures.order_vectors import (
     ByName,
+    OrderVectors,
     PassedVectors,
-    Vectors,
     changes_speed,
     passed_vectors,
     vectors_at_end,
@@ -125,7 +125,7 @@ def _steady_model(run: Run, part: SteadyPart, model: RigModel | None) -> ByName:
     if not np.isfinite(shown).all():
         return {}
     speed = np.array([part.speed_rad_s])
-    return {name: Vectors(speed, np.array([value]), np.zeros(1)) for name, value in zip("xy", shown, strict=True)}
+    return {name: OrderVectors(speed, np.array([value]), np.zeros(1)) for name, value in zip("xy", shown, strict=True)}
 
 
 def _ellipse_of(found: ByName, speed_rad_s: float | None = None) -> OrbitEllipse:
@@ -182,7 +182,7 @@ def _within(found: ByName, speed_rad_s: float) -> bool:
     return all(v.speed_rad_s.min() <= speed_rad_s <= v.speed_rad_s.max() for v in found.values())
 
 
-def _at(found: Vectors, speed: float) -> complex:
+def _at(found: OrderVectors, speed: float) -> complex:
     """Return the vector at a speed."""
     return complex(
         np.interp(speed, found.speed_rad_s, found.amplitude_m.real),

@@ -29,7 +29,7 @@ _MIN_PHASE_STDS = 3.0  # amplitude in standard deviations above which a vector h
 
 
 @dataclass(frozen=True)
-class Vectors:
+class OrderVectors:
     """Complex 1× amplitudes of one displacement over speed.
 
     Attributes:
@@ -42,7 +42,7 @@ class Vectors:
     amplitude_m: Complex
     std_m: Array
 
-    def phase_deg(self, near: Vectors | None = None) -> Array:
+    def phase_deg(self, near: OrderVectors | None = None) -> Array:
         """Return the phase, unwrapped along the speed; NaN where the amplitude is lost in its noise.
 
         Args:
@@ -57,7 +57,7 @@ class Vectors:
         return np.where(np.abs(self.amplitude_m) > _MIN_PHASE_STDS * self.std_m, phase, np.nan)
 
 
-ByName = dict[str, Vectors]
+ByName = dict[str, OrderVectors]
 
 
 @dataclass(frozen=True)
@@ -173,12 +173,12 @@ def simulated_vectors(simulated: SimulatedRun) -> ByName:
     }
 
 
-def _tracked(source: str, time: Array, values: Array, phase: Array) -> Vectors:
+def _tracked(source: str, time: Array, values: Array, phase: Array) -> OrderVectors:
     try:
         track = order_track(time, values, phase)
     except ValueError as error:
         raise NotEnoughData(f"{source}: {error}") from error
-    return Vectors(track.speed_rad_s, *track.of(1))
+    return OrderVectors(track.speed_rad_s, *track.of(1))
 
 
 def steady_vectors(model: RigModel, run: Run) -> ByName:
@@ -188,7 +188,7 @@ def steady_vectors(model: RigModel, run: Run) -> ByName:
     x, y = model.locked(speed, locked_angles(run))
     there = np.isfinite(x)
     nothing = np.zeros(int(there.sum()))
-    return {name: Vectors(speed[there], values[there], nothing) for name, values in (("x", x), ("y", y))}
+    return {name: OrderVectors(speed[there], values[there], nothing) for name, values in (("x", x), ("y", y))}
 
 
 def vectors_at_end(run: Run, part: SteadyPart) -> ByName:
@@ -230,13 +230,13 @@ def compared_vectors(run: Run, simulated: SimulatedRun | None) -> PassedVectors 
         return None
 
 
-def _mean(source: str, time: Array, values: Array, phase: Array, speed_rad_s: float) -> Vectors:
+def _mean(source: str, time: Array, values: Array, phase: Array, speed_rad_s: float) -> OrderVectors:
     try:
         track = order_track(time, values, phase, revolutions=_WINDOW_TURNS)
     except ValueError as error:
         raise NotEnoughData(f"{source}: {error}") from error
     amplitude, std = track.mean(1)
-    return Vectors(np.array([speed_rad_s]), np.array([amplitude]), np.array([std]))
+    return OrderVectors(np.array([speed_rad_s]), np.array([amplitude]), np.array([std]))
 
 
 def passed_vectors(run: Run, model: RigModel | None) -> PassedVectors:

@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from analysis.errors import NotEnoughData
-from analysis.figures.passages import Displacement, Passage, passages
+from analysis.figures.passages import Passage, PassageSignal, passages
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.style import label
 from analysis.quantities.order_maps import OrderMap, order_map
@@ -75,7 +75,7 @@ def _rising(level: Array) -> Array:
     return np.asarray(np.maximum.accumulate(level) + least, np.float64)
 
 
-def _map(passage: Passage, signal: Displacement) -> OrderMap:
+def _map(passage: Passage, signal: PassageSignal) -> OrderMap:
     try:
         return order_map(
             signal.time_s, signal.value_m, signal.phase_rad, revolutions=_REVOLUTIONS, highest=_HIGHEST + 0.5

@@ -19,7 +19,7 @@ from rig_basics.units import TO_RPM
 
 
 @dataclass(frozen=True)
-class Displacement:
+class PassageSignal:
     """One displacement over time with the rotor's phase: shapes (n,); s, m, rad."""
 
     time_s: Array
@@ -40,7 +40,7 @@ class Passage:
     """
 
     title: str
-    signals: dict[str, Displacement]
+    signals: dict[str, PassageSignal]
     run: Run
     by_speed: bool
     is_model: bool = False
@@ -71,7 +71,7 @@ def passages(run: Run, model: RigModel | None, over: Run | None) -> list[Passage
     simulated = None if model is None else simulate_run(run, model)
     if model is not None and simulated is not None:
         signals = {
-            name: Displacement(simulated.time_s, values, simulated.phase_rad)
+            name: PassageSignal(simulated.time_s, values, simulated.phase_rad)
             for name, values in (("x", simulated.x_m), ("y", simulated.y_m))
             if name in found[0].signals
         }
@@ -82,7 +82,7 @@ def passages(run: Run, model: RigModel | None, over: Run | None) -> list[Passage
 def _measured(run: Run, title: str) -> Passage:
     by_speed = changes_speed(run)
     signals = {
-        name: Displacement(time, values, phase_at(run, time))
+        name: PassageSignal(time, values, phase_at(run, time))
         for name, time, values in (("x", run.x_time_s, run.x_m), ("y", run.y_time_s, run.y_m))
         if np.isfinite(values).any()
     }

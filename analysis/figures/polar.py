@@ -13,7 +13,7 @@ from matplotlib.projections.polar import PolarAxes
 from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]
 
 from analysis.figures.intervals import TIMES_IN_PLANE, area, interval_words
-from analysis.figures.order_vectors import Vectors, cut_words, passed_vectors
+from analysis.figures.order_vectors import OrderVectors, cut_words, passed_vectors
 from analysis.figures.sheet import (
     LEAST_FONT_PT,
     MEASURED_LOOK,
@@ -80,13 +80,13 @@ def draw_polar(run: Run, model: RigModel | None = None, over: Run | None = None)
     return figure
 
 
-def _curve(axes: Axes, found: Vectors, look: Look, text: str, top: float) -> None:
+def _curve(axes: Axes, found: OrderVectors, look: Look, text: str, top: float) -> None:
     vectors = _smooth(found.amplitude_m)
     radius = 1e3 * np.abs(vectors)
     axes.plot(np.unwrap(np.angle(vectors)), np.where(radius <= top, radius, np.nan), label=text, **look)
 
 
-def _circles(axes: Axes, found: Vectors, top: float, colour: str) -> None:
+def _circles(axes: Axes, found: OrderVectors, top: float, colour: str) -> None:
     """Draw a 95 % circle about each vector whose circle is wider than the curve."""
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, 73))
     for amplitude, std in zip(found.amplitude_m.tolist(), found.std_m.tolist(), strict=True):
@@ -119,7 +119,7 @@ def _scales(axes: Axes, top: float, written: Sequence[complex]) -> None:
     axes.spines["polar"].set_visible(True)
 
 
-def _speeds(axes: Axes, found: Vectors, top: float) -> list[complex]:
+def _speeds(axes: Axes, found: OrderVectors, top: float) -> list[complex]:
     """Write speeds along the curve without overlap; return the positions of numbers and curve, by the radius."""
     vectors = _smooth(found.amplitude_m)
     rows = np.arange(len(found.speed_rad_s))

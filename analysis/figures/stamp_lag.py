@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.figures.order_vectors import PassedVectors, Vectors
+from analysis.figures.order_vectors import OrderVectors, PassedVectors
 from rig_basics.arrays import Array, Complex
 from rig_basics.units import TO_RPM
 
@@ -78,7 +78,7 @@ def _one_speed_words(found: PassedVectors) -> list[str]:
     ]
 
 
-def _lag_word(name: str, model: Vectors, measured: Vectors) -> tuple[str, bool]:
+def _lag_word(name: str, model: OrderVectors, measured: OrderVectors) -> tuple[str, bool]:
     """Describe a displacement's lag, and whether it is one; else the residual of a line. Empty with too few vectors."""
     speed, simulated = measured.speed_rad_s, _complex_interp(measured.speed_rad_s, model)
     ahead = np.angle(measured.amplitude_m * np.conj(simulated))
@@ -100,7 +100,7 @@ def _lag_word(name: str, model: Vectors, measured: Vectors) -> tuple[str, bool]:
     return f"{name} {1e3 * abs(lag):.2f} ± {max(1e3 * std, 0.01):.2f} ms {'late' if lag > 0 else 'early'}", True
 
 
-def _complex_interp(speed: Array, found: Vectors) -> Complex:
+def _complex_interp(speed: Array, found: OrderVectors) -> Complex:
     order = np.argsort(found.speed_rad_s)
     at, values = found.speed_rad_s[order], found.amplitude_m[order]
     return np.interp(speed, at, values.real) + 1j * np.interp(speed, at, values.imag)

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from analysis.errors import NotEnoughData
-from analysis.figures.passages import Displacement, Passage, passages
+from analysis.figures.passages import Passage, PassageSignal, passages
 from analysis.figures.sheet import LEAST_FONT_PT, WIDTH_IN, sheet
 from analysis.figures.style import MEASURED, MODEL, label
 from analysis.quantities.spectra import amplitude_spectrum
@@ -115,7 +115,7 @@ def _top_Hz(passage: Passage) -> float:
     return _ORDER_SHARE * float(np.max(np.diff(passage.run.mark_phase_rad) / np.diff(marks))) / (2 * math.pi)
 
 
-def _cascade(passage: Passage, signal: Displacement, window_s: float, top_Hz: float, name: str) -> _Cascade:
+def _cascade(passage: Passage, signal: PassageSignal, window_s: float, top_Hz: float, name: str) -> _Cascade:
     first, last = float(passage.run.mark_time_s[0]), float(passage.run.mark_time_s[-1])
     fine = np.linspace(max(first, signal.time_s[0]) + window_s / 2, min(last, signal.time_s[-1]) - window_s / 2, 2000)
     if fine[-1] <= fine[0]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from analysis.maps.answers import MapAnswer, answer
     from analysis.maps.axes import MapAxis
-    from analysis.maps.families import BestValue, Family, SearchRange
+    from analysis.maps.families import BestValue, BorderFamily, SearchRange
     from analysis.maps.files import load_map, write_map
     from analysis.maps.question import MapQuestion, parameters_source, rig_source
     from analysis.maps.records import MapRecord, record
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BestValue",
-    "Family",
+    "BorderFamily",
     "MapAnswer",
     "MapAxis",
     "MapQuestion",

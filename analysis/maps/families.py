@@ -20,7 +20,7 @@ _SEARCH_TOLERANCE = 2e-3  # of the bounded search, relative to its interval
 
 
 @dataclass(frozen=True)
-class Family:
+class BorderFamily:
     """Values of a number for which borders are followed.
 
     Attributes:
@@ -49,7 +49,7 @@ class Family:
         return {"keys": list(self.keys), "values": list(self.values)}
 
     @classmethod
-    def of_json(cls, table: Mapping[str, Any]) -> Family:
+    def of_json(cls, table: Mapping[str, Any]) -> BorderFamily:
         """Return the family of an `as_json` table."""
         return cls(tuple(map(str, table["keys"])), tuple(map(float, table["values"])))
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, Self, cast
 
 from analysis.maps.axes import STIFFNESS_RATIO, MapAxis
-from analysis.maps.families import Family, SearchRange
+from analysis.maps.families import BorderFamily, SearchRange
 from analysis.maps.planes import plane_over
 from dynamics.stability.map_plane import Plane
 from rig_basics.units import RPM
@@ -86,7 +86,7 @@ class MapQuestion:
     accuracy: float = 1e-8
     borders: bool = False
     refine: int = 0
-    family: Family | None = None
+    family: BorderFamily | None = None
     best: SearchRange | None = None
     seconds: float = 20.0
 
@@ -188,7 +188,7 @@ class MapQuestion:
             float(table["accuracy"]),
             bool(table["borders"]),
             int(table["refine"]),
-            None if family is None else Family.of_json(family),
+            None if family is None else BorderFamily.of_json(family),
             None if best is None else SearchRange.of_json(best),
             float(table["seconds"]),
         )

@@ -118,7 +118,7 @@ def fit_envelopes(
         knots = max(8, math.ceil(duration / (finer * knot_s)))
         step = duration / knots * (1 + 1e-12)
         phasors, products = _moments(time_s, normalised, phase_rad, float(time_s[0]), step, knots, orders)
-        equations = Equations(
+        equations = NormalEquations(
             *_normal_equations(phasors, products, orders),
             float(normalised @ normalised),
             len(signal),
@@ -141,7 +141,7 @@ def fit_envelopes(
 
 
 @dataclass(frozen=True)
-class Equations:
+class NormalEquations:
     """Normal equations: lower band of XᵀX by columns (N, 4 m), Xᵀx (N,), xᵀx, number of samples, least variance."""
 
     gram: Array
@@ -184,7 +184,7 @@ def _least_weights(turns: Array, width: float) -> Array:
 
 
 def _restricted_likelihood(
-    equations: Equations, least: Array, m: int, begin: Array | None
+    equations: NormalEquations, least: Array, m: int, begin: Array | None
 ) -> tuple[_Posterior, Array, bool]:
     """Return the envelopes at the weights that maximise the restricted likelihood, the weights, and whether to stop.
 
@@ -214,7 +214,7 @@ def _restricted_likelihood(
     return found, weights, bool((weights > _RESOLVED * data).all())
 
 
-def _posterior(equations: Equations, weights: Array, floor: Array, owner: NDArray[np.int64]) -> _Posterior:
+def _posterior(equations: NormalEquations, weights: Array, floor: Array, owner: NDArray[np.int64]) -> _Posterior:
     """Return the envelopes at weights of their parts, (parts,), above a floor, (parts, knots)."""
     own = weights[:, None] + floor
     m, columns = len(owner), np.bincount(owner)

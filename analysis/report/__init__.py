@@ -5,9 +5,9 @@ from analysis.report.campaign import (
     Campaign,
     Changes,
     ConsistencyCheck,
-    Identification,
     IdentificationResult,
     ParameterChange,
+    ReportedIdentification,
     TestEstimate,
 )
 from analysis.report.twin import twin
@@ -18,9 +18,9 @@ __all__ = [
     "Changes",
     "ConsistencyCheck",
     "FitCurve",
-    "Identification",
     "IdentificationResult",
     "ParameterChange",
+    "ReportedIdentification",
     "TestEstimate",
     "render",
     "twin",

@@ -66,7 +66,7 @@ class Changes:
     notes: Sequence[str] = ()
 
 
-class Identification(Protocol):
+class ReportedIdentification(Protocol):
     """Result of an identification as the report uses it."""
 
     @property
@@ -131,7 +131,7 @@ class Campaign:
     title: str
     rig: Rig
     runs: Sequence[Run]
-    identification: Identification
+    identification: ReportedIdentification
     validation: Validation | None = None
     axis_angle_deg: tuple[float, float] | None = None
     devices: Mapping[str, Mapping[str, str]] = field(default_factory=dict[str, Mapping[str, str]])

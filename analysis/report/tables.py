@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.noticed import Noticed
+from analysis.noticed import DetectableSizes
 from analysis.report.campaign import Campaign, ParameterChange
 from analysis.results import PointResult
 from analysis.rounding import plain, signed, with_std
@@ -199,7 +199,7 @@ def noticed_rows(campaign: Campaign) -> list[dict[str, Any]]:
     ]
 
 
-def _size(size: float, one: Noticed) -> str:
+def _size(size: float, one: DetectableSizes) -> str:
     shown = size * one.cause.factor
     return f"{plain(shown, 2)} {one.cause.unit}" if shown < _MAX_SIZE else "–"
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from daq.items import Event
+from daq.items import DeviceEvent
 
 HOST = "host"
 """Device name in events of the host. A replay does not expect these events, since no device's bytes contain them."""
@@ -62,7 +62,7 @@ class ChannelWatch:
                 channel.heard_ns = now_ns
         self._newest_ns = max(self._newest_ns, now_ns if expected else 0)
 
-    def heard(self, topic: str, host_ns: int) -> Event | None:
+    def heard(self, topic: str, host_ns: int) -> DeviceEvent | None:
         """Register samples of a channel. Return the event that ends its silence, or None if it was not silent."""
         channel = self._channels.get(topic)
         if channel is None:
@@ -71,9 +71,9 @@ class ChannelWatch:
         channel.heard_ns, channel.suspect_ns = host_ns, None
         return self._over(topic, channel, host_ns, "samples again after")
 
-    def tick(self, now_ns: int) -> list[Event]:
+    def tick(self, now_ns: int) -> list[DeviceEvent]:
         """Check the deadlines. Return an event for each silence that has begun."""
-        out: list[Event] = []
+        out: list[DeviceEvent] = []
         for topic, channel in self._channels.items():
             if channel.since_ns is not None or self._late_ns(channel, now_ns) <= channel.deadline_ns:
                 continue
@@ -85,21 +85,21 @@ class ChannelWatch:
             out += self.miss(topic, channel.heard_ns, f"no sample for {(now_ns - channel.heard_ns) * 1e-9:.1f} s")
         return out
 
-    def miss(self, topic: str, since_ns: int, why: str) -> list[Event]:
+    def miss(self, topic: str, since_ns: int, why: str) -> list[DeviceEvent]:
         """Register a silence since an instant. Return its event, or nothing if the channel is silent already."""
         channel = self._channels[topic]
         if channel.since_ns is not None:
             return []
         channel.since_ns = max(since_ns, self._begun_ns)
         facts = {"of": channel.device, "channel": topic, "since_ns": channel.since_ns}
-        return [Event("silence", HOST, f"{topic}: silent, {why}", facts)]
+        return [DeviceEvent("silence", HOST, f"{topic}: silent, {why}", facts)]
 
-    def excuse(self, topic: str, now_ns: int) -> list[Event]:
+    def excuse(self, topic: str, now_ns: int) -> list[DeviceEvent]:
         """End the silence of a channel that is no longer due. Return its event, if there was a silence."""
         event = self._over(topic, self._channels[topic], now_ns, "no longer due, after")
         return [] if event is None else [event]
 
-    def end(self, now_ns: int) -> list[Event]:
+    def end(self, now_ns: int) -> list[DeviceEvent]:
         """End the silences with the log. Return their events."""
         ended = [self._over(t, c, now_ns, "still silent as the log ends, after") for t, c in self._channels.items()]
         return [event for event in ended if event is not None]
@@ -126,7 +126,7 @@ class ChannelWatch:
             return 0
         return max(self._newest_ns, now_ns - self._all_ns) - channel.heard_ns
 
-    def _over(self, topic: str, channel: _Channel, now_ns: int, how: str) -> Event | None:
+    def _over(self, topic: str, channel: _Channel, now_ns: int, how: str) -> DeviceEvent | None:
         if channel.since_ns is None:
             return None
         lasted_ns = max(0, now_ns - channel.since_ns)
@@ -134,7 +134,7 @@ class ChannelWatch:
         channel.since_ns = None
         kind = f"{topic.replace('/', '_')}_silent_ms"
         facts = {"of": channel.device, "channel": topic, kind: lasted_ns // 1_000_000, "span_s": lasted_ns * 1e-9}
-        return Event("silence", HOST, f"{topic}: {how} {lasted_ns * 1e-9:.1f} s without a sample", facts)
+        return DeviceEvent("silence", HOST, f"{topic}: {how} {lasted_ns * 1e-9:.1f} s without a sample", facts)
 
 
 def _ns(seconds: float) -> int:

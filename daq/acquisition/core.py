@@ -24,7 +24,7 @@ from daq.acquisition.trips import Trips
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import channels_of, devices_of
 from daq.errors import DeviceError, LinkLost, ProcedureError
-from daq.items import RX, Batch, Event
+from daq.items import RX, Batch, DeviceEvent
 from rig_configs.schema import Rig
 
 KEEP_S = 90.0
@@ -44,7 +44,7 @@ class Keep:
     device: str
     direction: int
     data: bytes
-    items: tuple[Batch | Event, ...]
+    items: tuple[Batch | DeviceEvent, ...]
     host_ns: int
 
 
@@ -52,19 +52,19 @@ class Keep:
 class Happened:
     """Forward an event of a device to the observers and to the dialogue that waits for it."""
 
-    event: Event
+    event: DeviceEvent
 
 
 @dataclass(frozen=True)
 class Note:
     """Write an event of the host to the log."""
 
-    event: Event
+    event: DeviceEvent
     host_ns: int
 
 
 @dataclass(frozen=True)
-class Report:
+class WriteHealth:
     """Write a health report to the log."""
 
     facts: Mapping[str, Any]
@@ -82,7 +82,7 @@ class StopRotor:
     """Stop the rotor with the drive as fast as possible. Without a drive the order has no effect."""
 
 
-Order = Keep | Happened | Note | Report | Warn | StopRotor
+Order = Keep | Happened | Note | WriteHealth | Warn | StopRotor
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ class Core:
             if kept.items:
                 yield kept
 
-    def end(self, now_ns: int) -> tuple[dict[str, Any], list[Event]]:
+    def end(self, now_ns: int) -> tuple[dict[str, Any], list[DeviceEvent]]:
         """End the log.
 
         Returns:
@@ -257,7 +257,7 @@ class Core:
 
     def _decoded(self, device: str, direction: int, data: bytes, host_ns: int) -> Keep:
         """Decode bytes. If the decoder fails, the bytes are kept and the device is no longer decoded."""
-        found: list[Batch | Event] = []
+        found: list[Batch | DeviceEvent] = []
         if device not in self._undecodable:
             try:
                 found = self.pipelines[device].feed(direction, data, host_ns)
@@ -265,18 +265,18 @@ class Core:
             except Exception as error:  # a bug of the decoder
                 self._undecodable.add(device)
                 text = f"{device}: its bytes are kept, but no longer decoded ({type(error).__name__}: {error})"
-                found = [Event("undecodable", HOST, text, {"of": device})]
+                found = [DeviceEvent("undecodable", HOST, text, {"of": device})]
         return Keep(device, direction, data, tuple(found), host_ns)
 
-    def _emergency(self, event: Event) -> Iterator[Order]:
+    def _emergency(self, event: DeviceEvent) -> Iterator[Order]:
         words = self._known[event.device].driver.words(event)
         if words and not self.closing:
             yield from self.warn(f"{event.device}: emergency {words}. The run is not clean")
 
-    def _act_on(self, found: Iterable[Event | Stop], host_ns: int) -> Iterator[Order]:
+    def _act_on(self, found: Iterable[DeviceEvent | Stop], host_ns: int) -> Iterator[Order]:
         """Convert findings of the interlocks to orders."""
         for item in found:
-            if isinstance(item, Event):
+            if isinstance(item, DeviceEvent):
                 yield Note(item, host_ns)
             elif self.guarding and self.commanding and not self.lenient:
                 yield from self._tripped(item, host_ns)
@@ -309,7 +309,7 @@ class Core:
         elif first and self.commanding and self.interlocks.turning(now_ns):
             yield Warn(f"STOP THE ROTOR: {error}")
         if first:
-            self._end = Note(Event("stop", HOST, str(error)), now_ns)
+            self._end = Note(DeviceEvent("stop", HOST, str(error)), now_ns)
             yield self._end
 
     def lost(self, device: str, error: Exception, now_ns: int) -> Iterator[Order]:
@@ -327,7 +327,7 @@ class Core:
         if len(self.gone) == len(self._known):  # no device is left
             yield from self.fail(error, now_ns)
             return
-        yield Note(Event("gone", HOST, str(error), {"of": device}), now_ns)
+        yield Note(DeviceEvent("gone", HOST, str(error), {"of": device}), now_ns)
         yield from self.warn(f"{error}. The other devices continue; the program tries to open it again")
 
     def back(self, device: str, port: str, now_ns: int) -> Iterator[Order]:
@@ -335,7 +335,9 @@ class Core:
         self.gone.pop(device, None)
         self.rates.restart(device)
         self._heard_ns[device] = now_ns
-        yield Note(Event("back", HOST, f"{device}: streams again, on {port}", {"of": device, "port": port}), now_ns)
+        yield Note(
+            DeviceEvent("back", HOST, f"{device}: streams again, on {port}", {"of": device, "port": port}), now_ns
+        )
 
     def warn(self, text: str) -> Iterator[Order]:
         """Show a warning to the operator once, and keep it in `notices`."""
@@ -388,7 +390,7 @@ class Core:
         if disk is not None and now_ns >= self._health_ns:
             self._health_ns = now_ns + int(_HEALTH_PERIOD_S * 1e9)
             facts = {"kind": "health", "device": HOST, "text": "", "losses": self.losses(now_ns)}
-            yield Report({**facts, "disk": disk.facts(), "bytes": dict(self.bytes_in)})
+            yield WriteHealth({**facts, "disk": disk.facts(), "bytes": dict(self.bytes_in)})
 
     def _look_at_drive(self, drive: DriveState, now_ns: int) -> Iterator[Order]:
         """Stop a drive that left operation without a command.
@@ -423,7 +425,7 @@ class Core:
             if disk.slow
             else "the disk keeps up again"
         )
-        return Note(Event("disk", HOST, text, disk.facts()), now_ns)
+        return Note(DeviceEvent("disk", HOST, text, disk.facts()), now_ns)
 
     def _look_for_silence(self, now_ns: int) -> Iterator[Order]:
         """Warn of devices that send no bytes. The interlocks decide whether the run ends."""
@@ -432,10 +434,10 @@ class Core:
         certain = silent & self._suspect if self.commanding and self.guarding else set[str]()
         for name in sorted(certain - self.mute):  # found twice, so the host was not suspended
             text = f"{name}: silent for {LINE_S:g} s. Look at its cable, its power, its battery"
-            yield Note(Event("silent", HOST, text, {"of": name}), now_ns)
+            yield Note(DeviceEvent("silent", HOST, text, {"of": name}), now_ns)
             yield from self.warn(text)
         for name in sorted(self.mute - silent - set(self.gone)):
-            yield Note(Event("heard", HOST, f"{name}: heard again", {"of": name}), now_ns)
+            yield Note(DeviceEvent("heard", HOST, f"{name}: heard again", {"of": name}), now_ns)
         self._suspect, self.mute = silent, (self.mute | certain) & silent
 
     # --- state ---------------------------------------------------------------------------------------------------

@@ -1,8 +1,8 @@
 # pyright: strict
 """Comparison of a short observation of an open rig with its rig file: a verdict for each device and check.
 
-The input is the observation (`Look`); the module has no I/O and no clock. Rates are given with their uncertainty. A
-quantity that was not observed is a failed check.
+The input is the observation (`RigObservation`); the module has no I/O and no clock. Rates are given with their
+uncertainty. A quantity that was not observed is a failed check.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from daq.acquisition.lock_positions import flagged, lock_positions, lock_tolerance_deg, misplaced
 from daq.acquisition.rate_watch import Rate
-from daq.drivers.checks import Check, Checks
+from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import FOREIGN
-from daq.items import Event
-from rig_configs.roles import Displacement, PendulumAngles
+from daq.items import DeviceEvent
+from rig_configs.roles import DisplacementSensor, PendulumAngles
 from rig_configs.schema import Limits, Rig
 
 _MAX_INVALID_SHARE = 0.01  # of a laser's samples at rest; single flashes of light are allowed
@@ -54,7 +54,7 @@ class ObservedSpeed:
 
 
 @dataclass(frozen=True)
-class Look:
+class RigObservation:
     """Observation of a rig.
 
     Attributes:
@@ -70,14 +70,14 @@ class Look:
     seconds: float
     rates: Mapping[str, Rate | None]
     losses: Mapping[str, Mapping[str, int]]
-    events: Sequence[Event]
+    events: Sequence[DeviceEvent]
     displacement_m: Mapping[str, NDArray[np.floating]]
     angles: ObservedAngles | None = None
     speed: ObservedSpeed | None = None
     own: Mapping[str, Checks] = field(default_factory=dict[str, Checks])
 
 
-def device_checks(rig: Rig, look: Look) -> dict[str, Checks]:
+def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
     """Return all checks by the device's name in the rig file."""
     out: dict[str, Checks] = {name: {} for name in rig.devices}
     roles = rig.roles
@@ -106,7 +106,7 @@ def passed(checks: Checks) -> bool:
     return all(check.passed for check in checks.values())
 
 
-def common_factor(look: Look) -> float | None:
+def common_factor(look: RigObservation) -> float | None:
     """Return the factor by which all device clocks deviate alike, or None if they do not.
 
     A common factor shows that the host's clock is wrong.
@@ -119,37 +119,37 @@ def common_factor(look: Look) -> float | None:
 
 def _rate_checks(rate: Rate | None, nominal_Hz: float) -> Checks:
     if rate is None:
-        return {"rate_Hz": Check(None, nominal_Hz, False, "too few samples")}
+        return {"rate_Hz": DeviceCheck(None, nominal_Hz, False, "too few samples")}
     bound = f"± {rate.bound_ppm:.0f} ppm in {rate.span_s:.1f} s"
     tolerance = f"± {rate.tolerance_ppm:.0f} ppm of the host's"
     advice = "" if rate.certain else "; a longer check (30 s) reduces the uncertainty"
     return {
-        "rate_Hz": Check(round(rate.rate_Hz, 2), nominal_Hz, rate.rate_ok, bound),
-        "clock_ppm": Check(round(rate.clock_ppm, 1), tolerance, rate.clock_ok, bound + advice),
+        "rate_Hz": DeviceCheck(round(rate.rate_Hz, 2), nominal_Hz, rate.rate_ok, bound),
+        "clock_ppm": DeviceCheck(round(rate.clock_ppm, 1), tolerance, rate.clock_ok, bound + advice),
     }
 
 
-def _displacement(sensor: Displacement, limits: Limits, x: NDArray[np.floating]) -> Checks:
+def _displacement(sensor: DisplacementSensor, limits: Limits, x: NDArray[np.floating]) -> Checks:
     if not len(x):
-        return {"samples": Check(0, "some", False, "no samples received")}
+        return {"samples": DeviceCheck(0, "some", False, "no samples received")}
     invalid = float(np.mean(np.isnan(x)))
     few = invalid <= _MAX_INVALID_SHARE
     note = "" if few else "the sensor detects no target: check beam, distance and surface"
-    out = {"invalid_samples": Check(f"{invalid:.1%}", f"at most {_MAX_INVALID_SHARE:.0%}", few, note)}
+    out = {"invalid_samples": DeviceCheck(f"{invalid:.1%}", f"at most {_MAX_INVALID_SHARE:.0%}", few, note)}
     if invalid == 1.0:
         return out
     at_mm = float(np.nanmedian(x)) * sensor.lever_ratio * 1e3
     room_mm = (0.5 * sensor.range_m - limits.amplitude_m * sensor.lever_ratio) * 1e3
     ok = abs(at_mm) <= room_mm
     note = "" if ok else "move the sensor: limits.amplitude_m exceeds its range at this position"
-    out["from_mid_range_mm"] = Check(round(at_mm, 3), f"within ± {room_mm:.3g}", ok, note)
-    out["peak_to_peak_mm"] = Check(round(float(np.nanmax(x) - np.nanmin(x)) * 1e3, 4), None, True)
+    out["from_mid_range_mm"] = DeviceCheck(round(at_mm, 3), f"within ± {room_mm:.3g}", ok, note)
+    out["peak_to_peak_mm"] = DeviceCheck(round(float(np.nanmax(x) - np.nanmin(x)) * 1e3, 4), None, True)
     return out
 
 
 def _encoders(seen: ObservedAngles) -> Checks:
     faults = flagged(seen.flags)
-    return {"encoder_faults": Check(len(faults), 0, not faults, ". ".join(faults))}
+    return {"encoder_faults": DeviceCheck(len(faults), 0, not faults, ". ".join(faults))}
 
 
 def _locks(angles: PendulumAngles, seen: ObservedAngles) -> Checks:
@@ -162,11 +162,11 @@ def _locks(angles: PendulumAngles, seen: ObservedAngles) -> Checks:
     for name, expected in (("A", 0), ("B", 180)):
         place = known.get(name)
         note = "" if place is not None else "the counter can be checked only with the lock closed"
-        out[f"lock_{name}"] = Check("closed" if place is not None else "open", None, True, note)
+        out[f"lock_{name}"] = DeviceCheck("closed" if place is not None else "open", None, True, note)
         if place is not None:
             advice = "" if place.plausible else misplaced(tuple(known.values()))
             angle = round(expected + place.off_deg, 2)
-            out[f"locked_{name}_deg"] = Check(angle, f"{expected} ± {tolerance:.2g}", place.plausible, advice)
+            out[f"locked_{name}_deg"] = DeviceCheck(angle, f"{expected} ± {tolerance:.2g}", place.plausible, advice)
     return out
 
 
@@ -175,8 +175,8 @@ def _speed(seen: ObservedSpeed, rest_rpm: float) -> Checks:
     at_rest = abs(seen.speed_rpm) <= rest_rpm
     note = "" if at_rest else "its speed is unknown" if math.isnan(seen.speed_rpm) else "the rotor turns"
     return {
-        "speed_reports_Hz": Check(round(seen.reports_Hz, 1), f"at least {_MIN_SPEED_REPORTS_HZ:g}", frequent),
-        "speed_rpm": Check(None if math.isnan(seen.speed_rpm) else round(seen.speed_rpm, 1), 0, at_rest, note),
+        "speed_reports_Hz": DeviceCheck(round(seen.reports_Hz, 1), f"at least {_MIN_SPEED_REPORTS_HZ:g}", frequent),
+        "speed_rpm": DeviceCheck(None if math.isnan(seen.speed_rpm) else round(seen.speed_rpm, 1), 0, at_rest, note),
     }
 
 
@@ -193,14 +193,14 @@ def _losses(lost: Mapping[str, int], on_air: float) -> Checks:
         if kind == "invalid":  # judged as a share of the samples
             continue
         if kind.startswith(FOREIGN):
-            out[kind] = Check(count, None, True, "from other devices, ignored" if count else "")
+            out[kind] = DeviceCheck(count, None, True, "from other devices, ignored" if count else "")
             continue
         by_air = on_air > 0 and kind in ("radio_frames", "samples")
         expected = f"at most {_MAX_RADIO_LOSS_SHARE:.0%} of the samples" if by_air else 0
-        out[f"lost_{kind}"] = Check(count, expected, few if by_air else count == 0)
+        out[f"lost_{kind}"] = DeviceCheck(count, expected, few if by_air else count == 0)
     return out
 
 
-def _restarts(events: Sequence[Event]) -> Checks:
+def _restarts(events: Sequence[DeviceEvent]) -> Checks:
     times = sum(e.kind == "restart" for e in events)
-    return {"restarts": Check(times, 0, not times, "its counters restarted during the check" if times else "")}
+    return {"restarts": DeviceCheck(times, 0, not times, "its counters restarted during the check" if times else "")}

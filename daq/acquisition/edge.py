@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from serial.tools import list_ports
 
 from daq.acquisition.recorder import Disk, RealDisk
-from daq.drivers.contract import Line
+from daq.drivers.contract import DeviceLine
 from daq.transports import Link, open_link
 
 
@@ -23,12 +23,12 @@ class Edge:
         disk: disk to which logs are written.
     """
 
-    connect: Callable[[Line, str], Link]
+    connect: Callable[[DeviceLine, str], Link]
     places: Callable[[str], Sequence[str]]
     disk: Disk
 
 
-def _connect(line: Line, port: str) -> Link:
+def _connect(line: DeviceLine, port: str) -> Link:
     return open_link(port, line.baud, line.bitrate, line.parity)
 
 

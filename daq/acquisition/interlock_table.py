@@ -15,7 +15,7 @@ from typing import Literal
 from daq.acquisition.exceedance import TOGETHER
 from daq.acquisition.rotor_watch import DISAGREE, OVERSPEED, RADIO_S, ROWS_BEYOND, RUNAWAY, TURNS_UNSEEN
 from daq.acquisition.stuck_watch import STILL_S, SWING_M
-from rig_configs.roles import Displacement, PendulumAngles, PendulumLocks, Roles, RotorPhase, SpeedSource
+from rig_configs.roles import DisplacementSensor, PendulumAngles, PendulumLocks, Roles, RotorPhase, SpeedSource
 from rig_configs.schema import Limits
 
 LOOK_S = 0.1
@@ -79,7 +79,7 @@ class Interlock:
         """Return whether a rig has the devices that the interlock needs."""
         played: dict[str, object] = {
             "": True,
-            Displacement.role: roles.displacements,
+            DisplacementSensor.role: roles.displacements,
             PendulumAngles.role: roles.angles,
             RotorPhase.role: roles.phase,
             SpeedSource.role: roles.speed,
@@ -112,7 +112,7 @@ def _displacement_rows() -> Iterator[Interlock]:
         f"limits.amplitude_m, by two of {TOGETHER} samples",
         "limits.amplitude_m",
         "at once",
-        role=Displacement.role,
+        role=DisplacementSensor.role,
     )
     yield Interlock(
         "out of sight",
@@ -120,7 +120,7 @@ def _displacement_rows() -> Iterator[Interlock]:
         f"{GONE_SAMPLES} invalid samples after one beyond {LARGE:g} × limits.amplitude_m",
         "limits.amplitude_m, constant",
         "at once",
-        role=Displacement.role,
+        role=DisplacementSensor.role,
     )
     yield Interlock(
         "blind sensor",
@@ -128,7 +128,7 @@ def _displacement_rows() -> Iterator[Interlock]:
         f"half of the samples invalid over {BLIND_S:g} s",
         "constant",
         f"{BLIND_S:g} s of samples",
-        role=Displacement.role,
+        role=DisplacementSensor.role,
     )
     yield Interlock(
         "stuck sensor",
@@ -136,13 +136,13 @@ def _displacement_rows() -> Iterator[Interlock]:
         f"one reading for {STILL_S:g} s while the other direction moves {SWING_M * 1e6:g} µm",
         "constant",
         f"{STILL_S:g} s of samples",
-        role=Displacement.role,
+        role=DisplacementSensor.role,
     )
 
 
 def _silence_rows() -> Iterator[Interlock]:
     for guards, name, seconds, role in (
-        ("displacement", "silent displacement", DISPLACEMENT_S, Displacement.role),
+        ("displacement", "silent displacement", DISPLACEMENT_S, DisplacementSensor.role),
         ("pendulum angles and their radio link", "silent angles", ANGLES_S, PendulumAngles.role),
         ("age of the actual speed", "silent speed", SPEED_S, SpeedSource.role),
     ):

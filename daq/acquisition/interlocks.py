@@ -36,7 +36,7 @@ from daq.acquisition.interlock_table import (
 from daq.acquisition.rotor_watch import Finding, RotorWatch
 from daq.acquisition.stuck_watch import StuckWatch
 from daq.channels import ENCODER_FAULT_A, ENCODER_FAULT_B
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits
 
@@ -180,7 +180,7 @@ class Interlocks:
             self._blind = dict.fromkeys(self._lasers, False)
             self._faulty = dict.fromkeys(_FAULTS, False)
 
-    def end(self, now_ns: int) -> list[Event]:
+    def end(self, now_ns: int) -> list[DeviceEvent]:
         """End the log and return its last events."""
         with self._lock:
             return self.channels.end(now_ns)
@@ -197,12 +197,12 @@ class Interlocks:
             self.resting = self.resting and rpm == 0
             self.rotor.commanded(rpm)
 
-    def feed(self, batch: Batch, host_ns: int) -> list[Event | Stop]:
+    def feed(self, batch: Batch, host_ns: int) -> list[DeviceEvent | Stop]:
         """Evaluate samples. Return events for the log and findings that stop the rotor."""
         with self._lock:
             topic = batch.channel.topic
             back = self.channels.heard(topic, host_ns)
-            out: list[Event | Stop] = [] if back is None else [back]
+            out: list[DeviceEvent | Stop] = [] if back is None else [back]
             if topic in self._lasers:
                 out += self._look(topic, batch, host_ns)
             elif topic == self._angles:
@@ -215,7 +215,7 @@ class Interlocks:
                 out += self._wrong(self.rotor.drive_reported(host_ns, batch.columns["speed_rpm"]))
             return out
 
-    def happened(self, event: Event) -> list[Stop]:
+    def happened(self, event: DeviceEvent) -> list[Stop]:
         """Evaluate an event of a device. Return findings that stop the rotor."""
         with self._lock:
             if event.kind in ("fault", "restart"):
@@ -232,14 +232,14 @@ class Interlocks:
                 return [Stop("device", text, "lock fault")]
             return []
 
-    def tick(self, now_ns: int) -> list[Event | Stop]:
+    def tick(self, now_ns: int) -> list[DeviceEvent | Stop]:
         """Check the deadlines. Return events for the log and findings that stop the rotor."""
         with self._lock:
             if self.rotor.at_rest(now_ns) and not self.rotor.target_rpm:
                 self._commanded = False
             turning = self.turning(now_ns)
             self.resting = not turning
-            out: list[Event | Stop] = [*self.channels.tick(now_ns)]
+            out: list[DeviceEvent | Stop] = [*self.channels.tick(now_ns)]
             if self._marks is None:
                 pass
             elif turning and (why := self.rotor.unseen(now_ns)) is not None:
@@ -250,7 +250,7 @@ class Interlocks:
                 out += self.channels.excuse(self._marks, now_ns)
                 self.rotor.reset_turns()
             if not self._driving:
-                return [item for item in out if isinstance(item, Event)]
+                return [item for item in out if isinstance(item, DeviceEvent)]
             out += self._silent(now_ns, turning)
             if turning:
                 out += self._unguarded()
@@ -344,7 +344,7 @@ class Interlocks:
         )
         return Stop("device", text, "blind sensor")
 
-    def _look(self, topic: str, batch: Batch, host_ns: int) -> list[Event | Stop]:
+    def _look(self, topic: str, batch: Batch, host_ns: int) -> list[DeviceEvent | Stop]:
         """Evaluate a displacement: amplitude, out of sight, blind sensor, stuck sensor."""
         samples, share, displacement = len(batch.time_ns), self._sight[topic], batch.columns["displacement_m"]
         invalid, invalid_last, newest_m, beyond_m = self._exceedances[topic].look(displacement)
@@ -354,7 +354,7 @@ class Interlocks:
         if invalid < samples:
             self._seen_m[topic] = abs(newest_m)
         blind, limit = share.mostly_bad, self._limits.amplitude_m
-        out: list[Event | Stop] = [*self._blindness(topic, blind)]
+        out: list[DeviceEvent | Stop] = [*self._blindness(topic, blind)]
         gone = share.in_a_row >= GONE_SAMPLES and self._seen_m[topic] > LARGE * limit
         stuck = self._stuck.feed(topic, batch.time_ns, displacement)
         if not (blind or gone or beyond_m is not None or stuck is not None) or not self._driving:
@@ -374,19 +374,19 @@ class Interlocks:
             out.append(Stop("device", stuck, "stuck sensor"))
         return out
 
-    def _blindness(self, topic: str, blind: bool) -> list[Event]:
+    def _blindness(self, topic: str, blind: bool) -> list[DeviceEvent]:
         if blind == self._blind[topic]:
             return []
         self._blind[topic] = blind
         facts = {"of": self._device_of[topic], "channel": topic, "code": self._code[topic]}
         words = f"no valid sample, code {self._code[topic]}" if blind else "valid samples again"
-        return [Event("blind", HOST, f"{topic}: {words}", facts)]
+        return [DeviceEvent("blind", HOST, f"{topic}: {words}", facts)]
 
-    def _pendulums(self, batch: Batch, host_ns: int) -> list[Event | Stop]:
+    def _pendulums(self, batch: Batch, host_ns: int) -> list[DeviceEvent | Stop]:
         """Evaluate pendulum angles: encoder faults."""
         self.rotor.node_heard(host_ns)
         flags = batch.columns["flags"]
-        out: list[Event | Stop] = []
+        out: list[DeviceEvent | Stop] = []
         first_ns, last_ns = int(batch.time_ns[0]), int(batch.time_ns[-1])
         faulty = int(np.count_nonzero(flags & sum(_FAULTS)))
         self._faulty_samples += faulty
@@ -399,7 +399,7 @@ class Interlocks:
                 self._faulty[bit] = share.mostly_bad
                 words = "reports a fault" if share.mostly_bad else "is sound again"
                 facts = {"of": self._device_of[batch.channel.topic], "channel": batch.channel.topic, "flag": bit}
-                out.append(Event("encoder", HOST, f"pendulums: {_FAULTS[bit]} {words}", facts))
+                out.append(DeviceEvent("encoder", HOST, f"pendulums: {_FAULTS[bit]} {words}", facts))
         return out
 
     def _wrong(self, why: Finding | None) -> list[Stop]:

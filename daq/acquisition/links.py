@@ -17,7 +17,7 @@ from daq.acquisition.rotor_command import RotorCommand
 from daq.drivers.contract import claims_of
 from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
-from daq.items import Event
+from daq.items import DeviceEvent
 from daq.transports import HostClock, Link
 
 _RETRY_PERIOD_S = 2.0  # of attempts to open a device that was unplugged, wall s
@@ -232,7 +232,7 @@ class Links:
     def _refused(self, name: str, text: str) -> Iterator[Order]:
         """Report a failed attempt to the operator and to the log. Repeated failures are not reported."""
         if text not in self._core.notices:
-            yield Note(Event("other", HOST, text, {"of": name}), self._clock.now_ns())
+            yield Note(DeviceEvent("other", HOST, text, {"of": name}), self._clock.now_ns())
         yield from self._core.warn(text)
 
 

@@ -21,7 +21,7 @@ from daq.acquisition.channel_watch import HOST
 from daq.clock import lower_line
 from daq.drivers.contract import SampleClock
 from daq.drivers.devices import devices_of
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from rig_configs.device import DeviceSettings
 
 _BIN_NS = 250_000_000
@@ -176,11 +176,11 @@ class RateWatches:
         self._worst: dict[str, Rate] = {}
         self._seconds = dict.fromkeys(self._watches, 0.0)
 
-    def feed(self, found: Iterable[Batch | Event], host_ns: int) -> list[Event]:
+    def feed(self, found: Iterable[Batch | DeviceEvent], host_ns: int) -> list[DeviceEvent]:
         """Add the items of one read. Return an event when a rate becomes wrong and when it is correct again."""
-        out: list[Event] = []
+        out: list[DeviceEvent] = []
         for item in found:
-            if isinstance(item, Event):
+            if isinstance(item, DeviceEvent):
                 if item.kind == "restart":
                     self.restart(item.device)
                 continue
@@ -197,7 +197,7 @@ class RateWatches:
         for topic in self._topics_of.get(device, ()):
             self._watches[topic].restart()
 
-    def _look(self, topic: str, rate: Rate | None) -> list[Event]:
+    def _look(self, topic: str, rate: Rate | None) -> list[DeviceEvent]:
         """Report a rate that is wrong in two consecutive checks. A single one may be caused by a suspended host."""
         if rate is None or rate.span_s < self._min_span_s:
             return []
@@ -230,7 +230,7 @@ class RateWatches:
         )
 
 
-def _event(topic: str, rate: Rate, text: str) -> Event:
+def _event(topic: str, rate: Rate, text: str) -> DeviceEvent:
     facts = {
         "channel": topic,
         "rate_Hz": rate.rate_Hz,
@@ -238,4 +238,4 @@ def _event(topic: str, rate: Rate, text: str) -> Event:
         "clock_ppm": rate.clock_ppm,
         "bound_ppm": rate.bound_ppm,
     }
-    return Event("rate", HOST, text, facts)
+    return DeviceEvent("rate", HOST, text, facts)

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Protocol
 from daq import channels
 from daq.channels import CHANNELS, Channel
 from daq.errors import LogError, RecordingError
-from daq.items import Batch, Event, joined
+from daq.items import Batch, DeviceEvent, joined
 from daq.log.file import LogFile, ReservedName
 from daq.transports.host_clock import HostClock
 
@@ -52,7 +52,7 @@ class _Samples(NamedTuple):
 class _HostEvent(NamedTuple):
     """An event in the backlog."""
 
-    event: Event
+    event: DeviceEvent
     host_ns: int
 
 
@@ -203,7 +203,7 @@ class Recorder:
         """Record decoded samples."""
         self._add(_Samples(batch, host_ns), len(batch.time_ns) * batch.channel.dtype.itemsize)
 
-    def event(self, event: Event, host_ns: int) -> None:
+    def event(self, event: DeviceEvent, host_ns: int) -> None:
         """Record an event."""
         self._add(_HostEvent(event, host_ns), 0)
 

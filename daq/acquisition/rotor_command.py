@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from daq.acquisition.core import Core, DriveState
-from daq.drivers.contract import MovesLocks, PendulumLocks, Pipeline, RotorGuard, SpeedSource, TurnsRotor
+from daq.drivers.contract import LockControl, MovesLocks, Pipeline, RotorGuard, SpeedControl, TurnsRotor
 from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
-from daq.items import Event
+from daq.items import DeviceEvent
 from daq.transports import HostClock
 
 _RETRY_PERIOD_S = 0.5  # of attempts to reopen the link of the drive, wall s
@@ -43,9 +43,9 @@ class RotorCommand:
         check: Callable[[], None],
     ) -> None:
         self._core, self._clock, self._check = core, clock, check
-        self.drive: SpeedSource | None = None
+        self.drive: SpeedControl | None = None
         self.drive_name = ""
-        self.locks: PendulumLocks | None = None
+        self.locks: LockControl | None = None
         guard = RotorGuard(self.permit, self.at_rest, lambda: core.interlocks.speed_rpm(clock.now_ns()))
         for name, device in devices.items():
             if isinstance(device.driver, TurnsRotor):
@@ -87,7 +87,7 @@ class RotorCommand:
         if self.drive is not None and device == self.drive_name:
             self.drive.notice(pipeline)
 
-    def acknowledged(self, event: Event) -> None:
+    def acknowledged(self, event: DeviceEvent) -> None:
         """Pass an acknowledgement of a device to the locks."""
         if self.locks is not None:
             self.locks.heard(event)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.acquisition.core import Core, Happened, Keep, Note, Order, Report, StopRotor, Warn
+from daq.acquisition.core import Core, Happened, Keep, Note, Order, StopRotor, Warn, WriteHealth
 from daq.acquisition.edge import Edge, real_edge
 from daq.acquisition.exceedance import compile_look
 from daq.acquisition.interlock_table import LOOK_S
@@ -30,10 +30,10 @@ from daq.acquisition.recorder import DiskState, Recorder
 from daq.acquisition.rotor_command import RotorCommand
 from daq.clock import CLOCK_RULES, NEWEST_RULES, compile_line
 from daq.drivers.checks import Checks
-from daq.drivers.contract import DescribesItself, HasClockSeed, ObservesIdentity, SpeedSource
+from daq.drivers.contract import DescribesItself, HasClockSeed, ObservesIdentity, SpeedControl
 from daq.drivers.devices import channels_of, devices_of, make_pipelines
 from daq.errors import AcquisitionError, DeviceError, OperatorStop
-from daq.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, DeviceEvent
 from daq.log.file import ReservedName
 from daq.log.outcome import ENDED, tripping
 from daq.transports import HostClock
@@ -79,8 +79,8 @@ class Session:
     ) -> None:
         self.rig, self.clock = rig, clock
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
-        self.observers: list[Callable[[Event], None]] = []
-        self.noted: list[Callable[[Event, int], None]] = []
+        self.observers: list[Callable[[DeviceEvent], None]] = []
+        self.noted: list[Callable[[DeviceEvent, int], None]] = []
         self.reported: list[Callable[[Mapping[str, Any], int], None]] = []
         self.left = ""
         self.log: Path | None = None
@@ -317,7 +317,7 @@ class Session:
                     self._happened(event)
                 case Note(event, host_ns):
                     self._note(event, host_ns)
-                case Report(facts):
+                case WriteHealth(facts):
                     if recorder is not None:
                         recorder.health(facts)
                     for reported in self.reported:
@@ -328,7 +328,7 @@ class Session:
                     if self._command is not None:
                         self._command.quick_stop()
 
-    def _happened(self, event: Event) -> None:
+    def _happened(self, event: DeviceEvent) -> None:
         for observe in self.observers:
             observe(event)
         if event.kind == "reply":
@@ -372,7 +372,7 @@ class Session:
         self._core.lenient = value
 
     @property
-    def drive(self) -> SpeedSource:
+    def drive(self) -> SpeedControl:
         """Speed source of an open session.
 
         Raises:
@@ -427,7 +427,7 @@ class Session:
         """Return whether every device has described itself."""
         return all(self.told(name)[0] for name in self._known)
 
-    def own_checks(self, events: Iterable[Event]) -> dict[str, Checks]:
+    def own_checks(self, events: Iterable[DeviceEvent]) -> dict[str, Checks]:
         """Return the checks that the drivers make on their open devices, by device.
 
         Args:
@@ -471,11 +471,11 @@ class Session:
         """Return the losses of every device since the start of the log, including silences that have not ended."""
         return self._core.losses(self.clock.now_ns())
 
-    def note(self, event: Event) -> None:
+    def note(self, event: DeviceEvent) -> None:
         """Write an event of the host to the log, if one is recorded, and notify the observers."""
         self._note(event, self.clock.now_ns())
 
-    def _note(self, event: Event, host_ns: int) -> None:
+    def _note(self, event: DeviceEvent, host_ns: int) -> None:
         recorder = self._recorder
         if recorder is not None:
             recorder.event(event, host_ns)

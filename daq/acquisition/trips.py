@@ -23,7 +23,7 @@ from daq.acquisition.channel_watch import HOST
 from daq.acquisition.interlock_table import TOGETHER_S
 from daq.acquisition.recent import Recent
 from daq.channels import Channel
-from daq.items import Event
+from daq.items import DeviceEvent
 from daq.log.outcome import TRIP
 from rig_configs.roles import Roles
 
@@ -101,18 +101,18 @@ class Trips:
                 return
             self.reasons = (*self.reasons, reason)
 
-    def tick(self, now_ns: int, recent: Recent) -> list[Event]:
+    def tick(self, now_ns: int, recent: Recent) -> list[DeviceEvent]:
         """Return the event of the trip, once, when the excerpt is complete."""
         with self._lock:
             due = self.reasons and not self._is_reported and now_ns >= self.reasons[0].host_ns + self._due_ns
             return [self._event(now_ns, recent)] if due else []
 
-    def end(self, now_ns: int, recent: Recent) -> list[Event]:
+    def end(self, now_ns: int, recent: Recent) -> list[DeviceEvent]:
         """Return the event of the trip at the end of the log, unless it has been returned."""
         with self._lock:
             return [self._event(now_ns, recent)] if self.reasons and not self._is_reported else []
 
-    def _event(self, now_ns: int, recent: Recent) -> Event:
+    def _event(self, now_ns: int, recent: Recent) -> DeviceEvent:
         self._is_reported = True
         first_ns = self.reasons[0].host_ns
         until_ns = min(first_ns + int(AFTER_S * 1e9), now_ns)
@@ -130,7 +130,7 @@ class Trips:
             "until_ms": _ms(until_ns, first_ns),
             "excerpt": self._excerpt(first_ns, until_ns, recent),
         }
-        return Event(TRIP, HOST, f"{', '.join(names)}: {'; also '.join(r.text for r in self.reasons)}", facts)
+        return DeviceEvent(TRIP, HOST, f"{', '.join(names)}: {'; also '.join(r.text for r in self.reasons)}", facts)
 
     def _speed_rpm(self, at_ns: int, recent: Recent) -> float | None:
         """Return the last report of the speed source before the trip, or the speed between the last two index marks."""

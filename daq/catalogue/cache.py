@@ -54,7 +54,7 @@ class Stamp(NamedTuple):
         return f"{self.size_bytes} {self.modified_ns} {self.changed_ns}"
 
 
-class Row(NamedTuple):
+class CachedFacts(NamedTuple):
     """Cached facts of one file.
 
     Attributes:
@@ -72,7 +72,7 @@ class Row(NamedTuple):
     entry: str
 
 
-def load(folder: Path) -> dict[str, Row]:
+def load(folder: Path) -> dict[str, CachedFacts]:
     """Return the rows by path; empty if the cache does not exist or cannot be used."""
     file = folder / NAME
     try:
@@ -87,7 +87,7 @@ def load(folder: Path) -> dict[str, Row]:
     return {path: row for path, row, checksum in map(_unpacked, found) if checksum == _checksum(path, row)}
 
 
-def save(folder: Path, rows: Mapping[str, Row], gone: Collection[str]) -> None:
+def save(folder: Path, rows: Mapping[str, CachedFacts], gone: Collection[str]) -> None:
     """Write rows, merged with those that other processes have written meanwhile.
 
     Args:
@@ -112,11 +112,11 @@ def save(folder: Path, rows: Mapping[str, Row], gone: Collection[str]) -> None:
             written.unlink()
 
 
-def _is_newer(row: Row, other: Row) -> bool:
+def _is_newer(row: CachedFacts, other: CachedFacts) -> bool:
     return row.looked_ns >= other.looked_ns
 
 
-def _write(file: Path, rows: Mapping[str, Row]) -> None:
+def _write(file: Path, rows: Mapping[str, CachedFacts]) -> None:
     with closing(sqlite3.connect(file, timeout=_BUSY_S, isolation_level=None)) as database:
         database.execute("PRAGMA journal_mode = OFF")
         database.execute("PRAGMA synchronous = OFF")  # a file torn by a power cut is ignored by `load`
@@ -149,14 +149,14 @@ def _is_ours(database: sqlite3.Connection) -> bool:
     return version == VERSION and made == [(_TABLE,)]
 
 
-def _unpacked(columns: tuple[object, ...]) -> tuple[str, Row, object]:
+def _unpacked(columns: tuple[object, ...]) -> tuple[str, CachedFacts, object]:
     # a row with values of other types fails the comparison of its checksum
     typed = cast("tuple[str, int, int, int, str, int, str, str, int]", columns)
     path, size, modified, changed, verdict_stamp, looked, digest, entry, checksum = typed
-    return str(path), Row(Stamp(size, modified, changed), verdict_stamp, looked, digest, entry), checksum
+    return str(path), CachedFacts(Stamp(size, modified, changed), verdict_stamp, looked, digest, entry), checksum
 
 
-def _checksum(path: str, row: Row) -> int:
+def _checksum(path: str, row: CachedFacts) -> int:
     return zlib.crc32(repr((path, *row)).encode("utf-8", "backslashreplace"))
 
 

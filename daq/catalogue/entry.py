@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, JsonValue
 
-from daq.log.verdicts import Verdict
+from daq.log.verdicts import LoggedVerdict
 
 State = Literal["finished", "recovered", "unfinished", "damaged", "foreign", "unreadable"]
 
@@ -59,4 +59,4 @@ class Entry(BaseModel):
     losses_from: str = ""
     outcome: dict[str, JsonValue] = {}
     verdict: str = ""
-    judged: Verdict | None = None
+    judged: LoggedVerdict | None = None

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from pydantic import ValidationError
 
 from daq.catalogue import cache
-from daq.catalogue.cache import Row, Stamp
+from daq.catalogue.cache import CachedFacts, Stamp
 from daq.catalogue.entry import Entry
 from daq.catalogue.query import Query
 from daq.errors import LogError
@@ -38,11 +38,11 @@ class _File(NamedTuple):
     stamp: Stamp | None
     verdict_stamp: Stamp | None
 
-    def is_as_in(self, row: Row | None) -> bool:
+    def is_as_in(self, row: CachedFacts | None) -> bool:
         """Return True if the row was made from this state of the log."""
         return row is not None and row.stamp == self.stamp and row.stamp.settled_by(row.looked_ns)
 
-    def is_all_as_in(self, row: Row | None) -> bool:
+    def is_all_as_in(self, row: CachedFacts | None) -> bool:
         """Return True if the row was made from this state of the log and of its verdict file."""
         if row is None or not self.is_as_in(row) or row.verdict_stamp != str(self.verdict_stamp or ""):
             return False
@@ -69,7 +69,7 @@ class Catalogue:
         self.cache_trouble = ""
         self.unread_folders: list[str] = []
         self._now_ns = now_ns
-        self._unsaved: dict[str, Row] = {}
+        self._unsaved: dict[str, CachedFacts] = {}
         if not self.folder.is_dir():
             raise LogError(f"{folder}: expected a folder with logs, the folder does not exist. Check the path")
 
@@ -113,7 +113,9 @@ class Catalogue:
                 entries[path], digest = _read(path, file, row, _stretch(progress, number, len(new)))
                 if file.stamp is not None and not _is_gone(file.place):  # other processes may have cached a gone file
                     facts = entries[path].model_dump_json()
-                    self._unsaved[path] = Row(file.stamp, str(file.verdict_stamp or ""), looked_ns, digest, facts)
+                    self._unsaved[path] = CachedFacts(
+                        file.stamp, str(file.verdict_stamp or ""), looked_ns, digest, facts
+                    )
                 if time.monotonic() - saved_s > _SAVE_PERIOD_S:
                     self._save(gone)
                     saved_s = time.monotonic()
@@ -173,14 +175,14 @@ def _is_gone(file: Path) -> bool:
     return False
 
 
-def _entry_in(row: Row) -> Entry | None:
+def _entry_in(row: CachedFacts) -> Entry | None:
     try:
         return Entry.model_validate_json(row.entry)
     except ValidationError:
         return None
 
 
-def _read(path: str, file: _File, row: Row | None, progress: Progress | None) -> tuple[Entry, str]:
+def _read(path: str, file: _File, row: CachedFacts | None, progress: Progress | None) -> tuple[Entry, str]:
     """Return a file's entry with its verdict, and the log's digest if it was needed or is cached."""
     from daq.catalogue.facts import one_line, read_entry  # noqa: PLC0415 (loads the log reader: not if all is cached)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 
 @dataclass(frozen=True)
-class Check:
+class DeviceCheck:
     """One check of a device.
 
     Attributes:
@@ -29,4 +29,4 @@ class Check:
         return {"value": self.value, "expected": self.expected, "verdict": "pass" if self.passed else "fail", **note}
 
 
-Checks = dict[str, Check]
+Checks = dict[str, DeviceCheck]

@@ -17,7 +17,7 @@ from daq.clock import ClockSeed
 from daq.drivers.checks import Checks
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from rig_configs.device import DeviceSettings
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Line:
+class DeviceLine:
     """The line that carries a device's bytes.
 
     Attributes:
@@ -79,7 +79,7 @@ class Pipeline(Protocol):
 
     losses: dict[str, int]
 
-    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """Decode the bytes of one read (RX) or one write (TX).
 
         A read without bytes marks the end of the log: samples that were held back are returned.
@@ -186,7 +186,7 @@ class Driver(Protocol):
         """Longest pause of the reader between two reads, rig s; short if samples get the host's time."""
         ...
 
-    def line(self, settings: Any) -> Line:
+    def line(self, settings: Any) -> DeviceLine:
         """Return the line of a device with these settings."""
         ...
 
@@ -214,11 +214,13 @@ class Driver(Protocol):
         """
         ...
 
-    def words(self, event: Event) -> str:
+    def words(self, event: DeviceEvent) -> str:
         """Return the text of an emergency event for the operator; empty if the emergency has ended."""
         ...
 
-    def checks(self, settings: Any, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]) -> Checks:
+    def checks(
+        self, settings: Any, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
+    ) -> Checks:
         """Return the checks of an open device that are specific to this driver.
 
         They are added to the checks that apply to every device of the same roles.
@@ -320,7 +322,7 @@ class RotorGuard:
     speed_rpm: Callable[[], float]
 
 
-class SpeedSource(Protocol):
+class SpeedControl(Protocol):
     """An open device that turns the rotor."""
 
     was_reset: str
@@ -402,7 +404,7 @@ class SpeedSource(Protocol):
         ...
 
 
-class PendulumLocks(Protocol):
+class LockControl(Protocol):
     """An open device that locks and releases the pendulums."""
 
     def command(self, action: str, check: Callable[[], None]) -> None:
@@ -418,7 +420,7 @@ class PendulumLocks(Protocol):
         """
         ...
 
-    def heard(self, event: Event) -> None:
+    def heard(self, event: DeviceEvent) -> None:
         """Take an acknowledgement of the device."""
         ...
 
@@ -429,7 +431,7 @@ class TurnsRotor(Protocol):
 
     def speed_source(
         self, settings: Any, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
-    ) -> SpeedSource:
+    ) -> SpeedControl:
         """Make the command interface of an open device."""
         ...
 
@@ -438,6 +440,6 @@ class TurnsRotor(Protocol):
 class MovesLocks(Protocol):
     """A driver of devices that lock and release the pendulums."""
 
-    def locks(self, settings: Any, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
+    def locks(self, settings: Any, send: Callable[[bytes], None], clock: HostClock) -> LockControl:
         """Make the command interface of an open device."""
         ...

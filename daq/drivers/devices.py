@@ -9,7 +9,7 @@ from typing import Any
 
 from daq.channels import CHANNELS, Channel
 from daq.clock import CLOCK_RULES, CLOCK_SEED, NEWEST_RULES
-from daq.drivers.contract import Driver, Line, Pipeline, SampleClock
+from daq.drivers.contract import DeviceLine, Driver, Pipeline, SampleClock
 from daq.drivers.played import PlayedDevice
 from daq.drivers.registry import driver
 from daq.drivers.simulated import FarEnd
@@ -25,7 +25,7 @@ class Device:
     driver: Driver
 
     @property
-    def line(self) -> Line:
+    def line(self) -> DeviceLine:
         """See Driver."""
         return self.driver.line(self.settings)
 

@@ -8,9 +8,9 @@ from typing import Any
 
 from daq.channels import Channel
 from daq.drivers.checks import Checks
-from daq.drivers.contract import Line, SampleClock, SpeedSource, Talk
+from daq.drivers.contract import DeviceLine, SampleClock, SpeedControl, Talk
 from daq.drivers.played import PlayedDevice
-from daq.items import Event
+from daq.items import DeviceEvent
 
 
 class PlainDriver:
@@ -21,9 +21,9 @@ class PlainDriver:
 
     rest_s = 0.02
 
-    def line(self, settings: Any) -> Line:
+    def line(self, settings: Any) -> DeviceLine:
         """See Driver: `port` and `baud` of the settings."""
-        return Line(settings.port, settings.baud)
+        return DeviceLine(settings.port, settings.baud)
 
     def occasional(self, settings: Any) -> tuple[Channel, ...]:
         """See Driver: none."""
@@ -33,11 +33,13 @@ class PlainDriver:
         """See Driver: none; samples get the host's time."""
         return ()
 
-    def words(self, event: Event) -> str:
+    def words(self, event: DeviceEvent) -> str:
         """See Driver: the text of the event."""
         return event.text
 
-    def checks(self, settings: Any, pipeline: Any, control: SpeedSource | None, events: Sequence[Event]) -> Checks:
+    def checks(
+        self, settings: Any, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]
+    ) -> Checks:
         """See Driver: no check in addition to those of every device."""
         return {}
 

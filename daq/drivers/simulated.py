@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating[Any]]
 
 
-class Stretch(Protocol):
+class MotionInterval(Protocol):
     """Motion of the rig over a short interval.
 
     Attributes:
@@ -83,7 +83,7 @@ class FarEnd:
         """Update mechanisms and control loops before the rig advances from `now_s`; return reports that are due."""
         return b""
 
-    def sample(self, motion: Stretch) -> bytes:
+    def sample(self, motion: MotionInterval) -> bytes:
         """Return the bytes that the device sends for an interval of motion."""
         return b""
 

@@ -47,7 +47,7 @@ class Column:
         return Column(self.name, self.values[rows], self.absent[rows], lines[rows], counted)
 
 
-class Recording(Protocol):
+class ColumnFile(Protocol):
     """An open file of columns."""
 
     path: Path
@@ -76,7 +76,7 @@ class Recording(Protocol):
         ...
 
 
-def pick(recording: Recording, wanted: str, option: str) -> str:
+def pick(recording: ColumnFile, wanted: str, option: str) -> str:
     """Return the name of a column in the file, given the name or its number counted from 1.
 
     Raises:

@@ -14,12 +14,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.exchange.columns import Recording
+from daq.exchange.columns import ColumnFile
 from daq.exchange.errors import ExchangeError
 from daq.exchange.imported_log import Part, write_log
-from daq.exchange.imported_parts import Noticed, gap_events, make_parts, release_events
+from daq.exchange.imported_parts import ImportFindings, gap_events, make_parts, release_events
 from daq.exchange.provenance import file_sha256, iso_time
-from daq.exchange.readings import Readings, since_1970
+from daq.exchange.readings import SensorReadings, since_1970
 from daq.exchange.recipe import Recipe
 from daq.exchange.recorder_clock import RecorderClock, recorder_clock
 from daq.exchange.recordings import open_recording
@@ -77,7 +77,7 @@ def import_recording(
         LogError: the log's name is taken or does not end in .mcap.
         RecordingError, OSError: the log cannot be written.
     """
-    recording, noticed = open_recording(Path(path)), Noticed(devices=rig.roles.device_of)
+    recording, noticed = open_recording(Path(path)), ImportFindings(devices=rig.roles.device_of)
     readings = read_sensors(recording, recipe, rig, noticed.warnings)
     start_ns, is_known = _start(readings, recipe)
     if not is_known:
@@ -97,7 +97,7 @@ def import_recording(
     return Imported(log, samples, noticed.invalid, noticed.gaps, first, last, noticed.warnings)
 
 
-def _start(readings: Mapping[str, Readings], recipe: Recipe) -> tuple[int, bool]:
+def _start(readings: Mapping[str, SensorReadings], recipe: Recipe) -> tuple[int, bool]:
     """Return time 0 of the recording in ns since 1970 (0 if its times count from 1970), and whether it is known."""
     since = {name: since_1970(found.time_ns) for name, found in readings.items()}
     if not any(since.values()):
@@ -126,12 +126,12 @@ def _remarks(topics: set[str], recipe: Recipe) -> list[str]:
     return found
 
 
-def _losses(parts: list[Part], noticed: Noticed) -> dict[str, dict[str, int]]:
+def _losses(parts: list[Part], noticed: ImportFindings) -> dict[str, dict[str, int]]:
     devices = sorted({noticed.device(part.channel.topic) for part in parts})
     return {name: {"samples": noticed.gaps.get(name, 0), "invalid": noticed.invalid.get(name, 0)} for name in devices}
 
 
-def _facts(recording: Recording, rig: Rig, recipe: Recipe, clock: RecorderClock) -> dict[str, str]:
+def _facts(recording: ColumnFile, rig: Rig, recipe: Recipe, clock: RecorderClock) -> dict[str, str]:
     facts = {
         "rig": rig.name,
         "software": software_version(),
@@ -148,7 +148,7 @@ def _facts(recording: Recording, rig: Rig, recipe: Recipe, clock: RecorderClock)
     return facts
 
 
-def _attachments(recording: Recording, rig: Rig, recipe: Recipe, noticed: Noticed) -> dict[str, bytes]:
+def _attachments(recording: ColumnFile, rig: Rig, recipe: Recipe, noticed: ImportFindings) -> dict[str, bytes]:
     if recipe.counts_per_revolution is not None:
         rig = _with_counts(rig, recipe.counts_per_revolution)
     paths = [recording.path, *([marks] if (marks := marks_file(recipe)) else [])]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import Channel
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log.file import LogFile
 
 _ROWS_PER_STEP = 8192
@@ -38,7 +38,7 @@ class Part:
 def write_log(
     path: Path,
     parts: Sequence[Part],
-    events: Sequence[Event],
+    events: Sequence[DeviceEvent],
     metadata: Mapping[str, str],
     attachments: Mapping[str, bytes],
     summary: Mapping[str, Any],
@@ -61,7 +61,9 @@ def write_log(
         raise
 
 
-def _write(log: LogFile, parts: Sequence[Part], events: Sequence[Event], progress: Callable[[float], None]) -> None:
+def _write(
+    log: LogFile, parts: Sequence[Part], events: Sequence[DeviceEvent], progress: Callable[[float], None]
+) -> None:
     start = min(int(part.time_ns[0]) for part in parts)
     end = max(int(part.time_ns[-1]) for part in parts) + 1
     steps = max(1, sum(len(part.time_ns) for part in parts) // _ROWS_PER_STEP)

@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from daq.exchange import imported_channels as made
 from daq.exchange.errors import ExchangeError
 from daq.exchange.imported_log import Part
-from daq.exchange.readings import Readings, find_gaps, unwrapped
+from daq.exchange.readings import SensorReadings, find_gaps, unwrapped
 from daq.exchange.recipe import Recipe
 from daq.exchange.rotor_phase import phase_of_angle, phase_of_speed, revolutions_of_marks
 from daq.guided_test_kinds import CHANNELS
-from daq.items import Event
+from daq.items import DeviceEvent
 
 _SIGNALS = {topic: signal for signal, topic in CHANNELS.items()}
 _MIN_RELEASE_STD_S = 1e-4
 
 
 @dataclass
-class Noticed:
+class ImportFindings:
     """Findings of an import.
 
     Attributes:
@@ -43,7 +43,7 @@ class Noticed:
         return self.devices.get(topic, _SIGNALS[topic])
 
 
-def make_parts(readings: Mapping[str, Readings], recipe: Recipe, noticed: Noticed) -> list[Part]:
+def make_parts(readings: Mapping[str, SensorReadings], recipe: Recipe, noticed: ImportFindings) -> list[Part]:
     """Return the channels of a log; times since 1970.
 
     Raises:
@@ -72,7 +72,7 @@ def make_parts(readings: Mapping[str, Readings], recipe: Recipe, noticed: Notice
     return parts
 
 
-def _pendulums(readings: Mapping[str, Readings], recipe: Recipe, noticed: Noticed) -> Part:
+def _pendulums(readings: Mapping[str, SensorReadings], recipe: Recipe, noticed: ImportFindings) -> Part:
     names = [name for name in ("theta3", "theta4") if name in readings]
     own = {choice.name if choice else "" for choice in (recipe.choices[name].time for name in names)}
     if len(own) > 1:
@@ -88,9 +88,9 @@ def _pendulums(readings: Mapping[str, Readings], recipe: Recipe, noticed: Notice
     return Part(made.PENDULUM_ANGLES, time, columns)
 
 
-def gap_events(parts: list[Part], noticed: Noticed) -> list[Event]:
+def gap_events(parts: list[Part], noticed: ImportFindings) -> list[DeviceEvent]:
     """Return one event per gap of the sensors; index marks and phases are omitted: the speed is not uniform."""
-    found: list[Event] = []
+    found: list[DeviceEvent] = []
     for part in parts:
         topic, device = part.channel.topic, noticed.device(part.channel.topic)
         if topic == "tacho":
@@ -101,12 +101,14 @@ def gap_events(parts: list[Part], noticed: Noticed) -> list[Event]:
             continue
         for gap in gaps:
             facts = {"samples": gap.samples, "span_s": gap.span_s, "time_ns": gap.after_ns}
-            found.append(Event("gap", device, f"{gap.samples} samples missing ({gap.span_s * 1e3:.2f} ms)", facts))
+            found.append(
+                DeviceEvent("gap", device, f"{gap.samples} samples missing ({gap.span_s * 1e3:.2f} ms)", facts)
+            )
         noticed.gaps[device] = sum(gap.samples for gap in gaps)
     return found
 
 
-def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int, device: str) -> list[Event]:
+def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int, device: str) -> list[DeviceEvent]:
     """Return one event per released pendulum; a single time applies to both.
 
     Args:
@@ -121,7 +123,7 @@ def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int
     start, end = min(int(part.time_ns[0]) for part in parts), max(int(part.time_ns[-1]) for part in parts)
     steps = [float(np.median(np.diff(p.time_ns))) * 1e-9 for p in parts if p.channel.topic == "pendulums"]
     std_s = max([_MIN_RELEASE_STD_S, *(step / math.sqrt(12) for step in steps)])
-    found: list[Event] = []
+    found: list[DeviceEvent] = []
     for pendulum, at_s in enumerate(release_s * 2 if len(release_s) == 1 else release_s):
         time_ns = zero_ns + round(at_s * 1e9)
         if not start <= time_ns <= end:
@@ -130,5 +132,5 @@ def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int
                 f"{(end - zero_ns) / 1e9:g} s"
             )
         facts = {"pendulum": pendulum, "state": "released", "time_ns": time_ns, "time_std_s": std_s}
-        found.append(Event("lock", device, f"pendulum {'AB'[pendulum]} released, as stated at import", facts))
+        found.append(DeviceEvent("lock", device, f"pendulum {'AB'[pendulum]} released, as stated at import", facts))
     return found

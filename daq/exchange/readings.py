@@ -31,7 +31,7 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class Readings:
+class SensorReadings:
     """Samples of one sensor.
 
     Attributes:
@@ -46,7 +46,7 @@ class Readings:
     row: NDArray[np.intp]
     invalid: int
 
-    def shifted(self, start_ns: int) -> Readings:
+    def shifted(self, start_ns: int) -> SensorReadings:
         """Return the readings with times since 1970.
 
         Raises:
@@ -112,7 +112,7 @@ def read_sensor(
     time_choice: ColumnChoice | None,
     invalid: Sequence[float],
     option: str,
-) -> Readings:
+) -> SensorReadings:
     """Return a sensor's samples; rows without a value for it are omitted.
 
     Args:
@@ -149,7 +149,7 @@ def read_sensor(
         raise ExchangeError(f"{option} {column.name}: expected readings, every one of {len(row)} is invalid")
     with np.errstate(over="ignore"):  # an infinite value exceeds every limit
         value = np.where(is_invalid, np.nan, value * choice.factor)
-    return Readings(time_ns, value, row, int(np.count_nonzero(is_invalid)))
+    return SensorReadings(time_ns, value, row, int(np.count_nonzero(is_invalid)))
 
 
 def find_gaps(time_ns: NDArray[np.int64]) -> list[Gap] | None:
@@ -180,7 +180,7 @@ def check_rate(time_ns: NDArray[np.int64], choice: ColumnChoice | None, option: 
 
 
 def check_size(
-    readings: Readings, choice: ColumnChoice, quantity: Quantity, limit: float, column: Column, option: str
+    readings: SensorReadings, choice: ColumnChoice, quantity: Quantity, limit: float, column: Column, option: str
 ) -> None:
     """Raise for readings ten times beyond the range of the sensor or the rig.
 
@@ -209,7 +209,7 @@ def check_size(
     )
 
 
-def check_small(readings: Readings, least: float, option: str, what: str) -> str | None:
+def check_small(readings: SensorReadings, least: float, option: str, what: str) -> str | None:
     """Return a warning if all readings are smaller than a sensor can resolve."""
     span = float(np.nanmax(readings.value) - np.nanmin(readings.value))
     if span >= least:

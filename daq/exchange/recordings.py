@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq.exchange.columns import Recording
+from daq.exchange.columns import ColumnFile
 from daq.exchange.errors import ExchangeError
 from rig_configs.regular_file import need_regular
 
 
-def open_recording(path: Path) -> Recording:
+def open_recording(path: Path) -> ColumnFile:
     """Open a file according to its content and the ending of its name.
 
     Raises:

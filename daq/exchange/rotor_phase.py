@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy import integrate
 
 from daq.exchange.errors import ExchangeError
-from daq.exchange.readings import Readings, unwrapped
+from daq.exchange.readings import SensorReadings, unwrapped
 
 _MAX_STEP_TURNS = 0.4  # turns between two rows: with larger steps whole turns may be missed
 _TWO_MARKS = 1.5  # ratio to the neighbouring intervals above which an interval contains several revolutions
 
 
-def phase_of_angle(angle: Readings) -> tuple[NDArray[np.int64], NDArray[np.float64], list[str]]:
+def phase_of_angle(angle: SensorReadings) -> tuple[NDArray[np.int64], NDArray[np.float64], list[str]]:
     """Return times and unwrapped phase of an angle, and warnings.
 
     Raises:
@@ -39,7 +39,7 @@ def phase_of_angle(angle: Readings) -> tuple[NDArray[np.int64], NDArray[np.float
     return time, phase, warnings
 
 
-def phase_of_speed(speed: Readings) -> tuple[NDArray[np.int64], NDArray[np.float64], list[str]]:
+def phase_of_speed(speed: SensorReadings) -> tuple[NDArray[np.int64], NDArray[np.float64], list[str]]:
     """Return times and phase from a speed in rad/s; the phase starts at 0 for any initial position of the rotor."""
     good = np.isfinite(speed.value)
     time, value = speed.time_ns[good], speed.value[good]

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.exchange.columns import Column, Recording, pick
+from daq.exchange.columns import Column, ColumnFile, pick
 from daq.exchange.errors import ExchangeError
-from daq.exchange.readings import Readings, check_rate, check_size, check_small, read_sensor, times_ns
+from daq.exchange.readings import SensorReadings, check_rate, check_size, check_small, read_sensor, times_ns
 from daq.exchange.recipe import QUANTITIES, Recipe
 from daq.exchange.recordings import open_recording
 from daq.exchange.units import ColumnChoice, settle_unit
@@ -22,7 +22,7 @@ _MIN_SPAN_M, _MIN_SPAN_RAD = 1e-6, 1e-4
 _MAX_PHASE_RAD = 1e6  # more than a day of operation
 
 
-def read_sensors(recording: Recording, recipe: Recipe, rig: Rig, warnings: list[str]) -> dict[str, Readings]:
+def read_sensors(recording: ColumnFile, recipe: Recipe, rig: Rig, warnings: list[str]) -> dict[str, SensorReadings]:
     """Return the readings by "x", "y", "theta3", "theta4", "phase", "speed", and "marks", which consist of times only.
 
     Args:
@@ -44,7 +44,7 @@ def read_sensors(recording: Recording, recipe: Recipe, rig: Rig, warnings: list[
     in_file = marks is not None and marks_file(recipe) is None
     mark_name = [pick(recording, marks.name, "--marks")] if marks and in_file else []
     columns = recording.read(dict.fromkeys([*names.values(), *own_times.values(), *time_name, *mark_name]))
-    found: dict[str, Readings] = {}
+    found: dict[str, SensorReadings] = {}
     for name, choice in choices.items():
         column, option = columns[names[name]], f"--{name}"
         if choice.time:
@@ -60,7 +60,7 @@ def read_sensors(recording: Recording, recipe: Recipe, rig: Rig, warnings: list[
     return found
 
 
-def _settled(recording: Recording, name: str, choice: ColumnChoice, recipe: Recipe) -> ColumnChoice:
+def _settled(recording: ColumnFile, name: str, choice: ColumnChoice, recipe: Recipe) -> ColumnChoice:
     """Return a choice with its units as given, or as contained in the file above the columns."""
     if name == "marks" and marks_file(recipe) is not None:
         return choice  # its units are in that file
@@ -86,7 +86,7 @@ def _row_times(recipe: Recipe, column: Column, option: str) -> NDArray[np.int64]
     return np.rint(np.arange(len(column.values)) * (1e9 / recipe.rate_Hz)).astype(np.int64)
 
 
-def _marks(recipe: Recipe, choice: ColumnChoice, column: Column | None) -> Readings:
+def _marks(recipe: Recipe, choice: ColumnChoice, column: Column | None) -> SensorReadings:
     if column is None:
         path = marks_file(recipe)
         assert path is not None
@@ -97,11 +97,11 @@ def _marks(recipe: Recipe, choice: ColumnChoice, column: Column | None) -> Readi
         column = recording.read([recording.names[0]])[recording.names[0]]
     rows = np.flatnonzero(~column.absent & ~np.isnan(column.values.astype(np.float64)))
     time_ns = times_ns(column.keep(rows), choice, "--marks")
-    return Readings(time_ns, np.zeros(len(rows)), rows, 0)
+    return SensorReadings(time_ns, np.zeros(len(rows)), rows, 0)
 
 
 def _check(
-    name: str, readings: Readings, choice: ColumnChoice, column: Column, time: ColumnChoice | None, rig: Rig
+    name: str, readings: SensorReadings, choice: ColumnChoice, column: Column, time: ColumnChoice | None, rig: Rig
 ) -> list[str]:
     """Return warnings about one sensor.
 

@@ -29,7 +29,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Status:
+class GuidedTestStatus:
     """Status of a test.
 
     Attributes:
@@ -58,7 +58,7 @@ class Controls:
     """
 
     def __init__(self) -> None:
-        self.status = Status()
+        self.status = GuidedTestStatus()
         self._requests: deque[Request] = deque()
 
     def pause(self) -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import math
 
-from daq.guided_test_kinds import Asked
+from daq.guided_test_kinds import GuidedTestRequest
 from daq.guided_tests.hands import HAND_RAMP_RPM_S
-from daq.guided_tests.orders import Orders
-from daq.guided_tests.table import Look, State, Table, View
+from daq.guided_tests.orders import RigOrders
+from daq.guided_tests.table import State, StateObservation, StateTable, StateView
 from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
@@ -21,7 +21,7 @@ _NEAR_RESONANCE = 0.1  # relative distance from a resonance below which the orbi
 ASK_TO_LOCK = "with the rotor at rest, lock both pendulums: A at 0°, B at 180°"
 
 
-def framed(request: Asked, *states: State, releases: bool = False) -> Table:
+def framed(request: GuidedTestRequest, *states: State, releases: bool = False) -> StateTable:
     """Return the table of a test: common beginning, own states, common ending.
 
     Args:
@@ -30,10 +30,10 @@ def framed(request: Asked, *states: State, releases: bool = False) -> Table:
         releases: whether the test releases the pendulums, so that they are locked again at the end.
     """
     beginning = (REST, LOCK, LOCKS_SEEN, COUNTERS) if request.rig.roles.angles is not None else (REST, LOCK)
-    return Table((*beginning, *states), (FINISH, STOP, LOCK_AGAIN) if releases else (FINISH, STOP))
+    return StateTable((*beginning, *states), (FINISH, STOP, LOCK_AGAIN) if releases else (FINISH, STOP))
 
 
-def spin_up(request: Asked, rpm: float, free: bool = False) -> tuple[State, ...]:
+def spin_up(request: GuidedTestRequest, rpm: float, free: bool = False) -> tuple[State, ...]:
     """Return the states that bring the rotor to a speed with the rig's own ramp, before the log begins.
 
     Args:
@@ -44,14 +44,16 @@ def spin_up(request: Asked, rpm: float, free: bool = False) -> tuple[State, ...]
     role = request.rig.roles.speed
     ramp = HAND_RAMP_RPM_S if role is None else role.ramp_rpm_per_s
 
-    def at_speed(view: View) -> Look:
+    def at_speed(view: StateView) -> StateObservation:
         off = abs(view.rpm - rpm)
         if math.isnan(view.rpm):
-            return Look(False, f"spinning up to {rpm:.0f} rpm: the speed is not measured yet")
-        return Look(off < 0.01 * rpm + 2, f"spinning up, {view.rpm:.0f} of {rpm:.0f} rpm", share_of(view.rpm, rpm))
+            return StateObservation(False, f"spinning up to {rpm:.0f} rpm: the speed is not measured yet")
+        return StateObservation(
+            off < 0.01 * rpm + 2, f"spinning up, {view.rpm:.0f} of {rpm:.0f} rpm", share_of(view.rpm, rpm)
+        )
 
     ready = State(
-        "make ready", does="make ready to turn the rotor", enter=Orders.make_ready, actor="rotor", usual_s=0.2
+        "make ready", does="make ready to turn the rotor", enter=RigOrders.make_ready, actor="rotor", usual_s=0.2
     )
     up = State(
         "spin up",
@@ -89,27 +91,27 @@ def share_of(now: float, whole: float) -> float | None:
     return min(1.0, max(0.0, now / whole)) if math.isfinite(now) else None
 
 
-def _described(view: View) -> Look:
+def _described(view: StateView) -> StateObservation:
     """Wait until the encoders' device has described itself, at most for a limited time."""
     late = view.in_state_s > _MAX_STATUS_S + view.measures.patience_s(_MAX_STATUS_S)
     described = late or view.measures.angles_described()
-    return Look(view.in_state_s >= _LOCKED_LOOK_S and described, "checking the locks")
+    return StateObservation(view.in_state_s >= _LOCKED_LOOK_S and described, "checking the locks")
 
 
-def _check_counters(orders: Orders) -> None:
+def _check_counters(orders: RigOrders) -> None:
     orders.check_counters(0.5 * _LOCKED_LOOK_S)
 
 
 REST = State(
     "rest",
     does="bring the rotor to rest",
-    enter=Orders.rest,
+    enter=RigOrders.rest,
     actor="rotor",
     asks="stop the rotor",
     usual_s=0.5,
     no_pause="the rotor may turn",
 )
-LOCK = State("lock", does="lock both pendulums", enter=Orders.hold, actor="locks", asks=ASK_TO_LOCK, usual_s=1.0)
+LOCK = State("lock", does="lock both pendulums", enter=RigOrders.hold, actor="locks", asks=ASK_TO_LOCK, usual_s=1.0)
 LOCKS_SEEN = State(
     "locks seen",
     waits_for="the description of the encoders' device",
@@ -122,11 +124,11 @@ LOCKS_SEEN = State(
 )
 COUNTERS = State("counters", does="check the counters at the closed locks", enter=_check_counters)
 _ENDING = "the test is ending"
-FINISH = State("finish", does="end the log", enter=Orders.finish, no_pause=_ENDING)
+FINISH = State("finish", does="end the log", enter=RigOrders.finish, no_pause=_ENDING)
 STOP = State(
     "stop",
     does="bring the rotor to rest",
-    enter=Orders.rest,
+    enter=RigOrders.rest,
     actor="rotor",
     asks="stop the rotor",
     usual_s=2.0,
@@ -135,7 +137,7 @@ STOP = State(
 LOCK_AGAIN = State(
     "lock again",
     does="lock the pendulums",
-    enter=Orders.hold_again,
+    enter=RigOrders.hold_again,
     actor="locks",
     asks=ASK_TO_LOCK,
     usual_s=1.0,

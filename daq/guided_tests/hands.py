@@ -21,7 +21,7 @@ from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
 from daq.errors import DeviceError
 from daq.guided_tests.measures import ANGLE_FIELDS
-from daq.items import Event
+from daq.items import DeviceEvent
 from rig_configs.roles import PendulumAngles
 
 Array = NDArray[np.floating[Any]]
@@ -81,7 +81,7 @@ class Operator(Protocol):
         ...
 
 
-class Rotor(Protocol):
+class RotorHand(Protocol):
     """Turns the rotor for a test."""
 
     ramp_rpm_per_s: float
@@ -307,7 +307,7 @@ class HandLocks:
         for pendulum in (0, 1):
             facts = {"pendulum": pendulum, "state": "released", "time_ns": released_ns, "time_std_s": std_s}
             text = f"pendulum {'AB'[pendulum]} released by hand, time estimated from its angle"
-            self._s.note(Event("lock", HOST, text, facts))
+            self._s.note(DeviceEvent("lock", HOST, text, facts))
         return released_ns
 
     def _wrong(self) -> str:

@@ -14,7 +14,7 @@ from daq.acquisition.channel_watch import HOST
 from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, misplaced
 from daq.acquisition.session import Session
 from daq.errors import AcquisitionError, DeviceError, ProcedureError
-from daq.guided_test_kinds import Asked
+from daq.guided_test_kinds import GuidedTestRequest
 from daq.guided_tests.hands import (
     CommandedLocks,
     DrivenRotor,
@@ -23,11 +23,11 @@ from daq.guided_tests.hands import (
     Locks,
     Operator,
     Progress,
-    Rotor,
+    RotorHand,
     Wait,
 )
 from daq.guided_tests.measures import ANGLE_FIELDS, Measures
-from daq.items import Event
+from daq.items import DeviceEvent
 from daq.log.numbering import next_number, one_at_a_time
 from daq.log.outcome import ending
 from rig_configs.roles import PendulumAngles
@@ -50,7 +50,7 @@ class Kept:
     summary: Mapping[str, Any]
 
 
-class Orders:
+class RigOrders:
     """Carries out the orders of the tests of one session. `prepare` begins each test.
 
     Args:
@@ -85,14 +85,14 @@ class Orders:
         def wait(condition: Callable[[], bool], wall_s: float, what: str) -> None:
             self.wait(condition, wall_s, what)
 
-        self.rotor: Rotor = DrivenRotor(session) if roles.speed else HandRotor(session, operator, progress)
+        self.rotor: RotorHand = DrivenRotor(session) if roles.speed else HandRotor(session, operator, progress)
         commanded = roles.locks is not None
         self.locks: Locks = CommandedLocks(session, wait) if commanded else HandLocks(session, operator, progress, wait)
         self._folder, self._progress, self._note = folder, progress, note
-        self._early_notes: list[Event] = []  # notes made before the log begins
+        self._early_notes: list[DeviceEvent] = []  # notes made before the log begins
         self._recording = self._turned = self._held = self._trusts_angles = False
 
-    def prepare(self, request: Asked, facts: Mapping[str, str]) -> None:
+    def prepare(self, request: GuidedTestRequest, facts: Mapping[str, str]) -> None:
         """Begin a test: reset the state of the previous one.
 
         Args:
@@ -121,7 +121,7 @@ class Orders:
     def note(self, text: str) -> None:
         """Write a note of the operator to the log with its time. Notes before the log begins are its first events."""
         now_ns = self.clock.now_ns()
-        event = Event("note", HOST, text, {"time_ns": now_ns})
+        event = DeviceEvent("note", HOST, text, {"time_ns": now_ns})
         if self._recording:
             self.session.note(event)
         elif self.kept is None:

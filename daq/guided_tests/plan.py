@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from daq.guided_test_kinds import CHANNELS, SIGNALS, Asked, given_on
-from daq.guided_tests.table import END, FAULT, Outcome, State
+from daq.guided_test_kinds import CHANNELS, SIGNALS, GuidedTestRequest, given_on
+from daq.guided_tests.table import END, FAULT, State, StateOutcome
 from rig_configs.roles import Roles
 
 OPERATOR, PROGRAM = "operator", "program"
@@ -45,7 +45,7 @@ class PlannedState:
 
 
 @dataclass(frozen=True)
-class Plan:
+class GuidedTestPlan:
     """Plan of a requested test.
 
     Attributes:
@@ -84,17 +84,18 @@ class Plan:
         return {**asdict(self), "prompts": list(self.prompts)}
 
 
-def plan(request: Asked) -> Plan:
+def plan(request: GuidedTestRequest) -> GuidedTestPlan:
     """Return the plan of a requested test."""
     rig, kind = request.rig, request.kind
     table = kind.table(request)
     leads = table.transitions
     states = tuple(
-        _planned(row, rig.roles, leads[row.name, Outcome.DONE], leads[row.name, Outcome.LATE]) for row in table.rows
+        _planned(row, rig.roles, leads[row.name, StateOutcome.DONE], leads[row.name, StateOutcome.LATE])
+        for row in table.rows
     )
     repeats = int(request.numbers.get("count", 1)) if kind.summed else 1
     device_of = rig.roles.device_of
-    return Plan(
+    return GuidedTestPlan(
         test=request.test,
         line=kind.line,
         needs={SIGNALS[signal]: device_of[CHANNELS[signal]] for signal in kind.needs},

@@ -7,10 +7,10 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from daq.guided_test_kinds import Asked, Number, TestKind
+from daq.guided_test_kinds import GuidedTestRequest, Number, TestKind
 from daq.guided_tests.frame import framed, near_resonance, spin_up
-from daq.guided_tests.orders import Orders
-from daq.guided_tests.table import MOTION, Look, State, Table, View, after
+from daq.guided_tests.orders import RigOrders
+from daq.guided_tests.table import MOTION, State, StateObservation, StateTable, StateView, after
 from daq.guided_tests.test_inputs import speed_refusal
 from daq.signals.settling import Settling
 from rig_basics.units import RPM
@@ -25,7 +25,9 @@ _AFTER_RELEASE_S = 3.0  # after the release before the first look, rig s
 _AFTER_STEADY_S = 2.5  # steady state in the log before the second look with the tolerances of the analysis, rig s
 
 
-def point_states(request: Asked, rpm: float, ends: Callable[[View, Settling], bool]) -> tuple[State, ...]:
+def point_states(
+    request: GuidedTestRequest, rpm: float, ends: Callable[[StateView, Settling], bool]
+) -> tuple[State, ...]:
     """Return the states from the spin-up to the steady state after a release.
 
     Args:
@@ -35,10 +37,10 @@ def point_states(request: Asked, rpm: float, ends: Callable[[View, Settling], bo
     """
     waiting = near_resonance(request.rig, rpm)
 
-    def orbit_steady(view: View) -> Look:
+    def orbit_steady(view: StateView) -> StateObservation:
         found = view.measures.locked_steady()
         facts = {"steady_before_release": found.settled}
-        return Look(found.settled, f"waiting for a steady orbit, {found.why}", facts=facts)
+        return StateObservation(found.settled, f"waiting for a steady orbit, {found.why}", facts=facts)
 
     return (
         *spin_up(request, rpm),
@@ -56,7 +58,7 @@ def point_states(request: Asked, rpm: float, ends: Callable[[View, Settling], bo
         State(
             "before the release",
             does="begin the log",
-            enter=Orders.begin,
+            enter=RigOrders.begin,
             waits_for=f"{_BEFORE_RELEASE_S:g} s of the locked orbit",
             look=after(_BEFORE_RELEASE_S),
             rpm=rpm,
@@ -79,24 +81,26 @@ def point_states(request: Asked, rpm: float, ends: Callable[[View, Settling], bo
     )
 
 
-def settle_state(request: Asked, rpm: float, ends: Callable[[View, Settling], bool], free: bool = False) -> State:
+def settle_state(
+    request: GuidedTestRequest, rpm: float, ends: Callable[[StateView, Settling], bool], free: bool = False
+) -> State:
     """Return the state that waits for the steady state after a release, or with `free` after reaching the speed."""
     angles = request.rig.roles.angles
     step_rad = math.nan if angles is None else angles.step_rad
     begun = "at speed" if free else "after release"
 
-    def all_steady(view: View) -> Look:
+    def all_steady(view: StateView) -> StateObservation:
         since_ns = view.entered_ns if free else int(view.memory["released_ns"])
         since = (view.now_ns - since_ns) * 1e-9
         steady_ns = view.memory.get("steady_ns")
         if since < _AFTER_RELEASE_S or (steady_ns and view.now_ns < steady_ns + _AFTER_STEADY_S * 1e9):
-            return Look(False, f"{since:.0f} s {begun}")
+            return StateObservation(False, f"{since:.0f} s {begun}")
         again = steady_ns is not None
         last = view.measures.steady(since_ns, step_rad, {} if again else _STEADY, free)
         over = (again and last.settled) or (not last.settled and ends(view, last))
         seen: dict[str, Any] = {"last": last, "steady_ns": view.now_ns if last.settled and not again else None}
         facts = {"settled": over and last.settled, "why": last.why}
-        return Look(over, f"{since:.0f} s {begun}, {last.why}", remember=seen, facts=facts)
+        return StateObservation(over, f"{since:.0f} s {begun}, {last.why}", remember=seen, facts=facts)
 
     return State(
         "settle",
@@ -110,7 +114,7 @@ def settle_state(request: Asked, rpm: float, ends: Callable[[View, Settling], bo
     )
 
 
-def _not_steady(request: Asked, view: View) -> str:
+def _not_steady(request: GuidedTestRequest, view: StateView) -> str:
     """Return what a point has not reached at its time limit; empty if it slips as expected."""
     last: Settling | None = view.memory.get("last")
     point = request.rig.points.get(request.point)
@@ -119,7 +123,7 @@ def _not_steady(request: Asked, view: View) -> str:
     return f"the steady state within {_POINT_LIMIT_S:g} s of the release: {last.why if last else 'no data'}"
 
 
-def _table(request: Asked) -> Table:
+def _table(request: GuidedTestRequest) -> StateTable:
     states = point_states(request, request.numbers["speed_rpm"], lambda view, last: False)
     return framed(request, *states, releases=True)
 
@@ -129,7 +133,7 @@ def point_speed_rpm(rig: Rig, point: str) -> float | None:
     return rig.physics.speed_rad_s(rig.points[point].speed_ratio) / RPM if point in rig.points else None
 
 
-def refusal(request: Asked) -> str:
+def refusal(request: GuidedTestRequest) -> str:
     """Return the reason why the speed of a requested point is refused; empty if it is accepted."""
     return speed_refusal(request.rig, request.numbers["speed_rpm"])
 

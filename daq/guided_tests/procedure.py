@@ -10,12 +10,12 @@ from pathlib import Path
 
 from daq.acquisition.session import Session
 from daq.channels import LOCKS_CLOSED
-from daq.guided_test_kinds import Asked
+from daq.guided_test_kinds import GuidedTestRequest
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.hands import MAX_LOCK_S, Operator, Progress
-from daq.guided_tests.orders import Orders
+from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.runner import NotReached, Runner, TestDone
-from daq.guided_tests.test_inputs import asked
+from daq.guided_tests.test_inputs import requested_test
 from rig_basics.units import TO_RPM
 from rig_configs.schema import Rig
 
@@ -45,7 +45,7 @@ class Procedures:
     ) -> None:
         self.controls = controls or Controls()
         self._rig = session.rig
-        self._orders = Orders(session, operator, folder, progress, note)
+        self._orders = RigOrders(session, operator, folder, progress, note)
         self._runner = Runner(self._orders, self.controls)
 
     @property
@@ -61,7 +61,7 @@ class Procedures:
         """Run one guided test.
 
         Args:
-            test: name of the test, as in `test_inputs.asked`.
+            test: name of the test, as in `test_inputs.requested_test`.
             rig: rig with the (identified) parameters from which the speeds follow; the session's rig if None.
             point: name of a point; empty without one.
             numbers: numbers that replace the defaults, by name.
@@ -71,9 +71,9 @@ class Procedures:
             NotReached: the test ended before its log began.
             AcquisitionError: an interlock or a device ended the test.
         """
-        return self.carry_out(asked(rig or self._rig, test, numbers, point))
+        return self.carry_out(requested_test(rig or self._rig, test, numbers, point))
 
-    def carry_out(self, wanted: Asked) -> TestDone:
+    def carry_out(self, wanted: GuidedTestRequest) -> TestDone:
         """Run a requested test; see `run`."""
         if wanted.kind.summed is None:
             return self._once(wanted, "")
@@ -89,7 +89,7 @@ class Procedures:
                 break
         return _whole(wanted, runs, runs[-1].missed if runs[-1].aborted else "", runs[-1].aborted)
 
-    def _once(self, wanted: Asked, number: str) -> TestDone:
+    def _once(self, wanted: GuidedTestRequest, number: str) -> TestDone:
         numbers = {name: f"{value:.7g}" for name, value in wanted.numbers.items()}
         facts = numbers | ({"point": wanted.point} if wanted.point else {}) | ({"run": number} if number else {})
         return self._runner.run(wanted, wanted.kind.table(wanted), facts)
@@ -115,7 +115,7 @@ class Procedures:
         return self.run(f"point-{name}", speed_rpm=speed_rad_s * TO_RPM)
 
 
-def _whole(wanted: Asked, runs: list[TestDone], missed: str, aborted: bool) -> TestDone:
+def _whole(wanted: GuidedTestRequest, runs: list[TestDone], missed: str, aborted: bool) -> TestDone:
     """Combine the runs of a repeated test."""
     assert wanted.kind.summed is not None
     summary = dict(wanted.kind.summed([run.summary for run in runs]))

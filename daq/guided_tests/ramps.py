@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-from daq.guided_test_kinds import Asked, Number, TestKind
+from daq.guided_test_kinds import GuidedTestRequest, Number, TestKind
 from daq.guided_tests.frame import framed, share_of, spin_up
-from daq.guided_tests.orders import Orders
-from daq.guided_tests.table import Look, State, Table, View, after
+from daq.guided_tests.orders import RigOrders
+from daq.guided_tests.table import State, StateObservation, StateTable, StateView, after
 from daq.guided_tests.test_inputs import default_top_rpm, ramp_refusal, ramp_warning
 
 _MIN_SPEED_SHARE = 0.03  # of the top speed; below it a run-down has too few index marks and ends
@@ -14,13 +14,13 @@ _RAMP_S = 40.0
 _THROUGH = "the rotor passes through resonances"
 
 
-def _up(request: Asked) -> Table:
+def _up(request: GuidedTestRequest) -> StateTable:
     top, duration = request.numbers["top_rpm"], request.numbers["duration_s"]
 
-    def at_top(view: View) -> Look:
-        return Look(view.rpm > 0.985 * top, f"{view.rpm:.0f} rpm", share_of(view.rpm, top))
+    def at_top(view: StateView) -> StateObservation:
+        return StateObservation(view.rpm > 0.985 * top, f"{view.rpm:.0f} rpm", share_of(view.rpm, top))
 
-    def begin(orders: Orders) -> None:
+    def begin(orders: RigOrders) -> None:
         orders.make_ready()
         orders.begin()
 
@@ -64,11 +64,11 @@ def _up(request: Asked) -> Table:
     )
 
 
-def _down(request: Asked) -> Table:
+def _down(request: GuidedTestRequest) -> StateTable:
     top, duration = request.numbers["top_rpm"], request.numbers["duration_s"]
 
-    def slow(view: View) -> Look:
-        return Look(view.rpm < _MIN_SPEED_SHARE * top, f"{view.rpm:.0f} rpm", share_of(top - view.rpm, top))
+    def slow(view: StateView) -> StateObservation:
+        return StateObservation(view.rpm < _MIN_SPEED_SHARE * top, f"{view.rpm:.0f} rpm", share_of(top - view.rpm, top))
 
     return framed(
         request,
@@ -76,7 +76,7 @@ def _down(request: Asked) -> Table:
         State(
             "top",
             does="begin the log",
-            enter=Orders.begin,
+            enter=RigOrders.begin,
             waits_for="a second at the top",
             look=after(1.0),
             usual_s=1.0,
@@ -102,11 +102,11 @@ def _down(request: Asked) -> Table:
     )
 
 
-def _refusal(request: Asked) -> str:
+def _refusal(request: GuidedTestRequest) -> str:
     return ramp_refusal(request.rig, request.numbers["top_rpm"], request.numbers["duration_s"])
 
 
-def _warning(request: Asked) -> str:
+def _warning(request: GuidedTestRequest) -> str:
     return ramp_warning(request.rig, request.numbers["top_rpm"])
 
 

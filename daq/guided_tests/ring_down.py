@@ -7,11 +7,11 @@ import math
 from dataclasses import dataclass
 
 from daq.acquisition.core import PAST_S
-from daq.guided_test_kinds import CHANNELS, Asked, Number, TestKind
+from daq.guided_test_kinds import CHANNELS, GuidedTestRequest, Number, TestKind
 from daq.guided_tests.frame import framed
 from daq.guided_tests.hands import HUMAN_S
-from daq.guided_tests.orders import Orders
-from daq.guided_tests.table import FAULT, MOTION, Look, State, Table, View, no_orders
+from daq.guided_tests.orders import RigOrders
+from daq.guided_tests.table import FAULT, MOTION, State, StateObservation, StateTable, StateView, no_orders
 
 _MAX_ANSWER_S = 5.0  # wait for valid samples of a device, wall s
 _MAX_CALM_S = 30.0  # wait for the column to come to rest before the pluck, rig s
@@ -42,31 +42,33 @@ class _RingDown:
 
     # --- looks -------------------------------------------------------------------------------------------------
 
-    def calm(self, view: View) -> Look:
+    def calm(self, view: StateView) -> StateObservation:
         """Wait until the column is nearly at rest. Without valid samples the next state reports it."""
         now = view.measures.peak_to_peak(self.topic, _WINDOW_S)
         words = f"waiting for the column to come to rest: {now * 1e3:.2f} mm peak to peak"
-        return Look(not now >= _PLUCKED_M, words)
+        return StateObservation(not now >= _PLUCKED_M, words)
 
-    def quiet(self, view: View) -> Look:
+    def quiet(self, view: StateView) -> StateObservation:
         """Measure the column at rest."""
         done = view.in_state_s >= _BEFORE_S and view.measures.valid(self.topic, 0.5) > 0.4
-        return Look(done, "measuring the column at rest", remember={"rest_m": view.measures.rest_m(self.topic, 0.5)})
+        return StateObservation(
+            done, "measuring the column at rest", remember={"rest_m": view.measures.rest_m(self.topic, 0.5)}
+        )
 
-    def plucked(self, view: View) -> Look:
+    def plucked(self, view: StateView) -> StateObservation:
         """Wait for a displacement since the request."""
         since = max(view.entry_began_ns, view.measures.since(_MAX_PLUCK_AGE_S))
         largest = view.measures.largest_since(self.topic, since, view.memory["rest_m"])
-        return Look(largest > _PLUCKED_M, f"pluck the column along {self.axis} by 2 to 3 mm and release it")
+        return StateObservation(largest > _PLUCKED_M, f"pluck the column along {self.axis} by 2 to 3 mm and release it")
 
-    def rung_down(self, view: View) -> Look:
+    def rung_down(self, view: StateView) -> StateObservation:
         """Wait until the displacement is at rest near the rest position after swings to both sides.
 
         A column that is held by hand does not meet these conditions. While the sensor is blocked the look is not done.
         """
         low, high = view.measures.extremes(self.topic, _WINDOW_S)
         if view.in_state_s < _AFTER_PLUCK_S or not math.isfinite(high - low):
-            return Look(False)
+            return StateObservation(False)
         rest, now = view.memory["rest_m"], high - low
         peak = max(view.memory.get("peak_m", 0.0), now)
         least, most = min(view.memory.get("low_m", 0.0), low - rest), max(view.memory.get("high_m", 0.0), high - rest)
@@ -81,11 +83,11 @@ class _RingDown:
         elif is_still and not has_swung:
             words = f"the column returned without a swing: pluck along {self.axis} again, release at once"
         remember = {"peak_m": peak, "low_m": least, "high_m": most}
-        return Look(is_still and is_back and has_swung, words, share, remember)
+        return StateObservation(is_still and is_back and has_swung, words, share, remember)
 
     # --- texts after the time limit ----------------------------------------------------------------------------
 
-    def not_calm(self, view: View) -> str:
+    def not_calm(self, view: StateView) -> str:
         """Return what was not reached in the state "calm"."""
         now_mm = view.measures.peak_to_peak(self.topic, _WINDOW_S) * 1e3
         return (
@@ -93,7 +95,7 @@ class _RingDown:
             "Find the source of the vibration"
         )
 
-    def not_rung_down(self, view: View) -> str:
+    def not_rung_down(self, view: StateView) -> str:
         """Return what was not reached in the state "ring"."""
         now, peak = view.measures.peak_to_peak(self.topic, _WINDOW_S), view.memory.get("peak_m", 0.0)
         if math.isnan(now):
@@ -166,11 +168,11 @@ class _RingDown:
             ),
         )
 
-    def _begin_log(self, orders: Orders) -> None:
+    def _begin_log(self, orders: RigOrders) -> None:
         orders.begin(self.before_s)
 
 
-def _table(axis: str, request: Asked) -> Table:
+def _table(axis: str, request: GuidedTestRequest) -> StateTable:
     ring_down = _RingDown(axis, CHANNELS[axis], request.numbers["pre_trigger_s"])
     return framed(request, *ring_down.waiting_states(), *ring_down.moving_states())
 

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import DeviceError, ProcedureError
-from daq.guided_test_kinds import Asked
-from daq.guided_tests.controls import Controls, Request, Status
-from daq.guided_tests.orders import Orders
-from daq.guided_tests.table import END, FAULT, Look, Outcome, State, Table, View
+from daq.guided_test_kinds import GuidedTestRequest
+from daq.guided_tests.controls import Controls, GuidedTestStatus, Request
+from daq.guided_tests.orders import RigOrders
+from daq.guided_tests.table import END, FAULT, State, StateObservation, StateOutcome, StateTable, StateView
 
 _PAUSE_LOOK_S = 0.1  # period of the looks while a test is paused, rig s
 
@@ -68,14 +68,14 @@ class Runner:
         controls: passes the requests of the operator.
     """
 
-    def __init__(self, orders: Orders, controls: Controls) -> None:
+    def __init__(self, orders: RigOrders, controls: Controls) -> None:
         self._orders, self._controls, self._clock = orders, controls, orders.clock
         self._abort: str | None = None
         self._pausing = False
         self._ending: frozenset[str] = frozenset()
         orders.wait = self._wait
 
-    def run(self, request: Asked, table: Table, facts: Mapping[str, str]) -> TestDone:
+    def run(self, request: GuidedTestRequest, table: StateTable, facts: Mapping[str, str]) -> TestDone:
         """Run a test to its end.
 
         Args:
@@ -117,10 +117,10 @@ class Runner:
 
     # --- one state ---------------------------------------------------------------------------------------------
 
-    def _outcome(self, state: State) -> Outcome:
+    def _outcome(self, state: State) -> StateOutcome:
         """Enter a state and look until it is over."""
         orders = self._orders
-        self._show(state, Look(False, state.does or f"waiting for {state.waits_for}"))
+        self._show(state, StateObservation(False, state.does or f"waiting for {state.waits_for}"))
         self._entered = state
         try:
             self._take_requests(state)
@@ -137,33 +137,33 @@ class Runner:
                 orders.facts |= look.facts
                 self._show(state, look)
                 if look.done:
-                    return Outcome.DONE
+                    return StateOutcome.DONE
                 if self._clock.now_ns() > end_ns:
                     return self._late(state, self._view(entry_began_ns, entered_ns))
                 self._clock.sleep(state.period_s)
         except _Aborted:
-            return Outcome.ABORT
+            return StateOutcome.ABORT
 
-    def _view(self, entry_began_ns: int, entered_ns: int) -> View:
+    def _view(self, entry_began_ns: int, entered_ns: int) -> StateView:
         orders = self._orders
         now_ns = self._clock.now_ns()
-        return View(orders.measures, now_ns, entered_ns, entry_began_ns, orders.rotor.speed_rpm, orders.memory)
+        return StateView(orders.measures, now_ns, entered_ns, entry_began_ns, orders.rotor.speed_rpm, orders.memory)
 
-    def _late(self, state: State, view: View) -> Outcome:
+    def _late(self, state: State, view: StateView) -> StateOutcome:
         missed = state.missed(view)
         self._orders.missed = self._orders.missed or missed
         self._orders.warn(state.late_warning)
-        return Outcome.LATE
+        return StateOutcome.LATE
 
-    def _conclude(self, state: State, outcome: Outcome, target: str) -> None:
+    def _conclude(self, state: State, outcome: StateOutcome, target: str) -> None:
         """Record an outcome, and raise the error of a transition to FAULT."""
         orders = self._orders
-        if outcome is Outcome.ABORT:
+        if outcome is StateOutcome.ABORT:
             if not orders.aborted and orders.kept is None:
                 orders.aborted, orders.missed = True, f"aborted by the operator in {state.name!r}: {self._abort}"
             self._abort = None
         elif state.fact:
-            orders.facts[state.fact] = outcome is Outcome.DONE
+            orders.facts[state.fact] = outcome is StateOutcome.DONE
         if target == FAULT:
             raise DeviceError(orders.missed)
 
@@ -191,7 +191,7 @@ class Runner:
                 raise _Aborted
             if not self._pausing or state.no_pause:
                 break
-            self._show(state, Look(False, f"paused before: {state.does or state.waits_for}"), paused=True)
+            self._show(state, StateObservation(False, f"paused before: {state.does or state.waits_for}"), paused=True)
             self._orders.check()
             self._clock.sleep(_PAUSE_LOOK_S)
         return self._clock.now_ns() - begun
@@ -216,8 +216,10 @@ class Runner:
     def _answer(self, text: str) -> None:
         self._controls.status = replace(self._controls.status, answer=text)
 
-    def _show(self, state: State, look: Look, *, paused: bool = False) -> None:
+    def _show(self, state: State, look: StateObservation, *, paused: bool = False) -> None:
         words = look.words or (f"waiting for {state.waits_for}" if state.waits_for else state.does)
         answer, request = self._controls.status.answer, self._orders.request
-        self._controls.status = Status(request.test, state.name, words, look.share, paused, answer, request.numbers)
+        self._controls.status = GuidedTestStatus(
+            request.test, state.name, words, look.share, paused, answer, request.numbers
+        )
         self._orders.report(words, look.share)

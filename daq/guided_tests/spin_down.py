@@ -7,11 +7,11 @@ import math
 
 import numpy as np
 
-from daq.guided_test_kinds import Asked, TestKind
+from daq.guided_test_kinds import GuidedTestRequest, TestKind
 from daq.guided_tests.frame import framed
 from daq.guided_tests.hands import HUMAN_S
 from daq.guided_tests.ring_down import PRE_TRIGGER
-from daq.guided_tests.table import MOTION, Look, State, Table, View, after, no_orders
+from daq.guided_tests.table import MOTION, State, StateObservation, StateTable, StateView, after, no_orders
 
 _MAX_FLICK_AGE_S = 10.0  # stretch of the angles in which a flick is searched, rig s
 _BEFORE_S = 0.7  # at rest before the flick, rig s
@@ -19,28 +19,30 @@ _MAX_SPIN_DOWN_S = 120.0  # rig s
 _FLICKED_RAD = 0.5  # turn of a pendulum that counts as a flick
 
 
-def _flicked(view: View) -> Look:
+def _flicked(view: StateView) -> StateObservation:
     since = max(view.entry_began_ns, view.measures.since(_MAX_FLICK_AGE_S))
     turned = view.measures.turned_since(since)[0]
     words = "flick both pendulums, slower than two turns a second"
-    return Look(bool(np.all(turned > _FLICKED_RAD)), words, remember={"flick_since_ns": view.entry_began_ns})
+    return StateObservation(
+        bool(np.all(turned > _FLICKED_RAD)), words, remember={"flick_since_ns": view.entry_began_ns}
+    )
 
 
-def _slowed(view: View) -> Look:
+def _slowed(view: StateView) -> StateObservation:
     rates, (_, peak) = np.abs(view.measures.rates()), view.measures.turned_since(view.memory["flick_since_ns"])
     if not np.all(np.isfinite(rates)):
-        return Look(False)  # the angles are missing while the radio is silent
+        return StateObservation(False)  # the angles are missing while the radio is silent
     share = float(np.min(np.log(peak / np.maximum(rates, 1e-3)))) / 5.0
-    return Look(share >= 1.0, f"{rates[0]:.2f} and {rates[1]:.2f} rad/s", min(1.0, max(0.0, share)))
+    return StateObservation(share >= 1.0, f"{rates[0]:.2f} and {rates[1]:.2f} rad/s", min(1.0, max(0.0, share)))
 
 
-def _left(view: View) -> str:
+def _left(view: StateView) -> str:
     a, b = np.abs(view.measures.rates())
     seen = "their angles are missing" if math.isnan(a + b) else f"{a:.2f} and {b:.2f} rad/s were left"
     return f"the pendulums to slow down by e⁵ within {_MAX_SPIN_DOWN_S:g} s: {seen}"
 
 
-def _table(request: Asked) -> Table:
+def _table(request: GuidedTestRequest) -> StateTable:
     before_s = request.numbers["pre_trigger_s"]
     later = before_s > 0
     return framed(

@@ -13,11 +13,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from daq.guided_test_kinds import Asked, Number, TestKind
+from daq.guided_test_kinds import GuidedTestRequest, Number, TestKind
 from daq.guided_tests.frame import framed, spin_up
-from daq.guided_tests.orders import Orders
+from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.point import SPEED, point_states, refusal, settle_state
-from daq.guided_tests.table import MOTION, State, Table, View, after, not_missed
+from daq.guided_tests.table import MOTION, State, StateTable, StateView, after, not_missed
 from daq.signals.settling import Settling
 from daq.signals.state_type import state_type
 
@@ -27,15 +27,15 @@ _BEFORE_S = 1.0  # pendulums at their locks at the start of the log, rig s
 _SCATTERED_S = 2.0  # wait after the pendulums were scattered, rig s
 
 
-def _slips(view: View, last: Settling) -> bool:
+def _slips(view: StateView, last: Settling) -> bool:
     return last.slipping and view.now_ns - int(view.memory["released_ns"]) > _MIN_SLIPPING_S * 1e9
 
 
-def _slips_at_speed(view: View, last: Settling) -> bool:
+def _slips_at_speed(view: StateView, last: Settling) -> bool:
     return last.slipping and view.in_state_s > _MIN_SLIPPING_S
 
 
-def _classify(orders: Orders) -> None:
+def _classify(orders: RigOrders) -> None:
     """Write the class of the start-up to the facts: "balanced", "slipping" or "other", and the settled values."""
     last: Settling | None = orders.memory.get("last")
     state, facts = "not settled", dict[str, Any]()
@@ -51,13 +51,13 @@ def _classify(orders: Orders) -> None:
     orders.facts |= {"class": kind, "state": state, **facts}
 
 
-def _from_rest(request: Asked, rpm: float) -> tuple[State, ...]:
+def _from_rest(request: GuidedTestRequest, rpm: float) -> tuple[State, ...]:
     """Return the states from the release at rest to the steady state."""
     return (
         State(
             "begin",
             does="begin the log",
-            enter=Orders.begin,
+            enter=RigOrders.begin,
             waits_for=f"{_BEFORE_S:g} s at the locks",
             look=after(_BEFORE_S, "the pendulums at their locks"),
             period_s=0.1,
@@ -89,7 +89,7 @@ def _from_rest(request: Asked, rpm: float) -> tuple[State, ...]:
     )
 
 
-def _table(request: Asked) -> Table:
+def _table(request: GuidedTestRequest) -> StateTable:
     rpm = request.numbers["speed_rpm"]
     states = _from_rest(request, rpm) if request.numbers["from_rest"] else point_states(request, rpm, _slips)
     classed = State("class", does="classify the steady state: balanced, slipping or other", enter=_classify)

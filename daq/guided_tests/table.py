@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from daq.guided_tests.measures import Measures
-    from daq.guided_tests.orders import Orders
+    from daq.guided_tests.orders import RigOrders
 
 END, FAULT = "end", "fault"
 """Targets of transitions that end a test: normally, or with an error of the rig."""
@@ -32,7 +32,7 @@ MOTION = "the motion is being recorded and does not wait"
 Actor = Literal["program", "rotor", "locks", "operator"]
 
 
-class Outcome(StrEnum):
+class StateOutcome(StrEnum):
     """Outcome of a state."""
 
     DONE = "done"
@@ -41,7 +41,7 @@ class Outcome(StrEnum):
 
 
 @dataclass(frozen=True)
-class View:
+class StateView:
     """Input of a look.
 
     Attributes:
@@ -67,7 +67,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Look:
+class StateObservation:
     """Result of a look.
 
     Attributes:
@@ -85,21 +85,21 @@ class Look:
     facts: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
-def at_once(view: View) -> Look:
+def at_once(view: StateView) -> StateObservation:
     """Return a look that is done, for states that are over when their orders have been carried out."""
-    return Look(True)
+    return StateObservation(True)
 
 
-def after(seconds: float, words: str = "") -> Callable[[View], Look]:
+def after(seconds: float, words: str = "") -> Callable[[StateView], StateObservation]:
     """Return a look that waits for a time, rig s."""
-    return lambda view: Look(view.in_state_s >= seconds, words, min(1.0, view.in_state_s / seconds))
+    return lambda view: StateObservation(view.in_state_s >= seconds, words, min(1.0, view.in_state_s / seconds))
 
 
-def no_orders(orders: Orders) -> None:
+def no_orders(orders: RigOrders) -> None:
     """Do nothing on entry, for states that only wait."""
 
 
-def not_missed(view: View) -> str:
+def not_missed(view: StateView) -> str:
     """Return an empty text, for states whose time limit is not a failure."""
     return ""
 
@@ -130,9 +130,9 @@ class State:
 
     name: str
     does: str = ""
-    enter: Callable[[Orders], None] = no_orders
+    enter: Callable[[RigOrders], None] = no_orders
     waits_for: str = ""
-    look: Callable[[View], Look] = at_once
+    look: Callable[[StateView], StateObservation] = at_once
     period_s: float = 0.5
     limit_s: float = 0.0
     wall: bool = False
@@ -143,13 +143,13 @@ class State:
     no_pause: str = ""
     done: str = ""
     late: str = ""
-    missed: Callable[[View], str] = not_missed
+    missed: Callable[[StateView], str] = not_missed
     late_warning: str = ""
     fact: str = ""
 
 
 @dataclass(frozen=True)
-class Table:
+class StateTable:
     """The states of one test in their usual order.
 
     Args:
@@ -179,15 +179,15 @@ class Table:
         return (*self.states, *self.ending)
 
     @property
-    def transitions(self) -> Mapping[tuple[str, Outcome], str]:
+    def transitions(self) -> Mapping[tuple[str, StateOutcome], str]:
         """Name of the state that follows each outcome of each state."""
-        rows, found = self.rows, dict[tuple[str, Outcome], str]()
+        rows, found = self.rows, dict[tuple[str, StateOutcome], str]()
         first_of_ending = self.ending[0].name if self.ending else END
         for state, following in zip(rows, [*(row.name for row in rows[1:]), END], strict=True):
             ending = state in self.ending
-            found[state.name, Outcome.DONE] = state.done or following
-            found[state.name, Outcome.LATE] = state.late or (following if ending else first_of_ending)
-            found[state.name, Outcome.ABORT] = following if ending else first_of_ending
+            found[state.name, StateOutcome.DONE] = state.done or following
+            found[state.name, StateOutcome.LATE] = state.late or (following if ending else first_of_ending)
+            found[state.name, StateOutcome.ABORT] = following if ending else first_of_ending
         return found
 
     def row(self, name: str) -> State:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 
 from daq import guided_test_kinds as kinds
-from daq.guided_test_kinds import KINDS, Asked, Refused, TestKind
+from daq.guided_test_kinds import KINDS, GuidedTestRefused, GuidedTestRequest, TestKind
 from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
@@ -86,7 +86,7 @@ def default_top_rpm(rig: Rig) -> float:
     return min(1.3 * max(rig.physics.natural_frequencies_rad_s) / RPM, rig.limits.speed_rpm)
 
 
-def asked(rig: Rig, test: str, given: Mapping[str, float] | None = None, point: str = "") -> Asked:
+def requested_test(rig: Rig, test: str, given: Mapping[str, float] | None = None, point: str = "") -> GuidedTestRequest:
     """Return a requested test with all its numbers.
 
     Args:
@@ -102,16 +102,16 @@ def asked(rig: Rig, test: str, given: Mapping[str, float] | None = None, point: 
     named = kind is not None and kind.point == "named"
     name = f"{test}-{point}" if named and point else test
     if kind is None or (named and name not in test_names(rig)):
-        raise Refused(f"{name!r}: no such test. Known: {', '.join(_names(rig, separator=' '))}")
+        raise GuidedTestRefused(f"{name!r}: no such test. Known: {', '.join(_names(rig, separator=' '))}")
     point = point or (name.removeprefix(f"{kind.name}-") if named else "")
     if point and (not kind.point or point not in rig.points):
         takes = f"one of {', '.join(rig.points)}" if kind.point else "no point"
-        raise Refused(f"{test} {point}: the test takes {takes}. Nothing was turned")
+        raise GuidedTestRefused(f"{test} {point}: the test takes {takes}. Nothing was turned")
     if why := kinds.refusal(name, rig.roles):
-        raise Refused(why)
-    found = Asked(rig, kind, name, point, _numbers(rig, kind, name, dict(given or {}), point))
+        raise GuidedTestRefused(why)
+    found = GuidedTestRequest(rig, kind, name, point, _numbers(rig, kind, name, dict(given or {}), point))
     if why := kind.refusal(found) or _out_of_range(found):
-        raise Refused(why)
+        raise GuidedTestRefused(why)
     return found
 
 
@@ -119,18 +119,20 @@ def _numbers(rig: Rig, kind: TestKind, test: str, given: Mapping[str, float], po
     """Return a value for each number of a kind."""
     if unknown := sorted(given.keys() - kind.numbers.keys()):
         takes = ", ".join(kind.numbers) or "none"
-        raise Refused(f"{test} takes no {' and no '.join(unknown)}; the numbers it takes: {takes}. Nothing was turned")
+        raise GuidedTestRefused(
+            f"{test} takes no {' and no '.join(unknown)}; the numbers it takes: {takes}. Nothing was turned"
+        )
     found: dict[str, float] = {}
     for name, number in kind.numbers.items():
         value = given[name] if name in given else number.value(rig, point)
         if value is None:
             or_point = " or a point of the rig" if kind.point == "optional" else ""
-            raise Refused(f"{test}: expected {name} ({number.words}){or_point}, got none. Nothing was turned")
+            raise GuidedTestRefused(f"{test}: expected {name} ({number.words}){or_point}, got none. Nothing was turned")
         found[name] = float(value)
     return found
 
 
-def _out_of_range(found: Asked) -> str:
+def _out_of_range(found: GuidedTestRequest) -> str:
     for name, number in found.kind.numbers.items():
         value = found.numbers[name]
         whole = not number.whole or value == round(value)
@@ -142,9 +144,9 @@ def _out_of_range(found: Asked) -> str:
 
 
 def refusal(rig: Rig, test: str, given: Mapping[str, float] | None = None) -> str:
-    """Return the reason why a guided test is refused; empty if it is accepted. Arguments as in `asked`."""
+    """Return the reason why a guided test is refused; empty if it is accepted. Arguments as in `requested_test`."""
     try:
-        asked(rig, test, given)
-    except Refused as why:
+        requested_test(rig, test, given)
+    except GuidedTestRefused as why:
         return str(why)
     return ""

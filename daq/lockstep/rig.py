@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from daq.acquisition.edge import Edge
-from daq.drivers.contract import Line
+from daq.drivers.contract import DeviceLine
 from daq.errors import LinkLost
 from daq.lockstep.cable import Cable, LockstepLink
 from daq.lockstep.clock import SimulatedClock
@@ -88,7 +88,7 @@ class LockstepRig:
         """Return the settings KEY=VALUE that connect the devices of a rig file to this rig."""
         return [f"devices.{name}.port={json.dumps(cable.port)}" for name, cable in self.cables.items()]
 
-    def _connect(self, line: Line, port: str) -> LockstepLink:
+    def _connect(self, line: DeviceLine, port: str) -> LockstepLink:
         cable = self.cables.get(_device_of(port))
         if cable is None:
             raise LinkLost(f"{port}: no such port; this simulated rig has cables of {', '.join(self.cables)}")

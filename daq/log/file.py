@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.errors import LogError, RecordingError
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.mcap.writer import BlockWriter, compile_writer
 
 FOXGLOVE = "foxglove"
@@ -164,7 +164,7 @@ class LogFile:
         messages = batch.channel.pack(batch.columns)
         self._writer.add_block(self._ids[batch.channel.topic], host_ns, batch.time_ns, batch.sequence, messages)
 
-    def event(self, event: Event, host_ns: int) -> None:
+    def event(self, event: DeviceEvent, host_ns: int) -> None:
         """Write an event; its own time is ``facts["time_ns"]`` if present."""
         note = {"kind": event.kind, "device": event.device, "text": event.text, **event.facts}
         self.note(channels.EVENTS_TOPIC, note, host_ns, int(event.facts.get("time_ns", host_ns)))

@@ -1,7 +1,7 @@
 """Verdict of a validation, stored next to its log as NAME.mcap.verdict.json: a finished log is never written again.
 
 The verdict contains the digest of the log. A verdict on another file, or on this file before it was changed, is
-therefore detected (`Verdict.is_of`).
+therefore detected (`LoggedVerdict.is_of`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MOST_BYTES = 2**20  # a verdict is a few lines; a larger file is rejected
 _BLOCK_BYTES = 2**20
 
 
-class Verdict(BaseModel):
+class LoggedVerdict(BaseModel):
     """One validation's verdict on one log.
 
     Attributes:
@@ -59,7 +59,7 @@ def verdict_path(log_path: Path) -> Path:
     return log_path.with_name(log_path.name + SUFFIX)
 
 
-def keep_verdict(log_path: str | Path, verdict: Verdict) -> Path:
+def keep_verdict(log_path: str | Path, verdict: LoggedVerdict) -> Path:
     """Write the verdict file of a log, replacing an earlier one; readers get the old or the new one, never a part.
 
     Returns:
@@ -89,7 +89,7 @@ def keep_verdict(log_path: str | Path, verdict: Verdict) -> Path:
     return path
 
 
-def verdict_of(log_path: str | Path) -> Verdict | None:
+def verdict_of(log_path: str | Path) -> LoggedVerdict | None:
     """Return the verdict stored next to a log, or None; compare its `digest` with `digest_of` the log.
 
     Raises:
@@ -107,7 +107,7 @@ def verdict_of(log_path: str | Path) -> Verdict | None:
     if len(text) > _MOST_BYTES:
         raise LogError(f"{path}: expected a verdict of a few lines, got more than {_MOST_BYTES} bytes; remove it")
     try:
-        return Verdict.model_validate_json(text)
+        return LoggedVerdict.model_validate_json(text)
     except ValidationError as fault:
         first = fault.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the file"

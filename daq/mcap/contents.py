@@ -11,7 +11,7 @@ from daq.mcap.chunks import ChunkTable
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.missing import Missing
 from daq.mcap.records import AttachmentPlace, DamageError, Definitions, Header, read_metadata
-from daq.mcap.summary_reader import Summary
+from daq.mcap.summary_reader import FileSummary
 from daq.mcap.writer import TIMES
 
 
@@ -44,7 +44,7 @@ class Contents:
     unchecked: list[Missing] = field(default_factory=list[Missing])
 
 
-def from_summary(file: FileBytes, header: Header, summary: Summary) -> Contents:
+def from_summary(file: FileBytes, header: Header, summary: FileSummary) -> Contents:
     """Return the contents according to an intact summary; no chunk and no attachment is read."""
     statistics = summary.statistics
     counts = {channel: n for channel, n in statistics.channel_message_counts.items() if n} if statistics else {}

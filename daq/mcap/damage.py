@@ -42,7 +42,7 @@ class Place:
 
 
 @dataclass
-class Damage:
+class FileDamage:
     """All damaged places of a file, in file order."""
 
     places: list[Place] = field(default_factory=list[Place])

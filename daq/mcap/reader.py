@@ -18,7 +18,7 @@ from daq.mcap.damage import topics_of
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.missing import Missing
 from daq.mcap.records import DamageError, Header, check_attachment, read_header
-from daq.mcap.summary_reader import Summary, read_summary
+from daq.mcap.summary_reader import FileSummary, read_summary
 from daq.mcap.walk import Walk
 from daq.mcap.writer import TIMES
 
@@ -41,7 +41,7 @@ def survey(file: FileBytes) -> Contents:
         return walk(file)
 
 
-def _trusts_index(header: Header, summary: Summary) -> bool:
+def _trusts_index(header: Header, summary: FileSummary) -> bool:
     """Return True if only the index can show whether a duplicate chunk was written or copied by mistake.
 
     This is the case for files of other writers, which need not number messages, without a CRC of the data.
@@ -125,7 +125,7 @@ def _note_cut(done: Walk) -> None:
         done.damage.note(done.position, done.file.size, text, len(done.table))
 
 
-def _use_summary(done: Walk, summary: Summary) -> None:
+def _use_summary(done: Walk, summary: FileSummary) -> None:
     """Add what only the summary locates, because it is in a damaged range, and compare the summary with the rest."""
     done.definitions.fill_up(summary.definitions)
     found = from_summary(done.file, done.header, summary)
@@ -167,7 +167,7 @@ def _same(table: ChunkTable, index: ChunkTable) -> bool:
     )
 
 
-def _missing(done: Walk, summary: Summary | None, contents: Contents) -> list[Missing]:
+def _missing(done: Walk, summary: FileSummary | None, contents: Contents) -> list[Missing]:
     """Return what is missing, in file order; messages counted only by the statistics are assigned where possible."""
     missing = done.damage.missing(contents.definitions, contents.table)
     if done.announced is not None and summary is None:

@@ -42,7 +42,7 @@ class WrittenChunk:
     counts: Mapping[int, int]
 
 
-class Summary:
+class WrittenCounts:
     """Counts of a file, collected while it is written.
 
     Attributes:

@@ -31,7 +31,7 @@ _MIN_ENTRY_BYTES = 10
 
 
 @dataclass
-class Summary:
+class FileSummary:
     """Summary of a finished file.
 
     Attributes:
@@ -52,7 +52,7 @@ class Summary:
     data_crc: int
 
 
-def read_summary(file: FileBytes, header: Header) -> Summary:
+def read_summary(file: FileBytes, header: Header) -> FileSummary:
     """Read and verify the summary of a finished file.
 
     Raises:
@@ -153,7 +153,7 @@ class _Reading:
         elif opcode == Opcode.METADATA_INDEX:
             self.metadata.append(parse(records.MetadataIndex, body))
 
-    def summary(self, data_end: int, data_crc: int, header: Header) -> Summary:
+    def summary(self, data_end: int, data_crc: int, header: Header) -> FileSummary:
         """Return the result after checking that it is consistent.
 
         Raises:
@@ -176,7 +176,7 @@ class _Reading:
         ):
             raise DamageError("a summary that does not index everything")
         parts = self._table(), self.attachments, self.metadata
-        return Summary(self.definitions, statistics, *parts, data_end, data_crc)
+        return FileSummary(self.definitions, statistics, *parts, data_end, data_crc)
 
     def counts_by_channel(self) -> dict[int, int]:
         """Return the number of messages by channel id, without channels that have none."""

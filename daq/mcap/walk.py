@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from daq.errors import LogError
 from daq.mcap.checksum import crc32
 from daq.mcap.chunks import BARE, CHUNK_LIMIT_BYTES, HEAD_BYTES, ChunkHead, parse_head, unpack
-from daq.mcap.damage import Damage, Held, Place
+from daq.mcap.damage import FileDamage, Held, Place
 from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
 from daq.mcap.records import (
     RECORD_HEAD,
@@ -81,7 +81,7 @@ class Walk:
         self.file, self.header, self.no_summary, self.trusted = file, header, no_summary, trusted
         self.window = Window(file, header.ours)
         self.progress = progress
-        self.damage = Damage()
+        self.damage = FileDamage()
         self.definitions = Definitions()
         self.table = TableBuilder(self.definitions)
         self.metadata: dict[str, dict[str, str]] = {}

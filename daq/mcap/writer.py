@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from daq.mcap.checksum import crc32
 from daq.mcap.open_chunk import RECORD_HEAD_BYTES, MessageBlock, OpenChunk, compile_loops, message_indexes
-from daq.mcap.summary import Summary, WrittenChunk, encode_record
+from daq.mcap.summary import WrittenChunk, WrittenCounts, encode_record
 
 MAGIC = b"\x89MCAP0\r\n"
 RESTATE_EVERY = 64
@@ -109,7 +109,7 @@ class BlockWriter:
         self._chunk = OpenChunk(chunk_bytes)
         self._restated_bytes = 0  # repeated definitions in the open chunk; these alone do not make a chunk
         self._definitions = b""
-        self._summary = Summary()
+        self._summary = WrittenCounts()
 
     def start(self, profile: str = "") -> None:
         """Write magic and header; call it once, first."""

@@ -8,14 +8,14 @@ bytes from the time at which it has started the devices' transmission.
 from daq.drivers.played import PlayedDevice
 from daq.playback.devices import played_devices
 from daq.playback.outlets import LinkOutlet, Outlet, open_outlets
-from daq.playback.player import BACKLOG_BYTES, Playback, Played
+from daq.playback.player import BACKLOG_BYTES, Playback, PlaybackState
 
 __all__ = [
     "BACKLOG_BYTES",
     "LinkOutlet",
     "Outlet",
     "Playback",
-    "Played",
+    "PlaybackState",
     "PlayedDevice",
     "open_outlets",
     "played_devices",

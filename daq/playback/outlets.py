@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Mapping
 from typing import Protocol
 
-from daq.drivers.contract import Line
+from daq.drivers.contract import DeviceLine
 from daq.drivers.devices import devices_of, installed_of
 from daq.errors import LinkLost, LogError
 from daq.log import Log
@@ -142,7 +142,7 @@ def _named_ports(log: Log, to: str) -> Mapping[str, str]:
     return ports
 
 
-def _lines(log: Log) -> Mapping[str, Line]:
+def _lines(log: Log) -> Mapping[str, DeviceLine]:
     """Return the settings of each device's line."""
     devices = devices_of(installed_of(rig_of(log).devices))
-    return {name: devices[name].line if name in devices else Line("", _DEFAULT_BAUD) for name in log.devices}
+    return {name: devices[name].line if name in devices else DeviceLine("", _DEFAULT_BAUD) for name in log.devices}

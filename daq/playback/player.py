@@ -26,7 +26,7 @@ _SETUP_TIMEOUT_S = 60.0  # from a host's first command to the last expected one
 
 
 @dataclass(frozen=True)
-class Played:
+class PlaybackState:
     """State of a playback.
 
     Attributes:
@@ -107,11 +107,11 @@ class Playback:
         return self._configured
 
     @property
-    def state(self) -> Played:
+    def state(self) -> PlaybackState:
         """State of the playback."""
         lines = self._lines.items()
         startable = [line.device for _, line in lines if line.device.expects]
-        return Played(
+        return PlaybackState(
             self._log_ns,
             self._pace.late_s,
             self._pace.most_late_s,
@@ -181,8 +181,8 @@ class Playback:
             self._wait(_TURN_S)
 
     def play(
-        self, chunks: Iterable[tuple[str, RawChunk]], report: Callable[[Played], None] = lambda state: None
-    ) -> Played:
+        self, chunks: Iterable[tuple[str, RawChunk]], report: Callable[[PlaybackState], None] = lambda state: None
+    ) -> PlaybackState:
         """Play bytes until all are delivered, or every reader has gone.
 
         Args:

@@ -9,7 +9,7 @@ paced(log, speed)       decode at the recorded pace, for the live view
 """
 
 from daq.replay.calibration import Calibration
-from daq.replay.checking import Check, check, check_log
+from daq.replay.checking import ReplayCheck, check, check_log
 from daq.replay.compare import ChannelCheck
 from daq.replay.decoded_again import DecodedLog, decode_again
 from daq.replay.interlocked import InterlockReplay, WouldTrip, replay_interlocks
@@ -18,11 +18,11 @@ from daq.replay.pace import Pace, Paced, paced
 __all__ = [
     "Calibration",
     "ChannelCheck",
-    "Check",
     "DecodedLog",
     "InterlockReplay",
     "Pace",
     "Paced",
+    "ReplayCheck",
     "WouldTrip",
     "check",
     "check_log",

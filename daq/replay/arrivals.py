@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from daq.channels import HEALTH_TOPIC, TX, raw_topic
 from daq.drivers.contract import Pipeline
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log import Log
 from daq.mcap.missing import Missing
 from daq.replay.stored import StoredRows
@@ -53,7 +53,7 @@ class Arrival:
     host_ns: int
     device: str
     wrote: bool
-    items: tuple[Batch | Event, ...]
+    items: tuple[Batch | DeviceEvent, ...]
 
 
 def holes_of(missing: list[Missing]) -> tuple[Hole, ...]:
@@ -121,7 +121,7 @@ class Arrivals:
         found = [note for note in self._log.events if note.get("device") in devices] if devices else []
         for note in sorted(found, key=lambda note: note["time_ns"]):
             facts = {key: value for key, value in note.items() if key not in ("kind", "device", "text", "time_ns")}
-            event = Event(str(note["kind"]), str(note["device"]), str(note.get("text", "")), facts)
+            event = DeviceEvent(str(note["kind"]), str(note["device"]), str(note.get("text", "")), facts)
             yield Arrival(note["time_ns"], event.device, False, (event,))
 
     def _stored(self, topic: str) -> Iterator[Arrival]:

@@ -21,7 +21,7 @@ _NEIGHBOURS_NS = 1_000_000_000  # samples are written at most this long after th
 
 
 @dataclass(frozen=True)
-class Check:
+class ReplayCheck:
     """Result of a check; iterating gives its channels.
 
     Attributes:
@@ -43,7 +43,7 @@ class Check:
         return iter(self.channels)
 
 
-def check(path: str | Path, progress: Progress | None = None) -> Check:
+def check(path: str | Path, progress: Progress | None = None) -> ReplayCheck:
     """Decode a log again and compare every sample and event with the recorded one, bit for bit.
 
     Damaged, cut and recovered logs are compared as far as possible. From the first missing raw bytes on, decoders and
@@ -61,7 +61,7 @@ def check(path: str | Path, progress: Progress | None = None) -> Check:
         return check_log(log, progress)
 
 
-def check_log(log: Log, progress: Progress | None = None) -> Check:
+def check_log(log: Log, progress: Progress | None = None) -> ReplayCheck:
     """Check an open log; see `check`."""
     pipelines = pipelines_of(log)
     log.verify()  # before the comparison: damage determines how far it goes
@@ -88,7 +88,7 @@ def check_log(log: Log, progress: Progress | None = None) -> Check:
         for topic, comparison in comparisons.items()
         if comparison.added
     ]
-    return Check(rows, until_ns, tuple(notes))
+    return ReplayCheck(rows, until_ns, tuple(notes))
 
 
 def first_hole_ns(missing: list[Missing]) -> int | None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.items import Batch, Event, joined
+from daq.items import Batch, DeviceEvent, joined
 from daq.log import Log
 from daq.replay.stored import StoredRows
 
@@ -23,7 +23,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class Difference:
+class FirstDifference:
     """The first sample or event that differs.
 
     Attributes:
@@ -84,7 +84,7 @@ class ChannelCheck:
     compared: int = 0
     differing: int = 0
     extra: int = 0
-    first: Difference | None = None
+    first: FirstDifference | None = None
     fields: Mapping[str, FieldDifference] = field(default_factory=dict[str, FieldDifference])
     missing: tuple[str, ...] = ()
 
@@ -125,7 +125,7 @@ class ChannelComparison:
         self._both = [name for name in self._channel.names if name in names]
         self._live = log.count(topic)
         self._again = self._compared = self._differing = self._extra = 0
-        self._first: Difference | None = None
+        self._first: FirstDifference | None = None
         self._fields: dict[str, FieldDifference] = {}
         self._arrived: list[tuple[Batch, int]] = []
         self._waiting = 0
@@ -192,7 +192,7 @@ class ChannelComparison:
                 self._fields[name].pairs += len(values)
         if first and self._first is None:
             row, name = min(first, key=lambda pair: pair[0])
-            self._first = Difference(
+            self._first = FirstDifference(
                 self._compared + row,
                 int(stored["time_ns"][row]),
                 name,
@@ -220,7 +220,7 @@ class ChannelComparison:
         self._differing += len(present["time_ns"])
         if self._first is None:
             shown = int(present["sequence"][0])
-            self._first = Difference(
+            self._first = FirstDifference(
                 index,
                 int(present["time_ns"][0]),
                 "sequence",
@@ -254,7 +254,7 @@ class EventComparison:
         self._again: dict[str, list[dict[str, Any]]] = defaultdict(list)
         self._late = 0
 
-    def add(self, event: Event, host_ns: int) -> None:
+    def add(self, event: DeviceEvent, host_ns: int) -> None:
         """Add the next event that was decoded."""
         if self._until_ns is not None and host_ns >= self._until_ns:
             self._late += 1
@@ -268,7 +268,7 @@ class EventComparison:
         live = sum(map(len, self._live.values()))
         again = sum(map(len, self._again.values()))
         compared = differing = extra = 0
-        firsts: list[Difference] = []
+        firsts: list[FirstDifference] = []
         for device, stored in self._live.items():
             made = self._again[device]
             kept = stored if self._until_ns is None else stored[: len(made)]
@@ -285,7 +285,7 @@ class EventComparison:
                 there, in_log = (kept[pairs], True) if len(kept) > pairs else (made[pairs], False)
                 text = f"{there['kind']} {device}: {there['text']}"
                 firsts.append(
-                    Difference(pairs, there["time_ns"], "kind", text if in_log else None, None if in_log else text)
+                    FirstDifference(pairs, there["time_ns"], "kind", text if in_log else None, None if in_log else text)
                 )
             compared += pairs
             differing += len(wrong) + lone
@@ -293,7 +293,7 @@ class EventComparison:
         return ChannelCheck(channels.EVENTS_TOPIC, live, again + self._late, compared, differing, extra, first)
 
 
-def _event_difference(index: int, stored: Mapping[str, Any], decoded: Mapping[str, Any]) -> Difference:
+def _event_difference(index: int, stored: Mapping[str, Any], decoded: Mapping[str, Any]) -> FirstDifference:
     keys = [key for key in {**stored, **decoded} if stored.get(key) != decoded.get(key)]
     key = keys[0]
-    return Difference(index, stored["time_ns"], key, stored.get(key), decoded.get(key))
+    return FirstDifference(index, stored["time_ns"], key, stored.get(key), decoded.get(key))

@@ -16,12 +16,12 @@ from typing import Any
 from daq.acquisition.interlock_table import LOOK_S, TOGETHER_S
 from daq.acquisition.interlocks import Interlocks, Stop
 from daq.acquisition.trips import finding_of
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log import Log
 from daq.log.snapshot import identities_of, rig_of
 from daq.replay.arrivals import Arrival, Arrivals, Hole, holes_of, with_all_fields
 from daq.replay.checking import Progress, share_of
-from daq.replay.orders import Orders, report_hand_orders, standing_order
+from daq.replay.orders import LoggedOrders, report_hand_orders, standing_order
 from daq.replay.session_facts import clock_rate, closing_ns, needed_at_rest, roles_in, stops_of
 from daq.replay.stream import pipelines_with
 from daq.transports.host_clock import HostClock
@@ -142,7 +142,7 @@ class _Run:
         standing = standing_order(self._facts)
         if self._roles.speed is None:
             report_hand_orders(self._locks.told, self._facts, self._rig.limits.speed_rpm)
-        self._orders = Orders(
+        self._orders = LoggedOrders(
             self._locks.told, whole=whole, standing=standing if whole else None, rest_rpm=self._roles.rest_rpm
         )
         self._tick_ns, self._stood = now_ns + self._period_ns, False
@@ -220,7 +220,7 @@ class _Run:
     def _ended(self, now_ns: int) -> bool:
         return bool(self.trips) and not self._all and now_ns > self.trips[0].time_ns + self._together_ns
 
-    def _collect(self, found: Sequence[Event | Stop], now_ns: int) -> None:
+    def _collect(self, found: Sequence[DeviceEvent | Stop], now_ns: int) -> None:
         for item in found:
             if isinstance(item, Stop):
                 self._tripped(item, now_ns)

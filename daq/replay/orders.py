@@ -29,7 +29,7 @@ from rig_configs.roles import AT_REST_RPM
 _FIELD = "target_rpm"
 
 
-class Orders:
+class LoggedOrders:
     """Follows the orders of a log.
 
     Args:

@@ -9,13 +9,13 @@ from daq.clock import CLOCK_RULES, FIRST_RULES, NEWEST_RULES
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import installed_of, make_pipelines
 from daq.errors import DeviceError, LogError
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log import Log
 from daq.log.samples import RawChunk
 from daq.log.snapshot import identities_of, rig_of, seeds_of
 from rig_configs.schema import Rig
 
-Decoded = tuple[str, RawChunk, list[Batch | Event]]
+Decoded = tuple[str, RawChunk, list[Batch | DeviceEvent]]
 """A device, the bytes of one read or write, and the items decoded by its pipeline."""
 
 

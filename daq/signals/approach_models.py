@@ -54,7 +54,7 @@ class Shapes:
 
 
 @dataclass(frozen=True)
-class Family:
+class ApproachModel:
     """A model with unknown rates.
 
     Attributes:
@@ -91,7 +91,7 @@ class Points:
     unknowns: tuple[int, int]
 
 
-class Stretch:
+class WhitenedMeans:
     """Consecutive window means, whitened once, so that every model is compared on the same numbers.
 
     Attributes:
@@ -164,7 +164,7 @@ class Stretch:
             (p if shapes.square else 1 + p, rates),
         )
 
-    def integrated(self, family: Family, rival: float = -math.inf) -> Points:
+    def integrated(self, family: ApproachModel, rival: float = -math.inf) -> Points:
         """Return a family's points on a grid that resolves its posterior; a coarse grid if it is far below a rival.
 
         Args:
@@ -267,7 +267,7 @@ def _no_end(edges_s: Array, at: Array) -> Shapes:
 _RATES = (math.log(SLOWEST_PER_S), math.log(FASTEST_PER_S))
 _SLOW = (math.log(SLOWEST_PER_S), math.log(2.0))
 _TWO = (_SLOW, (math.log(1.8), math.log(15.0)))
-_SWING = Family("oscillation", _wave, (_SLOW, (math.log(0.15), math.log(2.8))))
-ENDING = (Family("one rate", _one, (_RATES,)), Family("two rates", _two, _TWO), _SWING)
-ENDING_BENT = (Family("one rate", _bent(_one), (_RATES,)), Family("two rates", _bent(_two), _TWO), _SWING)
-ENDLESS = Family("endless", _no_end, ((-1.0, 0.6 * SLOWEST_PER_S),))  # straight lines and growth
+_SWING = ApproachModel("oscillation", _wave, (_SLOW, (math.log(0.15), math.log(2.8))))
+ENDING = (ApproachModel("one rate", _one, (_RATES,)), ApproachModel("two rates", _two, _TWO), _SWING)
+ENDING_BENT = (ApproachModel("one rate", _bent(_one), (_RATES,)), ApproachModel("two rates", _bent(_two), _TWO), _SWING)
+ENDLESS = ApproachModel("endless", _no_end, ((-1.0, 0.6 * SLOWEST_PER_S),))  # straight lines and growth

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.signals.approach_models import ENDING, ENDING_BENT, ENDLESS, Points, Stretch
+from daq.signals.approach_models import ENDING, ENDING_BENT, ENDLESS, Points, WhitenedMeans
 from daq.signals.decay import newest_counts
 from rig_basics.arrays import Array
 
@@ -37,7 +37,7 @@ _MAX_ENDLESS_SHARE = 0.5  # share of the posterior
 
 
 @dataclass(frozen=True)
-class Limit:
+class ApproachLimit:
     """Limit of an approach.
 
     Attributes:
@@ -66,7 +66,7 @@ class Limit:
         return max(self.weights, key=lambda name: self.weights[name])
 
 
-def limit(edges_s: Array, means: Array, noise: Array, bends: Bends | None = None) -> Limit | None:
+def limit(edges_s: Array, means: Array, noise: Array, bends: Bends | None = None) -> ApproachLimit | None:
     """Return the limits of quantities that approach them with the same rates.
 
     Args:
@@ -104,10 +104,10 @@ def limit(edges_s: Array, means: Array, noise: Array, bends: Bends | None = None
 def _look(edges_s: Array, means: Array, noise: Array, tail: int, bends: Bends | None) -> _Averaged:
     """Fit every model to the newest windows."""
     seen = means[-tail:]
-    return _average(Stretch(edges_s[-tail:], seen, noise[:, -tail:, -tail:], bends(seen) if bends else None))
+    return _average(WhitenedMeans(edges_s[-tail:], seen, noise[:, -tail:, -tail:], bends(seen) if bends else None))
 
 
-def _stated(found: _Averaged, later: _Averaged | None, scatter: Array) -> Limit | None:
+def _stated(found: _Averaged, later: _Averaged | None, scatter: Array) -> ApproachLimit | None:
     """Return the limit of a series; if its later part has a different limit, the mean of both, as wide as both."""
     if found.endless > _MAX_ENDLESS_SHARE:
         return None
@@ -160,7 +160,7 @@ class _Averaged:
         """Return True if the windows before a shorter series fit as well."""
         return _fits(float(self.chi2.sum() - later.chi2.sum()), (self.dof - later.dof) * self.chi2.size)
 
-    def limit(self, scatter: Array) -> Limit:
+    def limit(self, scatter: Array) -> ApproachLimit:
         """Return the mean over all points."""
         evidence = np.concatenate([points.evidence for points in self.looks.values()])
         weight = np.exp(evidence - _log_sum([evidence]))
@@ -176,10 +176,10 @@ class _Averaged:
         share = float(weight[moving].sum())
         rate = float(weight[moving] @ rates[moving]) / share if share > _MIN_MOVING_SHARE else math.nan
         covariance = np.diag(own) + (off * weight[:, None]).T @ off
-        return Limit(mean, covariance, weight @ left, weights, self.endless, rate, self.windows, scatter)
+        return ApproachLimit(mean, covariance, weight @ left, weights, self.endless, rate, self.windows, scatter)
 
 
-def _average(stretch: Stretch) -> _Averaged:
+def _average(stretch: WhitenedMeans) -> _Averaged:
     """Compute every model's posterior for one series."""
     looks = {"none": stretch.standing()}
     for family in ENDING_BENT if stretch.bent else ENDING:

@@ -33,7 +33,7 @@ from daq.signals.run_clocks import (
     shared_clock,
     start_of,
 )
-from daq.signals.witnesses import Agreement, Witness, agreement
+from daq.signals.witnesses import Witness, WitnessAgreement, agreement
 from rig_basics.arrays import Array
 from rig_configs.roles import Roles
 
@@ -98,7 +98,7 @@ class Run:
     clock_shared_std: Mapping[str, float] = field(default_factory=dict[str, float])
     motor_start_s: float = math.nan
 
-    def agreements(self) -> list[Agreement]:
+    def agreements(self) -> list[WitnessAgreement]:
         """Compare every witness with the sensor that measures along its axis for the rig."""
         measured = {"x": (self.x_time_s, self.x_m), "y": (self.y_time_s, self.y_m)}
         return [agreement(witness, *measured[witness.axis]) for witness in self.witnesses if witness.reference]

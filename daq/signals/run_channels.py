@@ -11,11 +11,11 @@ from daq.clock import ClockLine
 from daq.log import Log
 from daq.signals.run_clocks import clock_line, node_times, samples_of, since_start, tolerance_ppm
 from rig_basics.arrays import Array
-from rig_configs.roles import Displacement
+from rig_configs.roles import DisplacementSensor
 
 
 def laser_signal(
-    log: Log, usual: str, role: Displacement | None, start_s: float, shared: ClockLine
+    log: Log, usual: str, role: DisplacementSensor | None, start_s: float, shared: ClockLine
 ) -> tuple[tuple[Array, Array], ClockLine]:
     """Return times and displacements along an axis, and the clock line of the times.
 

@@ -13,7 +13,7 @@ from daq.errors import LogError
 from daq.log import Log
 from daq.log.samples import Samples
 from rig_basics.arrays import Array
-from rig_configs.roles import Displacement, PendulumAngles, Roles, RotorPhase
+from rig_configs.roles import DisplacementSensor, PendulumAngles, Roles, RotorPhase
 
 ASSUMED_TOLERANCE_PPM = 50.0
 """Standard uncertainty of the rate of a clock without stated tolerance: ordinary quartz, one year in a laboratory."""
@@ -105,7 +105,7 @@ def _node_line(log: Log, usual: str, role: PendulumAngles | RotorPhase | None, s
     return clock_line(samples.node_time_us * 1e-6, samples.log_time_ns, start_s, tolerance_ppm(role))
 
 
-def tolerance_ppm(role: Displacement | PendulumAngles | RotorPhase | None) -> float:
+def tolerance_ppm(role: DisplacementSensor | PendulumAngles | RotorPhase | None) -> float:
     """Return the tolerance of the rate of a role's clock, ppm; the default without a role."""
     return ASSUMED_TOLERANCE_PPM if role is None else role.clock_tolerance_ppm
 

@@ -49,7 +49,7 @@ class Witness:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class WitnessAgreement:
     """Comparison of a witness with its reference sensor.
 
     Attributes:
@@ -86,7 +86,7 @@ class Agreement:
         )
 
 
-def agreement(witness: Witness, time_s: Array, value_m: Array) -> Agreement:
+def agreement(witness: Witness, time_s: Array, value_m: Array) -> WitnessAgreement:
     """Compare a witness with its reference sensor.
 
     Args:
@@ -96,13 +96,13 @@ def agreement(witness: Witness, time_s: Array, value_m: Array) -> Agreement:
     found = None if pair is None else _ratio(pair)
     if found is None or found[1] > _MAX_RATIO_STD:
         nothing = math.nan if found is None else found[1]
-        return Agreement(
+        return WitnessAgreement(
             witness.device, witness.reference, witness.axis, math.nan, nothing, math.nan, math.nan, "too little motion"
         )
     ratio, std, delay = found
     allowed = math.hypot(std, witness.gain_std)
     verdict: Verdict = "agree" if abs(ratio - 1) <= _LIMIT * allowed else "disagree"
-    return Agreement(witness.device, witness.reference, witness.axis, ratio, std, allowed, delay, verdict)
+    return WitnessAgreement(witness.device, witness.reference, witness.axis, ratio, std, allowed, delay, verdict)
 
 
 @dataclass(frozen=True)

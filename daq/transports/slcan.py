@@ -38,7 +38,7 @@ class CanFrame:
 
 
 @dataclass(frozen=True)
-class Decoded:
+class DecodedLines:
     """Result of one call of `LineDecoder.feed`.
 
     Attributes:
@@ -91,7 +91,7 @@ class LineDecoder:
         self._line = bytearray()
         self._overlong = False
 
-    def feed(self, data: bytes) -> Decoded:
+    def feed(self, data: bytes) -> DecodedLines:
         """Decode the next bytes.
 
         Args:
@@ -116,9 +116,9 @@ class LineDecoder:
             self._line.clear()
             self._overlong = False
         self._extend(data[position:])
-        return Decoded(frames, other, damaged)
+        return DecodedLines(frames, other, damaged)
 
-    def _plain_lines(self, data: bytes) -> Decoded:
+    def _plain_lines(self, data: bytes) -> DecodedLines:
         """Decode lines that end with CR when no line is incomplete: the usual case, without BEL and LF."""
         frames: list[CanFrame] = []
         other: list[str] = []
@@ -127,7 +127,7 @@ class LineDecoder:
         for line in lines:
             damaged += 1 if len(line) > LINE_LIMIT_BYTES else _take(line, self._words, frames, other)
         self._extend(rest)
-        return Decoded(frames, other, damaged)
+        return DecodedLines(frames, other, damaged)
 
     def _extend(self, piece: bytes) -> None:
         if not self._line:  # a CR LF adapter: the LF belongs to the line before

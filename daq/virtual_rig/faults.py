@@ -35,7 +35,7 @@ def number(request: Mapping[str, Any], key: str, default: float | None = None) -
     return value
 
 
-class Faults:
+class FaultInjector:
     """Sets and ends the faults of all devices, and applies them to the bytes.
 
     Args:

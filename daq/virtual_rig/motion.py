@@ -132,7 +132,7 @@ def _hermite(time_s: Array, first_s: float, rows: Array, value: int, rate: int) 
 
 
 @dataclass
-class Trajectory:
+class StepTrajectory:
     """The motion over the last step on the grid. Its first row is the last row of the step before.
 
     Attributes:
@@ -156,7 +156,7 @@ class Trajectory:
         return _hermite(np.asarray(time_s, np.float64), float(self.time_s[0]), self.rows, value, rate)
 
 
-class Motion:
+class SimulatedMotion:
     """Rotor, column and pendulums of the simulated rig.
 
     Args:
@@ -243,7 +243,7 @@ class Motion:
         self._state[6 + pendulum] = speed_rad_s
         return True
 
-    def advance(self, until_s: float) -> Trajectory | None:
+    def advance(self, until_s: float) -> StepTrajectory | None:
         """Integrate up to the last grid point not after until_s. Return None if no new grid point is reached."""
         n = int(until_s / GRID_S) - self._steps
         if n <= 0:
@@ -276,4 +276,4 @@ class Motion:
         self._steps += n
         self.time_s = self._steps * GRID_S
         self._last = rows[-1].copy()
-        return Trajectory(times, rows)
+        return StepTrajectory(times, rows)

@@ -9,8 +9,8 @@ from typing import Any
 
 from daq.drivers.devices import devices_of
 from daq.drivers.simulated import FarEnd
-from daq.virtual_rig.faults import Faults, listed, number
-from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.faults import FaultInjector, listed, number
+from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
 from rig_configs.errors import RigConfigError
@@ -42,12 +42,12 @@ class SimulatedRig:
         if rig.virtual is None:
             raise RigConfigError(f"rig {rig.name} has no [virtual] table, which the simulation needs")
         self._rig = rig
-        self.motion = Motion(rig.true_physics, rig.virtual.drive.slip, rig.virtual.drive.lag_s)
+        self.motion = SimulatedMotion(rig.true_physics, rig.virtual.drive.slip, rig.virtual.drive.lag_s)
         world = World(rig.virtual, self.motion, patience)
         self.far_ends: dict[str, FarEnd] = {
             name: device.far_end(world) for name, device in devices_of(rig.devices).items()
         }
-        self._faults = Faults(self.far_ends, world.rng)
+        self._faults = FaultInjector(self.far_ends, world.rng)
         self._hold_ends_s: float | None = None
 
     def step(self, now_s: float, received: Mapping[str, bytes]) -> dict[str, bytes]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.motion import SimulatedMotion
 from rig_configs.schema import Virtual
 
 Array = NDArray[np.floating[Any]]
@@ -50,7 +50,7 @@ class World:
         spread: 1 if calibration errors are drawn, 0 if the sensors are exact.
     """
 
-    def __init__(self, virtual: Virtual, motion: Motion, patience: Callable[[float], float] = float) -> None:
+    def __init__(self, virtual: Virtual, motion: SimulatedMotion, patience: Callable[[float], float] = float) -> None:
         self.virtual, self.motion, self.patience = virtual, motion, patience
         self.calibration = self.rng("calibration")
         self.spread = 1.0 if virtual.sensors.draw_calibration else 0.0

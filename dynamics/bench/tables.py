@@ -71,7 +71,7 @@ def machine_line(machine: Mapping[str, Any]) -> str:
 
 
 @dataclass(frozen=True)
-class Page:
+class BenchmarkPage:
     """Contents of a benchmark page.
 
     Attributes:
@@ -97,9 +97,9 @@ class Page:
 
 def page(
     rows: Sequence[Measurement], targets: Sequence[Target], machine: Mapping[str, Any], notes: Sequence[str]
-) -> Page:
+) -> BenchmarkPage:
     """Page of one benchmark run of the dynamics."""
-    return Page(
+    return BenchmarkPage(
         "Work and precision of the dynamics",
         machine,
         notes,
@@ -111,7 +111,7 @@ def page(
     )
 
 
-def markdown(whole: Page) -> str:
+def markdown(whole: BenchmarkPage) -> str:
     """The page in Markdown."""
     lines = [f"# {whole.title}", ""]
     if whole.recommendations:

@@ -29,7 +29,7 @@ _SPEED_RATIO = 1.6  # Ω of the releases
 
 
 @dataclass(frozen=True)
-class Size:
+class WorkPrecisionSize:
     """Extent of the benchmark.
 
     Attributes:
@@ -61,7 +61,7 @@ class Size:
     processes: bool
 
 
-FULL = Size(
+FULL = WorkPrecisionSize(
     points=None,
     extremes=True,
     map_shape=(250, 400),
@@ -75,7 +75,7 @@ FULL = Size(
     scipy_settings=(("DOP853", 1e-6), ("DOP853", 1e-9), ("DOP853", 1e-12), ("LSODA", 1e-6), ("LSODA", 1e-9)),
     processes=True,
 )
-QUICK = Size(
+QUICK = WorkPrecisionSize(
     points=("A", "B"),
     extremes=False,
     map_shape=(15, 40),
@@ -100,7 +100,7 @@ def warm_up(parameters: RotorParameters) -> None:
 
 
 def stages(
-    parameters: RotorParameters, points: dict[str, float], size: Size
+    parameters: RotorParameters, points: dict[str, float], size: WorkPrecisionSize
 ) -> dict[str, Callable[[], list[Measurement]]]:
     """Stages of a run in order, under the names shown to the user.
 

@@ -4,7 +4,7 @@ They verify the compiled kernel (tests/dynamics/test_derivation.py). `dynamics` 
 Text: docs/theory/equations_of_motion.md, docs/theory/misprints.md.
 """
 
-from dynamics.derivation.lagrange import Equations, lagrange_equations, rotating_frame_equations
+from dynamics.derivation.lagrange import LagrangeEquations, lagrange_equations, rotating_frame_equations
 from dynamics.derivation.linearised import (
     ISOTROPIC,
     LinearMotion,
@@ -15,7 +15,7 @@ from dynamics.derivation.linearised import (
 
 __all__ = [
     "ISOTROPIC",
-    "Equations",
+    "LagrangeEquations",
     "LinearMotion",
     "lagrange_equations",
     "linearised",

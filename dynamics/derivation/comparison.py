@@ -33,7 +33,7 @@ class Deviation:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class EquationComparison:
     """One printed equation or matrix with its deviations.
 
     Attributes:
@@ -52,7 +52,7 @@ class Comparison:
         return not self.deviations
 
 
-def compare(number: str, subject: str, printed: Expr | Matrix, right: Expr | Matrix) -> Comparison:
+def compare(number: str, subject: str, printed: Expr | Matrix, right: Expr | Matrix) -> EquationComparison:
     """Compare two expressions, or two matrices of equal shape, in normal form."""
     left_cells, right_cells = (m.tolist() if isinstance(m, sp.MatrixBase) else [[m]] for m in (printed, right))
     found: list[Deviation] = []
@@ -61,10 +61,10 @@ def compare(number: str, subject: str, printed: Expr | Matrix, right: Expr | Mat
             theirs, belongs = s.in_moments(left), s.in_moments(ours)
             if s.normal_form(belongs - theirs) != 0:
                 found.append(Deviation(i + 1, j + 1, theirs, belongs))
-    return Comparison(number, subject, tuple(found))
+    return EquationComparison(number, subject, tuple(found))
 
 
-def _rotor_alone_comparisons() -> list[Comparison]:
+def _rotor_alone_comparisons() -> list[EquationComparison]:
     """Equations of chapter 2, the rotor without pendulums, with (3-33) and (3-34)."""
     alone = {s.M_A: 0, s.M_B: 0} | s.PLAIN | ISOTROPIC
     right = lagrange_equations().residual.subs(alone).flat()
@@ -76,9 +76,9 @@ def _rotor_alone_comparisons() -> list[Comparison]:
     lag = sp.atan(omega * c / (mass * (k / mass - omega**2))), sp.atan2(omega * c, k - mass * omega**2)
     eccentricity = moment / mass, s.S_P / s.M_S
 
-    def equal(number: str, subject: str, printed: Expr, ours: Expr) -> Comparison:
+    def equal(number: str, subject: str, printed: Expr, ours: Expr) -> EquationComparison:
         found = () if sp.simplify(printed - ours) == 0 else (Deviation(1, 1, printed, ours),)
-        return Comparison(number, subject, found)
+        return EquationComparison(number, subject, found)
 
     natural = sp.sqrt(k / (s.M_D + s.M_A + s.M_B + s.M_P))
     inertia = lagrange_equations().mass_matrix.tolist()[0][0]
@@ -97,10 +97,10 @@ def _rotor_alone_comparisons() -> list[Comparison]:
         ),
         equal("2-6", "amplitude along x", amplitude**2, omega**4 * moment**2 / response),
         equal("2-7", "amplitude along y", amplitude**2, omega**4 * moment**2 / response),
-        Comparison("2-9", "phase lag", () if _same_above_resonance(*lag) else (Deviation(1, 1, *lag),)),
+        EquationComparison("2-9", "phase lag", () if _same_above_resonance(*lag) else (Deviation(1, 1, *lag),)),
         equal("2-10", "magnification", printed_n**2, mass**2 * omega**4 / response),
         equal("3-33", "natural frequency", natural**2 * inertia, k),
-        Comparison(
+        EquationComparison(
             "3-34",
             "eccentricity",
             () if compare("3-34", "", *eccentricity).agrees else (Deviation(1, 1, *eccentricity),),
@@ -114,7 +114,7 @@ def _same_above_resonance(printed: Expr, right: Expr) -> bool:
     return abs(float(printed.subs(at)) - float(right.subs(at))) < 1e-9
 
 
-def _energy_comparisons() -> list[Comparison]:
+def _energy_comparisons() -> list[EquationComparison]:
     ours = energies(turning=True)
     plain = {e: (x.subs(s.PLAIN)) for e, x in vars(ours).items() if e != "forces"}
     kinetic = plain["kinetic"] + s.omega**2 * source.SPIN / 2
@@ -128,7 +128,7 @@ def _energy_comparisons() -> list[Comparison]:
     ]
 
 
-def _motion_comparisons() -> list[Comparison]:
+def _motion_comparisons() -> list[EquationComparison]:
     moving = rotating_frame_equations().residual.subs(s.PLAIN)
     right, isotropic = moving.flat(), moving.subs(ISOTROPIC).flat()
     rows = ("motion along Θ1", "motion along Θ2", "motion of pendulum A", "motion of pendulum B")
@@ -140,7 +140,7 @@ def _motion_comparisons() -> list[Comparison]:
     ]
 
 
-def _singular_point_comparisons() -> list[Comparison]:
+def _singular_point_comparisons() -> list[EquationComparison]:
     resting = singular_point_equations()
     right, isotropic = resting.flat(), resting.subs(ISOTROPIC).flat()
     rows = ("force balance along Θ1", "force balance along Θ2", "torque on A", "torque on B")
@@ -153,30 +153,30 @@ def _singular_point_comparisons() -> list[Comparison]:
     ]
 
 
-def _angle_comparisons() -> list[Comparison]:
+def _angle_comparisons() -> list[EquationComparison]:
     """(3-21), (3-22): comparison of the printed arguments with sine and cosine of the triangle of moments."""
     S_A, S_B, S_P = s.S_A, s.S_B, s.S_P
     area = sp.sqrt(((S_A + S_B) ** 2 - S_P**2) * (S_P**2 - (S_A - S_B) ** 2))
     sines = (-area / (2 * S_P * S_A), area / (2 * S_P * S_B))
     cosines = ((S_B**2 - S_A**2 - S_P**2) / (2 * S_P * S_A), (S_A**2 - S_B**2 - S_P**2) / (2 * S_P * S_B))
-    found: list[Comparison] = []
+    found: list[EquationComparison] = []
     for n, printed in enumerate(source.balanced_angle_arguments()):
         deviations = tuple(
             Deviation(1, i + 1, theirs, ours)
             for i, (theirs, ours) in enumerate(zip(printed, (sines[n], cosines[n]), strict=True))
             if sp.simplify(theirs / ours) != 1
         )
-        found.append(Comparison(f"3-{21 + n}", f"Type I angle of pendulum {'AB'[n]}", deviations))
+        found.append(EquationComparison(f"3-{21 + n}", f"Type I angle of pendulum {'AB'[n]}", deviations))
     return found
 
 
-def _matrix_comparisons() -> list[Comparison]:
+def _matrix_comparisons() -> list[EquationComparison]:
     right = singular_point_matrices()
     isotropic = right.subs(ISOTROPIC)
     third = (source.INERTIA, source.DAMPING_ISOTROPIC, source.STIFFNESS_ISOTROPIC)
     fourth = (source.INERTIA, source.DAMPING, source.STIFFNESS)
     names = ("[M]", "[D + G]", "[K + N]")
-    found: list[Comparison] = []
+    found: list[EquationComparison] = []
     for chapter, first, printed, ours in ((3, 27, third, isotropic), (4, 15, fourth, right)):
         cells = (ours.inertia, ours.damping, ours.stiffness)
         found += [compare(f"{chapter}-{first + i}", names[i], printed[i], cells[i]) for i in range(3)]
@@ -184,7 +184,7 @@ def _matrix_comparisons() -> list[Comparison]:
 
 
 @functools.cache
-def comparisons() -> tuple[Comparison, ...]:
+def comparisons() -> tuple[EquationComparison, ...]:
     """Comparisons of all printed equations with the derivation, in the source's order."""
     found = [
         *_rotor_alone_comparisons(),
@@ -196,7 +196,7 @@ def comparisons() -> tuple[Comparison, ...]:
     return tuple(sorted(found, key=lambda c: [int(n) for n in c.number.split("-")]))
 
 
-def comparison(number: str) -> Comparison:
+def comparison(number: str) -> EquationComparison:
     """Comparison of one printed equation.
 
     Raises:

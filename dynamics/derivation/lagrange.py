@@ -16,7 +16,7 @@ from dynamics.derivation.symbols import Expr, Matrix, Symbol, sp
 
 
 @dataclass(frozen=True)
-class Equations:
+class LagrangeEquations:
     """Lagrange's equations: mass_matrix · accelerations = right_side.
 
     Attributes:
@@ -117,7 +117,7 @@ def total_derivative(expression: Matrix, coordinates: Sequence[Symbol], rates: S
     return change
 
 
-def equations_of_motion(turning: bool, e: Energies) -> Equations:
+def equations_of_motion(turning: bool, e: Energies) -> LagrangeEquations:
     """d/dt ∂T/∂q̇ − ∂T/∂q + ∂V/∂q + ∂D/∂q̇ = Q, sorted by accelerations.
 
     Args:
@@ -136,16 +136,16 @@ def equations_of_motion(turning: bool, e: Energies) -> Equations:
         ]
     )
     right_side = (applied - carried).applyfunc(s.normal_form)
-    return Equations(mass_matrix, right_side, coordinates, rates, accelerations)
+    return LagrangeEquations(mass_matrix, right_side, coordinates, rates, accelerations)
 
 
 @functools.cache
-def lagrange_equations() -> Equations:
+def lagrange_equations() -> LagrangeEquations:
     """Equations in the space-fixed frame, coordinates x, y, θ3, θ4. Symbols: dynamics.derivation.symbols."""
     return equations_of_motion(False, energies(False))
 
 
 @functools.cache
-def rotating_frame_equations() -> Equations:
+def rotating_frame_equations() -> LagrangeEquations:
     """Equations in the rotating frame, x + i y = (Y1 + i Y2) e^{iψ}, coordinates Y1, Y2, θ3, θ4."""
     return equations_of_motion(True, energies(True))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from dynamics.derivation import symbols as s
-from dynamics.derivation.lagrange import Equations, rotating_frame_equations
+from dynamics.derivation.lagrange import LagrangeEquations, rotating_frame_equations
 from dynamics.derivation.symbols import Expr, Matrix
 
 ISOTROPIC: dict[Expr, Expr] = {s.k2: s.k1, s.c2: s.c1}
@@ -45,7 +45,7 @@ class LinearMotion:
         return LinearMotion(*(m.applyfunc(s.in_moments) for m in (self.inertia, self.damping, self.stiffness)))
 
 
-def linearised(residual: Matrix, equations: Equations) -> LinearMotion:
+def linearised(residual: Matrix, equations: LagrangeEquations) -> LinearMotion:
     """Derivatives of four equations of motion at a general state. Coordinates, rates, accelerations stay symbols.
 
     Args:
@@ -59,7 +59,7 @@ def linearised(residual: Matrix, equations: Equations) -> LinearMotion:
     )
 
 
-def at_rest(equations: Equations) -> dict[Expr, int]:
+def at_rest(equations: LagrangeEquations) -> dict[Expr, int]:
     """Substitution of zero for rates and accelerations: a state at rest in the equations' frame."""
     return dict.fromkeys((*equations.rates, *equations.accelerations), 0)
 

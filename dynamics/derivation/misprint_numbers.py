@@ -17,16 +17,16 @@ from dynamics.derivation.effects import (
     states_at_rest,
     variants,
 )
-from dynamics.derivation.run_up_faults import Faults, Release, release
+from dynamics.derivation.run_up_faults import PrintedFaults, ReleaseMotion, release
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.steady.singular_points import dynamic_stiffness
 
 _solvers: Any = scipy.optimize  # scipy has no annotations
 FAULTS = {
-    "right equations": Faults(),
-    "(a) no push back": Faults(without_reaction=True),
-    "(b) speed runs on": Faults(integrates_locked_speed=True),
-    "(a) and (b), the script": Faults(without_reaction=True, integrates_locked_speed=True),
+    "right equations": PrintedFaults(),
+    "(a) no push back": PrintedFaults(without_reaction=True),
+    "(b) speed runs on": PrintedFaults(integrates_locked_speed=True),
+    "(a) and (b), the script": PrintedFaults(without_reaction=True, integrates_locked_speed=True),
 }
 # Regions of balancing capability: S_P (kg m), mass of pendulum B (kg)
 REGIONS = {
@@ -143,7 +143,7 @@ SCRIPT_SPEED_RAD_S = 2 * math.pi * 20
 
 
 @functools.cache
-def releases() -> dict[str, dict[str, Release]]:
+def releases() -> dict[str, dict[str, ReleaseMotion]]:
     """Releases, 12 s locked and 60 s free, at A, B, D of the nominal rig and with the script's values, by fault."""
     p = rig()
     places = {name: (p, p.speed_rad_s(POINTS[name])) for name in "ABD"}
@@ -154,7 +154,7 @@ def releases() -> dict[str, dict[str, Release]]:
     }
 
 
-def largest_angle_difference_rad(one: Release, other: Release) -> float:
+def largest_angle_difference_rad(one: ReleaseMotion, other: ReleaseMotion) -> float:
     """Largest difference of θ3 or θ4 at equal times after the release, rad."""
     return float(np.max(np.abs(one.state[one.released :, 2:4] - other.state[other.released :, 2:4])))
 
@@ -162,7 +162,7 @@ def largest_angle_difference_rad(one: Release, other: Release) -> float:
 def slip_revolutions(free_s: float = 60.0) -> tuple[float, float]:
     """Turns of A and B relative to the rotor after a release at D with ζ = 0.05."""
     p = rig(zeta=0.05)
-    run = release(p, p.speed_rad_s(POINTS["D"]), Faults(), free_s=free_s)
+    run = release(p, p.speed_rad_s(POINTS["D"]), PrintedFaults(), free_s=free_s)
     turned = (run.state[-1, 2:4] - run.state[run.released, 2:4]) / (2 * math.pi)
     return float(turned[0]), float(turned[1])
 
@@ -170,7 +170,7 @@ def slip_revolutions(free_s: float = 60.0) -> tuple[float, float]:
 def slip_without_imbalance() -> tuple[float, float]:
     """Common slip of the pendulums (rad/s) and whirl radius (m) at Ω = 0.8, K = 1, ζ = 0.05, S_P = 1e-9 kg m."""
     p = rig(1, 0.05, 1e-9)
-    run = release(p, p.speed_rad_s(0.8), Faults(), free_s=120.0)
+    run = release(p, p.speed_rad_s(0.8), PrintedFaults(), free_s=120.0)
     return float(np.mean(run.state[-500:, 6:8])), float(np.max(run.radius_m[-50:]))
 
 
@@ -181,7 +181,7 @@ def largest_multipliers() -> dict[str, complex]:
     return {name: complex(value) for name, value in zip(POINTS, upper, strict=True)}
 
 
-def wobble_rad(run: Release) -> float:
+def wobble_rad(run: ReleaseMotion) -> float:
     """Amplitude of θ3 at twice the running speed over the last five revolutions, rad."""
     turn = np.exp(-4j * np.pi * np.arange(50) / 10)
     return float(2 * abs(np.mean(run.state[-50:, 2] * turn)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynamics.derivation.comparison import Comparison, comparison
+from dynamics.derivation.comparison import EquationComparison, comparison
 from dynamics.derivation.symbols import (
     M_P,
     M_S,
@@ -75,7 +75,7 @@ def formula(expression: Expr) -> str:
     return f"${sp.latex(expression)}$"
 
 
-def details(found: Comparison) -> list[str]:
+def details(found: EquationComparison) -> list[str]:
     """One line of Markdown for each term or cell of a printed equation that deviates."""
     if found.number in PIECES:
         return [

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from dynamics.derivation import misprint_numbers as numbers
-from dynamics.derivation.run_up_faults import Release
+from dynamics.derivation.run_up_faults import ReleaseMotion
 
 
 def program_section() -> list[str]:
@@ -94,7 +94,7 @@ def program_section() -> list[str]:
     return ["| program | content | effect |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in rows)]
 
 
-def _release_row(place: str, name: str, run: Release, right: Release) -> str:
+def _release_row(place: str, name: str, run: ReleaseMotion, right: ReleaseMotion) -> str:
     before = slice(run.released - 50, run.released)
     speeds = run.speed_at_release_rad_s
     angles = np.degrees(run.final_angles_rad) % 360
@@ -148,7 +148,7 @@ def release_section() -> list[str]:
     ]
 
 
-def _same_end(runs: dict[str, Release]) -> bool:
+def _same_end(runs: dict[str, ReleaseMotion]) -> bool:
     right = np.exp(1j * runs["right equations"].final_angles_rad)
     return all(bool(np.max(np.abs(np.exp(1j * run.final_angles_rad) - right)) < 0.1) for run in runs.values())
 

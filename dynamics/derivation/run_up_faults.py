@@ -21,7 +21,7 @@ from dynamics.equations.parameters import RotorParameters
 
 
 @dataclass(frozen=True)
-class Faults:
+class PrintedFaults:
     """Faults contained in the equations.
 
     Attributes:
@@ -34,7 +34,7 @@ class Faults:
 
 
 @dataclass(frozen=True)
-class Release:
+class ReleaseMotion:
     """Computed motion of a release.
 
     Attributes:
@@ -148,11 +148,11 @@ def _run(
 def release(
     parameters: RotorParameters,
     speed_rad_s: float,
-    faults: Faults,
+    faults: PrintedFaults,
     locked_s: float = 12.0,
     free_s: float = 60.0,
     steps_per_revolution: int = 200,
-) -> Release:
+) -> ReleaseMotion:
     """Run at full speed from rest with pendulums locked at 0° and 180° + 0.001 rad, as in the script, and release.
 
     Args:
@@ -176,4 +176,4 @@ def release(
         faults.without_reaction,
         faults.integrates_locked_speed,
     )
-    return Release(np.arange(len(state)) * turn / 10, state, 10 * locked_turns)
+    return ReleaseMotion(np.arange(len(state)) * turn / 10, state, 10 * locked_turns)

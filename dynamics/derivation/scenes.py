@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from dynamics.derivation import symbols as s
-from dynamics.derivation.lagrange import Equations
+from dynamics.derivation.lagrange import LagrangeEquations
 from dynamics.derivation.linearised import linearised
 from dynamics.derivation.symbols import Expr, sp
 from dynamics.equations.parameters import Pendulum, RotorParameters
@@ -65,7 +65,7 @@ def moving_rows(parameters: RotorParameters, released: tuple[bool, bool]) -> lis
 
 
 @functools.cache
-def compiled(build: Callable[[], Equations]) -> Callable[..., Any]:
+def compiled(build: Callable[[], LagrangeEquations]) -> Callable[..., Any]:
     """(mass matrix, right side, |right side|, ∂residual/∂coordinates, ∂residual/∂rates) as an mpmath function.
 
     |right side| is the sum of the absolute values of its terms: the scale of rounding errors.

@@ -17,7 +17,7 @@ _BY_SIZE = (CLOSED_FORM, AUTONOMOUS, HALF_REVOLUTION, WHOLE_REVOLUTION, NONLINEA
 
 
 @dataclass(frozen=True)
-class Model:
+class ChosenModel:
     """A model and the reason for its selection.
 
     Attributes:
@@ -39,7 +39,7 @@ def choose_model(
     *,
     steady: bool = True,
     at_least: str | None = None,
-) -> Model:
+) -> ChosenModel:
     """Select the smallest exact model of a scene.
 
     Args:
@@ -57,22 +57,22 @@ def choose_model(
         raise OutsideDomain(f"model: expected one of {', '.join(map(repr, _BY_SIZE))}, got {at_least!r}")
     if _BY_SIZE.index(at_least) <= _BY_SIZE.index(smallest.name):
         too_small = "" if at_least == smallest.name else f" ({at_least} was requested and would not be exact)"
-        return Model(smallest.name, smallest.why + too_small)
-    return Model(at_least, f"requested ({smallest.name} would suffice)")
+        return ChosenModel(smallest.name, smallest.why + too_small)
+    return ChosenModel(at_least, f"requested ({smallest.name} would suffice)")
 
 
-def _smallest(p: RotorParameters, released: tuple[bool, bool], steady: bool) -> Model:
+def _smallest(p: RotorParameters, released: tuple[bool, bool], steady: bool) -> ChosenModel:
     free = [name for name, r, q in zip("AB", released, (p.a, p.b), strict=True) if r and q.present]
     if not free:
         what = "no pendulum is free" if p.a.present or p.b.present else "no pendulum"
         if steady:
             return _with_nothing_free(p, what)
-        return Model(NONLINEAR, f"{what}, but the speed changes: integrated over time")
+        return ChosenModel(NONLINEAR, f"{what}, but the speed changes: integrated over time")
     if not steady:
-        return Model(NONLINEAR, "the motion does not repeat: integrated over time")
+        return ChosenModel(NONLINEAR, "the motion does not repeat: integrated over time")
     who = "pendulums are" if len(free) == 2 else f"pendulum {free[0]} is"
     if p.gravity_m_per_s2 > 0:
-        return Model(
+        return ChosenModel(
             WHOLE_REVOLUTION, f"{who} free and gravity lies in the disk plane, which repeats once a revolution"
         )
     if p.bow_m or not p.is_isotropic:
@@ -80,14 +80,14 @@ def _smallest(p: RotorParameters, released: tuple[bool, bool], steady: bool) -> 
             "k1 ≠ k2" if p.k1_N_per_m != p.k2_N_per_m else "ζ1 ≠ ζ2" if p.zeta1 != p.zeta2 else _AMPLITUDE_DEPENDENT
         )
         why = "the shaft is bent" if p.is_isotropic else f"{unequal}, which acts on the rotor twice a revolution"
-        return Model(HALF_REVOLUTION, f"{who} free and {why}")
-    return Model(
+        return ChosenModel(HALF_REVOLUTION, f"{who} free and {why}")
+    return ChosenModel(
         AUTONOMOUS, f"{who} free on an isotropic suspension: steady motions are rest points of the rotating frame"
     )
 
 
-def _with_nothing_free(p: RotorParameters, what: str) -> Model:
+def _with_nothing_free(p: RotorParameters, what: str) -> ChosenModel:
     if p.suspension_is_linear:
-        return Model(CLOSED_FORM, f"{what}, so disk and column are two forced linear oscillators")
+        return ChosenModel(CLOSED_FORM, f"{what}, so disk and column are two forced linear oscillators")
     name = WHOLE_REVOLUTION if p.gravity_m_per_s2 > 0 else HALF_REVOLUTION
-    return Model(name, f"{what}, but {_AMPLITUDE_DEPENDENT}: two forced oscillators by harmonic balance")
+    return ChosenModel(name, f"{what}, but {_AMPLITUDE_DEPENDENT}: two forced oscillators by harmonic balance")

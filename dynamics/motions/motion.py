@@ -13,7 +13,7 @@ from dynamics.motions.explicit_steps import evaluate
 
 
 @dataclass(frozen=True)
-class Event:
+class MotionEvent:
     """Event during a motion.
 
     Attributes:
@@ -88,7 +88,7 @@ class Motion:
     why: str = ""
     steps: int = 0
     work_steps: int = 0
-    events: tuple[Event, ...] = ()
+    events: tuple[MotionEvent, ...] = ()
     polynomials: Polynomials | None = field(default=None, repr=False)
 
     @property

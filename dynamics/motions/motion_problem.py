@@ -14,7 +14,7 @@ from dynamics.equations.phase_segments import PhaseSegments, speed_crossings
 from dynamics.equations.scene import Scene
 from dynamics.errors import OutsideDomain
 from dynamics.motions.locked_motion import damping_rates, locked_state
-from dynamics.motions.motion import Event
+from dynamics.motions.motion import MotionEvent
 from dynamics.motions.trajectory import Problem
 
 SAMPLES_PER_S = 200.0
@@ -44,7 +44,7 @@ class Setup:
     arm_m: float
     damping: float
     oscillation: float
-    stop: tuple[Event, ...]
+    stop: tuple[MotionEvent, ...]
 
     @property
     def duration_s(self) -> float:
@@ -123,7 +123,7 @@ def motion_problem(parameters: RotorParameters, scene: Scene, times: Array, reso
         arm,
         max(damping_rates(parameters, moving)),
         max(w1, peak, min(w2, 10 * max(w1, peak))),
-        tuple(Event(float(t), "stop", None) for t in stops if t > times[0]),
+        tuple(MotionEvent(float(t), "stop", None) for t in stops if t > times[0]),
     )
 
 

@@ -23,7 +23,7 @@ from dynamics.motions.marching import (
     WATCH_STUCK,
     march,
 )
-from dynamics.motions.motion import Event, Piece, Polynomials
+from dynamics.motions.motion import MotionEvent, Piece, Polynomials
 
 _WATCH = {FORWARD: WATCH_FORWARD, BACKWARD: WATCH_BACKWARD, STUCK: WATCH_STUCK}
 _EVENT = {FORWARD: "slide forward", BACKWARD: "slide backward", STUCK: "stick"}
@@ -70,7 +70,7 @@ class Trajectory:
     states: Array
     steps: int = 0
     tried: int = 0
-    events: list[Event] = field(default_factory=list[Event])
+    events: list[MotionEvent] = field(default_factory=list[MotionEvent])
     polynomials: Polynomials | None = None
 
 
@@ -110,7 +110,7 @@ class _Run:
             later = [at for at in problem.free_from if self.t < at < end]
             self._stretch(free, min([end, *later]))
             self.out.events.extend(
-                Event(self.t, "release", i) for i, at in enumerate(problem.free_from) if at == self.t < end
+                MotionEvent(self.t, "release", i) for i, at in enumerate(problem.free_from) if at == self.t < end
             )
         if self.keep:
             spans, polynomials = (np.concatenate(parts) for parts in zip(*self.kept, strict=True))
@@ -133,7 +133,7 @@ class _Run:
             self._count_switch()
             new = self._modes(free, i if modes[i] == STUCK else None)
             self.out.events.extend(
-                Event(self.t, _EVENT[new[j]], j) for j in range(2) if has_friction[j] and new[j] != modes[j]
+                MotionEvent(self.t, _EVENT[new[j]], j) for j in range(2) if has_friction[j] and new[j] != modes[j]
             )
             modes = new
             if self.t >= limit:

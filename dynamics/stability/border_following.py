@@ -30,7 +30,7 @@ Excess = Callable[[complex], float]
 
 
 @dataclass(frozen=True)
-class Followed:
+class FollowedBorder:
     """Points of a border in order, x + i y.
 
     Attributes:
@@ -42,7 +42,7 @@ class Followed:
     closed: bool
 
 
-def follow(excess: Excess, start: complex) -> Followed:
+def follow(excess: Excess, start: complex) -> FollowedBorder:
     """Follow the whole border through a point.
 
     Args:
@@ -54,7 +54,7 @@ def follow(excess: Excess, start: complex) -> Followed:
     if onward.closed:
         return onward
     back = _one_way(lambda at: -excess(at), start, _direction(excess, start) + math.pi)
-    return Followed([*reversed(back.points[1:]), *onward.points], False)
+    return FollowedBorder([*reversed(back.points[1:]), *onward.points], False)
 
 
 def _direction(excess: Excess, at: complex) -> float:
@@ -69,18 +69,18 @@ def _direction(excess: Excess, at: complex) -> float:
     return found
 
 
-def _one_way(excess: Excess, start: complex, direction: float) -> Followed:
+def _one_way(excess: Excess, start: complex, direction: float) -> FollowedBorder:
     """Follow the border in a direction until it returns to the start, leaves the square or ends within it."""
     points, step, before, curvature = [start], LONGEST / 8, 0.0, 0.0
     chord = direction
     for _ in range(_MAX_STEPS):
         at, ahead = points[-1], chord + curvature * (step + before) / 2
         if len(points) > 4 and abs(at - start) < 0.9 * step and abs(_folded(ahead - direction)) < 0.5:
-            return Followed([*points, start], True)
+            return FollowedBorder([*points, start], True)
         if not _inside(at + step * cmath.rect(1.0, ahead)):
             end = _leaving(excess, at, ahead, step)
             if end is not None:
-                return Followed([*points, end], False)
+                return FollowedBorder([*points, end], False)
         found = _on_circle(excess, at, ahead, step, _ASIDE)
         turn = math.inf if found is None else _folded(found - chord)
         halfway = None if found is None else _on_circle(excess, at, found, step / 2, _TURN)
@@ -90,7 +90,7 @@ def _one_way(excess: Excess, start: complex, direction: float) -> Followed:
         if found is None:  # a corner
             found, turn = _around(excess, at, chord, step), 0.0
             if found is None:
-                return Followed(points, False)
+                return FollowedBorder(points, False)
         if halfway is not None:
             points.append(at + step / 2 * cmath.rect(1.0, halfway))
         points.append(at + step * cmath.rect(1.0, found))

@@ -19,7 +19,7 @@ from dynamics.arguments import check_number, check_pair
 from dynamics.arrays import Array
 from dynamics.equations.balancing import balanced_angles, balancing_region
 from dynamics.equations.linearised import along, rotating_frame, type_one
-from dynamics.equations.model import AUTONOMOUS, CLOSED_FORM, Model, choose_model
+from dynamics.equations.model import AUTONOMOUS, CLOSED_FORM, ChosenModel, choose_model
 from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
 from dynamics.stability.floquet import Multipliers, floquet_multipliers
@@ -122,7 +122,7 @@ def _search_orbits(
     points: list[SingularPoint],
     accuracy: float,
     released: tuple[bool, bool],
-    model: Model,
+    model: ChosenModel,
 ) -> None:
     """Search orbits from the singular points of the mean torque and from additional angles."""
     further: list[SingularPoint] = []
@@ -207,7 +207,7 @@ def _rests(parameters: RotorParameters) -> bool:
 
 
 def _balanced(
-    p: RotorParameters, speed: float, theta: tuple[float, float], accuracy: float, model: Model
+    p: RotorParameters, speed: float, theta: tuple[float, float], accuracy: float, model: ChosenModel
 ) -> SteadyState:
     """The balanced state. The disk is at rest, so only the multipliers are computed."""
     states = np.zeros((PHASES, 8))
@@ -234,7 +234,12 @@ def _balanced(
 
 
 def _from_point(
-    p: RotorParameters, speed: float, point: SingularPoint, accuracy: float, released: tuple[bool, bool], model: Model
+    p: RotorParameters,
+    speed: float,
+    point: SingularPoint,
+    accuracy: float,
+    released: tuple[bool, bool],
+    model: ChosenModel,
 ) -> SteadyState:
     """A rest point of the rotating frame, or the linear orbit of a rotor without free pendulums."""
     states = circular_whirl(speed, point) if model.name == AUTONOMOUS else locked_whirl(p, speed, point.theta_rad)
@@ -254,7 +259,7 @@ def _from_orbit(
     orbit: Orbit,
     accuracy: float,
     released: tuple[bool, bool],
-    model: Model,
+    model: ChosenModel,
 ) -> SteadyState:
     most = (_MAX_HARMONICS, _MAX_HARMONICS // 2) if _is_kinked(p) else (None, None)
     fine, coarse = (
@@ -284,7 +289,7 @@ def _described(
     states: Array,
     judged: Multipliers,
     errors: tuple[float, float],
-    model: Model,
+    model: ChosenModel,
     moved: float = 0.0,
 ) -> SteadyState:
     turn = np.exp(-2j * np.pi * np.arange(len(states)) / len(states))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.arrays import Array, Complex
-from dynamics.equations.model import Model
+from dynamics.equations.model import ChosenModel
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class SteadyState:
     error_estimate: float
     angle_error_rad: float
     amplitude_error_m: float
-    model: Model
+    model: ChosenModel
     method: str
     stick_half_width_rad: tuple[float, float] = (0.0, 0.0)
     any_angle: bool = False

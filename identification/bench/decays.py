@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.bench.fisher import bound
-from identification.bench.trials import Trial
+from identification.bench.trials import SyntheticRecord
 
 NOISE_M, RATE_HZ = 10e-6, 1000.0
 _OFFSET_M = 0.3e-3
 
 
 @dataclass(frozen=True)
-class Decay:
+class DecayTrial:
     """Record of a ring-down, the input of a method.
 
     Attributes:
@@ -32,7 +32,7 @@ class Decay:
 
 def one_mode(
     rng: np.random.Generator, zeta: float, frequency_Hz: float = 3.0, amplitude_m: float = 1e-3, record_s: float = 20.0
-) -> Trial:
+) -> SyntheticRecord:
     """Draw one mode in one sensor with random phase and offset, and a frequency within 2 % that lies on no grid."""
     time = np.arange(round(record_s * RATE_HZ)) / RATE_HZ
     frequency = frequency_Hz * (1 + 0.02 * rng.uniform(-1, 1))
@@ -44,13 +44,13 @@ def one_mode(
 
     step = np.array([1e-5 / record_s, min(1e-3 * zeta, 1e-6), *3 * [1e-4 * amplitude_m]])
     std = bound(mean, theta, step, NOISE_M)
-    record = Decay(time, mean(theta) + NOISE_M * rng.normal(size=len(time)))
-    return Trial(record, {"f1_Hz": frequency, "zeta1": zeta}, {"f1_Hz": std[0], "zeta1": std[1]})
+    record = DecayTrial(time, mean(theta) + NOISE_M * rng.normal(size=len(time)))
+    return SyntheticRecord(record, {"f1_Hz": frequency, "zeta1": zeta}, {"f1_Hz": std[0], "zeta1": std[1]})
 
 
 def two_axes(
     rng: np.random.Generator, frequencies_Hz: tuple[float, float], zeta: float, axis_angle_deg: float, record_s: float
-) -> Trial:
+) -> SyntheticRecord:
     """Draw two modes of 1 mm in two sensors that are turned relative to them, with random phases."""
     time = np.arange(round(record_s * RATE_HZ)) / RATE_HZ
     common = 1 + 0.02 * rng.uniform(-1, 1)
@@ -69,11 +69,13 @@ def two_axes(
     pair = [1e-5 / record_s, min(1e-3 * zeta, 1e-6)]
     std = bound(mean, theta, np.array([*pair, *pair, 1e-5, *6 * [1e-7]]), NOISE_M)
     names = ("f1_Hz", "zeta1", "f2_Hz", "zeta2")
-    record = Decay(time, mean(theta) + NOISE_M * rng.normal(size=(len(time), 2)))
-    return Trial(record, dict(zip(names, theta.tolist(), strict=False)), dict(zip(names, std.tolist(), strict=False)))
+    record = DecayTrial(time, mean(theta) + NOISE_M * rng.normal(size=(len(time), 2)))
+    return SyntheticRecord(
+        record, dict(zip(names, theta.tolist(), strict=False)), dict(zip(names, std.tolist(), strict=False))
+    )
 
 
-def with_outliers(rng: np.random.Generator, trial: Trial, share: float, size_m: float) -> Trial:
+def with_outliers(rng: np.random.Generator, trial: SyntheticRecord, share: float, size_m: float) -> SyntheticRecord:
     """Replace a share of the samples by random values within ± size; the bound remains that of the clean record."""
     displacement = trial.record.displacement_m.copy()
     bad = rng.random(len(displacement)) < share
@@ -81,7 +83,7 @@ def with_outliers(rng: np.random.Generator, trial: Trial, share: float, size_m: 
     return replace(trial, record=replace(trial.record, displacement_m=displacement))
 
 
-def clipped_at(trial: Trial, rail_m: float) -> Trial:
+def clipped_at(trial: SyntheticRecord, rail_m: float) -> SyntheticRecord:
     """Clip the record at the sensor's range ± rail; the bound remains that of the whole motion."""
     displacement = np.clip(trial.record.displacement_m, -rail_m, rail_m)
     return replace(trial, record=replace(trial.record, displacement_m=displacement))

@@ -10,9 +10,9 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from identification.bench.decays import Decay
+from identification.bench.decays import DecayTrial
 from identification.bench.ring_down_peers import answer_of_poles, block_means, strongest
-from identification.bench.trials import Answer
+from identification.bench.trials import MethodResult
 
 INSTALL = "uv sync --group peers"
 _DELAYS = 4  # snapshots stacked for the optimised DMD
@@ -24,7 +24,7 @@ def missing() -> list[str]:
     return [name for name, module in (("pyOMA2", "pyoma2"), ("PyDMD", "pydmd")) if find_spec(module) is None]
 
 
-def subspace_identification(record: Decay) -> Answer:
+def subspace_identification(record: DecayTrial) -> MethodResult:
     """Estimate by pyOMA2's covariance-driven SSI on block averages, with two states per mode."""
     algorithms, setups = import_module("pyoma2.algorithms"), import_module("pyoma2.setup")
     logging.getLogger("pyoma2").setLevel(logging.WARNING)  # without it pyOMA2 logs every step
@@ -41,7 +41,7 @@ def subspace_identification(record: Decay) -> Answer:
     return answer_of_poles(strongest(np.r_[poles, poles.conj()], channels))
 
 
-def dynamic_mode_decomposition(record: Decay) -> Answer:
+def dynamic_mode_decomposition(record: DecayTrial) -> MethodResult:
     """Estimate by PyDMD's BOPDMD without bagging on delayed block averages."""
     step, means = block_means(record)
     rows = len(means) - _DELAYS + 1

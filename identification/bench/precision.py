@@ -14,7 +14,7 @@ from identification.bench import library_peers, ours, ring_down_peers, run_up_pe
 from identification.bench.decays import clipped_at, one_mode, two_axes, with_outliers
 from identification.bench.ramps import passage
 from identification.bench.releases import release
-from identification.bench.trials import Case, Method, Precision, Trial, measure
+from identification.bench.trials import Method, Precision, SyntheticRecord, TrialSet, measure
 
 SEED = 20261121
 _RELEASE_SEED = 5804616  # keeps the records of the releases independent of the name of their case
@@ -26,7 +26,7 @@ _BOTH_DAMPINGS = {"c": ("c3_Nms_per_rad", "c4_Nms_per_rad")}
 
 
 @dataclass(frozen=True)
-class Size:
+class BenchmarkSize:
     """Extent of a benchmark.
 
     Attributes:
@@ -55,7 +55,7 @@ class Size:
     most_s: float
 
 
-FULL = Size(
+FULL = BenchmarkSize(
     (1e-4, 1e-3, 0.01, 0.05, 0.2),
     (1e-3, 0.01),
     ((3.0, 5.0), (3.0, 3.01)),
@@ -69,7 +69,7 @@ FULL = Size(
     release_truths=3,
     most_s=8.0,
 )
-QUICK = Size(
+QUICK = BenchmarkSize(
     (1e-3, 0.05),
     (0.01,),
     ((3.0, 5.0),),
@@ -93,7 +93,7 @@ _LEAST_RUNS = {  # smallest number of records for a comparison with a target
 }
 
 
-def stages(physics: RotorParameters, size: Size) -> dict[str, Callable[[], list[Precision]]]:
+def stages(physics: RotorParameters, size: BenchmarkSize) -> dict[str, Callable[[], list[Precision]]]:
     """Return the parts of a run in order, under the names shown to the user."""
     return {
         "ring-down": partial(_all, _ring_downs(size), size.runs, size.most_s),
@@ -106,7 +106,7 @@ def stages(physics: RotorParameters, size: Size) -> dict[str, Callable[[], list[
     }
 
 
-def _all(cases: Sequence[Case], runs: int, most_s: float) -> list[Precision]:
+def _all(cases: Sequence[TrialSet], runs: int, most_s: float) -> list[Precision]:
     return [row for case in cases for row in measure(case, runs, SEED, most_s)]
 
 
@@ -129,34 +129,34 @@ def _ring_down_methods() -> list[Method]:
     return found
 
 
-def _ring_downs(size: Size) -> list[Case]:
+def _ring_downs(size: BenchmarkSize) -> list[TrialSet]:
     return [
-        Case("ring-down", f"ζ {z:g}, 20 s", partial(one_mode, zeta=z), _ONE, _GROSS, _ring_down_methods())
+        TrialSet("ring-down", f"ζ {z:g}, 20 s", partial(one_mode, zeta=z), _ONE, _GROSS, _ring_down_methods())
         for z in size.zetas
     ]
 
 
-def _damaged(size: Size) -> list[Case]:
-    cases: list[Case] = []
+def _damaged(size: BenchmarkSize) -> list[TrialSet]:
+    cases: list[TrialSet] = []
     for zeta in size.damaged_zetas:
         name = f"ζ {zeta:g}, 5 % outliers within ± 5 mm"
-        cases.append(Case("ring-down", name, partial(_outlying, zeta=zeta), _ONE, _GROSS, _ring_down_methods()))
+        cases.append(TrialSet("ring-down", name, partial(_outlying, zeta=zeta), _ONE, _GROSS, _ring_down_methods()))
         name = f"ζ {zeta:g}, 8 mm on a ± 5 mm sensor"
-        cases.append(Case("ring-down", name, partial(_clipped, zeta=zeta), _ONE, _GROSS, _ring_down_methods()))
+        cases.append(TrialSet("ring-down", name, partial(_clipped, zeta=zeta), _ONE, _GROSS, _ring_down_methods()))
     return cases
 
 
-def _outlying(rng: np.random.Generator, zeta: float) -> Trial:
+def _outlying(rng: np.random.Generator, zeta: float) -> SyntheticRecord:
     return with_outliers(rng, one_mode(rng, zeta), 0.05, 5e-3)
 
 
-def _clipped(rng: np.random.Generator, zeta: float) -> Trial:
+def _clipped(rng: np.random.Generator, zeta: float) -> SyntheticRecord:
     return clipped_at(one_mode(rng, zeta, amplitude_m=8e-3), 5e-3)
 
 
-def _pairs(size: Size) -> list[Case]:
+def _pairs(size: BenchmarkSize) -> list[TrialSet]:
     return [
-        Case(
+        TrialSet(
             "two axes",
             f"{pair[0]:g} and {pair[1]:g} Hz, ζ 0.01, turned by 5°, 20 s",
             partial(two_axes, frequencies_Hz=pair, zeta=0.01, axis_angle_deg=5.0, record_s=20.0),
@@ -168,14 +168,14 @@ def _pairs(size: Size) -> list[Case]:
     ]
 
 
-def _run_ups(size: Size) -> list[Case]:
+def _run_ups(size: BenchmarkSize) -> list[TrialSet]:
     methods = [
         *ours.methods("fit_run_up", ours.run_up),
         Method("half-power", "order amplitude", run_up_peers.half_power, peer=True),
         Method("Vold–Kalman", "steady-state fit", run_up_peers.vold_kalman, peer=True),
     ]
     return [
-        Case(
+        TrialSet(
             "run-up",
             f"ζ {z:g}, 3 and 5 Hz, 0.5 to 7 Hz in 60 s",
             partial(passage, zeta=z, record_s=60.0, frequencies_Hz=(3.0, 5.0), axis_angle_deg=5.0),
@@ -187,14 +187,14 @@ def _run_ups(size: Size) -> list[Case]:
     ]
 
 
-def _spin_downs(size: Size) -> list[Case]:
+def _spin_downs(size: BenchmarkSize) -> list[TrialSet]:
     methods = [
         *ours.methods("fit_spin_down", ours.spin_down),
         Method("line", "logarithm of speed", spins.log_speed_line, peer=True),
         Method("scipy curve_fit", "all samples", spins.curve_fitting, peer=True),
     ]
     return [
-        Case(
+        TrialSet(
             "spin-down",
             f"c {c:g} N m s/rad",
             partial(spins.spin_down, damping_Nms_per_rad=c),
@@ -206,21 +206,21 @@ def _spin_downs(size: Size) -> list[Case]:
     ]
 
 
-def _release(physics: RotorParameters, size: Size) -> Case:
+def _release(physics: RotorParameters, size: BenchmarkSize) -> TrialSet:
     draw = partial(release, physics=physics, wrong_start=10.0, record_s=5.0, truths=size.release_truths)
     name = "8 Hz, 5 s, start values of c3 and c4 ten times wrong"
     methods = ours.methods("fit_release", ours.release)
-    return Case("release", name, draw, _BOTH_DAMPINGS, {"c": 0.5}, methods, seed=_RELEASE_SEED)
+    return TrialSet("release", name, draw, _BOTH_DAMPINGS, {"c": 0.5}, methods, seed=_RELEASE_SEED)
 
 
-def _tracking(physics: RotorParameters, size: Size) -> Case:
+def _tracking(physics: RotorParameters, size: BenchmarkSize) -> TrialSet:
     draw = partial(release, physics=physics, wrong_start=10.0, record_s=5.0, truths=size.release_truths)
     methods = [
         Method("Tracker", "online", ours.tracking, every_record=True),
         Method("filterpy UKF", "compiled motion", tracking_peer.unscented_filter, peer=True),
     ]
     name = "8 Hz, the same releases, c3 and c4 at the end"
-    return Case("tracking", name, draw, _BOTH_DAMPINGS, {"c": 0.5}, methods, "update", tracking_peer.updates)
+    return TrialSet("tracking", name, draw, _BOTH_DAMPINGS, {"c": 0.5}, methods, "update", tracking_peer.updates)
 
 
 @dataclass(frozen=True)

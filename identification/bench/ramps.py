@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import signal as scipy_signal
 
 from identification.bench.fisher import bound
-from identification.bench.trials import Trial
+from identification.bench.trials import SyntheticRecord
 
 NOISE_M, RATE_HZ = 10e-6, 1000.0
 _FROM_HZ, _TO_HZ = 0.5, 7.0
@@ -44,7 +44,7 @@ class RampRecord:
 
 def passage(
     rng: np.random.Generator, zeta: float, record_s: float, frequencies_Hz: tuple[float, float], axis_angle_deg: float
-) -> Trial:
+) -> SyntheticRecord:
     """Draw a run-up through both resonances, with random direction of the imbalance and offsets of the sensors."""
     samples = round(record_s * RATE_HZ)
     first, second = frequencies_Hz
@@ -71,7 +71,9 @@ def passage(
     time = np.arange(samples) / RATE_HZ
     signal = mean(theta) + NOISE_M * rng.normal(size=(samples, 2))
     record = RampRecord(time, signal, _phase(time, record_s)[0])
-    return Trial(record, dict(zip(names, theta.tolist(), strict=False)), dict(zip(names, std.tolist(), strict=False)))
+    return SyntheticRecord(
+        record, dict(zip(names, theta.tolist(), strict=False)), dict(zip(names, std.tolist(), strict=False))
+    )
 
 
 def _phase(time: np.ndarray, record_s: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -24,7 +24,7 @@ from scipy import integrate
 from daq.signals.run import Release, Run
 from dynamics.equations.parameters import RotorParameters
 from identification.bench.fisher import bound
-from identification.bench.trials import Trial
+from identification.bench.trials import SyntheticRecord
 from identification.pendulums.suspension_knowledge import NAMES, Knowledge
 
 SPEED_RAD_S = 2 * np.pi * 8.0
@@ -53,7 +53,7 @@ class ReleaseRecord:
 
 def release(
     rng: np.random.Generator, physics: RotorParameters, wrong_start: float, record_s: float, truths: int
-) -> Trial:
+) -> SyntheticRecord:
     """Draw a release at 8 Hz of a rig whose parameters lie around the given ones.
 
     Args:
@@ -71,7 +71,7 @@ def release(
     given |= dict(zip(_DAMPING, drawn.damping * wrong_start ** np.array([direction, -direction]), strict=True))
     knowledge = Knowledge(physics.with_values(**given), _KNOWN_SHARE)
     truth, limit = ({n: float(v) for n, v in zip(_DAMPING, own, strict=True)} for own in (drawn.damping, drawn.bound))
-    return Trial(ReleaseRecord(run, knowledge), truth, limit)
+    return SyntheticRecord(ReleaseRecord(run, knowledge), truth, limit)
 
 
 @dataclass(frozen=True)

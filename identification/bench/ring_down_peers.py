@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize
 from scipy import signal as scipy_signal
 
-from identification.bench.decays import Decay
-from identification.bench.trials import Answer
+from identification.bench.decays import DecayTrial
+from identification.bench.trials import MethodResult
 
 Array = NDArray[np.floating]
 _linalg, _optimize, _signal = cast("Any", linalg), cast("Any", optimize), cast("Any", scipy_signal)  # untyped in scipy
@@ -22,12 +22,12 @@ _FLOOR = 0.2  # share of the amplitude at which the careful methods end
 _POLES_HZ = 50.0  # rate of the block averages for the matrix pencil: at least 4 samples per cycle of the fastest mode
 
 
-def log_decrement(record: Decay) -> Answer:
+def log_decrement(record: DecayTrial) -> MethodResult:
     """Fit a line to the logarithms of all maxima against their numbers, as in textbooks."""
     return _each_channel(record, lambda t, y: _log_line(t, y, *_maxima(t, y - np.mean(y))))
 
 
-def careful_log_decrement(record: Decay) -> Answer:
+def careful_log_decrement(record: DecayTrial) -> MethodResult:
     """Fit a line to low-passed maxima and minima down to a fifth of the amplitude, weighted by the amplitude."""
 
     def channel(time: Array, value: Array) -> tuple[float, float]:
@@ -46,7 +46,7 @@ def careful_log_decrement(record: Decay) -> Answer:
     return _each_channel(record, channel)
 
 
-def half_power(record: Decay) -> Answer:
+def half_power(record: DecayTrial) -> MethodResult:
     """Estimate by the peak of the spectrum and its width at 1/√2."""
 
     def channel(time: Array, value: Array) -> tuple[float, float]:
@@ -63,7 +63,7 @@ def half_power(record: Decay) -> Answer:
     return _each_channel(record, channel)
 
 
-def hilbert_envelope(record: Decay) -> Answer:
+def hilbert_envelope(record: DecayTrial) -> MethodResult:
     """Estimate by lines through phase and logarithm of the band-passed analytic signal."""
 
     def channel(time: Array, value: Array) -> tuple[float, float]:
@@ -84,12 +84,12 @@ def hilbert_envelope(record: Decay) -> Answer:
     return _each_channel(record, channel)
 
 
-def matrix_pencil(record: Decay) -> Answer:
+def matrix_pencil(record: DecayTrial) -> MethodResult:
     """Estimate poles by the shift of the signal space of a Hankel matrix of block averages (ERA, HTLS)."""
     return answer_of_poles(_poles(record))
 
 
-def nonlinear_least_squares(record: Decay) -> Answer:
+def nonlinear_least_squares(record: DecayTrial) -> MethodResult:
     """Estimate by scipy's least_squares on all samples, started by the matrix pencil, intervals from its Jacobian."""
     modes = [_of_rate(pole) for pole in _poles(record)]
     signals = record.displacement_m.reshape(len(record.time_s), -1)
@@ -118,7 +118,7 @@ def nonlinear_least_squares(record: Decay) -> Answer:
     values: dict[str, float] = dict(zip(_names(len(modes)), found.x[: len(start)].tolist(), strict=True))
     std = np.sqrt(np.diag(covariance))
     spans = {n: (v - 1.96 * s, v + 1.96 * s) for (n, v), s in zip(values.items(), std, strict=False)}
-    return Answer(values, spans)
+    return MethodResult(values, spans)
 
 
 def _waves(theta: Array, time: Array) -> Array:
@@ -131,7 +131,7 @@ def _waves(theta: Array, time: Array) -> Array:
     return np.column_stack([*columns, np.ones_like(time)])
 
 
-def block_means(record: Decay, rate_Hz: float = _POLES_HZ) -> tuple[float, Array]:
+def block_means(record: DecayTrial, rate_Hz: float = _POLES_HZ) -> tuple[float, Array]:
     """Return the step and the means over blocks, shape (n, channels), which have the same poles and less noise."""
     step = float(record.time_s[1] - record.time_s[0])
     width = max(1, round(1 / (rate_Hz * step)))
@@ -140,7 +140,7 @@ def block_means(record: Decay, rate_Hz: float = _POLES_HZ) -> tuple[float, Array
     return width * step, signals[: count * width].reshape(count, width, -1).mean(axis=1)
 
 
-def _poles(record: Decay) -> list[complex]:
+def _poles(record: DecayTrial) -> list[complex]:
     """Return continuous poles with positive frequency, as many as channels, in order of frequency."""
     step, means = block_means(record)
     count, channels = means.shape
@@ -167,10 +167,10 @@ def strongest(poles: Array, wanted: int, lowest_Hz: float = 0.5) -> list[complex
     return sorted(found, key=abs)
 
 
-def answer_of_poles(poles: Sequence[complex]) -> Answer:
+def answer_of_poles(poles: Sequence[complex]) -> MethodResult:
     """Return f and ζ of continuous poles, numbered in their order."""
     parts = [part for pole in poles for part in _of_rate(pole)]
-    return Answer(dict(zip(_names(len(poles)), parts, strict=True)))
+    return MethodResult(dict(zip(_names(len(poles)), parts, strict=True)))
 
 
 def _names(modes: int) -> list[str]:
@@ -182,11 +182,11 @@ def _of_rate(pole: complex) -> tuple[float, float]:
     return abs(pole) / (2 * np.pi), -pole.real / abs(pole)
 
 
-def _each_channel(record: Decay, channel: Reading) -> Answer:
+def _each_channel(record: DecayTrial, channel: Reading) -> MethodResult:
     """Apply a one-mode method to each sensor separately: sensor x is mode 1, sensor y mode 2."""
     signals = record.displacement_m.reshape(len(record.time_s), -1)
     parts = [part for signal in signals.T for part in channel(record.time_s, signal)]
-    return Answer(dict(zip(_names(signals.shape[1]), (float(p) for p in parts), strict=True)))
+    return MethodResult(dict(zip(_names(signals.shape[1]), (float(p) for p in parts), strict=True)))
 
 
 def _spectral_peak(value: Array, step: float) -> float:

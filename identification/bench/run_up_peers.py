@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dynamics.equations.speed_history import SpeedHistory
 from identification.bench.ramps import RampRecord
-from identification.bench.trials import Answer
+from identification.bench.trials import MethodResult
 from identification.run_up import naive
 from identification.samples import Averages, block_averages, white_noise
 
 _BLOCK_S = 4e-3
 
 
-def half_power(record: RampRecord) -> Answer:
+def half_power(record: RampRecord) -> MethodResult:
     """Estimate by the peak of the order-1 amplitude over speed squared, and its width at 1/√2."""
     channels, history = _prepared(record)
     return _answer([naive.half_power(channel, history) for channel in channels])
 
 
-def vold_kalman(record: RampRecord) -> Answer:
+def vold_kalman(record: RampRecord) -> MethodResult:
     """Fit the resonance curve of a steady state to the amplitude of a Vold–Kalman filter."""
     channels, history = _prepared(record)
     return _answer([naive.vold_kalman(channel, history) for channel in channels])
@@ -29,7 +29,7 @@ def _prepared(record: RampRecord) -> tuple[list[Averages], SpeedHistory]:
     return channels, SpeedHistory.from_phases(record.time_s[::every], record.phase_rad[::every])
 
 
-def _answer(modes: list[tuple[float, float]]) -> Answer:
-    return Answer(
+def _answer(modes: list[tuple[float, float]]) -> MethodResult:
+    return MethodResult(
         {name: v for i, pair in enumerate(modes, 1) for name, v in zip((f"f{i}_Hz", f"zeta{i}"), pair, strict=True)}
     )

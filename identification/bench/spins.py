@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from identification.bench.fisher import bound
-from identification.bench.trials import Answer, Trial
+from identification.bench.trials import MethodResult, SyntheticRecord
 
 INERTIA_KG_M2 = 2.187e-4
 STEP_RAD = 2 * np.pi / 2000
@@ -33,7 +33,7 @@ class SpinRecord:
     angle_rad: np.ndarray
 
 
-def spin_down(rng: np.random.Generator, damping_Nms_per_rad: float) -> Trial:
+def spin_down(rng: np.random.Generator, damping_Nms_per_rad: float) -> SyntheticRecord:
     """Draw a spin-down from 5 revolutions per second with two per cent of the samples lost."""
     rate = damping_Nms_per_rad / INERTIA_KG_M2
     time = np.arange(round(min(_LONGEST_S, _TIME_CONSTANTS / rate) * _RATE_HZ)) / _RATE_HZ
@@ -45,10 +45,10 @@ def spin_down(rng: np.random.Generator, damping_Nms_per_rad: float) -> Trial:
 
     std = bound(mean, theta, np.array([1e-5 * damping_Nms_per_rad, 1e-4, 1e-4]), _NOISE_RAD)
     angle = STEP_RAD * np.round(mean(theta) / STEP_RAD + _JITTER_STEPS * rng.normal(size=len(time)))
-    return Trial(SpinRecord(time, angle), {"c_Nms_per_rad": theta[0]}, {"c_Nms_per_rad": std[0]})
+    return SyntheticRecord(SpinRecord(time, angle), {"c_Nms_per_rad": theta[0]}, {"c_Nms_per_rad": std[0]})
 
 
-def log_speed_line(record: SpinRecord) -> Answer:
+def log_speed_line(record: SpinRecord) -> MethodResult:
     """Estimate by the slope of the logarithm of differences over 40 ms, down to a tenth of the first speed."""
     time, angle = record.time_s, record.angle_rad
     late = int(np.searchsorted(time, float(time[0]) + _SPEED_S))
@@ -57,10 +57,10 @@ def log_speed_line(record: SpinRecord) -> Answer:
     slow = np.flatnonzero(speed < 0.1 * speed[0])
     cut = slice(0, int(slow[0]) if len(slow) else len(speed))
     slope = np.polyfit(middle[cut], np.log(speed[cut]), 1)[0]
-    return Answer({"c_Nms_per_rad": float(-slope * INERTIA_KG_M2)})
+    return MethodResult({"c_Nms_per_rad": float(-slope * INERTIA_KG_M2)})
 
 
-def curve_fitting(record: SpinRecord) -> Answer:
+def curve_fitting(record: SpinRecord) -> MethodResult:
     """Estimate by scipy's curve_fit of the closed form to all samples, started by the line, with its intervals."""
     line = log_speed_line(record).values["c_Nms_per_rad"]
     time, angle = record.time_s, record.angle_rad
@@ -68,7 +68,9 @@ def curve_fitting(record: SpinRecord) -> Answer:
     fitted = cast("Any", optimize).curve_fit(_angle, time, angle, p0=[line, speed, angle[0]])  # scipy has no types
     found, covariance = cast("tuple[NDArray[np.float64], NDArray[np.float64]]", fitted[:2])
     std = float(np.sqrt(covariance[0, 0]))
-    return Answer({"c_Nms_per_rad": float(found[0])}, {"c_Nms_per_rad": (found[0] - 1.96 * std, found[0] + 1.96 * std)})
+    return MethodResult(
+        {"c_Nms_per_rad": float(found[0])}, {"c_Nms_per_rad": (found[0] - 1.96 * std, found[0] + 1.96 * std)}
+    )
 
 
 def _angle(time: np.ndarray, damping: float, speed: float, start: float) -> np.ndarray:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dynamics.bench.records import Target
-from dynamics.bench.tables import Page, duration, standing
+from dynamics.bench.tables import BenchmarkPage, duration, standing
 from identification.bench.recommendations import recommended_settings
 from identification.bench.trials import AT_THE_BOUND, Precision
 
@@ -27,9 +27,9 @@ LEGEND = (
 
 def page(
     rows: Sequence[Precision], targets: Sequence[Target], machine: Mapping[str, Any], notes: Sequence[str]
-) -> Page:
+) -> BenchmarkPage:
     """Return the page of a whole run."""
-    return Page(
+    return BenchmarkPage(
         "Work and precision of the identification",
         machine,
         [*notes, *failures(rows)],

@@ -9,7 +9,7 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numba import njit
 
 from identification.bench.releases import LOCKED_S, RATE_HZ, ReleaseRecord, equation_numbers, slope
-from identification.bench.trials import Answer
+from identification.bench.trials import MethodResult
 from identification.pendulums.suspension_knowledge import NAMES
 
 _STATES, _READINGS = 10, 2  # x, y, θ3, θ4, their rates, ln c3, ln c4
@@ -23,7 +23,7 @@ def updates(record: ReleaseRecord) -> int:
     return int(np.count_nonzero(record.run.angle_time_s > LOCKED_S))
 
 
-def unscented_filter(record: ReleaseRecord) -> Answer:
+def unscented_filter(record: ReleaseRecord) -> MethodResult:
     """Return the last estimate of ln c3 and ln c4, states nine and ten, with 1.96 standard deviations."""
     run, physics = record.run, record.knowledge.physics
     rate, phase = np.polyfit(run.mark_time_s, run.mark_phase_rad, 1)
@@ -49,7 +49,7 @@ def unscented_filter(record: ReleaseRecord) -> Answer:
     names = ("c3_Nms_per_rad", "c4_Nms_per_rad")
     values = {n: float(np.exp(own.x[8 + i])) for i, n in enumerate(names)}
     reach = {n: float(np.exp(1.96 * std[8 + i])) for i, n in enumerate(names)}
-    return Answer(values, {n: (v / reach[n], v * reach[n]) for n, v in values.items()})
+    return MethodResult(values, {n: (v / reach[n], v * reach[n]) for n, v in values.items()})
 
 
 def _read_angles(state: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ _LEAST_RECORDS = 3
 
 
 @dataclass(frozen=True)
-class Trial:
+class SyntheticRecord:
     """A synthetic record.
 
     Attributes:
@@ -42,7 +42,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Answer:
+class MethodResult:
     """Result of a method on a record.
 
     Attributes:
@@ -67,13 +67,13 @@ class Method:
 
     name: str
     setting: str
-    answer: Callable[[Any], Answer]
+    answer: Callable[[Any], MethodResult]
     peer: bool = False
     every_record: bool = False
 
 
 @dataclass(frozen=True)
-class Case:
+class TrialSet:
     """Records of one kind, and the methods for them.
 
     Attributes:
@@ -90,7 +90,7 @@ class Case:
 
     service: str
     name: str
-    draw: Callable[[np.random.Generator], Trial]
+    draw: Callable[[np.random.Generator], SyntheticRecord]
     groups: Mapping[str, tuple[str, ...]]
     gross: Mapping[str, float]
     methods: Sequence[Method]
@@ -140,7 +140,7 @@ class Precision:
         return dataclasses.asdict(self)
 
 
-def measure(case: Case, runs: int, seed: int, most_s: float = math.inf) -> list[Precision]:
+def measure(case: TrialSet, runs: int, seed: int, most_s: float = math.inf) -> list[Precision]:
     """Apply every method to the same records.
 
     Args:
@@ -171,7 +171,7 @@ class _Outcome:
     failure: str
 
 
-def _answer(method: Method, case: Case, trial: Trial) -> _Outcome:
+def _answer(method: Method, case: TrialSet, trial: SyntheticRecord) -> _Outcome:
     units, began = case.units(trial.record), time.perf_counter()
     try:
         with warnings.catch_warnings():
@@ -191,11 +191,11 @@ def _answer(method: Method, case: Case, trial: Trial) -> _Outcome:
     return _Outcome(seconds, units, error, held, "")
 
 
-def _interval(found: Answer, name: str) -> Iterable[tuple[float, float]]:
+def _interval(found: MethodResult, name: str) -> Iterable[tuple[float, float]]:
     return (found.intervals[name],) if name in found.intervals else ()
 
 
-def _row(case: Case, method: Method, outcomes: Sequence[_Outcome]) -> Precision:
+def _row(case: TrialSet, method: Method, outcomes: Sequence[_Outcome]) -> Precision:
     good = [o for o in outcomes if not o.failure]
     rms: dict[str, float] = {}
     bias: dict[str, float] = {}

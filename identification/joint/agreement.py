@@ -30,7 +30,7 @@ _MIN_EIGENVALUE = 1e-9  # of a whitened matrix; smaller ones count as zero
 
 
 @dataclass(frozen=True)
-class Verdict:
+class AgreementVerdict:
     """Result of the agreement test.
 
     Attributes:
@@ -54,24 +54,24 @@ class Verdict:
         return self.p < ALARM
 
 
-def verdict(estimates: Sequence[Estimate]) -> Verdict:
+def verdict(estimates: Sequence[Estimate]) -> AgreementVerdict:
     """Test whether the estimates agree. If they do not, find the tests that may be bad."""
     owner, names, residual, precision = _residual_system(estimates)
     tests = [_log_chance(residual, precision, np.flatnonzero(owner == i)) for i in range(len(estimates))]
     single, judged = _log_chances_of_each(residual, precision)
     looks = sum(rank > 0 for _, rank in tests) + int(np.count_nonzero(judged))
     if looks == 0:
-        return Verdict(1.0, (), (), (), 0)
+        return AgreementVerdict(1.0, (), (), (), 0)
     # the smallest p value of a test's comparisons counts for the test
     worst = np.array([min([tests[i][0], *single[owner == i].tolist()]) for i in range(len(estimates))])
     order = np.argsort(worst)
     p = min(1.0, looks * float(np.exp(max(worst[order[0]], -700.0))))
     if p >= ALARM:
-        return Verdict(p, (), (), (), looks)
+        return AgreementVerdict(p, (), (), (), looks)
     limit = np.log(ALARM / looks)
     near = [int(i) for i in order if 2 * (worst[i] - worst[order[0]]) < _MIN_SEPARATION and worst[i] < limit]
     apart, z = _apart(np.flatnonzero(owner == order[0]), residual, precision, float(np.log(ALARM / looks)))
-    return Verdict(p, tuple(near), tuple(names[k] for k in apart), tuple(z), looks)
+    return AgreementVerdict(p, tuple(near), tuple(names[k] for k in apart), tuple(z), looks)
 
 
 def _residual_system(estimates: Sequence[Estimate]) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:

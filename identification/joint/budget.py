@@ -17,7 +17,7 @@ import numpy as np
 from identification.joint.combine import JointEstimate
 from identification.joint.provenance import KeptTest, rebuilt
 from rig_basics.arrays import Array
-from rig_configs.known import Known
+from rig_configs.known import KnownNumbers
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
 from rig_configs.shared_errors import EXACT_STEP, is_known, known_source, shared_source
@@ -86,7 +86,7 @@ def parameter_budgets(parameters: IdentifiedParameters, rig: Rig | None = None) 
         shared = {label: scale * shift for label, shift in joint.parameters.shared.items()}
         scale = scale * joint.stretch
         _each_test(joint, tests, scale, columns)
-    known = Known({}) if rig is None else rig.known
+    known = KnownNumbers({}) if rig is None else rig.known
     replaced = rig is not None and bool(parameters.by_number)
     for label, shift in shared.items():
         if not (replaced and is_known(label)):
@@ -109,7 +109,7 @@ def parameter_budgets(parameters: IdentifiedParameters, rig: Rig | None = None) 
     return ParameterBudgets(budgets, {name: s for name, s in stretched.items() if s > 1.0}, tuple(notes))
 
 
-def exact_shifts(parameters: IdentifiedParameters, known: Known) -> dict[str, Array]:
+def exact_shifts(parameters: IdentifiedParameters, known: KnownNumbers) -> dict[str, Array]:
     """Number without a standard uncertainty → shift of the parameters for a relative step EXACT_STEP, shape (n,)."""
     return {
         number: parameters.by_number[number] * EXACT_STEP * known.values[number]

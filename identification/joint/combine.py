@@ -21,7 +21,7 @@ import numpy as np
 
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
-from identification.joint.agreement import Verdict, verdict
+from identification.joint.agreement import AgreementVerdict, verdict
 from identification.joint.rows import ConsistencyRow, rows_of, spread, values_and_covariance
 from identification.joint.weighting import Weighted, parameter_names, weighted
 from rig_configs.parameters_file import IdentifiedParameters
@@ -142,7 +142,7 @@ def _settled(
     return kept, out, extra, warnings + undecided
 
 
-def _majority_remains(given: list[Estimate], kept: list[Estimate], found: Verdict) -> bool:
+def _majority_remains(given: list[Estimate], kept: list[Estimate], found: AgreementVerdict) -> bool:
     """Whether more than half of the tests remain for the parameter in which the suspect deviates most."""
     name, bad = found.names[0], found.suspects[0]
     having = sum(name in e.names for e in given)
@@ -220,7 +220,7 @@ def _called(estimate: Estimate) -> str:
     return f"{estimate.test} ({' + '.join(Path(s).name for s in estimate.source.split(' + '))})"
 
 
-def _why(bad: Estimate, found: Verdict, kept: list[Estimate]) -> str:
+def _why(bad: Estimate, found: AgreementVerdict, kept: list[Estimate]) -> str:
     parts: list[str] = []
     for name, z in zip(found.names, found.z, strict=True):
         own = [r for r in rows_of(name, kept) if (r.test, r.source) == (bad.test, bad.source) and r.others]
@@ -234,7 +234,7 @@ def _left_out(bad: Estimate, kept: Estimate, why: str) -> str:
     return f"tests disagree: {_called(bad)} {why}. It is left out{alone}. Look at its log, or repeat the test"
 
 
-def _undecided(given: list[Estimate], suspects: tuple[int, ...], found: Verdict) -> str:
+def _undecided(given: list[Estimate], suspects: tuple[int, ...], found: AgreementVerdict) -> str:
     who = " or ".join(_called(given[i]) for i in suspects)
     return (
         f"{', '.join(found.names)}: tests disagree (p = {found.p:.1g}) and it cannot be decided whether {who} is bad; "

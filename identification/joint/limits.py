@@ -34,7 +34,7 @@ _ADVICE = {
 
 
 @dataclass(frozen=True)
-class Limit:
+class ParameterLimit:
     """Variance of one parameter by source.
 
     Attributes:
@@ -58,7 +58,7 @@ class Limit:
         return _ADVICE[self.main]
 
 
-def limits(of: Identification | IdentifiedParameters, mass_std: float = 0.0) -> list[Limit] | None:
+def limits(of: Identification | IdentifiedParameters, mass_std: float = 0.0) -> list[ParameterLimit] | None:
     """Split the variance of each parameter by source.
 
     Args:
@@ -80,7 +80,7 @@ def limits(of: Identification | IdentifiedParameters, mass_std: float = 0.0) -> 
     return [_limit(i, joint, model, mass_std) for i in range(len(joint.weighted.names))]
 
 
-def _limit(i: int, joint: JointEstimate, model: list[float], mass_std: float) -> Limit:
+def _limit(i: int, joint: JointEstimate, model: list[float], mass_std: float) -> ParameterLimit:
     name, together = joint.weighted.names[i], joint.weighted
     parts = dict.fromkeys(SOURCES, 0.0)
     for estimate, pull, share in zip(joint.estimates, together.pulls, model, strict=True):
@@ -95,4 +95,4 @@ def _limit(i: int, joint: JointEstimate, model: list[float], mass_std: float) ->
     if not name.startswith("zeta"):
         parts["mass"] = (mass_std * joint.parameters.values[name]) ** 2
     variance = sum(parts.values())
-    return Limit(name, float(np.sqrt(variance)), {s: p / variance for s, p in parts.items()})
+    return ParameterLimit(name, float(np.sqrt(variance)), {s: p / variance for s, p in parts.items()})

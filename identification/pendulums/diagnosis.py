@@ -16,7 +16,7 @@ import numpy as np
 from dynamics.equations.parameters import Pendulum, RotorParameters
 from identification.least_squares import Minimum
 from identification.pendulums.friction import evidence
-from identification.pendulums.release_problem import SUSPENSION, Release
+from identification.pendulums.release_problem import SUSPENSION, RecordedRelease
 
 _RELATIVE_STEP = 1e-4  # step of a mass or length
 _MIN_EXPLAINED_SHARE = 0.7  # smallest share of the excess of χ² that a cause explains
@@ -26,7 +26,7 @@ _LOCK_RAD = 0.02  # largest error of a locked pendulum's angle, which limits the
 
 
 @dataclass(frozen=True)
-class Cause:
+class SuspectNumber:
     """One number of the rig file that may be wrong.
 
     Attributes:
@@ -38,7 +38,7 @@ class Cause:
     text: str
 
 
-def likely_causes(release: Release, minimum: Minimum, end_s: float) -> list[str]:
+def likely_causes(release: RecordedRelease, minimum: Minimum, end_s: float) -> list[str]:
     """Return the numbers that would explain most of a fit's misfit, as text, the best first; empty without any.
 
     Args:
@@ -53,7 +53,7 @@ def likely_causes(release: Release, minimum: Minimum, end_s: float) -> list[str]
     return [c.text for c in causes if c.mended > _COMPARABLE_SHARE * causes[0].mended]
 
 
-def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
+def candidates(release: RecordedRelease, minimum: Minimum, end_s: float) -> list[SuspectNumber]:
     """Return all candidate numbers with their reductions of χ², the largest first."""
     problem = release.problem()
     cut = problem.cut(end_s)
@@ -61,7 +61,7 @@ def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
     n = sum(sizes)
     weight = np.concatenate([c.weight for c in cut])
     base = problem.angles(minimum.theta, end_s)
-    causes: list[Cause] = []
+    causes: list[SuspectNumber] = []
 
     def judge(column: np.ndarray, text: str, value: float | None, unit: str, most: float = 1.0) -> None:
         if not np.all(np.isfinite(column)) or not np.any(column):
@@ -70,7 +70,7 @@ def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
         if abs(found.step[0]) < min(_MAX_ERROR, most):
             change = f"{100 * found.step[0]:+.2g} %"
             where = f" ({value * (1 + found.step[0]):.4g} {unit})" if value is not None else ""
-            causes.append(Cause(found.mended, f"{text} {change}{where}"))
+            causes.append(SuspectNumber(found.mended, f"{text} {change}{where}"))
 
     for name, at in (("A", 0), ("B", 1)):
         own = release.knowledge.physics.a if at == 0 else release.knowledge.physics.b
@@ -87,7 +87,9 @@ def candidates(release: Release, minimum: Minimum, end_s: float) -> list[Cause]:
     return sorted(causes, key=lambda c: -c.mended)
 
 
-def _moved(release: Release, theta: np.ndarray, at: int, field: str) -> tuple[Release, np.ndarray] | None:
+def _moved(
+    release: RecordedRelease, theta: np.ndarray, at: int, field: str
+) -> tuple[RecordedRelease, np.ndarray] | None:
     """Return the release and θ with one pendulum's number changed and the measurements of other tests unchanged."""
     physics = release.knowledge.physics
     own: Pendulum = physics.a if at == 0 else physics.b

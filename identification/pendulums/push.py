@@ -11,7 +11,7 @@ from identification.errors import NotIdentifiable
 from identification.pendulums.decline import decline_of
 from identification.pendulums.run_down import RunDown, stop_time
 from identification.pendulums.spin_down import first_fit
-from identification.pendulums.transient import Readings
+from identification.pendulums.transient import EncoderReadings
 from identification.samples import block_averages, encoder_noise
 
 TIME_CONSTANTS = 4.5
@@ -71,7 +71,7 @@ def _push(time_s: np.ndarray, angle_rad: np.ndarray, start_s: float, speed_rad_s
     return float(t[slow[-1]]) if len(slow) else float(t[0])
 
 
-def spin_down_readings(time_s: np.ndarray, angle_rad: np.ndarray, rate_per_s: float) -> Readings:
+def spin_down_readings(time_s: np.ndarray, angle_rad: np.ndarray, rate_per_s: float) -> EncoderReadings:
     """Return one encoder's samples with averages over blocks that are short compared with the decay.
 
     Args:
@@ -86,4 +86,4 @@ def spin_down_readings(time_s: np.ndarray, angle_rad: np.ndarray, rate_per_s: fl
     time, angle = time_s[good], angle_rad[good]
     step = encoder_step(angle)
     averages = block_averages(time, angle, min(_BLOCK_S, 0.2 / rate_per_s), encoder_noise(angle, step or 1e-6))
-    return Readings(time, angle, averages, step)
+    return EncoderReadings(time, angle, averages, step)

@@ -23,7 +23,7 @@ from identification.pendulums.answers import covering, plausible_answers
 from identification.pendulums.diagnosis import candidates, likely_causes
 from identification.pendulums.free_angles import laid_over
 from identification.pendulums.friction import Evidence, Friction
-from identification.pendulums.release_problem import SUSPENSION, Release, Shape
+from identification.pendulums.release_problem import SUSPENSION, RecordedRelease, Shape
 from identification.pendulums.release_search import Effort, NotFollowed, Notify, Search, holding
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import NOT_SEPARATED, TransientFit, with_open_friction
@@ -87,7 +87,7 @@ def fit_release(
     Source: docs/theory/pendulum_damping.md.
     """
     check_setting(setting)
-    release = Release.of(run, knowledge, zero_std_rad, setting)
+    release = RecordedRelease.of(run, knowledge, zero_std_rad, setting)
     if max(release.moved_rad) < _MIN_MOVED_RAD:
         a, b = np.degrees(release.moved_rad)
         raise NotIdentifiable(f"{run.source}: after the release A moves by {a:.2g}° and B by {b:.2g}°; {_HELD}")
@@ -120,7 +120,7 @@ def _ignore(_: str) -> None:
     """Drop a message."""
 
 
-def _not_shown(release: Release, fit: TransientFit, shape: Shape | None) -> str:
+def _not_shown(release: RecordedRelease, fit: TransientFit, shape: Shape | None) -> str:
     """Return the reason why a release that is followed does not show the damping, with advice."""
     over = f"{fit.horizon_s:.2g} s of the release do not show the damping"
     moved = [f"{name} by {np.degrees(m):.2g}°" for name, m in zip("AB", release.moved_rad, strict=True)]
@@ -135,8 +135,8 @@ def _not_shown(release: Release, fit: TransientFit, shape: Shape | None) -> str:
 
 
 def _searched(
-    release: Release, horizons: list[float], effort: Effort, notify: Notify, with_friction: bool
-) -> tuple[Release, list[Minimum], Shape | None, list[str]]:
+    release: RecordedRelease, horizons: list[float], effort: Effort, notify: Notify, with_friction: bool
+) -> tuple[RecordedRelease, list[Minimum], Shape | None, list[str]]:
     """Return the fitted release, its minima, the shape of their dry friction, and warnings.
 
     Args:
@@ -189,12 +189,14 @@ class _ViscousFailed(Exception):
         search: last search.
     """
 
-    def __init__(self, release: Release, search: NotFollowed) -> None:
+    def __init__(self, release: RecordedRelease, search: NotFollowed) -> None:
         super().__init__(str(search))
         self.release, self.search = release, search
 
 
-def _followed(release: Release, horizons: list[float], effort: Effort, notify: Notify) -> tuple[Release, list[Minimum]]:
+def _followed(
+    release: RecordedRelease, horizons: list[float], effort: Effort, notify: Notify
+) -> tuple[RecordedRelease, list[Minimum]]:
     """Return the minima without dry friction, with free masses and lengths of the pendulums if these are uncertain.
 
     The search uses fixed numbers, which costs a fifth. At its end the numbers are free: over the whole release, or from
@@ -221,8 +223,8 @@ def _followed(release: Release, horizons: list[float], effort: Effort, notify: N
 
 
 def _with_numbers(
-    release: Release, answers: list[Minimum], shape: Shape | None, end_s: float
-) -> tuple[Release, list[Minimum]]:
+    release: RecordedRelease, answers: list[Minimum], shape: Shape | None, end_s: float
+) -> tuple[RecordedRelease, list[Minimum]]:
     """Return minima with free masses and lengths of the pendulums, starting at given ones, or these if that fails."""
     wide = release.opened
     if not wide.number_std:
@@ -234,8 +236,8 @@ def _with_numbers(
 
 
 def _with_known_friction(
-    release: Release, horizons: list[float], known: Friction, effort: Effort, notify: Notify
-) -> tuple[Release, list[Minimum], Shape] | None:
+    release: RecordedRelease, horizons: list[float], known: Friction, effort: Effort, notify: Notify
+) -> tuple[RecordedRelease, list[Minimum], Shape] | None:
     """Return the minimum with a start from the friction that other tests show; None if no fit converges."""
     found = _with_friction(release, horizons, _frictional_starts(release, known, horizons), effort, notify)
     if found is not None:
@@ -247,7 +249,9 @@ def _with_known_friction(
     return None if found is None else (wide, *found)
 
 
-def _frictional_starts(release: Release, known: Friction, horizons: list[float]) -> list[tuple[np.ndarray, bool]]:
+def _frictional_starts(
+    release: RecordedRelease, known: Friction, horizons: list[float]
+) -> list[tuple[np.ndarray, bool]]:
     """Return start values with the damping and the significant friction of another test."""
     start = release.problem().prior.copy()
     torque = known.sure_torque_at(release.speed_rad_s)
@@ -260,7 +264,7 @@ def _frictional_starts(release: Release, known: Friction, horizons: list[float])
     return [(place, True) for place in screened_starts(release.problem("torque"), trials, horizons[:-1], holding)]
 
 
-def _torques(release: Release, sure_Nm: np.ndarray) -> list[np.ndarray]:
+def _torques(release: RecordedRelease, sure_Nm: np.ndarray) -> list[np.ndarray]:
     """Return start values of friction torques: significant known ones, else shares of the largest viscous torque."""
     damping = release.knowledge.physics
     slip = np.array([_fastest(r.averages.time_s, r.averages.value) for r in release.readings])
@@ -270,7 +274,7 @@ def _torques(release: Release, sure_Nm: np.ndarray) -> list[np.ndarray]:
     return tried if likely is None else [np.where(sure_Nm > 0, sure_Nm, likely), *tried]
 
 
-def _viscous(release: Release, horizons: list[float], effort: Effort, notify: Notify) -> list[Minimum]:
+def _viscous(release: RecordedRelease, horizons: list[float], effort: Effort, notify: Notify) -> list[Minimum]:
     """Return the minima without dry friction and with fixed numbers."""
     problem = release.problem()
     start = problem.prior.copy()
@@ -283,7 +287,11 @@ def _viscous(release: Release, horizons: list[float], effort: Effort, notify: No
 
 
 def _with_friction(
-    release: Release, horizons: list[float], starts: list[tuple[np.ndarray, bool]], effort: Effort, notify: Notify
+    release: RecordedRelease,
+    horizons: list[float],
+    starts: list[tuple[np.ndarray, bool]],
+    effort: Effort,
+    notify: Notify,
 ) -> tuple[list[Minimum], Shape] | None:
     """Return the minimum with dry friction of the shape that explains the readings better; None if neither converges.
 
@@ -308,7 +316,7 @@ def _with_friction(
     return [best], shape
 
 
-def _settled(search: Search, starts: list[tuple[np.ndarray, bool]], release: Release) -> Minimum | None:
+def _settled(search: Search, starts: list[tuple[np.ndarray, bool]], release: RecordedRelease) -> Minimum | None:
     try:
         found = search.answers(starts, release.run.source)
     except NotFollowed:
@@ -318,7 +326,7 @@ def _settled(search: Search, starts: list[tuple[np.ndarray, bool]], release: Rel
 
 
 def _ahead(
-    release: Release, horizons: list[float], starts: list[tuple[np.ndarray, bool]], shape: Shape
+    release: RecordedRelease, horizons: list[float], starts: list[tuple[np.ndarray, bool]], shape: Shape
 ) -> list[tuple[np.ndarray, bool]]:
     """Return the best start values after a screening over the first horizons."""
     if len(starts) < 3 or len(horizons) <= _SCREENED_HORIZONS:
@@ -333,7 +341,7 @@ def _ahead(
 
 
 def _rescued(
-    release: Release, horizons: list[float], stuck: NotFollowed, effort: Effort, notify: Notify
+    release: RecordedRelease, horizons: list[float], stuck: NotFollowed, effort: Effort, notify: Notify
 ) -> tuple[list[Minimum], Shape] | None:
     """Return a fit with dry friction of a release that viscous damping does not explain; None if that also fails."""
     if stuck.doubtful is None or release.knowledge.friction is not None:
@@ -356,7 +364,9 @@ def _fastest(time_s: np.ndarray, angle_rad: np.ndarray) -> float:
     return float(np.quantile(np.abs(np.gradient(angle_rad, time_s)), 0.95))
 
 
-def _friction_or_number(release: Release, minimum: Minimum, end_s: float, evidence: Evidence) -> tuple[bool, list[str]]:
+def _friction_or_number(
+    release: RecordedRelease, minimum: Minimum, end_s: float, evidence: Evidence
+) -> tuple[bool, list[str]]:
     """Return whether dry friction explains the residuals of viscous damping best, and a warning if it does not."""
     if (
         not evidence.found
@@ -371,12 +381,12 @@ def _friction_or_number(release: Release, minimum: Minimum, end_s: float, eviden
     return False, [text]
 
 
-def _left_out(release: Release, stuck: NotFollowed) -> ReleaseLeftOut:
+def _left_out(release: RecordedRelease, stuck: NotFollowed) -> ReleaseLeftOut:
     causes = likely_causes(release, *stuck.doubtful) if stuck.doubtful is not None else []
     return ReleaseLeftOut(str(stuck), causes)
 
 
-def _starts(release: Release, start: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
+def _starts(release: RecordedRelease, start: np.ndarray) -> Iterator[tuple[np.ndarray, bool]]:
     """Yield the filter's start values, held and free, then a held fan around the given damping, near ones first."""
     physics = laid_over(release.knowledge, start[:2], start[SUSPENSION])
     tracked = damping_start(release.run, physics, release.rest.history, release.rest.release_s)
@@ -387,7 +397,7 @@ def _starts(release: Release, start: np.ndarray) -> Iterator[tuple[np.ndarray, b
         yield start + np.r_[shift, np.zeros(len(start) - 2)], True
 
 
-def _turned_starts(release: Release, start: np.ndarray) -> list[np.ndarray]:
+def _turned_starts(release: RecordedRelease, start: np.ndarray) -> list[np.ndarray]:
     """Return start values of the filter for several angles of the rotor."""
     nominal, out = laid_over(release.knowledge, start[:2], start[SUSPENSION]), list[np.ndarray]()
     zeros = np.zeros(len(release.speed.modes))
@@ -405,7 +415,7 @@ def _starts_around(places: list[np.ndarray], start: np.ndarray) -> Iterator[tupl
         yield np.r_[start[:2] + shift, places[0][2:]], True
 
 
-def _model_table(release: Release, minimum: Minimum, end_s: float, shape: Shape | None) -> list[ModelChoice]:
+def _model_table(release: RecordedRelease, minimum: Minimum, end_s: float, shape: Shape | None) -> list[ModelChoice]:
     """Return the model table: coupled motion against pendulums on a fixed rotor, which would not move."""
     cut = release.problem().cut(end_s)
     held = sum(float(np.sum(((c.value - c.value.mean()) * c.weight) ** 2)) for c in cut)

@@ -27,7 +27,7 @@ from identification.pendulums.open_friction import CONTACT_STD_kg_m2, OpenFricti
 from identification.pendulums.open_numbers import PENDULUMS, with_open_numbers
 from identification.pendulums.recorded_speed import RecordedSpeed, recorded_speed
 from identification.pendulums.suspension_knowledge import Knowledge
-from identification.pendulums.transient import Readings, TransientProblem
+from identification.pendulums.transient import EncoderReadings, TransientProblem
 from identification.pendulums.unknown_phase import TURN_STD_RAD, with_phase
 from identification.samples import Averages, block_averages, encoder_noise
 from identification.setting import Setting
@@ -48,7 +48,7 @@ _DAMPING_WITH_FRICTION_STD = 0.7  # the same with dry friction, which could othe
 
 
 @dataclass(frozen=True)
-class Release:
+class RecordedRelease:
     """One recorded release.
 
     Attributes:
@@ -70,13 +70,13 @@ class Release:
     speed: RecordedSpeed
     begin_s: float
     release_std_s: float
-    readings: tuple[Readings, Readings]
+    readings: tuple[EncoderReadings, EncoderReadings]
     locked_rad: np.ndarray
     zero_std_rad: float
     number_std: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @classmethod
-    def of(cls, run: Run, knowledge: Knowledge, zero_std_rad: float, setting: Setting) -> Release:
+    def of(cls, run: Run, knowledge: Knowledge, zero_std_rad: float, setting: Setting) -> RecordedRelease:
         """Create the release from a run.
 
         Raises:
@@ -322,7 +322,7 @@ class Release:
         return Friction(none, none, (first / w2, second / w2), (std[0] / w2, std[1] / w2), self.speed_rad_s)
 
     @property
-    def opened(self) -> Release:
+    def opened(self) -> RecordedRelease:
         """The release with free masses and lengths of the pendulums, for those with a stated uncertainty.
 
         They remain fixed if the phase has no reference, because the search requires the unknown angle as the last of θ.
@@ -330,7 +330,7 @@ class Release:
         known: Mapping[str, float] = self.knowledge.number_std if self.run.phase_absolute else {}
         return replace(self, number_std={name: known[name] for name in PENDULUMS if known.get(name)})
 
-    def fixed(self, theta: np.ndarray) -> tuple[Release, np.ndarray]:
+    def fixed(self, theta: np.ndarray) -> tuple[RecordedRelease, np.ndarray]:
         """Return the release with the free numbers fixed at their values in θ, and the other components of θ."""
         if not self.number_std:
             return self, theta
@@ -346,7 +346,7 @@ class Release:
         found = _horizons(self.readings)
         return found[: max(2, len(found) - 2)] if setting == "fast" else found
 
-    def laid_over(self, physics_knowledge: Knowledge) -> Release:
+    def laid_over(self, physics_knowledge: Knowledge) -> RecordedRelease:
         """Return the same recording with other prior knowledge."""
         return replace(self, knowledge=physics_knowledge)
 
@@ -385,9 +385,9 @@ def _locked_start(run: Run, release_s: float) -> tuple[LockedStart, RecordedSpee
     return LockedStart(history, earliest, release_s), speed
 
 
-def _readings(run: Run, begin_s: float, block_s: float) -> tuple[Readings, Readings]:
+def _readings(run: Run, begin_s: float, block_s: float) -> tuple[EncoderReadings, EncoderReadings]:
     keep = run.angle_time_s > begin_s
-    out: list[Readings] = []
+    out: list[EncoderReadings] = []
     for i in range(2):
         good = keep & np.isfinite(run.angle_rad[:, i])
         time, angle = run.angle_time_s[good], run.angle_rad[good, i]
@@ -395,11 +395,11 @@ def _readings(run: Run, begin_s: float, block_s: float) -> tuple[Readings, Readi
             raise NotIdentifiable(f"{run.source}: {len(angle)} encoder samples after the release are too few")
         step = encoder_step(angle)  # the step in the recording may be wrong, or the angle is not quantised
         noise = encoder_noise(angle, step) if step else encoder_noise(angle, 1e-6)
-        out.append(Readings(time, angle, block_averages(time, angle, block_s, noise), step))
+        out.append(EncoderReadings(time, angle, block_averages(time, angle, block_s, noise), step))
     return out[0], out[1]
 
 
-def _horizons(readings: tuple[Readings, Readings]) -> list[float]:
+def _horizons(readings: tuple[EncoderReadings, EncoderReadings]) -> list[float]:
     """Return the last instants of the stretches: 0.5 s, growing by 1.6, up to the rest of both angles, s."""
     blocks = [r.averages for r in readings]
     begin = last = blocks[0].time_s[0]

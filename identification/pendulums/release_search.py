@@ -32,7 +32,7 @@ Notify = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Trial:
+class SearchTrial:
     """Result of one start.
 
     Attributes:
@@ -55,7 +55,7 @@ class Trial:
         """Whether the fit explains all readings and has converged."""
         return self.whole and self.misfit < GOOD and self.minimum.converged
 
-    def ends_like(self, other: Trial) -> bool:
+    def ends_like(self, other: SearchTrial) -> bool:
         """Return whether two fits ended at the same place."""
         near = float(np.max(np.abs(self.minimum.theta[:2] - other.minimum.theta[:2])))
         costs = sorted((self.minimum.cost, other.minimum.cost))
@@ -81,7 +81,7 @@ class NotFollowed(FitFailed):
         structural: whether distant starts ended at the same place, so that the model counts as wrong.
     """
 
-    def __init__(self, message: str, trials: list[Trial], structural: bool) -> None:
+    def __init__(self, message: str, trials: list[SearchTrial], structural: bool) -> None:
         super().__init__(message)
         self.trials, self.structural = trials, structural
 
@@ -114,7 +114,7 @@ class Search:
     effort: Effort
     notify: Notify
     early: int = _EARLY
-    trials: list[Trial] = field(default_factory=list[Trial])
+    trials: list[SearchTrial] = field(default_factory=list[SearchTrial])
 
     def answers(self, starts: Iterable[tuple[np.ndarray, bool]], source: str) -> list[Minimum]:
         """Return the minima that explain the readings, the best first.
@@ -155,7 +155,7 @@ class Search:
                     return True
         return False
 
-    def _grown(self, start: np.ndarray, held: bool) -> Trial:
+    def _grown(self, start: np.ndarray, held: bool) -> SearchTrial:
         """Fit over growing horizons; stop at an early one if the model fails.
 
         Args:
@@ -166,7 +166,7 @@ class Search:
         early = holding(self.problem, start) if held else self.problem
         theta, doubtful = start, None
         begin = float(self.problem.readings[0].averages.time_s[0])
-        trial: Trial | None = None
+        trial: SearchTrial | None = None
         for i, end in enumerate(self.horizons):
             last = i == len(self.horizons) - 1
             now = early if i < len(self.horizons) - 2 else self.problem
@@ -178,7 +178,7 @@ class Search:
                 level = now.misfit(minimum, end)
             if doubtful is None and level > GOOD:
                 doubtful = minimum, end
-            trial = Trial(start, minimum, end, level, last, doubtful)
+            trial = SearchTrial(start, minimum, end, level, last, doubtful)
             if not last and not level < 3 * GOOD:
                 break
             theta = minimum.theta

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from daq.signals.threads import on_one_thread
-from identification.curve import Curve
+from identification.curve import FittedCurve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.pendulums.decline import decline_of
 from identification.pendulums.quantiser import quantised_posterior
@@ -60,7 +60,7 @@ class SpinDownFit:
     model: str
     model_table: list[ModelChoice]
     warnings: list[str]
-    curve: Curve
+    curve: FittedCurve
     start_s: float
     end_s: float
     chi2_per_dof: float
@@ -71,7 +71,7 @@ class SpinDownFit:
         return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
 
     @property
-    def curves(self) -> list[Curve]:
+    def curves(self) -> list[FittedCurve]:
         """Fitted stretch as a list, as for every fit."""
         return [self.curve]
 
@@ -236,7 +236,7 @@ def _result(
         half = 1.96 * np.sqrt(np.diag(covariance))
         low, high = values - half, values + half
     data = chosen.data
-    curve = Curve(
+    curve = FittedCurve(
         "spin-down", "rad", start_s + data.time_s, data.angle_rad, run_down_angle(data.time_s, chosen.theta)[0]
     )
     end_s = start_s + float(data.time_s[-1])

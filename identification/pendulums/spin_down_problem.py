@@ -21,7 +21,7 @@ from identification.pendulums.known_numbers import by_physical_numbers
 from identification.pendulums.open_friction import CONTACT_STD_kg_m2, OpenFriction, TORQUE_STD_Nm
 from identification.pendulums.push import TIME_CONSTANTS, Decline
 from identification.pendulums.suspension_knowledge import Knowledge
-from identification.pendulums.transient import Readings, TransientProblem
+from identification.pendulums.transient import EncoderReadings, TransientProblem
 from identification.samples import Averages
 from identification.setting import Setting
 
@@ -49,14 +49,14 @@ class SpinDown:
         knowledge: masses, lengths and prior knowledge of the suspension.
     """
 
-    whole: list[Readings]
+    whole: list[EncoderReadings]
     declines: list[Decline]
     begin_s: float
     end_s: float
     knowledge: Knowledge
 
     @property
-    def readings(self) -> tuple[Readings, Readings]:
+    def readings(self) -> tuple[EncoderReadings, EncoderReadings]:
         """Readings of the stretch; each encoder's end after TIME_CONSTANTS of its pendulum or at the stop by friction.
 
         Raises:

@@ -32,7 +32,7 @@ from identification.pendulums.spin_down_problem import COUNT, PSI, Kind, Kinds, 
 from identification.pendulums.suspension_knowledge import Knowledge
 from identification.pendulums.transient import (
     NOT_SEPARATED,
-    Readings,
+    EncoderReadings,
     TransientFit,
     TransientProblem,
     with_open_friction,
@@ -92,7 +92,7 @@ def fit_spin_down_run(
 
 def _fit_from(
     run: Run,
-    whole: list[Readings],
+    whole: list[EncoderReadings],
     declines: list[Decline],
     span: tuple[float, float],
     knowledge: Knowledge,

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from identification.curve import Curve
+from identification.curve import FittedCurve
 from identification.least_squares import Minimum, inverse_normal, minimise
 from identification.pendulums.friction import Friction
 from identification.pendulums.open_friction import Alone, OpenFriction, alone
@@ -79,7 +79,7 @@ class TransientFit:
     values: dict[str, float]
     covariance: np.ndarray
     intervals: dict[str, tuple[float, float]]
-    curves: list[Curve]
+    curves: list[FittedCurve]
     chi2_per_dof: float
     horizon_s: float
     start_angles_rad: tuple[float, float]
@@ -106,7 +106,7 @@ class TransientFit:
 
 
 @dataclass(frozen=True)
-class Readings:
+class EncoderReadings:
     """One encoder's samples of a transient and their block averages.
 
     Attributes:
@@ -120,13 +120,13 @@ class Readings:
     averages: Averages
     step_rad: float
 
-    def between(self, start_s: float, end_s: float) -> Readings:
+    def between(self, start_s: float, end_s: float) -> EncoderReadings:
         """Return the blocks whose begin and mean time lie in a span, with their samples."""
         count = self.averages.count
         begins = self.time_s[np.r_[0, np.cumsum(count)[:-1]].astype(np.int64)]
         keep = (begins >= start_s) & (self.averages.time_s <= end_s)
         inside = np.repeat(keep, count)
-        return Readings(self.time_s[inside], self.angle_rad[inside], self.averages.where(keep), self.step_rad)
+        return EncoderReadings(self.time_s[inside], self.angle_rad[inside], self.averages.where(keep), self.step_rad)
 
     def rounding(self, curve_rad: np.ndarray, moves: np.ndarray, slopes_rad: np.ndarray, seed: int) -> np.ndarray:
         """Return the errors of the block averages by quantisation of curves, in their standard deviations.
@@ -177,7 +177,7 @@ class TransientProblem:
             deviation inf for no prior.
     """
 
-    readings: tuple[Readings, Readings]
+    readings: tuple[EncoderReadings, EncoderReadings]
     predict: Predict
     prior: np.ndarray
     prior_std: np.ndarray
@@ -329,12 +329,12 @@ class TransientProblem:
             table: compared models.
         """
         chi2, misfit = self.chi2_per_dof(minimum, end_s), self.misfit(minimum, end_s)
-        curves, at = list[Curve](), 0
+        curves, at = list[FittedCurve](), 0
         for name, channel in zip("AB", self.cut(end_s), strict=True):
             own = minimum.residual[at : at + len(channel.time_s)]
             at += len(own)
             fitted = channel.value + own / channel.weight
-            curves.append(Curve(f"{label}: {name}", "rad", channel.time_s, channel.value, fitted))
+            curves.append(FittedCurve(f"{label}: {name}", "rad", channel.time_s, channel.value, fitted))
         c = np.exp(minimum.theta[:2])
         covariance = self.covariance(minimum, end_s, setting)
         start = (float(minimum.theta[angles_at]), float(minimum.theta[angles_at + 1]))

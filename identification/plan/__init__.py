@@ -1,7 +1,7 @@
 """Planning of experiments by Fisher information: test, duration, amplitude and rate for a required uncertainty."""
 
-from identification.plan.planning import Plan, plan
+from identification.plan.planning import ExperimentPlan, plan_experiments
 from identification.plan.requirements import Requirement, parse_requirement
-from identification.plan.sensors import Sensors
+from identification.plan.sensors import SensorProperties
 
-__all__ = ["Plan", "Requirement", "Sensors", "parse_requirement", "plan"]
+__all__ = ["ExperimentPlan", "Requirement", "SensorProperties", "parse_requirement", "plan_experiments"]

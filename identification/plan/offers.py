@@ -17,7 +17,7 @@ from dynamics.errors import DynamicsError
 from identification.methods import Method, kinds_for
 from identification.plan.experiment import Experiment, limited
 from identification.plan.pendulums import release, spin_down
-from identification.plan.sensors import Sensors
+from identification.plan.sensors import SensorProperties
 from identification.plan.suspension import ring_down, run_up
 from rig_basics.units import RPM, TO_RPM
 from rig_configs.schema import Rig
@@ -31,7 +31,7 @@ _RELEASES_S = (4.0, 10.0)
 
 
 def offers_for(
-    rig: Rig, sensors: Sensors, names: Sequence[str], notify: Callable[[str], None], remarks: list[str]
+    rig: Rig, sensors: SensorProperties, names: Sequence[str], notify: Callable[[str], None], remarks: list[str]
 ) -> Iterator[Experiment]:
     """Yield every candidate experiment that shows a required parameter and whose signals the rig has.
 
@@ -58,7 +58,7 @@ def offers_for(
             yield from filter(None, map(limited, make(kind)))
 
 
-def _ring_downs(rig: Rig, physics: RotorParameters, sensors: Sensors, kind: TestKind) -> Iterator[Experiment]:
+def _ring_downs(rig: Rig, physics: RotorParameters, sensors: SensorProperties, kind: TestKind) -> Iterator[Experiment]:
     for axis in (signal for signal in kind.needs if signal in sensors.axes):
         i = "xy".index(axis)
         decay = (physics.zeta1, physics.zeta2)[i] * physics.natural_frequencies_rad_s[i]
@@ -75,7 +75,7 @@ def _lengths(decay_per_s: float) -> list[float]:
 
 
 def _run_ups(
-    rig: Rig, physics: RotorParameters, sensors: Sensors, remarks: list[str], kind: TestKind
+    rig: Rig, physics: RotorParameters, sensors: SensorProperties, remarks: list[str], kind: TestKind
 ) -> Iterator[Experiment]:
     second = max(physics.natural_frequencies_rad_s)
     top = min(1.3 * second, rig.limits.speed_rpm * RPM)
@@ -99,7 +99,7 @@ def _run_ups(
         )
 
 
-def _spin_downs(physics: RotorParameters, sensors: Sensors, kind: TestKind) -> Iterator[Experiment]:
+def _spin_downs(physics: RotorParameters, sensors: SensorProperties, kind: TestKind) -> Iterator[Experiment]:
     if not (physics.a.present and physics.b.present):
         return
     rates = [p.damping_Nms_per_rad / p.inertia_kg_m2 for p in (physics.a, physics.b)]
@@ -109,7 +109,7 @@ def _spin_downs(physics: RotorParameters, sensors: Sensors, kind: TestKind) -> I
 
 
 def _releases(
-    rig: Rig, physics: RotorParameters, sensors: Sensors, remarks: list[str], kind: TestKind
+    rig: Rig, physics: RotorParameters, sensors: SensorProperties, remarks: list[str], kind: TestKind
 ) -> Iterator[Experiment]:
     if not (physics.a.present and physics.b.present):
         return

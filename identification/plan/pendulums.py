@@ -17,7 +17,7 @@ from identification.estimate import Estimate
 from identification.methods import Method
 from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives
-from identification.plan.sensors import Sensors
+from identification.plan.sensors import SensorProperties
 from rig_basics.arrays import Array
 from rig_basics.units import TO_RPM
 
@@ -34,7 +34,7 @@ _SPIN_DOWN_PHASE_RAD = 0.7  # rotor phase of a spin-down: between the axes, wher
 
 
 def spin_down(
-    physics: RotorParameters, sensors: Sensors, speed_rad_s: float, record_s: float, test: str = "spin-down"
+    physics: RotorParameters, sensors: SensorProperties, speed_rad_s: float, record_s: float, test: str = "spin-down"
 ) -> Experiment:
     """Return the spin-down of both pendulums, flicked in opposite directions on a resting rotor.
 
@@ -71,7 +71,9 @@ def spin_down(
     return _experiment(test, "spin-down", physics, sensors, model, settings, record_s, used)
 
 
-def release(physics: RotorParameters, sensors: Sensors, test: str, speed_rad_s: float, record_s: float) -> Experiment:
+def release(
+    physics: RotorParameters, sensors: SensorProperties, test: str, speed_rad_s: float, record_s: float
+) -> Experiment:
     """Return the release of both pendulums at constant speed.
 
     Args:
@@ -141,7 +143,7 @@ def _experiment(
     test: str,
     method: Method,
     physics: RotorParameters,
-    sensors: Sensors,
+    sensors: SensorProperties,
     model: _Model,
     settings: dict[str, float],
     record_s: float,

@@ -17,7 +17,7 @@ from identification.methods import Method
 from identification.plan.experiment import Experiment, together
 from identification.plan.offers import offers_for
 from identification.plan.requirements import Requirement
-from identification.plan.sensors import Sensors
+from identification.plan.sensors import SensorProperties
 from rig_configs.schema import Rig
 
 MOST_RUNS = 25
@@ -42,7 +42,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Answer:
+class PlanAnswer:
     """Result of a plan for one requirement.
 
     Attributes:
@@ -68,7 +68,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Plan:
+class ExperimentPlan:
     """Experiments to record and their expected results.
 
     Attributes:
@@ -80,9 +80,9 @@ class Plan:
     """
 
     steps: list[Step]
-    answers: list[Answer]
+    answers: list[PlanAnswer]
     record_s: float
-    sensors: Sensors
+    sensors: SensorProperties
     remarks: list[str] = field(default_factory=list[str])
 
     @property
@@ -92,13 +92,13 @@ class Plan:
 
 
 @on_one_thread
-def plan(
+def plan_experiments(
     rig: Rig,
     requirements: Sequence[Requirement],
-    sensors: Sensors | None = None,
+    sensors: SensorProperties | None = None,
     mass_std: float = 0.0,
     notify: Callable[[str], None] = lambda _: None,
-) -> Plan:
+) -> ExperimentPlan:
     """Plan the experiments for the required uncertainties.
 
     Args:
@@ -111,7 +111,7 @@ def plan(
         NotIdentifiable: `requirements` is empty, a parameter occurs twice, or its nominal value is 0.
     Source: docs/theory/planning.md.
     """
-    sensors = sensors or Sensors.of(rig)
+    sensors = sensors or SensorProperties.of(rig)
     nominal = rig.physics.identified()
     names = [w.name for w in requirements]
     if not names or len(set(names)) < len(names):
@@ -129,7 +129,7 @@ def plan(
     answers = [_answer(w, nominal[w.name], offers, reached, mass_std) for w in requirements]
     seconds = sum(s.runs * s.experiment.record_s for s in steps)
     remarks += list(dict.fromkeys(r for s in steps for r in s.experiment.remarks))
-    return Plan(steps, answers, seconds, sensors, remarks)
+    return ExperimentPlan(steps, answers, seconds, sensors, remarks)
 
 
 def _chosen(
@@ -199,7 +199,7 @@ def _cheapest(
 
 def _answer(
     want: Requirement, nominal: float, offers: Sequence[Experiment], reached: dict[str, float], mass_std: float
-) -> Answer:
+) -> PlanAnswer:
     having = [o for o in offers if want.name in o.expected.names]
     mass = 0.0 if want.name.startswith("zeta") else mass_std
     wanted = want.relative_std(nominal)
@@ -211,7 +211,7 @@ def _answer(
     lowest = min(having, key=lambda o: o.relative_std(want.name, MOST_RUNS), default=None)
     least = math.inf if lowest is None else math.hypot(lowest.relative_std(want.name, MOST_RUNS), mass)
     got = math.hypot(reached.get(want.name, math.inf), mass)
-    return Answer(
+    return PlanAnswer(
         want,
         nominal,
         wanted,

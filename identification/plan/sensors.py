@@ -25,7 +25,7 @@ _FEWEST_SAMPLES = 1000  # smallest number of samples for an estimate of a sensor
 
 
 @dataclass(frozen=True)
-class Sensors:
+class SensorProperties:
     """Properties of the rig's sensors; a missing sensor has infinite noise.
 
     Attributes:
@@ -59,7 +59,7 @@ class Sensors:
     measured: bool = False
 
     @classmethod
-    def of(cls, rig: Rig) -> Sensors:
+    def of(cls, rig: Rig) -> SensorProperties:
         """Return the sensors of a rig file, with usual values for noise and jitter."""
         roles = rig.roles
         axes = [roles.along(axis) for axis in "xy"]
@@ -88,7 +88,7 @@ class Sensors:
         """Axes that have a displacement sensor."""
         return tuple(axis for axis in "xy" if axis in self.clocks)
 
-    def as_in(self, runs: Sequence[Run]) -> Sensors:
+    def as_in(self, runs: Sequence[Run]) -> SensorProperties:
         """Return the sensors with noise and rates of the displacements and jitter of the clocks from recorded runs.
 
         Raises:

@@ -17,7 +17,7 @@ from dynamics.equations.parameters import RotorParameters
 from identification.estimate import Estimate
 from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives
-from identification.plan.sensors import Sensors
+from identification.plan.sensors import SensorProperties
 from rig_basics.arrays import Array, Complex
 from rig_basics.units import TO_RPM
 from rig_configs.known import gain_label
@@ -30,7 +30,7 @@ _FOUR = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")
 
 
 def ring_down(
-    physics: RotorParameters, sensors: Sensors, axis: str, held_m: float, record_s: float, test: str = ""
+    physics: RotorParameters, sensors: SensorProperties, axis: str, held_m: float, record_s: float, test: str = ""
 ) -> Experiment:
     """Return a ring-down: a pluck along x or y and the free decay after it. Only that direction is estimated.
 
@@ -81,7 +81,7 @@ def ring_down(
 
 
 def run_up(
-    physics: RotorParameters, sensors: Sensors, top_rad_s: float, ramp_s: float, test: str = "run-up"
+    physics: RotorParameters, sensors: SensorProperties, top_rad_s: float, ramp_s: float, test: str = "run-up"
 ) -> Experiment:
     """Return a run-up: a ramp of constant rate from rest through both resonances with locked pendulums.
 
@@ -143,7 +143,7 @@ def _instants(record_s: float, fastest_rad_s: float) -> Array:
     return (np.arange(n) + 0.5) * record_s / n
 
 
-def _weight(sensors: Sensors, t: NDArray[np.floating], record_s: float) -> Array:
+def _weight(sensors: SensorProperties, t: NDArray[np.floating], record_s: float) -> Array:
     """Return 1/σ of each instant, which represents all samples up to the next one."""
     per = record_s / len(t)
     return np.concatenate(
@@ -176,14 +176,14 @@ class _RunUp:
     """
 
     physics: RotorParameters
-    sensors: Sensors
+    sensors: SensorProperties
     ramp_s: float
     step_s: float
     force: Complex
     every: int
 
     @classmethod
-    def of(cls, physics: RotorParameters, sensors: Sensors, top_rad_s: float, ramp_s: float) -> _RunUp:
+    def of(cls, physics: RotorParameters, sensors: SensorProperties, top_rad_s: float, ramp_s: float) -> _RunUp:
         step = 2 * np.pi / top_rad_s / 32  # the linear interpolation between instants has an error of 3e-3 of the force
         t = np.arange(int(ramp_s / step)) * step
         rate = top_rad_s / ramp_s

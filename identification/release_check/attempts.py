@@ -21,12 +21,12 @@ from identification.errors import FitFailed
 from identification.least_squares import Minimum
 from identification.pendulums.free_angles import laid_over
 from identification.pendulums.friction import Friction
-from identification.pendulums.release_problem import SUSPENSION, Release, Shape
+from identification.pendulums.release_problem import SUSPENSION, RecordedRelease, Shape
 from identification.pendulums.release_search import Effort, Search, holding
 from identification.pendulums.suspension_knowledge import NAMES, NOMINAL_SHARE
 from identification.pendulums.transient import TransientProblem
 from identification.pendulums.unknown_phase import angles_to_try, screened_starts
-from identification.release_check.model import TORQUES, Fitted, fitted_with_numbers, opened
+from identification.release_check.model import TORQUES, FittedRelease, fitted_with_numbers, opened
 from rig_basics.arrays import Array
 from rig_configs.parameters_file import IdentifiedParameters
 
@@ -52,7 +52,7 @@ class Attempts:
     identified: IdentifiedParameters
     exact: frozenset[str]
 
-    def fitted(self, release: Release) -> Fitted:
+    def fitted(self, release: RecordedRelease) -> FittedRelease:
         """Fit a release with all parameters free.
 
         The attempts in order: narrow prior, wide prior, then other masses and lengths of the pendulums or dry friction,
@@ -73,9 +73,9 @@ class Attempts:
             raise last
         return min(found, key=lambda fitted: fitted.minimum.cost)
 
-    def _alternatives(self, release: Release) -> list[Fitted]:
+    def _alternatives(self, release: RecordedRelease) -> list[FittedRelease]:
         """Fit a release that the identified model does not follow with other pendulums and with dry friction."""
-        found = list[Fitted]()
+        found = list[FittedRelease]()
         with contextlib.suppress(FitFailed):
             found.append(self._opened(release, self.std(WIDE), True))
         if not self.known_friction:
@@ -83,7 +83,7 @@ class Attempts:
             found += [first] if (first := next(self.with_friction(release, torques), None)) else []
         return found
 
-    def with_friction(self, release: Release, torques_Nm: Iterable[Array]) -> Iterator[Fitted]:
+    def with_friction(self, release: RecordedRelease, torques_Nm: Iterable[Array]) -> Iterator[FittedRelease]:
         """Yield fits of a release with free dry friction; fits with negative friction are left out.
 
         Args:
@@ -98,8 +98,8 @@ class Attempts:
                     yield fitted
 
     def _opened(
-        self, release: Release, std: Mapping[str, float], numbers: bool, torque_Nm: Array | None = None
-    ) -> Fitted:
+        self, release: RecordedRelease, std: Mapping[str, float], numbers: bool, torque_Nm: Array | None = None
+    ) -> FittedRelease:
         """Make one attempt.
 
         Args:
@@ -126,7 +126,7 @@ class Attempts:
 
         if numbers:
             return fitted_with_numbers(release, problem, shape, horizons, solve, starts[0])
-        return Fitted(release, problem, shape, solve(problem, *starts), horizons)
+        return FittedRelease(release, problem, shape, solve(problem, *starts), horizons)
 
     def std(self, wide: float) -> dict[str, float]:
         """Return the prior standard deviation of each parameter's logarithm, at most that of a rig file's value.
@@ -159,7 +159,7 @@ class Attempts:
         """Largest viscous torques of a flick on A and B, N m, shape (2,)."""
         return FLICK_RAD_S * np.array([self.identified.values.get(name, 0.0) for name in DAMPING])
 
-    def _friction(self, release: Release) -> tuple[Shape | None, Array]:
+    def _friction(self, release: RecordedRelease) -> tuple[Shape | None, Array]:
         """Return the shape of the free dry friction, None if none was identified, and its start value, N m."""
         values = self.known_friction
         if not values:
@@ -170,7 +170,7 @@ class Attempts:
         return "torque", Friction(torque, none, contact, none).torque_at(release.speed_rad_s)
 
 
-def with_common_friction(attempts: Attempts, fits: Sequence[Fitted], pool: Executor) -> list[Fitted]:
+def with_common_friction(attempts: Attempts, fits: Sequence[FittedRelease], pool: Executor) -> list[FittedRelease]:
     """Return all releases with dry friction if one of them requires friction that was not identified.
 
     The others start from the torque of those that require it: independent of the speed, and proportional to its square.
@@ -184,7 +184,7 @@ def with_common_friction(attempts: Attempts, fits: Sequence[Fitted], pool: Execu
     speed2 = np.array([[fit.release.speed_rad_s**2] for fit in need])
     same, by_square = np.mean(torque, axis=0), np.mean(torque / speed2, axis=0)
 
-    def alike(fit: Fitted) -> Fitted:
+    def alike(fit: FittedRelease) -> FittedRelease:
         if fit.shape is not None:
             return fit
         starts = (by_square * fit.release.speed_rad_s**2, same)
@@ -194,7 +194,7 @@ def with_common_friction(attempts: Attempts, fits: Sequence[Fitted], pool: Execu
     return list(pool.map(alike, fits))
 
 
-def _horizons(release: Release) -> list[float]:
+def _horizons(release: RecordedRelease) -> list[float]:
     """Return the ends of the growing stretches over the first seconds: every other horizon of the release, s."""
     end = release.begin_s + _LONGEST_S
     every = release.horizons("balanced")

@@ -22,11 +22,11 @@ from daq.signals.run import Run, point_of
 from daq.signals.threads import on_one_thread
 from identification.clocks import clock_errors
 from identification.errors import FitFailed, NotIdentifiable
-from identification.pendulums.release_problem import Release
+from identification.pendulums.release_problem import RecordedRelease
 from identification.pendulums.release_search import NotFollowed
 from identification.pendulums.suspension_knowledge import BOW, Knowledge
 from identification.release_check.attempts import DAMPING, FLICK_RAD_S, WIDE, Attempts, with_common_friction
-from identification.release_check.model import Condensed, Fitted, condensed
+from identification.release_check.model import Condensed, FittedRelease, condensed
 from identification.release_check.together import agreed, fitted_at
 from rig_basics.arrays import Array
 from rig_configs.drag import LABELS, Drag, Reading, read_as
@@ -131,7 +131,7 @@ def check_releases(
             contact = replace(case, attempts=replace(case.attempts, identified=by_contact), reading="contact")
             other = _first(contact, released, pool, progress)
             case, first = min((case, first), other, key=lambda tried: _left(tried[1]))
-        fits = [each for each in first if isinstance(each, Fitted)]
+        fits = [each for each in first if isinstance(each, FittedRelease)]
         fits = case.settled(with_common_friction(case.attempts, fits, pool), pool)
     followed = iter(fits)
     return [
@@ -144,10 +144,10 @@ def check_releases(
 
 def _first(
     case: _Case, released: Sequence[tuple[str, Run]], pool: ThreadPoolExecutor, progress: Callable[[str], None] | None
-) -> tuple[_Case, list[ReleaseRows | Fitted]]:
+) -> tuple[_Case, list[ReleaseRows | FittedRelease]]:
     """Return the case and the fit of each release with all parameters free."""
 
-    def opened(each: tuple[str, Run]) -> ReleaseRows | Fitted:
+    def opened(each: tuple[str, Run]) -> ReleaseRows | FittedRelease:
         if progress is not None:
             progress(f"{each[1].test}: comparing the release with the model")
         return case.opened(*each)
@@ -155,14 +155,14 @@ def _first(
     return case, list(pool.map(opened, released))
 
 
-def _needs_friction(each: ReleaseRows | Fitted) -> bool:
+def _needs_friction(each: ReleaseRows | FittedRelease) -> bool:
     """Return whether a release is followed only with dry friction, or not at all."""
-    return each.shape is not None if isinstance(each, Fitted) else bool(each.rows)
+    return each.shape is not None if isinstance(each, FittedRelease) else bool(each.rows)
 
 
-def _left(first: Sequence[ReleaseRows | Fitted]) -> tuple[int, float]:
+def _left(first: Sequence[ReleaseRows | FittedRelease]) -> tuple[int, float]:
     """Return the number of releases that are not followed, and the sum of the costs of the others."""
-    fits = [each for each in first if isinstance(each, Fitted)]
+    fits = [each for each in first if isinstance(each, FittedRelease)]
     return len(first) - len(fits), sum(each.minimum.cost for each in fits)
 
 
@@ -185,7 +185,7 @@ class _Case:
         """Parameters with covariance."""
         return self.attempts.identified
 
-    def opened(self, point: str, run: Run) -> ReleaseRows | Fitted:
+    def opened(self, point: str, run: Run) -> ReleaseRows | FittedRelease:
         """Return the fit of one release with all parameters free, or rows with the reason why it has none."""
         names = tuple(self.identified.values)
         empty = ReleaseRows(point, (), np.empty(0), np.empty((0, 0)), np.empty((0, len(names))), names)
@@ -195,7 +195,7 @@ class _Case:
         known = Knowledge.nominal(self.identified.applied_to(self.rig.physics))
         known = replace(known, terms=tuple(self._term_std))
         try:
-            release = Release.of(run, known, _ZERO_WIDE * zero_std, "balanced")
+            release = RecordedRelease.of(run, known, _ZERO_WIDE * zero_std, "balanced")
         except NotIdentifiable as error:
             return replace(empty, sentence=str(error))
         try:
@@ -214,7 +214,7 @@ class _Case:
                 sentence=why,
             )
 
-    def settled(self, fits: Sequence[Fitted], pool: ThreadPoolExecutor) -> list[Condensed]:
+    def settled(self, fits: Sequence[FittedRelease], pool: ThreadPoolExecutor) -> list[Condensed]:
         """Return the results of the releases, linearised at the parameters that fit all of them best."""
         if not fits:
             return []
@@ -349,7 +349,7 @@ def used_for(run: Run, identified: IdentifiedParameters) -> tuple[str, ...]:
     return tuple(name for name in identified.values if name in found)
 
 
-def _off(error: FitFailed, release: Release) -> tuple[float, float]:
+def _off(error: FitFailed, release: RecordedRelease) -> tuple[float, float]:
     """Return the deviation of a release that is not followed in standard deviations, and χ²/dof.
 
     The deviation is Fisher's normal approximation of χ².

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from identification.least_squares import Minimum
-from identification.pendulums.release_problem import Release, Shape
+from identification.pendulums.release_problem import RecordedRelease, Shape
 from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.samples import correlation_inflation
@@ -86,7 +86,7 @@ class Misfit:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedRelease:
     """Fit of a release.
 
     Attributes:
@@ -97,7 +97,7 @@ class Fitted:
         misfit: misfit of the fit with all parameters free, if this is another fit.
     """
 
-    release: Release
+    release: RecordedRelease
     problem: TransientProblem
     shape: Shape | None
     minimum: Minimum
@@ -131,7 +131,7 @@ class Fitted:
         cut = self.problem.cut(self.end_s)
         base = minimum.residual[:n]
 
-        def change(release: Release, turn_rad: float, step: float) -> Array:
+        def change(release: RecordedRelease, turn_rad: float, step: float) -> Array:
             by = phase.copy()
             by[-1] += turn_rad
             angle, _ = release.angles(own, cut, by, self.shape)
@@ -159,7 +159,7 @@ class Fitted:
         return {name: column for name, column in found.items() if np.all(np.isfinite(column))}
 
 
-def condensed(fitted: Fitted, assumed: Mapping[str, float], relevant: Mapping[str, float]) -> Condensed:
+def condensed(fitted: FittedRelease, assumed: Mapping[str, float], relevant: Mapping[str, float]) -> Condensed:
     """Return the rows of a fit.
 
     Args:
@@ -196,7 +196,7 @@ def condensed(fitted: Fitted, assumed: Mapping[str, float], relevant: Mapping[st
     return _with_torque(found, fitted) if has_friction else found
 
 
-def _with_torque(found: Condensed, fitted: Fitted) -> Condensed:
+def _with_torque(found: Condensed, fitted: FittedRelease) -> Condensed:
     """Return the rows with two added: the friction torques of A and B, whose predicted values are 0.
 
     A friction law, M or F φ̇², has errors of a tenth, while a release determines its torque to a thousandth of that. In
@@ -219,7 +219,7 @@ def _basis(columns: Array) -> Array:
     return turned[:, sizes > _INDEPENDENT * sizes[0]]
 
 
-def _own(fitted: Fitted, rows: Array) -> tuple[Array, Misfit]:
+def _own(fitted: FittedRelease, rows: Array) -> tuple[Array, Misfit]:
     """Return the covariance of the rows by noise, rounding and priors, stretched by the misfit, and the misfit.
 
     Rounding is white for moving pendulums but not near standstill, where random draws give its effect. The scatter of a
@@ -246,13 +246,13 @@ def _own(fitted: Fitted, rows: Array) -> tuple[Array, Misfit]:
 
 
 def fitted_with_numbers(
-    release: Release,
+    release: RecordedRelease,
     problem: TransientProblem,
     shape: Shape | None,
     horizons_s: Sequence[float],
     solve: Callable[[TransientProblem, Array], Minimum],
     start: Array,
-) -> Fitted:
+) -> FittedRelease:
     """Return a fit with free masses and lengths of the pendulums in addition to all other unknowns.
 
     Args:
@@ -265,7 +265,7 @@ def fitted_with_numbers(
     """
     values, known, p = physical_numbers(release.knowledge.physics), release.knowledge, len(problem.prior)
 
-    def at(shares: Array) -> Release:
+    def at(shares: Array) -> RecordedRelease:
         moved = known
         for name, share in zip(_OPEN_NUMBERS, shares.tolist(), strict=True):
             moved = moved.moved(name, share * values[name])
@@ -304,7 +304,7 @@ def fitted_with_numbers(
     there = at(shares)
     fixed = replace(there.problem(shape), prior=problem.prior, prior_std=problem.prior_std)
     moved = {name: share * values[name] for name, share in zip(_OPEN_NUMBERS, shares.tolist(), strict=True)}
-    return Fitted(there, fixed, shape, own, horizons_s, moved)
+    return FittedRelease(there, fixed, shape, own, horizons_s, moved)
 
 
 def opened(problem: TransientProblem, std: Mapping[str, float]) -> TransientProblem:

@@ -12,7 +12,7 @@ from identification.errors import FitFailed
 from identification.least_squares import Minimum
 from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
-from identification.release_check.model import PLACES, Condensed, Fitted, Misfit
+from identification.release_check.model import PLACES, Condensed, FittedRelease, Misfit
 from rig_basics.arrays import Array
 
 _HELD = 1e-9  # prior standard deviation of a held unknown
@@ -42,7 +42,7 @@ def agreed(found: Sequence[Condensed], relevant: Mapping[str, float]) -> dict[st
     return dict(zip(names, (shares * scale).tolist(), strict=True))
 
 
-def fitted_at(fitted: Fitted, shared: Mapping[str, float], misfit: Misfit) -> Fitted | None:
+def fitted_at(fitted: FittedRelease, shared: Mapping[str, float], misfit: Misfit) -> FittedRelease | None:
     """Repeat a fit with the shared unknowns held at given values; return None if it does not converge.
 
     One release leaves some shared unknowns nearly free, so that they drift in its fit. Rows of several releases that
@@ -74,7 +74,7 @@ def fitted_at(fitted: Fitted, shared: Mapping[str, float], misfit: Misfit) -> Fi
     if found is None:
         return None
     better = problem.chi2_per_dof(found, fitted.end_s) < misfit.chi2_per_dof
-    return Fitted(there, problem, fitted.shape, found, fitted.horizons_s, moved, None if better else misfit)
+    return FittedRelease(there, problem, fitted.shape, found, fitted.horizons_s, moved, None if better else misfit)
 
 
 def _solved(problem: TransientProblem, near: Array, horizons_s: Sequence[float], misfit: Misfit) -> Minimum | None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from identification.colour import Colour
 from identification.ring_down.backbone import REFERENCE_M, averaged_course, course
-from identification.ring_down.decay import Fitted
+from identification.ring_down.decay import FittedDecay
 from identification.ring_down.modes import averaged_decay, damping_derivative, rate
 from identification.samples import Averages
 
@@ -70,7 +70,7 @@ class AmplitudeDependence:
 
 
 def amplitude_dependence(
-    fitted: Fitted, mode: int, stretch: float = 1.0, whole: bool = True
+    fitted: FittedDecay, mode: int, stretch: float = 1.0, whole: bool = True
 ) -> AmplitudeDependence | None:
     """Analyse a mode in windows of decreasing amplitude, in the channel with the largest amplitude over noise.
 
@@ -119,7 +119,7 @@ def amplitude_dependence(
 
 
 def _course(
-    fitted: Fitted, record: int, mode: int, t: np.ndarray, channel: Averages
+    fitted: FittedDecay, record: int, mode: int, t: np.ndarray, channel: Averages
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Wave of a mode, its derivative by λ, relative amplitude, ζ and ω over time; shape (n,) each."""
     model, rates = fitted.model, fitted.model.mode_rates(fitted.theta, mode)
@@ -135,7 +135,7 @@ def _course(
     return wave, wave * t, share, rates.zeta + rates.drag * level, rates.omega * (1 + rates.hardening * level**2)
 
 
-def _clearest(fitted: Fitted, mode: int) -> tuple[Averages, np.ndarray, np.ndarray, complex, Colour | None, int]:
+def _clearest(fitted: FittedDecay, mode: int) -> tuple[Averages, np.ndarray, np.ndarray, complex, Colour | None, int]:
     """Channel with the largest amplitude over noise: blocks, times, residual, amplitude, colour and record."""
     best = (-1.0, 0, 0, 0j)
     for r, record in enumerate(fitted.model.records):

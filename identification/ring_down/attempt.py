@@ -10,8 +10,8 @@ import numpy as np
 from identification.ring_down.backbone import Backbone
 from identification.ring_down.decay import (
     COARSE_S,
-    Decay,
-    Fitted,
+    DecayData,
+    FittedDecay,
     Priors,
     once_per_fit,
     refuse_too_short,
@@ -20,7 +20,7 @@ from identification.ring_down.decay import (
 )
 from identification.ring_down.disturbances import (
     SMALL,
-    Other,
+    ResidualOscillation,
     coloured,
     foreign_mode,
     is_disturbed,
@@ -58,7 +58,7 @@ _MAX_FREQUENCY_RATIO = 6.0  # of a second mode of the suspension to the first on
 
 
 @dataclass(frozen=True)
-class Plan:
+class FitOptions:
     """Options of a fit.
 
     Attributes:
@@ -75,7 +75,7 @@ class Plan:
     valid: tuple[tuple[np.ndarray, ...], ...]
     without: frozenset[Rung] = frozenset()
 
-    def __call__(self, decay: Decay, near: Fitted | None = None) -> Fitted:
+    def __call__(self, decay: DecayData, near: FittedDecay | None = None) -> FittedDecay:
         """Fit a decay with automatic start values. The fit of another span may provide an additional one.
 
         Raises:
@@ -89,7 +89,7 @@ class Plan:
         fitted, _ = self.without_outliers(fitted)
         return self.with_rungs(fitted if self.turned else self.with_second_mode(fitted))
 
-    def with_rungs(self, fitted: Fitted, first: bool = False) -> Fitted:
+    def with_rungs(self, fitted: FittedDecay, first: bool = False) -> FittedDecay:
         """Add the amplitude dependence of the modes' rates that the data require.
 
         Args:
@@ -104,7 +104,7 @@ class Plan:
             return self.with_bent_leader(fitted)
         return climb
 
-    def with_bent_leader(self, fitted: Fitted) -> Fitted:
+    def with_bent_leader(self, fitted: FittedDecay) -> FittedDecay:
         """Fit a turned pair again if both modes of the start values describe one strong mode with changing rates.
 
         The strong mode is fitted alone in both sensors. The residual shows the other mode.
@@ -117,7 +117,7 @@ class Plan:
         best = min((solve(fitted.decay, model, [theta], self.priors) for model, theta in pairs), key=lambda f: f.chi2)
         return best if explains(fitted, best) else fitted
 
-    def from_starts(self, decay: Decay, near: Fitted | None = None) -> Fitted:
+    def from_starts(self, decay: DecayData, near: FittedDecay | None = None) -> FittedDecay:
         """Return the best fit from start values that are found in the decay."""
         coarse = decay.model(COARSE_S, 2 if self.turned else 1, self.turned, 0, self.priors.delay_s > 0)
         if self.turned:
@@ -129,7 +129,7 @@ class Plan:
             starts, fastest = [theta_of([start])], start.omega
         return self.refitted(decay, starts, fastest, 0)
 
-    def without_lines(self, fitted: Fitted, near: Fitted | None = None) -> Fitted:
+    def without_lines(self, fitted: FittedDecay, near: FittedDecay | None = None) -> FittedDecay:
         """Add the lines that the residuals show in addition to the modes, until no line is left."""
         for _ in range(0 if "lines" in self.without else _MAX_LINES):
             mode = steady_mode(fitted)
@@ -147,7 +147,7 @@ class Plan:
             fitted = apart if other.line else self.better_shaped(fitted, apart, other)
         return fitted
 
-    def better_shaped(self, fitted: Fitted, apart: Fitted, other: Other) -> Fitted:
+    def better_shaped(self, fitted: FittedDecay, apart: FittedDecay, other: ResidualOscillation) -> FittedDecay:
         """Decide by fits whether the weakest mode or another decaying oscillation is the mode.
 
         The weakest mode may come from a wrong minimum, or the shape of the other oscillation fits a turned pair.
@@ -166,7 +166,7 @@ class Plan:
         noise = min(f.solution.chi2_per_dof for f in choices)
         return min(choices, key=lambda f: (f.chi2 / noise + f.model.linear * np.log(f.count)) / f.count)
 
-    def with_hidden_mode(self, fitted: Fitted) -> Fitted:
+    def with_hidden_mode(self, fitted: FittedDecay) -> FittedDecay:
         """Search again for the weaker mode of a turned pair with equal rates, which lines or noise may have hidden."""
         if not self.turned or not is_disturbed(fitted):
             return fitted
@@ -184,7 +184,7 @@ class Plan:
             best = found if found.chi2 < best.chi2 - _SECOND_MODE_GAIN else best
         return fitted if best is fitted else self.with_known_noise(self.again(best))
 
-    def with_known_noise(self, fitted: Fitted) -> Fitted:
+    def with_known_noise(self, fitted: FittedDecay) -> FittedDecay:
         """Weight the fit by the spectrum of its noise if that is not white."""
         for _ in range(0 if "spectrum" in self.without else _MAX_COLOURS):
             decay = coloured(fitted)
@@ -195,13 +195,13 @@ class Plan:
 
     def refitted(
         self,
-        decay: Decay,
+        decay: DecayData,
         starts: Sequence[np.ndarray],
         fastest: float,
         drift: int,
         modes: int = 0,
         backbone: Backbone | None = None,
-    ) -> Fitted:
+    ) -> FittedDecay:
         """Fit from start values.
 
         Args:
@@ -217,7 +217,7 @@ class Plan:
         model = decay.model(width, count, self.turned, drift, self.priors.delay_s > 0)
         return solve(decay, replace(model, backbone=backbone), starts, self.priors)
 
-    def labelled(self, fitted: Fitted) -> Fitted:
+    def labelled(self, fitted: FittedDecay) -> FittedDecay:
         """Name the mode closer to sensor x mode 1. An angle beyond 45° is equivalent to the other order."""
         beta = float(fitted.theta[BETA]) if self.turned else 0.0
         if abs(beta) <= np.pi / 4:
@@ -231,21 +231,21 @@ class Plan:
         other = self.refitted(fitted.decay, [theta], fastest, drift, backbone=backbone)
         return other if abs(float(other.theta[BETA])) < abs(beta) else fitted
 
-    def again(self, fitted: Fitted, decay: Decay | None = None, drift: int | None = None) -> Fitted:
+    def again(self, fitted: FittedDecay, decay: DecayData | None = None, drift: int | None = None) -> FittedDecay:
         """Repeat a fit with other data or another drift, starting at its own parameters."""
         order = fitted.model.drift if drift is None else drift
         fastest = float(np.max(fitted.omegas))
         model = fitted.model
         return self.refitted(decay or fitted.decay, [fitted.theta], fastest, order, model.modes, model.backbone)
 
-    def with_drift(self, fitted: Fitted) -> Fitted:
+    def with_drift(self, fitted: FittedDecay) -> FittedDecay:
         """Fit with the order of the drift that has the smallest BIC."""
         choices = drift_criteria(fitted)
         highest = 1 if "wander" in self.without else 3
         order = min((k for k in choices if k <= highest), key=lambda k: choices[k])
         return fitted if order == fitted.model.drift else self.again(fitted, drift=order)
 
-    def with_second_mode(self, fitted: Fitted) -> Fitted:
+    def with_second_mode(self, fitted: FittedDecay) -> FittedDecay:
         """Fit with two modes in one sensor if the residuals require it. The stronger mode is the first one."""
         dof = fitted.count - fitted.model.linear - fitted.model.size
         if "second-mode" in self.without or fitted.solution.chi2_per_dof < 1 + 4 * np.sqrt(2 / dof):
@@ -264,7 +264,7 @@ class Plan:
             return fitted
         return both if self.with_fewest_modes(both) is both else fitted
 
-    def with_fewest_modes(self, fitted: Fitted) -> Fitted:
+    def with_fewest_modes(self, fitted: FittedDecay) -> FittedDecay:
         """Fit with one mode in one sensor, unless a second mode has a very significant gain."""
         if self.turned or fitted.model.modes == 1:
             return fitted
@@ -277,7 +277,7 @@ class Plan:
         worth = gain > 4 * np.log(fitted.count) + _SECOND_MODE_GAIN and np.all(fitted.zetas > 0) and apart
         return fitted if worth else single
 
-    def without_outliers(self, fitted: Fitted) -> tuple[Fitted, int]:
+    def without_outliers(self, fitted: FittedDecay) -> tuple[FittedDecay, int]:
         """Mask outliers until nothing changes. Return the fit with its drift selected, and the number of outliers."""
         fitted, count = self.with_residual_noise(fitted), 0
         if suspicious(fitted) or not _same(fitted.decay, self.valid):
@@ -288,7 +288,7 @@ class Plan:
                 fitted = self.again(fitted, replace(fitted.decay, records=tuple(records)))
         return self.with_drift(fitted), count
 
-    def with_residual_noise(self, fitted: Fitted) -> Fitted:
+    def with_residual_noise(self, fitted: FittedDecay) -> FittedDecay:
         """Take the noise from the residuals if the differences of few samples per cycle contain the motion."""
         residuals = fitted.channel_residuals()
         dof = fitted.count - fitted.model.linear - fitted.model.size
@@ -304,7 +304,7 @@ class Plan:
         )
         return self.again(fitted, replace(fitted.decay, records=records))
 
-    def shortened(self, fitted: Fitted) -> Fitted:
+    def shortened(self, fitted: FittedDecay) -> FittedDecay:
         """Cut the record at 8 decay times with a cubic drift, if wander widens the intervals and this narrows them."""
         if "wander" in self.without:
             return fitted
@@ -321,7 +321,7 @@ class Plan:
         return short if np.all(ours[places] < theirs[places]) else fitted
 
 
-def _stronger_first(fitted: Fitted) -> Fitted:
+def _stronger_first(fitted: FittedDecay) -> FittedDecay:
     """Order two free modes by their energies in the first channel."""
     energy = [abs(fitted.amplitude(0, 0, m)) ** 2 / max(fitted.zetas[m], 1e-6) / fitted.omegas[m] for m in range(2)]
     if energy[0] >= energy[1]:
@@ -330,7 +330,7 @@ def _stronger_first(fitted: Fitted) -> Fitted:
     return solve(fitted.decay, fitted.model, [swapped], Priors())
 
 
-def rests(fitted: Fitted) -> list[list[Averages]]:
+def rests(fitted: FittedDecay) -> list[list[Averages]]:
     """Residuals of a fit as block averages, [record][channel]."""
     return [
         [replace(c, value=own) for c, own in zip(record.channels, residuals, strict=True)]
@@ -344,7 +344,7 @@ def theta_of(starts: Sequence[Start]) -> np.ndarray:
 
 
 @once_per_fit
-def drift_criteria(fitted: Fitted) -> dict[int, float]:
+def drift_criteria(fitted: FittedDecay) -> dict[int, float]:
     """BIC relative to the drift of the fit, by order of the drift, for orders from that of the fit on."""
     known, residuals = known_columns(fitted)
     noise = max(1.0, fitted.solution.chi2_per_dof)
@@ -362,7 +362,7 @@ def drift_criteria(fitted: Fitted) -> dict[int, float]:
     return out
 
 
-def _same(decay: Decay, valid: tuple[tuple[np.ndarray, ...], ...]) -> bool:
+def _same(decay: DecayData, valid: tuple[tuple[np.ndarray, ...], ...]) -> bool:
     """Whether every usable sample within the spans is used."""
     for channels, masks, begin, end in zip(decay.records, valid, decay.begins, decay.ends, strict=True):
         for channel, mask in zip(channels, masks, strict=True):

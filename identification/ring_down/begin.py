@@ -14,9 +14,9 @@ from typing import Protocol
 import numpy as np
 
 from identification.errors import IdentificationError, NotIdentifiable
-from identification.ring_down.decay import COARSE_S, Decay, Fitted
+from identification.ring_down.decay import COARSE_S, DecayData, FittedDecay
 from identification.ring_down.outliers import sample_residuals
-from identification.ring_down.record import Channel
+from identification.ring_down.record import SensorRecord
 from identification.ring_down.release_instant import release_instant
 
 _WINDOW_S = 0.05
@@ -30,12 +30,12 @@ _MIN_EXCESS_RATIO = 0.4  # residual over signal before the start that excludes a
 class Attempt(Protocol):
     """Fit of a span, from its own start values and from those of a fit of another span."""
 
-    def __call__(self, decay: Decay, near: Fitted | None = None) -> Fitted:
+    def __call__(self, decay: DecayData, near: FittedDecay | None = None) -> FittedDecay:
         """Fit as Plan.__call__."""
         ...
 
 
-def proposed(records: tuple[tuple[Channel, ...], ...]) -> Decay:
+def proposed(records: tuple[tuple[SensorRecord, ...], ...]) -> DecayData:
     """Return the decay from the estimated release of each record to its end.
 
     Raises:
@@ -45,21 +45,21 @@ def proposed(records: tuple[tuple[Channel, ...], ...]) -> Decay:
     for channels in records:
         begins.append(max(release_instant([c.averages(COARSE_S) for c in channels]), _start(channels)))
         ends.append(min(float(c.time_s[-1]) for c in channels) + 1e-9)
-    return Decay(records, tuple(begins), tuple(ends))
+    return DecayData(records, tuple(begins), tuple(ends))
 
 
-def _start(channels: tuple[Channel, ...]) -> float:
+def _start(channels: tuple[SensorRecord, ...]) -> float:
     """First time with samples in every channel, s."""
     return max(float(c.time_s[np.argmax(c.keep)]) for c in channels)
 
 
-def settled(decay: Decay, attempt: Attempt) -> Fitted:
+def settled(decay: DecayData, attempt: Attempt) -> FittedDecay:
     """Fit a decay and correct the start of each record's span.
 
     Raises:
         IdentificationError: error of the attempt, if no start yields a fit.
     """
-    first: Fitted | None = None
+    first: FittedDecay | None = None
     failure: IdentificationError | None = None
     for i, candidate in enumerate(_candidates(decay)):
         try:
@@ -79,7 +79,7 @@ def settled(decay: Decay, attempt: Attempt) -> Fitted:
     return first  # a model that misfits everywhere, with a large χ²
 
 
-def _candidates(decay: Decay) -> Iterator[Decay]:
+def _candidates(decay: DecayData) -> Iterator[DecayData]:
     """Proposed starts, starts of the records, and the last times at several levels of the largest motion."""
     yield decay
     starts = tuple(_start(channels) for channels in decay.records)
@@ -89,7 +89,7 @@ def _candidates(decay: Decay) -> Iterator[Decay]:
             yield replace(decay, begins=begins)
 
 
-def _last_times(channels: tuple[Channel, ...]) -> list[float]:
+def _last_times(channels: tuple[SensorRecord, ...]) -> list[float]:
     """Last time at which the channel with the largest motion exceeds each level, s."""
     coarse = [c.averages(5 * COARSE_S) for c in channels]
     moves = [np.abs(c.value - np.median(c.value[3 * len(c.value) // 4 :])) for c in coarse]
@@ -98,7 +98,7 @@ def _last_times(channels: tuple[Channel, ...]) -> list[float]:
     return [float(time[np.flatnonzero(move >= level * move.max())[-1]]) for level in _LEVELS]
 
 
-def _forward(fitted: Fitted, attempt: Attempt) -> Fitted:
+def _forward(fitted: FittedDecay, attempt: Attempt) -> FittedDecay:
     """Move the start forward while the first residuals are large. Return the original fit if this has no effect."""
     original = fitted
     while True:
@@ -114,7 +114,7 @@ def _forward(fitted: Fitted, attempt: Attempt) -> Fitted:
             return original
 
 
-def _whole_again(fitted: Fitted, proposal: Decay, attempt: Attempt) -> Fitted:
+def _whole_again(fitted: FittedDecay, proposal: DecayData, attempt: Attempt) -> FittedDecay:
     """Return to the proposed start if the shorter fit avoids a wrong minimum of a turned pair there."""
     if not fitted.model.turned:
         return fitted
@@ -128,7 +128,7 @@ def _whole_again(fitted: Fitted, proposal: Decay, attempt: Attempt) -> Fitted:
     return fitted
 
 
-def _is_sound(fitted: Fitted) -> bool:
+def _is_sound(fitted: FittedDecay) -> bool:
     """Whether no window of the record has significantly larger residuals than the record as a whole."""
     for record, residuals in zip(fitted.model.records, fitted.channel_residuals(), strict=True):
         for t, residual in zip(record.times, residuals, strict=True):
@@ -141,7 +141,7 @@ def _is_sound(fitted: Fitted) -> bool:
     return True
 
 
-def _misfits_everywhere(fitted: Fitted) -> bool:
+def _misfits_everywhere(fitted: FittedDecay) -> bool:
     """Whether residuals above noise are a large part of a sensor's signal, even if no single window deviates."""
     if fitted.solution.chi2_per_dof < _MAX_CHI2:
         return False
@@ -153,7 +153,7 @@ def _misfits_everywhere(fitted: Fitted) -> bool:
     )
 
 
-def _skips_other_motion(fitted: Fitted) -> bool:
+def _skips_other_motion(fitted: FittedDecay) -> bool:
     """Whether a record's motion before the start differs strongly from the decay continued backwards.
 
     A wrong model also fits better to the small motion at the end. In that case the decay continued backwards is nearly
@@ -173,7 +173,7 @@ def _skips_other_motion(fitted: Fitted) -> bool:
     return False
 
 
-def _early_excess(fitted: Fitted) -> list[int]:
+def _early_excess(fitted: FittedDecay) -> list[int]:
     """Number of windows to leave out in each record: up to the last of the first four with large residuals."""
     out: list[int] = []
     for record, residuals in zip(fitted.model.records, fitted.channel_residuals(), strict=True):
@@ -190,7 +190,7 @@ def _early_excess(fitted: Fitted) -> list[int]:
     return out
 
 
-def _backward(fitted: Fitted, attempt: Attempt) -> Fitted:
+def _backward(fitted: FittedDecay, attempt: Attempt) -> FittedDecay:
     """Move the start back if the decay, continued backwards, explains the samples before it."""
     for _ in range(4):
         begins = tuple(_earliest(fitted, r) for r in range(len(fitted.decay.records)))
@@ -204,7 +204,7 @@ def _backward(fitted: Fitted, attempt: Attempt) -> Fitted:
     return fitted
 
 
-def _earliest(fitted: Fitted, record: int) -> float:
+def _earliest(fitted: FittedDecay, record: int) -> float:
     """Earliest start from which a record's windows fit, s, with one window of margin except at the record's start."""
     channels, begin = fitted.decay.records[record], fitted.decay.begins[record]
     start = _start(channels)
@@ -223,7 +223,7 @@ def _earliest(fitted: Fitted, record: int) -> float:
 
 
 def _backward_squares(
-    fitted: Fitted, record: int, axis: int, channel: Channel, start: float, count: int
+    fitted: FittedDecay, record: int, axis: int, channel: SensorRecord, start: float, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """χ² and number of means of each window before the start, nearest first.
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from identification.errors import FitFailed, NotIdentifiable
 from identification.least_squares import Solution, solve_separable
-from identification.lines import Line
+from identification.lines import SpectralLine
 from identification.ring_down.averaging import corrected
 from identification.ring_down.model import BETA, DELAYS, RATIO, DecayModel, DecayRecord, rotation
-from identification.ring_down.record import Channel
+from identification.ring_down.record import SensorRecord
 from identification.samples import Averages
 
 _T = TypeVar("_T")
@@ -41,10 +41,10 @@ class Priors:
 
 
 @dataclass(frozen=True)
-class Decay:
+class DecayData:
     """Channels of every record with the start and end of the fitted span, s."""
 
-    records: tuple[tuple[Channel, ...], ...]
+    records: tuple[tuple[SensorRecord, ...], ...]
     begins: tuple[float, ...]
     ends: tuple[float, ...]
 
@@ -78,7 +78,7 @@ class Decay:
             records.append(DecayRecord(tuple(own), float(own[0].time_s[0]), lines, colours if any(colours) else ()))
         return DecayModel(tuple(records), modes, turned, drift, delays and turned, width_s)
 
-    def with_channels(self, change: Callable[[int, int, Channel], Channel]) -> Decay:
+    def with_channels(self, change: Callable[[int, int, SensorRecord], SensorRecord]) -> DecayData:
         """Return the decay with every channel replaced by change(record, axis, channel)."""
         records = tuple(
             tuple(change(r, axis, channel) for axis, channel in enumerate(channels))
@@ -86,16 +86,16 @@ class Decay:
         )
         return replace(self, records=records)
 
-    def only(self, axis: int) -> Decay:
+    def only(self, axis: int) -> DecayData:
         """Return the decay with one sensor of every record."""
         return replace(self, records=tuple((r[axis],) for r in self.records))
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
+class FittedDecay:
     """Solved model of a decay. Instances are compared by identity."""
 
-    decay: Decay
+    decay: DecayData
     model: DecayModel
     solution: Solution
 
@@ -150,15 +150,15 @@ class Fitted:
         at = 2 * (axis * self.model.modes + mode)
         return complex(c[at], c[at + 1])
 
-    def found_lines(self) -> list[list[list[Line]]]:
+    def found_lines(self) -> list[list[list[SpectralLine]]]:
         """Lines as subtracted from the samples plus their correction by the fit, [record][channel]."""
-        out: list[list[list[Line]]] = []
+        out: list[list[list[SpectralLine]]] = []
         for record, channels, c in zip(self.model.records, self.decay.records, self.solution.coefficients, strict=True):
             drifts = len(record.channels) * (self.model.drift + 1)
             at = len(c) - drifts - record.line_columns.shape[1]
-            own: list[list[Line]] = []
+            own: list[list[SpectralLine]] = []
             for channel, means in zip(channels, record.channels, strict=True):
-                lines: list[Line] = []
+                lines: list[SpectralLine] = []
                 for line in channel.lines:
                     order = line.order + 1 if channel.in_blocks(line, self.width_s) else 0
                     if order:
@@ -184,12 +184,12 @@ class Fitted:
         return self.theta[1 : 2 * self.model.modes : 2]
 
 
-def once_per_fit(judge: Callable[[Fitted], _T]) -> Callable[[Fitted], _T]:
+def once_per_fit(judge: Callable[[FittedDecay], _T]) -> Callable[[FittedDecay], _T]:
     """Cache the result of a function of a fit for the lifetime of the fit."""
-    made: WeakKeyDictionary[Fitted, _T] = WeakKeyDictionary()
+    made: WeakKeyDictionary[FittedDecay, _T] = WeakKeyDictionary()
 
     @wraps(judge)
-    def cached(fitted: Fitted) -> _T:
+    def cached(fitted: FittedDecay) -> _T:
         if fitted not in made:
             made[fitted] = judge(fitted)
         return made[fitted]
@@ -197,7 +197,7 @@ def once_per_fit(judge: Callable[[Fitted], _T]) -> Callable[[Fitted], _T]:
     return cached
 
 
-def solve(decay: Decay, model: DecayModel, starts: Sequence[np.ndarray], priors: Priors) -> Fitted:
+def solve(decay: DecayData, model: DecayModel, starts: Sequence[np.ndarray], priors: Priors) -> FittedDecay:
     """Return the fit with the smallest cost from several start values."""
     fitted = _solved(decay, model, starts, priors)
     for _ in range(_CORRECTIONS if model.backbone is not None else 0):
@@ -219,7 +219,7 @@ def prior_std(model: DecayModel, priors: Priors) -> np.ndarray:
     return std
 
 
-def _solved(decay: Decay, model: DecayModel, starts: Sequence[np.ndarray], priors: Priors) -> Fitted:
+def _solved(decay: DecayData, model: DecayModel, starts: Sequence[np.ndarray], priors: Priors) -> FittedDecay:
     std = prior_std(model, priors)
     best: Solution | None = None
     for start in starts:
@@ -232,10 +232,10 @@ def _solved(decay: Decay, model: DecayModel, starts: Sequence[np.ndarray], prior
         raise FitFailed("ring-down: no start value describes a decaying oscillation; does the record contain one?")
     if model.turned and not best.minimum.converged:
         best = _at_best_fixed_angle(model, best, best.minimum.theta, std)
-    return Fitted(decay, model, best)
+    return FittedDecay(decay, model, best)
 
 
-def second_mode_gain(fitted: Fitted) -> tuple[float, np.ndarray]:
+def second_mode_gain(fitted: FittedDecay) -> tuple[float, np.ndarray]:
     """Gain of χ² of a turned pair over one mode free in every channel, in noise variances, and that mode's θ."""
     alone = replace(fitted.model, modes=1, turned=False, delays=False, backbone=None)
     start = 0.5 * (fitted.theta[0:2] + fitted.theta[2:4])
@@ -250,7 +250,7 @@ def second_mode_gain(fitted: Fitted) -> tuple[float, np.ndarray]:
     return (single.chi2 - fitted.chi2) / max(1.0, fitted.solution.chi2_per_dof), single.theta[:2]
 
 
-def both_alike(fitted: Fitted, single: np.ndarray, priors: Priors) -> Fitted:
+def both_alike(fitted: FittedDecay, single: np.ndarray, priors: Priors) -> FittedDecay:
     """Fit a turned pair of two equal modes, starting at a single mode, at the best of several fixed angles."""
     theta = np.r_[single, single, fitted.theta[BETA:]]
     found = _at_best_fixed_angle(fitted.model, fitted.solution, theta, prior_std(fitted.model, priors))
@@ -284,7 +284,7 @@ def width_for(omega: float, blocks_per_cycle: int) -> float:
     return 2 * np.pi / omega / blocks_per_cycle
 
 
-def refuse_too_short(fitted: Fitted) -> None:
+def refuse_too_short(fitted: FittedDecay) -> None:
     """Raise NotIdentifiable if the record contains less than one and a half cycles of the slowest mode."""
     slowest = float(np.min(fitted.omegas)) / (2 * np.pi)
     for record in fitted.model.records:

@@ -14,7 +14,7 @@ import numpy as np
 
 from identification.ring_down.averaging import amplitudes
 from identification.ring_down.backbone import REFERENCE_M
-from identification.ring_down.decay import Fitted
+from identification.ring_down.decay import FittedDecay
 from rig_basics.arrays import Array
 
 _CUBIC, _GROWTH = 8 / (3 * REFERENCE_M**2), 3 * math.pi / 8 / REFERENCE_M
@@ -40,7 +40,7 @@ class DirectionTerms:
     largest_m: float
 
 
-def direction_terms(fitted: Fitted, labels: tuple[str, ...], stretch: Array) -> list[DirectionTerms]:
+def direction_terms(fitted: FittedDecay, labels: tuple[str, ...], stretch: Array) -> list[DirectionTerms]:
     """Return the terms of every direction of a fit.
 
     Args:

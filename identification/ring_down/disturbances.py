@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from identification.colour import Colour, colour_of
 from identification.least_squares import solve_separable
-from identification.lines import MAX_LINE_DAMPING, Line, local_level, smooth_window, steady_lines
-from identification.ring_down.decay import Decay, Fitted
+from identification.lines import MAX_LINE_DAMPING, SpectralLine, local_level, smooth_window, steady_lines
+from identification.ring_down.decay import DecayData, FittedDecay
 from identification.ring_down.model import DecayModel, DecayRecord
 from identification.ring_down.modes import averaged_decay, rate
-from identification.ring_down.record import Channel
+from identification.ring_down.record import SensorRecord
 from identification.ring_down.residuals import gain_of
 from identification.samples import Averages
 from identification.typed_scipy import next_fast_len
@@ -39,14 +39,14 @@ _SAME_Hz = 0.3  # frequencies closer than this belong to the same line
 _SECONDS_PER_ORDER = 2.0  # of a record per order of a varying line's polynomial
 
 
-def without_lines(channel: Channel) -> Channel:
+def without_lines(channel: SensorRecord) -> SensorRecord:
     """Return a channel with the steady lines outside the peaks of its motion subtracted."""
     lines = steady_lines(channel.time_s, channel.value_m, channel.keep)
     return channel.without(lines) if lines else channel
 
 
 @dataclass(frozen=True)
-class Other:
+class ResidualOscillation:
     """Oscillation in the residuals.
 
     Attributes:
@@ -60,7 +60,7 @@ class Other:
     near: bool = False
 
 
-def steady_mode(fitted: Fitted) -> int | None:
+def steady_mode(fitted: FittedDecay) -> int | None:
     """Index of a fitted mode that does not decay and is therefore a line; None if all modes decay."""
     if not np.all(np.isfinite(fitted.theta)):
         return None
@@ -78,7 +78,7 @@ def steady_mode(fitted: Fitted) -> int | None:
     return None
 
 
-def foreign_mode(fitted: Fitted) -> int | None:
+def foreign_mode(fitted: FittedDecay) -> int | None:
     """Index of a turned pair's weaker mode if it moves in another direction, or phase, than the model; else None.
 
     A mode of the suspension moves along a straight line perpendicular to that of the other mode. The oscillation of a
@@ -115,7 +115,7 @@ def foreign_mode(fitted: Fitted) -> int | None:
     return None
 
 
-def mode_size(fitted: Fitted, mode: int) -> float:
+def mode_size(fitted: FittedDecay, mode: int) -> float:
     """Largest amplitude of a mode in any sensor, m."""
     return max(
         abs(fitted.amplitude(r, axis, mode))
@@ -124,19 +124,19 @@ def mode_size(fitted: Fitted, mode: int) -> float:
     )
 
 
-def without_mode(fitted: Fitted, mode: int) -> Decay:
+def without_mode(fitted: FittedDecay, mode: int) -> DecayData:
     """Return the decay with a fitted mode subtracted, as a line or as another decaying oscillation."""
     frequency = float(fitted.omegas[mode]) / (2 * np.pi)
     decay = float(fitted.zetas[mode] * fitted.omegas[mode]) if mode != steady_mode(fitted) else 0.0
 
-    def change(r: int, axis: int, channel: Channel) -> Channel:
+    def change(r: int, axis: int, channel: SensorRecord) -> SensorRecord:
         amplitude = fitted.amplitude(r, axis, mode)
-        return channel.without([Line(frequency, amplitude, fitted.model.records[r].zero_s, decay)])
+        return channel.without([SpectralLine(frequency, amplitude, fitted.model.records[r].zero_s, decay)])
 
     return fitted.decay.with_channels(change)
 
 
-def other_oscillation(fitted: Fitted) -> Other | None:
+def other_oscillation(fitted: FittedDecay) -> ResidualOscillation | None:
     """Strongest oscillation in the residuals that does not belong to a mode, or None."""
     peaks: list[tuple[float, float]] = []
     for record, residuals in zip(fitted.model.records, fitted.plain_residuals(), strict=True):
@@ -165,7 +165,7 @@ def _peaks(t: np.ndarray, residual: np.ndarray) -> list[tuple[float, float]]:
     return list(zip(prominence[top].tolist(), frequency[top].tolist(), strict=True))
 
 
-def _refined(fitted: Fitted, frequency: float) -> Other | None:  # noqa: PLR0911  # one exit per criterion
+def _refined(fitted: FittedDecay, frequency: float) -> ResidualOscillation | None:  # noqa: PLR0911  # one exit per criterion
     """Oscillation at a peak of the residuals; None if it may be the misfit of a mode."""
     rest = _residual_model(fitted)
     start = np.array([np.log(2 * np.pi * frequency), 0.0])
@@ -177,7 +177,7 @@ def _refined(fitted: Fitted, frequency: float) -> Other | None:  # noqa: PLR0911
     if any(
         abs(line.frequency_Hz - frequency) < _SAME_Hz for own in fitted.decay.records for c in own for line in c.lines
     ):
-        return Other(complex(0.0, omega), True)
+        return ResidualOscillation(complex(0.0, omega), True)
     channels = [(k, i) for k, r in enumerate(rest.records) for i in range(len(r.channels))]
     sizes = [float(np.hypot(*solution.coefficients[k][2 * i : 2 * i + 2])) for k, i in channels]
     if max(sizes) < _MIN_AMPLITUDE * max(mode_size(fitted, m) for m in range(fitted.model.modes)):
@@ -186,23 +186,23 @@ def _refined(fitted: Fitted, frequency: float) -> Other | None:  # noqa: PLR0911
     if abs(zeta) < max(_MAX_STEADY_STD * std, MAX_LINE_DAMPING):
         # if a misfit makes the decay uncertain, and in a mode's own band, a fit of both decides
         vague = std * omega * span > _MAX_DECAY_STD
-        return Other(complex(0.0, omega), True, vague or _in_own_band(fitted, 1j * omega, span))
+        return ResidualOscillation(complex(0.0, omega), True, vague or _in_own_band(fitted, 1j * omega, span))
     if zeta < 0:
-        return Other(complex(0.0, omega), True, True)  # a mode that decays earlier contains a part of it
+        return ResidualOscillation(complex(0.0, omega), True, True)  # a mode that decays earlier contains a part of it
     lam = rate(omega, zeta)
     if _in_own_band(fitted, lam, span):
-        return Other(complex(0.0, omega), True, True)
-    return Other(lam, False) if _MIN_DECAY_STD * std < zeta < _MAX_ZETA else None
+        return ResidualOscillation(complex(0.0, omega), True, True)
+    return ResidualOscillation(lam, False) if _MIN_DECAY_STD * std < zeta < _MAX_ZETA else None
 
 
-def _in_own_band(fitted: Fitted, lam: complex, span_s: float) -> bool:
+def _in_own_band(fitted: FittedDecay, lam: complex, span_s: float) -> bool:
     """Whether a rate is so close to that of a mode that it may be the mode's misfit."""
     modes = [rate(float(omega), float(zeta)) for omega, zeta in zip(fitted.omegas, fitted.zetas, strict=True)]
     lobe = 2 * np.pi * _LOBE / span_s
     return any(abs(lam - mode) < max(_OWN_BAND * max(-mode.real, -lam.real), lobe) for mode in modes)
 
 
-def _residual_model(fitted: Fitted) -> DecayModel:
+def _residual_model(fitted: FittedDecay) -> DecayModel:
     """Model of one free oscillation in every channel of the residuals."""
     records: list[DecayRecord] = []
     for record, residuals in zip(fitted.model.records, fitted.plain_residuals(), strict=True):
@@ -211,12 +211,12 @@ def _residual_model(fitted: Fitted) -> DecayModel:
     return DecayModel(tuple(records), 1, False, 0, False, fitted.width_s)
 
 
-def without_other(fitted: Fitted, other: Other) -> Decay:
+def without_other(fitted: FittedDecay, other: ResidualOscillation) -> DecayData:
     """Return the decay with an oscillation subtracted. A known line gets a polynomial of higher order instead."""
     frequency = other.lam.imag / (2 * np.pi)
     rests = fitted.plain_residuals()
 
-    def change(r: int, axis: int, channel: Channel) -> Channel:
+    def change(r: int, axis: int, channel: SensorRecord) -> SensorRecord:
         near = [line for line in channel.lines if abs(line.frequency_Hz - frequency) < _SAME_Hz]
         record = fitted.model.records[r]
         t = record.times[axis]
@@ -227,12 +227,12 @@ def without_other(fitted: Fitted, other: Other) -> Decay:
         wave, _ = averaged_decay(other.lam, t, record.channels[axis].spread_s2)
         basis = np.column_stack([np.real(wave), -np.imag(wave)])
         c, *_ = np.linalg.lstsq(basis, rests[r][axis], rcond=None)
-        return channel.without([Line(frequency, complex(c[0], c[1]), record.zero_s, -other.lam.real)])
+        return channel.without([SpectralLine(frequency, complex(c[0], c[1]), record.zero_s, -other.lam.real)])
 
     return fitted.decay.with_channels(change)
 
 
-def stays(fitted: Fitted, frequency_Hz: float) -> bool:
+def stays(fitted: FittedDecay, frequency_Hz: float) -> bool:
     """Whether a fitted line has a constant amplitude over the record, in the channel with its largest amplitude."""
     best = (0.0, np.inf)
     for record, channels, c in zip(
@@ -253,7 +253,7 @@ def stays(fitted: Fitted, frequency_Hz: float) -> bool:
     return best[1] < _MAX_CHANGE
 
 
-def coloured(fitted: Fitted) -> Decay | None:
+def coloured(fitted: FittedDecay) -> DecayData | None:
     """Return the decay with the colours of its noise; None if all noise is white."""
     modes = [(w / (2 * np.pi), z * w / (2 * np.pi)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
     found: dict[tuple[int, int], Colour] = {}
@@ -268,12 +268,12 @@ def coloured(fitted: Fitted) -> Decay | None:
     return fitted.decay.with_channels(lambda r, axis, channel: replace(channel, colour=found.get((r, axis))))
 
 
-def is_disturbed(fitted: Fitted) -> bool:
+def is_disturbed(fitted: FittedDecay) -> bool:
     """Whether lines or coloured noise were found in any channel."""
     return any(c.lines or c.colour is not None for channels in fitted.decay.records for c in channels)
 
 
-def white_rests(fitted: Fitted) -> list[list[Averages]]:
+def white_rests(fitted: FittedDecay) -> list[list[Averages]]:
     """Whitened residuals of a fit as block averages, [record][channel]."""
     return [
         [replace(c, value=own / c.weight) for c, own in zip(record.channels, residuals, strict=True)]

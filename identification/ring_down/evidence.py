@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 
 from identification.errors import FitFailed, NotIdentifiable
-from identification.ring_down.decay import COARSE_S, Fitted
+from identification.ring_down.decay import COARSE_S, FittedDecay
 from identification.ring_down.disturbances import is_disturbed, mode_size
-from identification.ring_down.record import Channel, sample_noise
+from identification.ring_down.record import SensorRecord, sample_noise
 from identification.ring_down.scores import stretches
 from identification.samples import usual_interval
 
@@ -27,7 +27,7 @@ _MAX_EARLY_RATIO, _MAX_MISFIT = 4.0, 0.01  # early over late residuals; early re
 _MAX_NOISE_RATIO, _FEW_SAMPLES = 0.7, 25.0  # noise of residuals over noise of differences; samples per cycle
 
 
-def refuse_nothing_rings(fitted: Fitted) -> None:
+def refuse_nothing_rings(fitted: FittedDecay) -> None:
     """Raise NotIdentifiable if the modes explain no more χ² than the best frequency would in drift and noise.
 
     The largest of N periodogram ordinates of noise explains about 2 ln N of χ². Each mode was selected among as many
@@ -51,7 +51,7 @@ def refuse_nothing_rings(fitted: Fitted) -> None:
         )
 
 
-def refuse_no_suspension_mode(fitted: Fitted) -> None:
+def refuse_no_suspension_mode(fitted: FittedDecay) -> None:
     """Raise NotIdentifiable if a mode decays within one period and is therefore not a mode of the suspension.
 
     A push, a hold or a drift within the fitted span look like such a mode, and the motion they hide looks like coloured
@@ -76,7 +76,7 @@ def refuse_no_suspension_mode(fitted: Fitted) -> None:
             )
 
 
-def refuse_misfit(fitted: Fitted) -> None:
+def refuse_misfit(fitted: FittedDecay) -> None:
     """Raise FitFailed if the residuals, modelled as coloured noise, are much larger at the start than later."""
     if not is_disturbed(fitted):
         return
@@ -90,7 +90,7 @@ def refuse_misfit(fitted: Fitted) -> None:
         )
 
 
-def _early_and_late(fitted: Fitted) -> tuple[float, float]:
+def _early_and_late(fitted: FittedDecay) -> tuple[float, float]:
     """Rms of the residuals in the first eighth, and median rms of the others, m, for the channel of largest ratio."""
     worst = (0.0, 1e-300)
     for residuals in fitted.plain_residuals():
@@ -101,7 +101,7 @@ def _early_and_late(fitted: Fitted) -> tuple[float, float]:
     return worst
 
 
-def refuse_too_fast(records: Sequence[Sequence[Channel]]) -> None:
+def refuse_too_fast(records: Sequence[Sequence[SensorRecord]]) -> None:
     """Raise NotIdentifiable if most energy of a sensor's loudest second is a tone above the covered band."""
     for channels in records:
         for sensor, channel in zip("xy", channels, strict=False):
@@ -113,7 +113,7 @@ def refuse_too_fast(records: Sequence[Sequence[Channel]]) -> None:
                 )
 
 
-def _loudest_tone(channel: Channel) -> tuple[float, float]:
+def _loudest_tone(channel: SensorRecord) -> tuple[float, float]:
     """Frequency of the strongest peak in the loudest second, Hz, and the share of the energy near that peak.
 
     Samples that are left out count as rest, which is sufficient to distinguish a tone from spikes and steps.
@@ -150,7 +150,7 @@ def _loudest(value: np.ndarray, keep: np.ndarray, size: int) -> tuple[int, float
     return begin, level
 
 
-def coarse_remark(fitted: Fitted) -> list[str]:
+def coarse_remark(fitted: FittedDecay) -> list[str]:
     """Return a message if the noise comes from the residuals, so that χ² cannot reveal a wrong model."""
     cycle_s = 2 * np.pi / float(np.max(fitted.omegas))
     for record in fitted.decay.records:

@@ -17,9 +17,9 @@ from identification.clocks import clock_errors
 from identification.errors import IdentificationError, NotIdentifiable
 from identification.estimate import Estimate
 from identification.mass_slopes import mass_slopes
-from identification.ring_down.attempt import Plan
+from identification.ring_down.attempt import FitOptions
 from identification.ring_down.begin import proposed, settled
-from identification.ring_down.decay import Decay, Priors, both_alike, second_mode_gain
+from identification.ring_down.decay import DecayData, Priors, both_alike, second_mode_gain
 from identification.ring_down.disturbances import foreign_mode, without_lines
 from identification.ring_down.evidence import (
     coarse_remark,
@@ -30,7 +30,7 @@ from identification.ring_down.evidence import (
 )
 from identification.ring_down.model import BETA, RATIO
 from identification.ring_down.outliers import without_spikes
-from identification.ring_down.record import Channel, read_channel
+from identification.ring_down.record import SensorRecord, read_channel
 from identification.ring_down.resolution import (
     CLOSE,
     RESOLVED_GAIN,
@@ -193,15 +193,15 @@ def _fit(
         return _lone(start, valid, findings, Lone(strong, sentence))
 
 
-def _lone(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings, lone: Lone) -> RingDownFit:
+def _lone(start: DecayData, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings, lone: Lone) -> RingDownFit:
     findings.warnings.append(lone.sentence)
     return _one_direction(start.only(lone.axis), tuple((v[lone.axis],) for v in valid), findings, lone.axis)
 
 
-def _both_directions(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings) -> RingDownFit:
+def _both_directions(start: DecayData, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings) -> RingDownFit:
     warnings, priors = findings.warnings, findings.priors
     before = list(warnings)
-    plan = Plan(True, findings.setting, priors, valid, findings.without)
+    plan = FitOptions(True, findings.setting, priors, valid, findings.without)
     fitted, count = plan.without_outliers(settled(start, plan))
     findings.add_outliers(count)
     pull = abs(float(fitted.theta[RATIO])) / priors.ratio
@@ -237,10 +237,10 @@ def _both_directions(start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], fi
 
 def _read(
     records: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]],
-) -> tuple[list[list[Channel]], list[str]]:
-    channels, warnings = list[list[Channel]](), list[str]()
+) -> tuple[list[list[SensorRecord]], list[str]]:
+    channels, warnings = list[list[SensorRecord]](), list[str]()
     for record in records:
-        own: list[Channel] = []
+        own: list[SensorRecord] = []
         for sensor, (time, value) in zip("xy", record, strict=False):
             channel, remarks = read_channel(time, value, sensor)
             own.append(channel)
@@ -250,9 +250,9 @@ def _read(
 
 
 def _one_direction(
-    start: Decay, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings, axis: int
+    start: DecayData, valid: tuple[tuple[np.ndarray, ...], ...], findings: Findings, axis: int
 ) -> RingDownFit:
-    plan = Plan(False, findings.setting, findings.priors, valid, findings.without)
+    plan = FitOptions(False, findings.setting, findings.priors, valid, findings.without)
     fitted, count = plan.without_outliers(settled(start, plan))
     findings.add_outliers(count)
     fitted = plan.with_fewest_modes(plan.shortened(fitted))

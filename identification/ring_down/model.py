@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.colour import Colour
-from identification.least_squares import Block
+from identification.least_squares import SeparableBlock
 from identification.ring_down.backbone import Backbone, Rates, averaged_course
 from identification.ring_down.modes import averaged_decay, damping_derivative, rate
 from identification.samples import Averages
@@ -152,7 +152,7 @@ class DecayModel:
         lines = sum(part.shape[1] for r in self.records for part in r.lines)
         return own * 2 * self.modes + channels * (self.drift + 1) + lines
 
-    def __call__(self, theta: np.ndarray) -> list[Block]:
+    def __call__(self, theta: np.ndarray) -> list[SeparableBlock]:
         """Evaluate the model at θ, one block per record. The basis is NaN for an invalid θ."""
         if self.is_absurd(theta):
             return [self._nowhere(record) for record in self.records]
@@ -173,7 +173,7 @@ class DecayModel:
         grows = float(np.max(-zetas * np.exp(logs))) * longest > _MAX_GROWTH
         return grows or (self.turned and abs(float(theta[RATIO])) > 1)
 
-    def _nowhere(self, record: DecayRecord) -> Block:
+    def _nowhere(self, record: DecayRecord) -> SeparableBlock:
         """Block of NaN, from which least squares steps back."""
         n, size = len(record.weight), self.size
         columns = (
@@ -181,9 +181,9 @@ class DecayModel:
             + len(record.channels) * (self.drift + 1)
             + record.line_columns.shape[1]
         )
-        return Block(record.data, np.full((n, columns), np.nan), lambda c: np.full((n, size), np.nan))
+        return SeparableBlock(record.data, np.full((n, columns), np.nan), lambda c: np.full((n, size), np.nan))
 
-    def _block(self, record: DecayRecord, index: int, theta: np.ndarray) -> Block:
+    def _block(self, record: DecayRecord, index: int, theta: np.ndarray) -> SeparableBlock:
         if self.backbone is not None:
             return self._bent_block(record, index, theta, self.backbone)
         omegas, zetas = self._plain(theta)
@@ -205,9 +205,9 @@ class DecayModel:
             def tangent(c: np.ndarray) -> np.ndarray:
                 return record.scaled(_free_tangent(c, slopes, moves))
 
-        return Block(record.data, basis, tangent)
+        return SeparableBlock(record.data, basis, tangent)
 
-    def _bent_block(self, record: DecayRecord, index: int, theta: np.ndarray, backbone: Backbone) -> Block:
+    def _bent_block(self, record: DecayRecord, index: int, theta: np.ndarray, backbone: Backbone) -> SeparableBlock:
         delay = theta[DELAYS + index] if self.delays else 0.0
         alike = record.same_times and not self.delays
         waves: list[list[np.ndarray]] = []
@@ -232,7 +232,7 @@ class DecayModel:
                 own = _free_bent_tangent(c, moves, self.tail)
             return record.scaled(own)
 
-        return Block(record.data, basis, tangent)
+        return SeparableBlock(record.data, basis, tangent)
 
     def _plain(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Natural frequencies, rad/s, and damping ratios at zero amplitude."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from identification.ring_down.attempt import drift_criteria
 from identification.ring_down.backbone import averaged_course
-from identification.ring_down.decay import Fitted
+from identification.ring_down.decay import FittedDecay
 from identification.ring_down.modes import averaged_decay, rate
 from identification.ring_down.residuals import gain_of
 from identification.ring_down.resolution import Resolution
@@ -23,7 +23,7 @@ _MIN_BIC_GAIN = 10.0  # very strong evidence
 OTHER_LAW = "another law of rates over amplitude"
 
 
-def model_table(fitted: Fitted, found: Resolution | None, terms: str = "") -> list[ModelChoice]:
+def model_table(fitted: FittedDecay, found: Resolution | None, terms: str = "") -> list[ModelChoice]:
     """Return a row for the chosen model and for each neighbour.
 
     The chosen model's `why` starts with "but " if a neighbour that was not fitted is clearly better.
@@ -59,13 +59,13 @@ def _row(name: str, parameters: int, criterion: float) -> ModelChoice:
     return ModelChoice(name, parameters, float(criterion), False, why)
 
 
-def _motion(fitted: Fitted, found: Resolution | None) -> str:
+def _motion(fitted: FittedDecay, found: Resolution | None) -> str:
     if found is not None:
         return "two modes along turned axes" if found.resolved else "two modes along axes that are not resolved"
     return "one mode" if fitted.model.modes == 1 else "two modes in one sensor"
 
 
-def _additions(fitted: Fitted) -> dict[str, tuple[float, int]]:
+def _additions(fitted: FittedDecay) -> dict[str, tuple[float, int]]:
     """Reduction of χ² and number of parameters of terms that no fit of this package contains."""
     known, residuals = known_columns(fitted)
     lams = [rate(float(w), float(z)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
@@ -94,7 +94,7 @@ def _additions(fitted: Fitted) -> dict[str, tuple[float, int]]:
     return out
 
 
-def _wave(fitted: Fitted, record: int, mode: int, t: np.ndarray, channel: Averages) -> np.ndarray:
+def _wave(fitted: FittedDecay, record: int, mode: int, t: np.ndarray, channel: Averages) -> np.ndarray:
     """Motion of a mode for an amplitude of 1."""
     rates, backbone = fitted.model.mode_rates(fitted.theta, mode), fitted.model.backbone
     if backbone is None:
@@ -102,7 +102,7 @@ def _wave(fitted: Fitted, record: int, mode: int, t: np.ndarray, channel: Averag
     return averaged_course(rates, backbone.amplitudes_m[record][mode], t, channel.spread_s2)[0]
 
 
-def _faded(fitted: Fitted, wave: np.ndarray, lam: complex, t: np.ndarray, channel: Averages) -> np.ndarray:
+def _faded(fitted: FittedDecay, wave: np.ndarray, lam: complex, t: np.ndarray, channel: Averages) -> np.ndarray:
     """Motion of a mode times its decay, a term of second order in its amplitude."""
     if fitted.model.backbone is None:
         return averaged_decay(lam + lam.real, t, channel.spread_s2)[0]

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from scipy.special import gammainc, ndtr, ndtri
 
 from identification.ring_down.backbone import course
-from identification.ring_down.decay import Fitted, once_per_fit
+from identification.ring_down.decay import FittedDecay, once_per_fit
 from identification.ring_down.exact_motion import exact_motion
 from identification.ring_down.model import DELAYS
 from identification.ring_down.modes import rate
-from identification.ring_down.record import Channel, farthest_from_taylor, sample_noise, taylor_at_samples
+from identification.ring_down.record import SensorRecord, farthest_from_taylor, sample_noise, taylor_at_samples
 from identification.typed_scipy import median_filter
 
 _THRESHOLD = 4.5  # standard deviations; 7 of a million good samples exceed it
@@ -35,7 +35,7 @@ _CENTRES_PER_CYCLE = 20
 _MAX_POWER = 200.0
 
 
-def without_spikes(channel: Channel) -> tuple[Channel, int]:
+def without_spikes(channel: SensorRecord) -> tuple[SensorRecord, int]:
     """Mask samples that jump from their neighbours. Return the channel and the number of masked samples.
 
     A running median over seven samples follows the motion, but not bursts of fewer than four samples.
@@ -70,19 +70,19 @@ def _largest_bend(value: np.ndarray) -> float:
 
 
 def sample_residuals(
-    fitted: Fitted, record: int, axis: int, channel: Channel, first: int, last: int
+    fitted: FittedDecay, record: int, axis: int, channel: SensorRecord, first: int, last: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Residual and model of the samples `first` to `last` of a channel, m, shape (last − first,) each."""
     model = fitted_signal(fitted, record, axis, channel.time_s[first:last])
     return channel.value_m[first:last] - model, model
 
 
-def fitted_signal(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> np.ndarray:
+def fitted_signal(fitted: FittedDecay, record: int, axis: int, time_s: np.ndarray) -> np.ndarray:
     """Fitted signal of a sensor at ascending times, shape (n,), m. The decay is continued before its start."""
     return taylor_at_samples(time_s, *_pieces(fitted, record, axis, time_s))
 
 
-def _pieces(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _pieces(fitted: FittedDecay, record: int, axis: int, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centres over a time range, shape (m,), s, and derivatives 0 to 4 of the fitted signal there, shape (5, m)."""
     model, own = fitted.model, fitted.model.records[record]
     step = 2 * np.pi / float(np.max(fitted.omegas)) / _CENTRES_PER_CYCLE
@@ -110,7 +110,7 @@ def _pieces(fitted: Fitted, record: int, axis: int, time_s: np.ndarray) -> tuple
     return centre, derivatives
 
 
-def _bent_pieces(fitted: Fitted, record: int, axis: int, mode: int, t: np.ndarray) -> np.ndarray:
+def _bent_pieces(fitted: FittedDecay, record: int, axis: int, mode: int, t: np.ndarray) -> np.ndarray:
     """Derivatives for a mode whose rates depend on amplitude: averaged motion before its zero, exact motion after."""
     backbone, own = fitted.model.backbone, fitted.amplitude(record, axis, mode)
     assert backbone is not None
@@ -144,7 +144,9 @@ def explained_by_noise(masked: int, samples: int, farthest: float) -> bool:
     return masked == 0 or (few and float(gammainc(masked, usual)) > _FALSE_ALARM_RATE)
 
 
-def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[list[tuple[Channel, ...]], int, bool]:
+def trimmed(
+    fitted: FittedDecay, valid: tuple[tuple[np.ndarray, ...], ...]
+) -> tuple[list[tuple[SensorRecord, ...]], int, bool]:
     """Mask the outliers of a fit again and re-estimate the noise.
 
     Args:
@@ -153,9 +155,9 @@ def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[
     Returns:
         Channels, number of masked outliers (0 if noise may explain all of them), and whether a mask changed.
     """
-    out, count, changed, samples, farthest = list[tuple[Channel, ...]](), 0, False, 0, 0.0
+    out, count, changed, samples, farthest = list[tuple[SensorRecord, ...]](), 0, False, 0, 0.0
     for r, channels in enumerate(fitted.decay.records):
-        own: list[Channel] = []
+        own: list[SensorRecord] = []
         for axis, channel in enumerate(channels):
             first, last = np.searchsorted(channel.time_s, (fitted.decay.begins[r], fitted.decay.ends[r]))
             residual, model = sample_residuals(fitted, r, axis, channel, first, last)
@@ -178,7 +180,7 @@ def trimmed(fitted: Fitted, valid: tuple[tuple[np.ndarray, ...], ...]) -> tuple[
 
 
 @once_per_fit
-def suspicious(fitted: Fitted) -> bool:
+def suspicious(fitted: FittedDecay) -> bool:
     """Whether a kept sample is farther from the model than noise permits, or the model reaches the rail."""
     suspect = farthest_by_chance(sum(c.keep.sum() for channels in fitted.decay.records for c in channels))
     for r, channels in enumerate(fitted.decay.records):
@@ -197,7 +199,7 @@ def suspicious(fitted: Fitted) -> bool:
     return False
 
 
-def _inside_rail(model: np.ndarray, channel: Channel) -> np.ndarray:
+def _inside_rail(model: np.ndarray, channel: SensorRecord) -> np.ndarray:
     """Samples at which the *model* does not reach the rail.
 
     A selection by the data would keep the samples whose noise points inward.
@@ -206,7 +208,7 @@ def _inside_rail(model: np.ndarray, channel: Channel) -> np.ndarray:
     return (model > low) & (model < high)
 
 
-def _clear_of_rail(channel: Channel) -> tuple[float, float]:
+def _clear_of_rail(channel: SensorRecord) -> tuple[float, float]:
     """Range of values at which noise does not reach the rail, m."""
     margin = _THRESHOLD * channel.noise
     return channel.rail_m[0] + margin, channel.rail_m[1] - margin

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from identification.ring_down.backbone import REFERENCE_M
-from identification.ring_down.decay import Fitted
+from identification.ring_down.decay import FittedDecay
 from rig_basics.arrays import Array
 
 Kind = Literal["frequency", "damping"]
@@ -84,7 +84,7 @@ def _given(value: float, std: float) -> str:
     return f"{value:.{digits}f} ± {std:.{digits}f}"
 
 
-def rates_over_amplitude(fitted: Fitted, labels: tuple[str, ...], stretch: Array) -> list[RatesOverAmplitude]:
+def rates_over_amplitude(fitted: FittedDecay, labels: tuple[str, ...], stretch: Array) -> list[RatesOverAmplitude]:
     """Return the directions with significant terms of amplitude.
 
     Args:

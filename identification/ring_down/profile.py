@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.least_squares import Minimum, solve_separable
-from identification.ring_down.decay import Fitted, Priors, prior_std
+from identification.ring_down.decay import FittedDecay, Priors, prior_std
 from identification.ring_down.model import BETA
 
 _CHI2_95 = 3.8415  # 95 % quantile of χ² with one degree of freedom
@@ -38,7 +38,7 @@ class Profile:
     closed: bool
 
 
-def profile_axis(fitted: Fitted, priors: Priors, stretch: float = 1.0, points: int = 15) -> Profile:
+def profile_axis(fitted: FittedDecay, priors: Priors, stretch: float = 1.0, points: int = 15) -> Profile:
     """Sweep β over ±44° from the fitted value to both sides.
 
     Args:
@@ -65,14 +65,14 @@ def profile_axis(fitted: Fitted, priors: Priors, stretch: float = 1.0, points: i
     return _profile(minima, betas, excess, stretch)
 
 
-def _near(fitted: Fitted, points: int) -> np.ndarray:
+def _near(fitted: FittedDecay, points: int) -> np.ndarray:
     """Values of β around the fitted value, in steps of half its standard deviation."""
     std = float(np.sqrt(fitted.solution.minimum.covariance[BETA, BETA]))
     values = fitted.theta[BETA] + 0.5 * min(std, _MAX_BETA_RAD) * np.linspace(-7, 7, points // 2 | 1)
     return values[np.abs(values) <= _MAX_BETA_RAD]
 
 
-def _at_fixed(fitted: Fitted, theta: np.ndarray, priors: Priors) -> Minimum:
+def _at_fixed(fitted: FittedDecay, theta: np.ndarray, priors: Priors) -> Minimum:
     centre = np.zeros(len(theta))
     centre[BETA] = theta[BETA]
     std = prior_std(fitted.model, priors)
@@ -107,7 +107,7 @@ def _shares(betas: np.ndarray, excess: np.ndarray) -> np.ndarray:
     return weight / weight.sum()
 
 
-def profile_parameter(fitted: Fitted, priors: Priors, index: int, stretch: float = 1.0) -> tuple[float, float]:
+def profile_parameter(fitted: FittedDecay, priors: Priors, index: int, stretch: float = 1.0) -> tuple[float, float]:
     """Profile-likelihood interval (95 %) of one parameter. The others are fitted again at each end.
 
     Args:
@@ -128,7 +128,7 @@ def profile_parameter(fitted: Fitted, priors: Priors, index: int, stretch: float
     return ends[0], ends[1]
 
 
-def _held_cost(fitted: Fitted, priors: Priors, index: int, value: float) -> float:
+def _held_cost(fitted: FittedDecay, priors: Priors, index: int, value: float) -> float:
     centre, std = np.zeros(fitted.model.size), prior_std(fitted.model, priors)
     unit = float(np.sqrt(fitted.solution.minimum.covariance[index, index]))
     centre[index], std[index] = value, 1e-6 * unit

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from identification.colour import Colour
 from identification.errors import NotIdentifiable
-from identification.lines import Line
+from identification.lines import SpectralLine
 from identification.samples import Averages, clipped, white_noise, white_noises
 
 _NOISE_CHUNKS, _NOISE_SAMPLES = 32, 40_000  # these samples determine the noise to 1 %
@@ -31,7 +31,7 @@ _MAX_CYCLES_PER_BLOCK = 0.9  # a line with more cycles vanishes in block means
 
 
 @dataclass(frozen=True)
-class Channel:
+class SensorRecord:
     """Record of one sensor.
 
     Attributes:
@@ -49,7 +49,7 @@ class Channel:
     keep: np.ndarray
     noise: float
     rail_m: tuple[float, float]
-    lines: tuple[Line, ...] = ()
+    lines: tuple[SpectralLine, ...] = ()
     colour: Colour | None = None
 
     def averages(self, width_s: float, begin_s: float = -np.inf, end_s: float = np.inf) -> Averages:
@@ -93,23 +93,23 @@ class Channel:
         return np.hstack(columns) if columns else np.empty((0, 0))
 
     @staticmethod
-    def in_blocks(line: Line, width_s: float) -> bool:
+    def in_blocks(line: SpectralLine, width_s: float) -> bool:
         """Whether a line is visible in block means."""
         return line.frequency_Hz * width_s < _MAX_CYCLES_PER_BLOCK
 
-    def without(self, lines: Sequence[Line]) -> Channel:
+    def without(self, lines: Sequence[SpectralLine]) -> SensorRecord:
         """Return the channel with lines subtracted. The fit then contains their columns."""
         value = self.value_m.copy()
         for line in lines:
             value -= line.at(self.time_s)
         return replace(self, value_m=value, lines=(*self.lines, *lines))
 
-    def with_noise(self, noise: float) -> Channel:
+    def with_noise(self, noise: float) -> SensorRecord:
         """Return the channel with another noise, m."""
         return replace(self, noise=noise)
 
 
-def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[Channel, list[str]]:
+def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[SensorRecord, list[str]]:
     """Read a channel and mask invalid samples and samples at the rail.
 
     Args:
@@ -157,7 +157,7 @@ def read_channel(time_s: np.ndarray, value_m: np.ndarray, sensor: str) -> tuple[
     if not keep.all():
         noise = sample_noise(value[keep])
     value[~finite] = 0.0  # not used; keeps the compiled loops free of NaN
-    return Channel(time, value, keep, noise, rail), remarks
+    return SensorRecord(time, value, keep, noise, rail), remarks
 
 
 def _state(value: np.ndarray) -> str:

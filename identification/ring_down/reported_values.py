@@ -10,7 +10,7 @@ import numpy as np
 
 from identification.errors import NotIdentifiable
 from identification.ring_down.amplitude import AmplitudeDependence, amplitude_dependence
-from identification.ring_down.decay import Fitted, Priors
+from identification.ring_down.decay import FittedDecay, Priors
 from identification.ring_down.over_amplitude import RatesOverAmplitude
 from identification.ring_down.profile import profile_axis, profile_parameter
 from identification.ring_down.resolution import Resolution
@@ -32,7 +32,12 @@ class Numbers:
 
 
 def numbers_of(
-    fitted: Fitted, setting: Setting, priors: Priors, labels: tuple[str, ...], stretch: Array, found: Resolution | None
+    fitted: FittedDecay,
+    setting: Setting,
+    priors: Priors,
+    labels: tuple[str, ...],
+    stretch: Array,
+    found: Resolution | None,
 ) -> Numbers:
     """Return values, covariance and 95 % intervals of the physical part of θ.
 
@@ -72,13 +77,15 @@ def numbers_of(
     return Numbers(names, values, covariance * np.outer(scale, scale), lows, highs)
 
 
-def amplitudes_of(fitted: Fitted, count: int, stretch: Array) -> list[AmplitudeDependence]:
+def amplitudes_of(fitted: FittedDecay, count: int, stretch: Array) -> list[AmplitudeDependence]:
     """Rates of each mode in windows of decreasing amplitude, for modes with a sufficiently long decay."""
     found = [amplitude_dependence(fitted, mode, float(stretch[2 * mode + 1])) for mode in range(count)]
     return [f for f in found if f is not None]
 
 
-def beyond_terms(fitted: Fitted, dependence: list[AmplitudeDependence], stretch: Array) -> list[AmplitudeDependence]:
+def beyond_terms(
+    fitted: FittedDecay, dependence: list[AmplitudeDependence], stretch: Array
+) -> list[AmplitudeDependence]:
     """Amplitude dependence that the fitted terms do not explain."""
     if fitted.model.backbone is None:
         return dependence

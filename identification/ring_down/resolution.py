@@ -8,9 +8,9 @@ import numpy as np
 
 from identification.colour import colour_of
 from identification.errors import IdentificationError
-from identification.ring_down.attempt import Plan
+from identification.ring_down.attempt import FitOptions
 from identification.ring_down.backbone import averaged_course
-from identification.ring_down.decay import COARSE_S, Decay, Fitted, Priors
+from identification.ring_down.decay import COARSE_S, DecayData, FittedDecay, Priors
 from identification.ring_down.model import BETA
 from identification.ring_down.modes import damped_periodogram, rate, without_modes
 from identification.ring_down.rungs import climbed
@@ -33,7 +33,7 @@ class Lone:
     sentence: str
 
 
-def lone_direction(decay: Decay) -> Lone | None:
+def lone_direction(decay: DecayData) -> Lone | None:
     """Return the direction if one sensor shows no mode of its own; None if the records contain both directions.
 
     The criterion is the residual of the weaker sensor after removal of the stronger sensor's mode.
@@ -53,7 +53,7 @@ def lone_direction(decay: Decay) -> Lone | None:
     return own_mode_missing(strong, _explained(weak) > _MIN_GAIN)
 
 
-def stronger_sensor(decay: Decay, ratio: float) -> int | None:
+def stronger_sensor(decay: DecayData, ratio: float) -> int | None:
     """Sensor of a single record whose motion exceeds the other's by more than 1/ratio, or None."""
     if len(decay.records) != 1 or len(decay.records[0]) < 2:
         return None
@@ -89,14 +89,14 @@ def not_of_the_pair(strong: int, omega: float) -> Lone:
     )
 
 
-def _alone(decay: Decay, axis: int) -> Fitted:
+def _alone(decay: DecayData, axis: int) -> FittedDecay:
     """Fit of one free mode in one sensor."""
     own = decay.only(axis)
     valid = tuple(tuple(c.keep for c in channels) for channels in own.records)
-    return climbed(Plan(False, "fast", Priors(), valid)(own), Priors(), True)
+    return climbed(FitOptions(False, "fast", Priors(), valid)(own), Priors(), True)
 
 
-def _without_strong(weak: Averages, fitted: Fitted) -> Averages:
+def _without_strong(weak: Averages, fitted: FittedDecay) -> Averages:
     """Weaker sensor with the stronger one's mode and an offset removed by linear regression."""
     backbone = fitted.model.backbone
     if backbone is None:
@@ -109,7 +109,7 @@ def _without_strong(weak: Averages, fitted: Fitted) -> Averages:
     return replace(weak, value=weak.value - basis @ own)
 
 
-def _whitened(rest: Averages, fitted: Fitted) -> Averages:
+def _whitened(rest: Averages, fitted: FittedDecay) -> Averages:
     """Residual of a sensor with whitened noise."""
     width = float(np.median(np.diff(rest.time_s)))
     modes = [(w / (2 * np.pi), z * w / (2 * np.pi)) for w, z in zip(fitted.omegas, fitted.zetas, strict=True)]
@@ -155,7 +155,7 @@ class Resolution:
         return apart and self.axis_std_rad <= WALD_STD and self.gain >= RESOLVED_GAIN
 
 
-def resolution(fitted: Fitted, priors: Priors, stretch: float, gain: float) -> Resolution:
+def resolution(fitted: FittedDecay, priors: Priors, stretch: float, gain: float) -> Resolution:
     """Compute the distance of the two modes and the uncertainty of their axes.
 
     Args:

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from identification.curve import Curve
+from identification.curve import FittedCurve
 from identification.errors import FitFailed
 from identification.laser_wander import wander_sentences
 from identification.lines import sentences
 from identification.ring_down.amplitude import AmplitudeDependence
-from identification.ring_down.decay import Fitted, Priors
+from identification.ring_down.decay import FittedDecay, Priors
 from identification.ring_down.direction_terms import DirectionTerms, direction_terms
 from identification.ring_down.model import BETA
 from identification.ring_down.model_table import OTHER_LAW, model_table
@@ -66,7 +66,7 @@ class RingDownFit:
     values: dict[str, float]
     covariance: np.ndarray
     warnings: list[str]
-    curves: list[Curve]
+    curves: list[FittedCurve]
     noise: list[float]
     residual_rms: list[float]
     chi2_per_dof: float
@@ -105,7 +105,7 @@ class Findings:
             self.warnings.append(f"{count} samples that no noise explains left out")
 
 
-def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: float = np.inf) -> RingDownFit:
+def result(fitted: FittedDecay, findings: Findings, labels: tuple[str, ...], gain: float = np.inf) -> RingDownFit:
     """Convert a solved fit to a RingDownFit.
 
     Args:
@@ -177,7 +177,7 @@ def result(fitted: Fitted, findings: Findings, labels: tuple[str, ...], gain: fl
     )
 
 
-def _disturbance_messages(fitted: Fitted, labels: tuple[str, ...]) -> list[str]:
+def _disturbance_messages(fitted: FittedDecay, labels: tuple[str, ...]) -> list[str]:
     """Messages about lines and wander. A single sensor has the name of its direction."""
     found, axes = fitted.found_lines(), _axes(labels)
     lines = sentences([(a, lines) for own in found for a, lines in zip(axes, own, strict=True)])
@@ -191,7 +191,7 @@ def _axes(labels: tuple[str, ...]) -> str:
     return "xy" if len(labels) == 2 else "xy"[int(labels[0]) - 1]
 
 
-def _coloured_noise(fitted: Fitted) -> str:
+def _coloured_noise(fitted: FittedDecay) -> str:
     """Rms of the coloured noise of each channel as text; "" if all noise is white."""
     parts: list[str] = []
     for record in fitted.model.records:
@@ -202,8 +202,8 @@ def _coloured_noise(fitted: Fitted) -> str:
     return f"{' and '.join(parts)} rms in the means that are fitted" if parts else ""
 
 
-def _curves(fitted: Fitted, chi2: float, axes: str) -> tuple[list[Curve], list[float]]:
-    curves, rms = list[Curve](), list[float]()
+def _curves(fitted: FittedDecay, chi2: float, axes: str) -> tuple[list[FittedCurve], list[float]]:
+    curves, rms = list[FittedCurve](), list[float]()
     for number, (record, residuals) in enumerate(zip(fitted.model.records, fitted.plain_residuals(), strict=True)):
         for axis, channel, metres in zip(axes, record.channels, residuals, strict=True):
             left_over = float(np.std(metres) / np.std(channel.value))
@@ -216,7 +216,9 @@ def _curves(fitted: Fitted, chi2: float, axes: str) -> tuple[list[Curve], list[f
                 )
             rms.append(float(np.sqrt(np.mean(metres**2))))
             curves.append(
-                Curve(f"ring-down {number + 1}: {axis}", "m", channel.time_s, channel.value, channel.value - metres)
+                FittedCurve(
+                    f"ring-down {number + 1}: {axis}", "m", channel.time_s, channel.value, channel.value - metres
+                )
             )
     return curves, rms
 

@@ -18,7 +18,7 @@ from identification.errors import FitFailed
 from identification.least_squares import solve_separable
 from identification.ring_down.averaging import with_terms
 from identification.ring_down.backbone import REFERENCE_M, Backbone
-from identification.ring_down.decay import Fitted, Priors, prior_std, solve
+from identification.ring_down.decay import FittedDecay, Priors, prior_std, solve
 from identification.ring_down.disturbances import mode_size
 from identification.ring_down.model import DecayModel
 from identification.ring_down.modes import rate
@@ -41,7 +41,7 @@ _MEAN_SQUARE, _MEAN = 0.4, 0.6  # of the relative amplitude over the part of the
 Taken = tuple[bool, ...]
 
 
-def climbed(fitted: Fitted, priors: Priors, first: bool) -> Fitted:
+def climbed(fitted: FittedDecay, priors: Priors, first: bool) -> FittedDecay:
     """Add the terms of amplitude that the data require, and remove those that are not significant.
 
     Args:
@@ -58,7 +58,7 @@ def climbed(fitted: Fitted, priors: Priors, first: bool) -> Fitted:
     return _with_plausible(_certain(best, priors), priors)
 
 
-def _highest(fitted: Fitted, priors: Priors) -> Fitted:
+def _highest(fitted: FittedDecay, priors: Priors) -> FittedDecay:
     """Add one term after the other as long as the gain exceeds the penalty."""
     for _ in range(2 * fitted.model.modes):
         higher = _next(fitted, priors)
@@ -68,22 +68,22 @@ def _highest(fitted: Fitted, priors: Priors) -> Fitted:
     return fitted
 
 
-def is_misfit(fitted: Fitted) -> bool:
+def is_misfit(fitted: FittedDecay) -> bool:
     """Whether χ² is significantly above its value for noise."""
     dof = _dof(fitted)
     return fitted.chi2 - dof > _MIN_MISFIT_STD * np.sqrt(2 * dof)
 
 
-def explains(fitted: Fitted, other: Fitted) -> bool:
+def explains(fitted: FittedDecay, other: FittedDecay) -> bool:
     """Whether another fit explains most of the misfit of a fit."""
     return fitted.chi2 - other.chi2 > _MIN_EXPLAINED * (fitted.chi2 - _dof(fitted))
 
 
-def _dof(fitted: Fitted) -> int:
+def _dof(fitted: FittedDecay) -> int:
     return fitted.count - fitted.model.linear - fitted.model.free
 
 
-def bent_leader(fitted: Fitted, priors: Priors) -> Fitted | None:
+def bent_leader(fitted: FittedDecay, priors: Priors) -> FittedDecay | None:
     """Fit of the stronger mode of a turned pair as one mode in both sensors; None if its rates are constant."""
     alone = replace(fitted.model, modes=1, turned=False, delays=False, backbone=None)
     strong = 2 * int(np.argmax([mode_size(fitted, mode) for mode in range(2)]))
@@ -91,7 +91,7 @@ def bent_leader(fitted: Fitted, priors: Priors) -> Fitted | None:
     return single if single.model.backbone is not None else None
 
 
-def pair_with_leader(model: DecayModel, leader: Fitted, other: Array, place: int) -> tuple[DecayModel, Array]:
+def pair_with_leader(model: DecayModel, leader: FittedDecay, other: Array, place: int) -> tuple[DecayModel, Array]:
     """Return a turned pair and its start values from the separate fit of its stronger mode and the other one's rates.
 
     Args:
@@ -111,7 +111,7 @@ def pair_with_leader(model: DecayModel, leader: Fitted, other: Array, place: int
     return replace(model, backbone=both), np.concatenate([rates, np.zeros(model.tail - 4), terms])
 
 
-def _are_suited(fitted: Fitted) -> bool:
+def _are_suited(fitted: FittedDecay) -> bool:
     """Whether amplitudes change slowly, which averaging requires, and modes are separate, which resolution requires."""
     if not np.all((fitted.zetas > _MIN_ZETA) & (fitted.zetas < _MAX_ZETA)):
         return False
@@ -119,12 +119,12 @@ def _are_suited(fitted: Fitted) -> bool:
     return len(lams) < 2 or abs(lams[0] - lams[1]) > _MIN_SPLIT * max(abs(lam.real) for lam in lams)
 
 
-def _taken(fitted: Fitted) -> Taken:
+def _taken(fitted: FittedDecay) -> Taken:
     backbone = fitted.model.backbone
     return backbone.taken if backbone is not None else (False,) * (2 * fitted.model.modes)
 
 
-def _next(fitted: Fitted, priors: Priors) -> Fitted | None:
+def _next(fitted: FittedDecay, priors: Priors) -> FittedDecay | None:
     """Fit with the additional term that explains most; None if no gain exceeds the penalty."""
     chance = _FALSE_ALARM_RATE / (2 * fitted.model.modes)
     price = max(float(np.log(fitted.count)) + _MIN_BIC_GAIN, float(chdtri(1, chance)))
@@ -139,7 +139,7 @@ def _next(fitted: Fitted, priors: Priors) -> Fitted | None:
     return best if (fitted.chi2 - best.chi2) / band > price else None
 
 
-def _gains(fitted: Fitted) -> Array:
+def _gains(fitted: FittedDecay) -> Array:
     """Reduction of χ² by each single term, shape (2 × modes,), from score tests."""
     model, theta = with_terms(
         fitted.model, fitted.theta, fitted.solution.coefficients, (True,) * (2 * fitted.model.modes)
@@ -155,7 +155,7 @@ def _gains(fitted: Fitted) -> Array:
     return gains
 
 
-def _with(fitted: Fitted, index: int, priors: Priors) -> Fitted | None:
+def _with(fitted: FittedDecay, index: int, priors: Priors) -> FittedDecay | None:
     """Fit with one more term, from the best of several start values."""
     taken = tuple(on or i == index for i, on in enumerate(_taken(fitted)))
     model, theta = with_terms(fitted.model, fitted.theta, fitted.solution.coefficients, taken)
@@ -193,7 +193,7 @@ def _starts(model: DecayModel, theta: Array, index: int) -> list[Array]:
     return out
 
 
-def _certain(fitted: Fitted, priors: Priors) -> Fitted:
+def _certain(fitted: FittedDecay, priors: Priors) -> FittedDecay:
     """Fit without terms that are not significant. The least significant term is removed first."""
     while fitted.model.backbone is not None:
         model, taken = fitted.model, _taken(fitted)
@@ -208,7 +208,7 @@ def _certain(fitted: Fitted, priors: Priors) -> Fitted:
     return fitted
 
 
-def _with_plausible(fitted: Fitted, priors: Priors) -> Fitted:
+def _with_plausible(fitted: FittedDecay, priors: Priors) -> FittedDecay:
     """Fit in which a term of one direction is also opened in the other one, with a prior of its likely size."""
     backbone, modes = fitted.model.backbone, fitted.model.modes
     if backbone is None or modes < 2:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.ring_down.decay import Fitted, once_per_fit
+from identification.ring_down.decay import FittedDecay, once_per_fit
 from identification.ring_down.residuals import spectral_stretch
 
 
 @once_per_fit
-def stretches(fitted: Fitted) -> np.ndarray:
+def stretches(fitted: FittedDecay) -> np.ndarray:
     """Factor on the standard deviation of each parameter for residuals that exceed the noise or are not white."""
     residuals = [r for record in fitted.channel_residuals() for r in record]
     influence = fitted.solution.minimum.jacobian[: fitted.count] @ fitted.solution.minimum.covariance
@@ -18,7 +18,7 @@ def stretches(fitted: Fitted) -> np.ndarray:
 
 
 @once_per_fit
-def known_columns(fitted: Fitted) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def known_columns(fitted: FittedDecay) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Columns of the fit (basis and tangent) and residual of each record."""
     known, residuals = list[np.ndarray](), list[np.ndarray]()
     for block, c in zip(fitted.model(fitted.theta), fitted.solution.coefficients, strict=True):

@@ -21,8 +21,8 @@ import numpy as np
 from numba import njit
 
 from identification.ring_down.modes import rate, rate_derivatives
-from identification.run_up.forced_oscillator import Drive
-from identification.run_up.slow_roll import Turning
+from identification.run_up.forced_oscillator import Excitation
+from identification.run_up.slow_roll import PhasorMeans
 from rig_basics.arrays import Array, Complex
 
 _SUBSTEPS = 4  # per step of the drive's grid: 64 per turn at the top speed, frequency error 3e-7
@@ -56,8 +56,8 @@ class BentResponse:
 
 def bent_response(
     spread_s2: np.ndarray,
-    turn: Turning,
-    drive: Drive,
+    turn: PhasorMeans,
+    drive: Excitation,
     force: np.ndarray,
     oscillator: tuple[float, float],
     terms: tuple[float, float],
@@ -104,7 +104,7 @@ def bent_response(
     )
 
 
-def forcing(drive: Drive) -> np.ndarray:
+def forcing(drive: Excitation) -> np.ndarray:
     """p and iψ̇p with smoothed ψ̇ at the ends and middles of all Runge–Kutta steps of a drive's grid, shape (n, 2)."""
     n = 2 * _SUBSTEPS * len(drive.phasor)
     times = drive.start_s + drive.step_s * np.arange(n + 1) / (2 * _SUBSTEPS)

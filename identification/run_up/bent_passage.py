@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from identification.run_up.bent_oscillator import bent_response, forcing
-from identification.run_up.forced_oscillator import Drive, Instants, Response
+from identification.run_up.forced_oscillator import Excitation, Instants, Response
 from identification.run_up.slow_roll import turning
 from rig_basics.arrays import Array, Complex
 
@@ -76,13 +76,13 @@ class BentPassage:
     starts: dict[int, Array] = field(default_factory=dict[int, Array])
 
     @classmethod
-    def of(cls, drive: Drive, amplitude_m: complex) -> BentPassage:
+    def of(cls, drive: Excitation, amplitude_m: complex) -> BentPassage:
         """Build the data for a drive."""
         return cls(forcing(drive), amplitude_m)
 
     def sensed(
         self,
-        drive: Drive,
+        drive: Excitation,
         axis: int,
         angle_rad: float,
         oscillators: list[tuple[float, float]],

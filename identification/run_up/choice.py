@@ -34,7 +34,7 @@ _RUNG_OF: Mapping[Rung, str] = {"wander": "cubic", "ripple": "ripple", "clocks":
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ModelSelection:
     """Result of the model selection.
 
     Attributes:
@@ -69,7 +69,7 @@ def compare(
     marks_only: bool,
     setting: Setting,
     without: frozenset[Rung] = frozenset(),
-) -> Comparison:
+) -> ModelSelection:
     """Compare the fitted model with its neighbours.
 
     Args:
@@ -114,7 +114,7 @@ def compare(
         warnings.append("the sensors' clocks are apart from the phase's; delays and drifts are fitted as well")
     base = design.chi2 / noise + design.unknowns * per_unknown
     wider = max(gain[key] for key, other in others.items() if other.unknowns > 0)
-    return Comparison(structure, *_table(others, gain, base, design.unknowns), warnings, wider)
+    return ModelSelection(structure, *_table(others, gain, base, design.unknowns), warnings, wider)
 
 
 def _table(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dynamics.equations.speed_history import phase_at
 from identification.ring_down.modes import rate
 from identification.run_up.model import ANGLE, OMEGAS, ZETAS, RunUpRecord, Structure, run_up_blocks
-from identification.run_up.rotor_phase import RotorPhase
+from identification.run_up.rotor_phase import PhaseHistory
 from identification.samples import Averages
 from identification.typed_scipy import uniform_filter1d
 from rig_basics.arrays import Array, Complex
@@ -137,7 +137,9 @@ def further_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray, 
     return np.concatenate([block.tangent(_solve(block.basis, block.data)) for block in blocks])
 
 
-def phase_noise_covariance(record: RunUpRecord, phase: RotorPhase, design: Design, jacobian: np.ndarray) -> np.ndarray:
+def phase_noise_covariance(
+    record: RunUpRecord, phase: PhaseHistory, design: Design, jacobian: np.ndarray
+) -> np.ndarray:
     """Contribution of the phase's noise to the covariance of jacobian @ unknowns, shape (k, k)."""
     theta = design.structure.theta(design.phi)
     rows = jacobian @ design.covariance @ design.matrix.T
@@ -200,7 +202,7 @@ def excess_covariance(record: RunUpRecord, design: Design, jacobian: np.ndarray)
     return out
 
 
-def rounding_errors(phase: RotorPhase, channel: Averages) -> np.ndarray:
+def rounding_errors(phase: PhaseHistory, channel: Averages) -> np.ndarray:
     """Draws of an encoder's rounding error in a channel's blocks, shape (n, draws), rad.
 
     The rounding error is not white. The speed beats against steps and readings. While it stays close to a simple ratio

@@ -12,7 +12,7 @@ from identification.least_squares import Solution, solve_separable
 from identification.run_up.bent_passage import BentPassage, KnownSuspension
 from identification.run_up.choice import alike
 from identification.run_up.design import design_at
-from identification.run_up.forced_oscillator import Drive
+from identification.run_up.forced_oscillator import Excitation
 from identification.run_up.model import (
     ANGLE,
     AXIS_PRIOR_STD,
@@ -48,7 +48,7 @@ class Clocks:
         return self.delay_std_s > 0 or max(self.drift_std) > 0
 
 
-def first_structure(drive: Drive, clocks: Clocks) -> Structure:
+def first_structure(drive: Excitation, clocks: Clocks) -> Structure:
     """Structure with both resonances, turned axes, offset, slope, and clock errors within their priors."""
     prior, prior_std = np.zeros(PARAMETERS), np.zeros(PARAMETERS)
     # a prior without influence on a passed resonance, which keeps the frequency of a resonance not passed finite

@@ -14,13 +14,13 @@ import numpy as np
 from daq.signals.clock_rates import rate_std_between
 from daq.signals.run import Run
 from daq.signals.threads import on_one_thread
-from identification.curve import Curve
+from identification.curve import FittedCurve
 from identification.errors import FitFailed, NotIdentifiable
 from identification.laser_wander import wander_sentences
 from identification.least_squares import Solution
 from identification.ring_down.direction_terms import DirectionTerms
 from identification.run_up.bent_passage import KnownSuspension
-from identification.run_up.choice import Comparison, compare
+from identification.run_up.choice import ModelSelection, compare
 from identification.run_up.design import (
     Design,
     design_at,
@@ -29,13 +29,13 @@ from identification.run_up.design import (
     phase_noise_covariance,
 )
 from identification.run_up.first_solution import Clocks, about_known, first_structure, from_starts, solve
-from identification.run_up.forced_oscillator import Drive
+from identification.run_up.forced_oscillator import Excitation
 from identification.run_up.model import TERMS, RunUpRecord, Structure, run_up_blocks
 from identification.run_up.naive import half_power, vold_kalman
 from identification.run_up.profile import intervals
 from identification.run_up.reported import determined, either, reported, slow_roll_sentences
 from identification.run_up.result import RunUpFit, run_up_estimate
-from identification.run_up.rotor_phase import RotorPhase
+from identification.run_up.rotor_phase import PhaseHistory
 from identification.run_up.sensors import sensor_averages
 from identification.run_up.slow_roll_choice import Doubt
 from identification.run_up.smallest_model import smallest_adequate
@@ -90,7 +90,7 @@ def fit_run_up(
             f"expected n times, displacements of shape (n, 2) and n phases, got {time.shape}, {signals.shape} and "
             f"{np.shape(phase_rad)}"
         )
-    phase = RotorPhase.from_samples(time, np.asarray(phase_rad, float))
+    phase = PhaseHistory.from_samples(time, np.asarray(phase_rad, float))
     return _fit(
         [(time, signals[:, 0]), (time, signals[:, 1])],
         phase,
@@ -117,9 +117,9 @@ def fit_run_up_run(
     """
     try:
         if len(run.phase_time_s):
-            phase = RotorPhase.from_samples(run.phase_time_s, run.phase_rad)
+            phase = PhaseHistory.from_samples(run.phase_time_s, run.phase_rad)
         else:
-            phase = RotorPhase.from_marks(run.mark_time_s, run.mark_phase_rad)
+            phase = PhaseHistory.from_marks(run.mark_time_s, run.mark_phase_rad)
     except NotIdentifiable as error:
         raise NotIdentifiable(f"{run.source}: {error}") from error
     x, y = (rate_std_between(run, axis, "phase") for axis in ("x", "y"))
@@ -130,7 +130,7 @@ def fit_run_up_run(
 
 def _fit(
     sensors: list[tuple[np.ndarray, np.ndarray]],
-    phase: RotorPhase,
+    phase: PhaseHistory,
     clocks: Clocks,
     setting: Setting,
     without: frozenset[Rung],
@@ -141,7 +141,7 @@ def _fit(
     end = min(phase.end_s, *(float(t[-1]) for t, _ in sensors))
     if end - start < 1.0:
         raise NotIdentifiable(f"sensors and phase share {max(0.0, end - start):.3g} s; a passage takes longer")
-    drive = Drive.from_history(phase.history, start, end)
+    drive = Excitation.from_history(phase.history, start, end)
     pad = _PAD_S if clocks.apart else 0.0
     channels, warnings = list[Averages](), list[str]()
     for name, (time, value) in zip("xy", sensors, strict=True):
@@ -166,7 +166,7 @@ def _fit(
     design = design_at(record, structure, solution.minimum.theta)
     lags_known = clocks.apart or phase.wander_density * (end - start) > _MAX_WANDER_RAD2
 
-    def compared(at: Design) -> Comparison:
+    def compared(at: Design) -> ModelSelection:
         return compare(record, at, lags_known, bool(np.isfinite(phase.mark_rad)), setting, without)
 
     solution, design, comparison, doubt = smallest_adequate(
@@ -225,16 +225,16 @@ def _without_outlying_blocks(
 
 def _result(
     record: RunUpRecord,
-    phase: RotorPhase,
+    phase: PhaseHistory,
     solution: Solution,
     design: Design,
-    comparison: Comparison,
+    comparison: ModelSelection,
     doubt: Doubt | None,
     warnings: list[str],
     setting: Setting,
 ) -> RunUpFit:
     warnings = warnings + comparison.warnings
-    curves, correlated, rests = list[Curve](), 1.0, list[tuple[str, Averages, np.ndarray]]()
+    curves, correlated, rests = list[FittedCurve](), 1.0, list[tuple[str, Averages, np.ndarray]]()
     for axis, channel, residual in zip("xy", record.channels, solution.residuals, strict=True):
         metres = residual / channel.weight
         left = np.sqrt(max(0.0, float(np.var(metres) - np.mean(channel.weight**-2.0))))
@@ -245,7 +245,7 @@ def _result(
             )
         correlated = max(correlated, correlation_inflation(residual))
         rests.append((axis, channel, metres))
-        curves.append(Curve(f"run-up: {axis}", "m", channel.time_s, channel.value, channel.value - metres))
+        curves.append(FittedCurve(f"run-up: {axis}", "m", channel.time_s, channel.value, channel.value - metres))
     slow = wander_sentences(rests)
     warnings += slow
     chi2 = solution.chi2_per_dof
@@ -295,7 +295,7 @@ def _result(
 
 
 def _terms(
-    record: RunUpRecord, phase: RotorPhase, design: Design, stretch: float
+    record: RunUpRecord, phase: PhaseHistory, design: Design, stretch: float
 ) -> tuple[list[DirectionTerms], np.ndarray]:
     """Terms of the suspension for each direction, and covariance of all values with H1, H2, Q1, Q2, shape (n, 4)."""
     jacobian = reported(design, phase.mark_rad)[2]
@@ -319,7 +319,7 @@ def _terms(
 
 
 def _values(
-    record: RunUpRecord, phase: RotorPhase, design: Design, stretch: float | None
+    record: RunUpRecord, phase: PhaseHistory, design: Design, stretch: float | None
 ) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Names, values and covariance due to the noise of the sensors and of the phase.
 

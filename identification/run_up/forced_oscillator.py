@@ -31,7 +31,7 @@ _GAUSS_WEIGHT = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
 @dataclass(frozen=True)
-class Drive:
+class Excitation:
     """Drive e^{iψ} between two instants, at the points of the integration.
 
     Attributes:
@@ -51,7 +51,9 @@ class Drive:
     low_rad_s: float
 
     @classmethod
-    def from_history(cls, history: SpeedHistory, start_s: float, end_s: float, step_rad: float = STEP_RAD) -> Drive:
+    def from_history(
+        cls, history: SpeedHistory, start_s: float, end_s: float, step_rad: float = STEP_RAD
+    ) -> Excitation:
         """Build the drive between two instants, with a rotation of at most step_rad per step."""
         speed = np.abs(history.phase(np.linspace(start_s, end_s, 4096))[:, 1])
         top = float(speed.max())
@@ -64,7 +66,7 @@ class Drive:
         edge = np.column_stack([phasor, 1j * at_edges[:, 1] * phasor])
         return cls(history, start_s, step, np.exp(1j * inside).reshape(n, 3), edge, top, float(speed.min()))
 
-    def order(self, k: int) -> Drive:
+    def order(self, k: int) -> Excitation:
         """Return the drive of e^{ikψ}."""
         history = SpeedHistory(self.history.knots_s, k * self.history.coefficients)
         phasor, rates = self.phasor**k, self.edge[:, 1] / self.edge[:, 0]
@@ -96,7 +98,7 @@ class Response:
     decay_slope: np.ndarray
 
 
-def march(drive: Drive, omega: float, zeta: float, out: np.ndarray) -> None:
+def march(drive: Excitation, omega: float, zeta: float, out: np.ndarray) -> None:
     """Compute g, ġ, g̈ and both sensitivities with their rates on the drive's grid, into `out` of shape (n + 1, 7).
 
     An oscillation before the start of the grid is a free oscillation, which a fit contains as a separate term.
@@ -115,7 +117,7 @@ Instants = tuple[np.ndarray, np.ndarray]
 
 
 def responses_at(
-    when_s: np.ndarray, spread_s2: np.ndarray, drive: Drive, oscillators: list[tuple[float, float]]
+    when_s: np.ndarray, spread_s2: np.ndarray, drive: Excitation, oscillators: list[tuple[float, float]]
 ) -> list[Response]:
     """Compute the response of each oscillator (ω, ζ) in blocks.
 
@@ -130,7 +132,7 @@ def responses_at(
 
 
 def responses_of(
-    sensors: Sequence[Instants], drive: Drive, oscillators: list[tuple[float, float]]
+    sensors: Sequence[Instants], drive: Excitation, oscillators: list[tuple[float, float]]
 ) -> list[list[Response]]:
     """Compute the responses for several sensors from one integration. Sensors with equal blocks share the result."""
     grids = np.empty((len(oscillators), len(drive.edge), 7), dtype=np.complex128)

@@ -22,11 +22,11 @@ from functools import partial
 
 import numpy as np
 
-from identification.least_squares import Block, linear_unknowns
+from identification.least_squares import SeparableBlock, linear_unknowns
 from identification.ring_down.modes import rate_derivatives
 from identification.run_up.bent_passage import MOTION, BentPassage, Sensed
-from identification.run_up.forced_oscillator import Drive, Response, responses_at, responses_of
-from identification.run_up.slow_roll import Turning, bow_answer, turning
+from identification.run_up.forced_oscillator import Excitation, Response, responses_at, responses_of
+from identification.run_up.slow_roll import PhasorMeans, bow_answer, turning
 from identification.samples import Averages
 
 OMEGAS, ZETAS, ANGLE, DELAYS, DRIFTS, RIPPLE, PARAMETERS = (0, 2), (1, 3), 4, slice(5, 7), slice(7, 9), slice(9, 13), 13
@@ -52,7 +52,7 @@ class RunUpRecord:
 
     x: Averages
     y: Averages
-    drive: Drive
+    drive: Excitation
     recent: dict[tuple[float, ...], list[list[Response]]] = field(
         default_factory=dict[tuple[float, ...], list[list[Response]]], repr=False, compare=False
     )
@@ -156,7 +156,7 @@ def free_structure(prior: np.ndarray, prior_std: np.ndarray, drift_order: int) -
     return Structure(base, np.eye(len(prior))[:, free], prior[free], prior_std[free], drift_order)
 
 
-def run_up_blocks(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> list[Block]:
+def run_up_blocks(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> list[SeparableBlock]:
     """Evaluate the model at φ, one block per sensor."""
     theta = structure.theta(phi)
     oscillators = oscillators_of(theta)
@@ -172,7 +172,7 @@ def _bent_block(
     structure: Structure,
     theta: np.ndarray,
     oscillators: list[tuple[float, float]],
-) -> Block:
+) -> SeparableBlock:
     """Block of a sensor, linearised about the motion of its own linear unknowns, which Newton's method determines."""
     about = partial(_about, record, bent, axis, structure, theta, oscillators)
     at = structure.motion_at
@@ -199,7 +199,7 @@ def _about(
     oscillators: list[tuple[float, float]],
     c: np.ndarray,
     share: float = 1.0,
-) -> Block:
+) -> SeparableBlock:
     """Block of a sensor, linearised about the motion of given linear unknowns, with a share of the terms."""
     instants = record.when(theta, axis), record.channels[axis].spread_s2
     own, ratio = share * theta[TERMS], float(np.exp(theta[RATIO]))
@@ -213,8 +213,8 @@ def _as_long(c: np.ndarray, length: int) -> np.ndarray:
 
 
 def _newton(
-    about: Callable[[np.ndarray], Block], at: np.ndarray, c: np.ndarray, most: int
-) -> tuple[np.ndarray, Block, float]:
+    about: Callable[[np.ndarray], SeparableBlock], at: np.ndarray, c: np.ndarray, most: int
+) -> tuple[np.ndarray, SeparableBlock, float]:
     """Linear unknowns that solve the block linearised about them, the block, and its sum of squared residuals."""
     block = about(c)
     left = _left(block, at, c)
@@ -233,10 +233,10 @@ def _newton(
     return c, block, left
 
 
-def _left(block: Block, at: np.ndarray, c: np.ndarray) -> float:
+def _left(block: SeparableBlock, at: np.ndarray, c: np.ndarray) -> float:
     """Sum of squared residuals of a block for given values of some of its linear unknowns."""
     others: np.ndarray = np.setdiff1d(np.arange(block.basis.shape[1]), at)
-    rest = Block(block.data - block.basis[:, at] @ c, block.basis[:, others], block.tangent)
+    rest = SeparableBlock(block.data - block.basis[:, at] @ c, block.basis[:, others], block.tangent)
     left = rest.data - rest.basis @ linear_unknowns(rest)
     found = float(left @ left)
     return found if np.isfinite(found) else np.inf
@@ -256,7 +256,9 @@ def drift_columns(structure: Structure, from_middle: np.ndarray) -> list[np.ndar
     return [s**k for k in range(structure.drift_order + 1)]
 
 
-def _ripple(when_s: np.ndarray, channel: Averages, drive: Drive, oscillators: list[tuple[float, float]]) -> np.ndarray:
+def _ripple(
+    when_s: np.ndarray, channel: Averages, drive: Excitation, oscillators: list[tuple[float, float]]
+) -> np.ndarray:
     """Derivatives ∂h/∂(Re c1, Im c1, Re c2, Im c2) of both oscillators, shape (2, 4, n)."""
     back, second, third = (responses_at(when_s, channel.spread_s2, drive.order(k), oscillators) for k in (-1, 2, 3))
     return np.array([[s.h, 1j * s.h, t.h - b.h, 1j * (t.h + b.h)] for b, s, t in zip(back, second, third, strict=True)])
@@ -269,7 +271,7 @@ def _sensor_block(
     theta: np.ndarray,
     oscillators: list[tuple[float, float]],
     given: Sensed | None = None,
-) -> Block:
+) -> SeparableBlock:
     channel, drive = record.channels[axis], record.drive
     from_middle = channel.time_s - record.middle_s
     cos, sin = np.cos(theta[ANGLE]), np.sin(theta[ANGLE])
@@ -320,10 +322,10 @@ def _sensor_block(
         return (out.T @ structure.spread) * weight[:, None]
 
     value = channel.value if given is None else channel.value - given.offset
-    return Block(value * weight, basis, tangent)
+    return SeparableBlock(value * weight, basis, tangent)
 
 
-def _blocks_about_last(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> list[Block]:
+def _blocks_about_last(record: RunUpRecord, structure: Structure, phi: np.ndarray) -> list[SeparableBlock]:
     """Model at φ, linearised about the motion that was last found, for a structure with other free elements."""
     bent = record.bent
     if bent is None or len(bent.starts) < len(record.channels):
@@ -360,7 +362,7 @@ def _slow_roll(
     structure: Structure,
     when_s: np.ndarray,
     channel: Averages,
-    drive: Drive,
+    drive: Excitation,
     oscillators: list[tuple[float, float]],
     seen: list[Response],
     axis: int,
@@ -379,7 +381,7 @@ def _slow_roll(
     """
     if not (structure.run_out or structure.bow):
         return []
-    turn: Turning = turning(drive, when_s, channel.spread_s2)
+    turn: PhasorMeans = turning(drive, when_s, channel.spread_s2)
     found: list[_Slow] = []
     if structure.run_out:
         own = (1.0, -1j)[axis]  # sensor x shows Re(r e^{iψ}), sensor y Im(r e^{iψ})

@@ -6,7 +6,7 @@ import numpy as np
 
 from identification.errors import NotIdentifiable
 from identification.run_up.design import Design
-from identification.run_up.forced_oscillator import Drive
+from identification.run_up.forced_oscillator import Excitation
 from identification.run_up.model import ANGLE, AXIS_PRIOR_STD, DELAYS, RIPPLE
 from rig_basics.units import TO_RPM
 
@@ -66,7 +66,7 @@ def _polar(c: np.ndarray) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
 
 
 def determined(
-    drive: Drive, names: list[str], values: np.ndarray, covariance: np.ndarray, gains: tuple[float, float]
+    drive: Excitation, names: list[str], values: np.ndarray, covariance: np.ndarray, gains: tuple[float, float]
 ) -> tuple[list[int], list[str]]:
     """Return the indices of the values that the passage determines, and a message for each other value.
 

@@ -9,7 +9,7 @@ import numpy as np
 from daq.signals.run import Run
 from dynamics.equations.parameters import RotorParameters
 from identification.clocks import clock_errors
-from identification.curve import Curve
+from identification.curve import FittedCurve
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
 from identification.mass_slopes import mass_slopes
@@ -49,7 +49,7 @@ class RunUpFit:
     values: dict[str, float]
     covariance: np.ndarray
     warnings: list[str]
-    curves: list[Curve]
+    curves: list[FittedCurve]
     half_power: dict[str, tuple[float, float]]
     noise: list[float]
     chi2_per_dof: float

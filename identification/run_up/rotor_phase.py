@@ -48,7 +48,7 @@ class Rounding:
 
 
 @dataclass(frozen=True)
-class RotorPhase:
+class PhaseHistory:
     """Phase history and its noise.
 
     Attributes:
@@ -72,7 +72,7 @@ class RotorPhase:
     rounding: Rounding | None = None
 
     @classmethod
-    def from_samples(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> RotorPhase:
+    def from_samples(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> PhaseHistory:
         """Build the phase from samples, wrapped or not. NaN is left out.
 
         Readings are averaged over a fortieth of the fastest turn. The mean is corrected for the curvature of the phase.
@@ -133,7 +133,7 @@ class RotorPhase:
         )
 
     @classmethod
-    def from_marks(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> RotorPhase:
+    def from_marks(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> PhaseHistory:
         """Build the phase from tachometer marks, instants of known phase.
 
         Args:

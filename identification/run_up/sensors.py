@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from identification.errors import NotIdentifiable
-from identification.lines import Line, sentences, steady_lines
+from identification.lines import SpectralLine, sentences, steady_lines
 from identification.samples import Averages, block_averages, clipped, white_noise
 
 _MIN_BLOCKS = 200
@@ -75,7 +75,7 @@ def sensor_averages(
     return averages, warnings
 
 
-def _without_lines(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, list[Line]]:
+def _without_lines(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, list[SpectralLine]]:
     """Subtract steady lines; return the values and the lines. The motion of a passage has no steady frequency."""
     lines = steady_lines(time, value, np.ones(len(time), bool))
     for line in lines:

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.run_up.forced_oscillator import Drive, Response
+from identification.run_up.forced_oscillator import Excitation, Response
 from rig_basics.arrays import Array, Complex
 
 
 @dataclass(frozen=True)
-class Turning:
+class PhasorMeans:
     """Block means of e^{iψ} and its rate, shape (n,).
 
     Attributes:
@@ -40,7 +40,7 @@ class Turning:
     flat: Array
 
 
-def turning(drive: Drive, when_s: Array, spread_s2: Array) -> Turning:
+def turning(drive: Excitation, when_s: Array, spread_s2: Array) -> PhasorMeans:
     """Average e^{iψ} over blocks.
 
     Args:
@@ -50,7 +50,7 @@ def turning(drive: Drive, when_s: Array, spread_s2: Array) -> Turning:
     psi, speed, acceleration = drive.history.phase(when_s).T
     p = np.exp(1j * psi)
     flat = 1 - 0.5 * spread_s2 * speed**2
-    return Turning(p * (flat + 0.5j * spread_s2 * acceleration), 1j * speed * p, when_s, flat)
+    return PhasorMeans(p * (flat + 0.5j * spread_s2 * acceleration), 1j * speed * p, when_s, flat)
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class BowAnswer:
     by_zeta: Complex
 
 
-def bow_answer(seen: Response, turn: Turning, omega: float, zeta: float) -> BowAnswer:
+def bow_answer(seen: Response, turn: PhasorMeans, omega: float, zeta: float) -> BowAnswer:
     """Compute the response to a bow from the response to the imbalance.
 
     The rates of ∂h/∂ln ω and ∂h/∂ln ζ come from differences of neighbouring blocks; their factor is 2ζ.

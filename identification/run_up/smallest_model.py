@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from identification.least_squares import Solution
-from identification.run_up.choice import Comparison
+from identification.run_up.choice import ModelSelection
 from identification.run_up.design import Design, design_at
 from identification.run_up.model import RunUpRecord
 from identification.run_up.slow_roll_choice import Doubt, Solve, slow_roll_choice
@@ -17,10 +17,10 @@ def smallest_adequate(
     record: RunUpRecord,
     solution: Solution,
     design: Design,
-    compared: Callable[[Design], Comparison],
+    compared: Callable[[Design], ModelSelection],
     solve: Solve,
     slow_roll: bool = True,
-) -> tuple[Solution, Design, Comparison, Doubt | None]:
+) -> tuple[Solution, Design, ModelSelection, Doubt | None]:
     """Find the smallest adequate model.
 
     The slow roll is tried before the other rungs if it gains more than they do.

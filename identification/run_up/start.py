@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.errors import NotIdentifiable
-from identification.run_up.forced_oscillator import Drive, responses_of
+from identification.run_up.forced_oscillator import Excitation, responses_of
 from identification.samples import Averages
 
 _SAMPLES_PER_TURN = 16
@@ -53,7 +53,7 @@ class RunUpStart:
         return self.omegas[0] == self.omegas[1]
 
 
-def run_up_starts(channels: Sequence[Averages], drive: Drive, thorough: bool = False) -> list[RunUpStart]:
+def run_up_starts(channels: Sequence[Averages], drive: Excitation, thorough: bool = False) -> list[RunUpStart]:
     """Return start values from several denominators, best first.
 
     Args:
@@ -93,7 +93,7 @@ class _Spectra:
     phasor: tuple[np.ndarray, np.ndarray]
 
     @classmethod
-    def of(cls, channels: Sequence[Averages], drive: Drive) -> _Spectra:
+    def of(cls, channels: Sequence[Averages], drive: Excitation) -> _Spectra:
         step = 2 * np.pi / drive.top_rad_s / _SAMPLES_PER_TURN
         start = max(drive.start_s, *(c.time_s[0] for c in channels))
         end = min(drive.end_s, *(c.time_s[-1] for c in channels))
@@ -134,7 +134,7 @@ class _Spectra:
         return [(float(abs(r)), float(np.clip(-r.real / abs(r), 3e-4, 0.6))) for r in roots]
 
 
-def _beyond(channels: Sequence[Averages], drive: Drive, modes: list[tuple[float, float]]) -> list[RunUpStart]:
+def _beyond(channels: Sequence[Averages], drive: Excitation, modes: list[tuple[float, float]]) -> list[RunUpStart]:
     """Start values with a second resonance above the passed speeds, at its best frequency; empty without modes.
 
     Such a resonance changes the signal of its sensor only slightly and determines its frequency roughly. Speed ripple
@@ -159,7 +159,7 @@ def _real(columns: np.ndarray) -> np.ndarray:
     return np.concatenate([np.real(columns), np.imag(columns)])
 
 
-def _assigned(channels: Sequence[Averages], drive: Drive, pair: Sequence[tuple[float, float]]) -> RunUpStart:
+def _assigned(channels: Sequence[Averages], drive: Excitation, pair: Sequence[tuple[float, float]]) -> RunUpStart:
     """Assign two resonances to the directions, and estimate the angle between axes and sensors.
 
     The signal of each sensor is fitted as a free sum of both responses. For x = cos β Re(A h1) + sin β Im(A h2) and its

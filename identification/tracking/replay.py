@@ -13,7 +13,7 @@ from daq.signals.run import Run
 from dynamics.equations.parameters import RotorParameters
 from identification.errors import NotIdentifiable
 from identification.tracking.reference import FilterpyFilter
-from identification.tracking.tracker import STATE_NAMES, Sensors, Tracked, Tracker
+from identification.tracking.tracker import STATE_NAMES, SensorNoise, Tracked, Tracker
 from identification.tracking.unscented import LN_C3, filter_readings
 from rig_basics.arrays import Array
 
@@ -112,7 +112,7 @@ def track(
     released = {r.pendulum for r in run.releases}
     tracker = Tracker(
         physics,
-        Sensors(encoder_step_rad=run.angle_step_rad),
+        SensorNoise(encoder_step_rad=run.angle_step_rad),
         damping_std,
         (0 not in released, 1 not in released),
         imbalance_std=imbalance_std,

@@ -47,7 +47,7 @@ _MAX_WAITING = 400_000  # number of waiting readings; the oldest of more are dro
 
 
 @dataclass(frozen=True)
-class Sensors:
+class SensorNoise:
     """Noise of the readings.
 
     Attributes:
@@ -105,7 +105,7 @@ class Tracker:
     """
 
     physics: RotorParameters
-    sensors: Sensors = field(default_factory=Sensors)
+    sensors: SensorNoise = field(default_factory=SensorNoise)
     damping_std: float = 1.0
     released: tuple[bool, bool] = (True, True)
     lag_s: float = 0.05

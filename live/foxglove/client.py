@@ -19,7 +19,7 @@ from live.errors import InvalidRequest
 from live.foxglove.protocol import (
     ERROR,
     WARNING,
-    Block,
+    ChannelMessages,
     Offered,
     Subscribe,
     Unsubscribe,
@@ -49,7 +49,7 @@ class Turn:
         restarted: whether the clock may have gone back, because a viewer sought another place in a log.
     """
 
-    blocks: Sequence[Block]
+    blocks: Sequence[ChannelMessages]
     until_ns: int
     restarted: bool = False
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, pack_note
 from daq.log import Log
 from live.foxglove.client import Turn
-from live.foxglove.protocol import Block, Offered, offered
+from live.foxglove.protocol import ChannelMessages, Offered, offered
 from live.foxglove.server import FoxgloveServer
 from live.transport import Transport
 
@@ -20,7 +20,7 @@ _INTERVAL_S = 1 / 30
 _END_S = 5.0
 
 
-class Played:
+class LogMessages:
     """Messages of a log by time.
 
     Args:
@@ -50,14 +50,14 @@ class Played:
 
     def turn(self, after_ns: int, until_ns: int, restarted: bool = False) -> Turn:
         """Return the messages after one instant and up to another, ns since 1970."""
-        blocks: list[Block] = []
+        blocks: list[ChannelMessages] = []
         for number, time_ns, messages in self._samples:
             first, end = np.searchsorted(time_ns, [after_ns, until_ns], "right")
             if end > first:
-                blocks.append(Block(number, time_ns[first:end], messages[first:end].tobytes()))
+                blocks.append(ChannelMessages(number, time_ns[first:end], messages[first:end].tobytes()))
         first, end = np.searchsorted(self._note_ns, [after_ns, until_ns], "right")
         for time_ns, number, note in self._notes[first:end]:
-            blocks.append(Block(number, np.array([time_ns], np.int64), note))
+            blocks.append(ChannelMessages(number, np.array([time_ns], np.int64), note))
         return Turn(blocks, until_ns, restarted)
 
 
@@ -71,7 +71,7 @@ class LogSender:
         server: server of the connection.
     """
 
-    def __init__(self, played: Played, transport: Transport, origin_ns: int, server: FoxgloveServer) -> None:
+    def __init__(self, played: LogMessages, transport: Transport, origin_ns: int, server: FoxgloveServer) -> None:
         self._played, self._transport, self._origin_ns, self._server = played, transport, origin_ns, server
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._send, name="foxglove log", daemon=True)

@@ -75,7 +75,7 @@ class Offered:
 
 
 @dataclass(frozen=True)
-class Block:
+class ChannelMessages:
     """Messages of one channel, of equal size.
 
     Attributes:
@@ -154,7 +154,7 @@ def time_data(time_ns: int) -> bytes:
     return _TIME.pack(_TIME_OPCODE, time_ns)
 
 
-def in_order(blocks: Sequence[Block], wanted: Mapping[int, int]) -> Iterator[tuple[int, int, int, bytes]]:
+def in_order(blocks: Sequence[ChannelMessages], wanted: Mapping[int, int]) -> Iterator[tuple[int, int, int, bytes]]:
     """Merge the messages of several channels by time; equal times keep the order of the blocks.
 
     Args:

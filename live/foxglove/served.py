@@ -17,7 +17,7 @@ from daq.drivers.devices import channels_of
 from daq.version import software_version
 from live.errors import LiveError
 from live.foxglove.client import Turn
-from live.foxglove.protocol import Block, Offered, offered
+from live.foxglove.protocol import ChannelMessages, Offered, offered
 from live.foxglove.server import FoxgloveServer
 from live.newest import Rows
 from rig_configs.schema import Rig
@@ -44,15 +44,15 @@ class Packing:
         self._numbers = {each.topic: each.number for each in self.offered}
         self._held: list[NoteRow] = []
 
-    def samples(self, row: Rows) -> Block:
+    def samples(self, row: Rows) -> ChannelMessages:
         """Return the samples of one channel."""
         topic, time_ns, columns = row
-        return Block(self._numbers[topic], time_ns, self._channels[topic].pack(columns).tobytes())
+        return ChannelMessages(self._numbers[topic], time_ns, self._channels[topic].pack(columns).tobytes())
 
-    def note(self, row: NoteRow) -> Block:
+    def note(self, row: NoteRow) -> ChannelMessages:
         """Return one event or health report."""
         topic, time_ns, note = row
-        return Block(self._numbers[topic], np.array([time_ns], np.int64), pack_note(note))
+        return ChannelMessages(self._numbers[topic], np.array([time_ns], np.int64), pack_note(note))
 
     def turn(self, handed: Mapping[str, Any], wanted: Collection[int]) -> Turn:
         """Convert an update; notes that are newer than the samples are held until these arrive.

@@ -11,7 +11,7 @@ from typing import Any
 from daq import channels
 from daq.acquisition.session import Session
 from daq.drivers.devices import channels_of
-from daq.items import Event
+from daq.items import DeviceEvent
 from live.fed_process import FedProcess, drained
 from live.foxglove.served import NoteRow, run_foxglove
 from live.newest import Newest
@@ -55,7 +55,7 @@ class FoxgloveConnection(FedProcess):
         """Forward an open session from now on."""
         self._feed_from(session)
 
-    def _on_note(self, event: Event, host_ns: int) -> None:
+    def _on_note(self, event: DeviceEvent, host_ns: int) -> None:
         note = {"kind": event.kind, "device": event.device, "text": event.text, **event.facts}
         self._notes.append((channels.EVENTS_TOPIC, int(event.facts.get("time_ns", host_ns)), note))
 

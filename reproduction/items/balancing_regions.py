@@ -16,7 +16,7 @@ from dynamics.equations.balancing import PROPERLY_OVERSIZED, UNDERSIZED, balanci
 from dynamics.equations.parameters import RotorParameters
 from dynamics.steady.basins.single import ReleaseEnds, release_ends
 from reproduction.items.pendulum_sets import FROM_RAD, ZETA, isotropic_rig, with_moments
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 from rig_basics.arrays import Array
 
@@ -67,7 +67,7 @@ def regions_3_2(work: Workspace) -> Reproduced:
         if other.any():
             axes.plot(*(1e3 * s * pairs[other].T), "x", color="black", label="released: no end found")
         name_corners(axes, s, upto)
-    table = Table(
+    table = SourceTable(
         "releases",
         "Sets of pendulums, their type by (3-4), and where a release ends",
         {
@@ -169,7 +169,7 @@ def series_3_3(work: Workspace) -> Reproduced:
     }
     return Reproduced(
         (Panel("series", "Borders of the regions for four imbalances, one colour each.", figure),),
-        (Table("equal", "Equal pendulums against each imbalance", columns, shown=True),),
+        (SourceTable("equal", "Equal pendulums against each imbalance", columns, shown=True),),
         numbers_of(p) | {"speed_ratio": RATIO, "S_P_kg_m": "series"},
         (f"The series: {', '.join(f'{x:g}' for x in SERIES)} of the isotropic rig's S_P; the source's is lost.",),
         (

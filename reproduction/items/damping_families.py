@@ -16,7 +16,7 @@ from analysis.maps.families import SearchRange, best_value
 from dynamics.equations.parameters import RotorParameters
 from dynamics.stability.borders import Borders
 from reproduction.items.stability_plane import X_RANGE, Y_RANGE, borders_of_plane, frame_of_rig
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 
 _FAMILY_ZETA = (0.005, 0.02, 0.05, 0.1, 0.2)
@@ -52,9 +52,9 @@ def _draw_family(members: Sequence[Borders], names: Sequence[str], title: str, p
     return figure
 
 
-def _family_table(members: Sequence[Borders], values: Sequence[float], key: str) -> Table:
+def _family_table(members: Sequence[Borders], values: Sequence[float], key: str) -> SourceTable:
     parts = [(value, branch) for value, borders in zip(values, members, strict=True) for branch in borders.branches]
-    return Table(
+    return SourceTable(
         "borders",
         f"Borders for each {key}",
         {
@@ -106,7 +106,7 @@ def family_over_zeta_4_5(work: Workspace) -> Reproduced:
         ),
         (
             _family_table(members, _FAMILY_ZETA, "zeta"),
-            Table(
+            SourceTable(
                 "share",
                 "Stable share of the range over ζ",
                 {"zeta": best.values, "stable_share": best.shares},
@@ -155,7 +155,7 @@ def family_over_c34_4_6(work: Workspace) -> Reproduced:
         ),
         (
             _family_table(members, _FAMILY_C34, "c34_Nms_per_rad"),
-            Table(
+            SourceTable(
                 "share",
                 "Stable share of the range over c34",
                 {"c34_Nms_per_rad": wide, "stable_share": shares},

@@ -26,7 +26,7 @@ from dynamics.equations.periodic_matrix import (
 from dynamics.stability.floquet import piecewise, single_pass
 from dynamics.stability.floquet.methods import per_radian
 from reproduction.items.stability_plane import ON_LINE, X_RANGE, Y_RANGE, borders_of_plane, frame_of_rig
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 from rig_basics.arrays import Array
 from rig_configs import load_rig
@@ -82,7 +82,7 @@ def coarse_map_4_1(work: Workspace) -> Reproduced:
     }
     return Reproduced(
         (Panel("map", "Dots: stable, crosses: unstable; dashed lines: resonances Ω = 1 and Ω = √K.", figure),),
-        (Table("map", "Largest multiplier over a revolution at the points of the coarse grid", kept),),
+        (SourceTable("map", "Largest multiplier over a revolution at the points of the coarse grid", kept),),
         numbers_of(p),
         (_PLANE, "100 pieces a revolution; a tolerance of 1e-8 for the single pass, as the listing has."),
         (
@@ -160,7 +160,7 @@ def fine_map_4_2(work: Workspace) -> Reproduced:
     }
     return Reproduced(
         (Panel("map", "Shaded: stable. Dashed: resonances; dotted: the line of the points A to E.", figure),),
-        (Table("borders", "Borders as curves, each point within 1e-10 of the border", table),),
+        (SourceTable("borders", "Borders as curves, each point within 1e-10 of the border", table),),
         numbers_of(p),
         (_PLANE, "Speeds of A to E: they stand only in the figure, which is lost; the shipped rig's are taken."),
         (

@@ -25,7 +25,7 @@ from dynamics.equations.rolling_contact import (
 )
 from dynamics.motions.start_ups import random_starts
 from reproduction.items.start_ups import BALLS, PENDULUMS, PIN_ARM_M, SPEED, SPEED_RPM
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import ISOTROPIC, Workspace, numbers_of
 
 COUNT = 16
@@ -290,15 +290,15 @@ def _draw_sweeps(sweeps: dict[str, FrictionSweep]) -> Figure:
     return figure
 
 
-def _arm_table(arms: dict[str, float]) -> Table:
+def _arm_table(arms: dict[str, float]) -> SourceTable:
     pins = [f"pendulum, {kind}, {end}" for kind in ("ball bearing", "dry bushing") for end in ("least", "largest")]
     names = [*(f"ball, {name}" for name in arms), *pins]
     values = np.array([*arms.values(), *_BEARING, *_BUSHING])
-    return Table("arms", "Friction arms", {"what": names, "friction_arm_um": 1e6 * values}, shown=True)
+    return SourceTable("arms", "Friction arms", {"what": names, "friction_arm_um": 1e6 * values}, shown=True)
 
 
-def _sweep_table(number: int, name: str, sweep: FrictionSweep) -> Table:
-    return Table(
+def _sweep_table(number: int, name: str, sweep: FrictionSweep) -> SourceTable:
+    return SourceTable(
         f"scatter-{number + 1}",
         f"Start-ups over the friction arm: {name}",
         {

@@ -18,7 +18,7 @@ from dynamics.motions.frequency_response import frequency_response
 from dynamics.steady.basins.single import release_ends
 from dynamics.steady.singular_points import singular_points
 from reproduction.items.pendulum_sets import FROM_RAD, isotropic_rig, with_moments, without_pendulums
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 
 _RING_SCALE = 0.055  # in units of the plane
@@ -61,7 +61,7 @@ def gravity_circles_3_4(work: Workspace) -> Reproduced:
                 figure,
             ),
         ),
-        (Table("rings", "Rings", columns), curve),
+        (SourceTable("rings", "Rings", columns), curve),
         numbers_of(p),
         (f"S_P of the isotropic rig; rings at {_RING_SCALE:g} of the plane's scale, the axis at the set's place.",),
         (*_ring_claims(p, pairs, [d.inner_m * m for d, m in zip(disks, masses, strict=True)]), helped),
@@ -115,7 +115,7 @@ def _opposed(p: RotorParameters, share: float, ratio: float) -> float:
     return min(found, default=math.nan) / alone
 
 
-def _opposed_against_none(p: RotorParameters) -> tuple[Claim, Table]:
+def _opposed_against_none(p: RotorParameters) -> tuple[Claim, SourceTable]:
     """Return for which differences opposed pendulums reduce the amplitude, (3-7)."""
     shares = np.linspace(1.02, 2.6, 80)
     curves = {ratio: np.array([_opposed(p, float(x), ratio) for x in shares]) for ratio in _COMPARED}
@@ -144,7 +144,7 @@ def _opposed_against_none(p: RotorParameters) -> tuple[Claim, Table]:
             + ", ".join(f"{value:.3f} at Ω = {ratio:g}" for ratio, value in border.items())
             + f" (ζ = {p.zeta1:g}); released at Ω = 6, amplitude over that without a balancer for {shown}",
         ),
-        Table(
+        SourceTable(
             "opposed",
             "Amplitude of Type II over that without a balancer, by |S_A − S_B|/S_P",
             {"difference_over_S_P": shares} | {f"speed_ratio_{ratio:g}": c for ratio, c in curves.items()},

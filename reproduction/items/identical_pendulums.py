@@ -15,8 +15,8 @@ from analysis.figures.style import GREY, MEASURED, MODEL, label
 from dynamics import RotorParameters, Scene, SpeedHistory, simulate_batch
 from dynamics.motions.integrate import locked_state
 from reproduction.items.imbalance_curves import (
-    Compared,
     Series,
+    StartUpComparison,
     amplitude_claim,
     amplitude_figure,
     angle_claim,
@@ -26,7 +26,7 @@ from reproduction.items.imbalance_curves import (
     table_of,
 )
 from reproduction.items.switching import imperfect_curves, positions_claim, positions_figure, positions_table, rows_of
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 from rig_basics.arrays import Array
 
@@ -113,7 +113,7 @@ def positions_3_17(work: Workspace) -> Reproduced:
     uneven = float(np.max(np.abs(off[1:].sum(axis=1))))
     sides = {moment: _sides_by_start(p, moment) for moment in (0.002, 0.006)}
     random = [_random_starts(p, moment) for moment in _SIDES_KG_M]
-    starts = Table(
+    starts = SourceTable(
         "start-angles",
         "Side that a release ends on, by the start angles",
         {
@@ -123,7 +123,7 @@ def positions_3_17(work: Workspace) -> Reproduced:
             "A_above_180": [int(row[2]) for each in sides.values() for row in each],
         },
     )
-    shares = Table(
+    shares = SourceTable(
         "sides",
         "Releases from random angles: side of A",
         {
@@ -189,7 +189,7 @@ def _random_starts(p: RotorParameters, moment: float) -> tuple[int, int, int]:
     return int(np.sum(~high & ~together)), int(np.sum(high)), int(np.sum(together))
 
 
-def _start_figure(sides: dict[float, list[tuple[float, float, bool]]], rows: Sequence[Compared]) -> Figure:
+def _start_figure(sides: dict[float, list[tuple[float, float, bool]]], rows: Sequence[StartUpComparison]) -> Figure:
     with sheet(
         WIDTH_IN,
         3.9,
@@ -224,13 +224,13 @@ def _start_figure(sides: dict[float, list[tuple[float, float, bool]]], rows: Seq
     return figure
 
 
-def _started(row: Compared) -> tuple[float, float]:
+def _started(row: StartUpComparison) -> tuple[float, float]:
     """Return the offsets of the locked A and B from 0° and 180°, °, as measured by the encoders."""
     a, b = row.recorded.measured.locked_rad.tolist()
     return math.degrees(math.remainder(a, 2 * math.pi)), math.degrees(math.remainder(b - math.pi, 2 * math.pi))
 
 
-def _switching(rows: Sequence[Compared], p: RotorParameters) -> Claim:
+def _switching(rows: Sequence[StartUpComparison], p: RotorParameters) -> Claim:
     """Compare recorded sides with those of the model for the measured start angles."""
     own = [row for row in rows if row.state.type == "I"]
     ends = [_released(p, row.moment_kg_m, np.array([_started(row)]))[0] for row in own]

@@ -17,7 +17,7 @@ from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.style import label
 from dynamics import RotorParameters, SteadyBranches, SteadyState, steady_branches, steady_states
 from reproduction.recorded import Recorded, as_stated, recorded_points
-from reproduction.results import Claim, Table
+from reproduction.results import Claim, SourceTable
 from reproduction.workspace import ISOTROPIC, Workspace
 
 MOMENT = "first moment of the imbalance S_P, g m"
@@ -57,7 +57,7 @@ class Series:
         values = np.linspace(0.0, self.up_to_kg_m, 121)
         return steady_branches(lambda s: (p.with_values(SP_kg_m=s), p.speed_rad_s(self.speed_ratio)), values)
 
-    def as_turned(self, rows: Sequence[Compared]) -> Series:
+    def as_turned(self, rows: Sequence[StartUpComparison]) -> Series:
         """Return the series at the mean speed of the recordings, slightly below the commanded one."""
         ratios = [
             row.recorded.measured.speed_rad_s.value / row.recorded.rig.physics.natural_frequencies_rad_s[0]
@@ -84,7 +84,7 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Compared:
+class StartUpComparison:
     """A recorded start-up and the model's stable state at the measured speed.
 
     Attributes:
@@ -120,21 +120,21 @@ class Compared:
         return self.recorded.measured.theta_rad[0].value % (2 * math.pi) > math.pi
 
 
-def compared(found: Sequence[tuple[float, Recorded]]) -> list[Compared]:
+def compared(found: Sequence[tuple[float, Recorded]]) -> list[StartUpComparison]:
     """Compare each start-up with the model."""
-    out = list[Compared]()
+    out = list[StartUpComparison]()
     for moment, one in found:
         near = np.exp(1j * np.array([theta.value for theta in one.measured.theta_rad]))
         states = [s for s in steady_states(one.rig.physics, one.measured.speed_rad_s.value, 1e-9) if s.draws]
         best = min(states, key=lambda s: float(np.max(np.abs(np.exp(1j * np.array(s.theta_rad)) - near))))
-        out.append(Compared(moment, one, best))
+        out.append(StartUpComparison(moment, one, best))
     return out
 
 
-def table_of(rows: Sequence[Compared]) -> Table:
+def table_of(rows: Sequence[StartUpComparison]) -> SourceTable:
     """Return the table of the recordings."""
     measured = [row.recorded.measured for row in rows]
-    return Table(
+    return SourceTable(
         "recorded",
         "Recorded on the virtual rig, and the model at the measured speed",
         {
@@ -156,14 +156,14 @@ def table_of(rows: Sequence[Compared]) -> Table:
     )
 
 
-def curve_table(found: SteadyBranches, name: str = "curves", title: str = "Stable states by the model") -> Table:
+def curve_table(found: SteadyBranches, name: str = "curves", title: str = "Stable states by the model") -> SourceTable:
     """Return the stable branches as rows."""
     parts = found.stable_branches()
     stacked = [
         np.column_stack([b.values, np.degrees(b.theta_rad) % 360, b.amplitude_m, b.multiplier_max]) for b in parts
     ]
     rows = np.concatenate(stacked) if stacked else np.zeros((0, 5))
-    return Table(
+    return SourceTable(
         name,
         title,
         {
@@ -181,7 +181,7 @@ def curve_table(found: SteadyBranches, name: str = "curves", title: str = "Stabl
 def amplitude_figure(
     title: str,
     found: SteadyBranches,
-    rows: Sequence[Compared],
+    rows: Sequence[StartUpComparison],
     thin: Sequence[tuple[str, SteadyBranches]] = (),
     foot: str = "",
 ) -> Figure:
@@ -206,7 +206,7 @@ def amplitude_figure(
     return figure
 
 
-def points_of_amplitude(axes: Axes, rows: Sequence[Compared]) -> None:
+def points_of_amplitude(axes: Axes, rows: Sequence[StartUpComparison]) -> None:
     """Draw recorded amplitudes in mm with error bars."""
     measured = [row.recorded.measured.amplitude_m for row in rows]
     axes.errorbar(
@@ -223,7 +223,7 @@ def points_of_amplitude(axes: Axes, rows: Sequence[Compared]) -> None:
     )
 
 
-def angle_figure(title: str, found: SteadyBranches, rows: Sequence[Compared], foot: str = "") -> Figure:
+def angle_figure(title: str, found: SteadyBranches, rows: Sequence[StartUpComparison], foot: str = "") -> Figure:
     """Draw pendulum angles over S_P: A as circles, B as crosses."""
     with sheet(WIDTH_IN, 3.8, title, [_FOOT + foot]) as figure:
         axes: Axes = figure.subplots()
@@ -235,7 +235,7 @@ def angle_figure(title: str, found: SteadyBranches, rows: Sequence[Compared], fo
     return figure
 
 
-def points_of_angles(axes: Axes, rows: Sequence[Compared]) -> None:
+def points_of_angles(axes: Axes, rows: Sequence[StartUpComparison]) -> None:
     """Draw recorded angles in degrees with error bars."""
     moments = [1e3 * row.moment_kg_m for row in rows]
     for i, (which, sign, colour, size) in enumerate((("A", "o", A_COLOUR, 8), ("B", "x", B_COLOUR, 6))):
@@ -255,7 +255,7 @@ def points_of_angles(axes: Axes, rows: Sequence[Compared]) -> None:
         )
 
 
-def amplitude_claim(place: str, rows: Sequence[Compared]) -> Claim:
+def amplitude_claim(place: str, rows: Sequence[StartUpComparison]) -> Claim:
     """Compare recorded amplitudes with the model: χ² of whirling rotors, noise of those at rest."""
     whirling = [row for row in rows if row.state.amplitude_m >= 1e-9]
     resting = [row for row in rows if row.state.amplitude_m < 1e-9]
@@ -274,7 +274,7 @@ def amplitude_claim(place: str, rows: Sequence[Compared]) -> Claim:
     )
 
 
-def angle_claim(place: str, rows: Sequence[Compared]) -> Claim:
+def angle_claim(place: str, rows: Sequence[StartUpComparison]) -> Claim:
     """Compare recorded angles with the model: χ² of both pendulums."""
     z = np.array([row.angle_z for row in rows])
     chi2, count = float(np.sum(z**2)), z.size
@@ -288,6 +288,6 @@ def angle_claim(place: str, rows: Sequence[Compared]) -> Claim:
     )
 
 
-def _settled(rows: Sequence[Compared]) -> bool:
+def _settled(rows: Sequence[StartUpComparison]) -> bool:
     """Return whether all recordings reached a steady state; the angles show which one."""
     return all(row.recorded.measured.settling.settled for row in rows)

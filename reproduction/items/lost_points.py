@@ -17,9 +17,9 @@ from analysis.figures.style import label
 from dynamics.equations.balancing import IMPROPERLY_OVERSIZED, PROPERLY_OVERSIZED
 from dynamics.steady.point_loss import point_losses, speeds_at_loss
 from dynamics.steady.singular_points import singular_points
-from reproduction.items.point_sweeps import CASES, Bench, stable_types
+from reproduction.items.point_sweeps import CASES, SweepRig, stable_types
 from reproduction.items.slips import Ends, draw_ends, ends_counted, released, slip_rates_text, slip_verdict, turning
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 from rig_basics.arrays import Array
 
@@ -42,7 +42,7 @@ class _Map:
     several: int
 
 
-def _mapped(work: Workspace, bench: Bench, c34: float, done: float) -> _Map:
+def _mapped(work: Workspace, bench: SweepRig, c34: float, done: float) -> _Map:
     found, several = np.empty((len(RATIOS), len(ZETAS)), np.int64), 0
     for j, zeta in enumerate(ZETAS):
         p = bench.damped(float(zeta), c34)
@@ -65,7 +65,7 @@ def loss_3_7(work: Workspace) -> Reproduced:
 
 
 def _made(work: Workspace, region: str, number: str) -> Reproduced:
-    bench = Bench.of(work, next(case for case in CASES if case.region == region))
+    bench = SweepRig.of(work, next(case for case in CASES if case.region == region))
     maps = [_mapped(work, bench, c34, 0.25 * i) for i, c34 in enumerate((HEAVY, LIGHT))]
     at, ends = _releases(work, bench)
     with sheet(WIDTH_IN, 4.6, f"{number}: where singular points are lost, {region} pendulums", _FOOT) as figure:
@@ -89,8 +89,8 @@ def _made(work: Workspace, region: str, number: str) -> Reproduced:
             ),
         ),
         (
-            Table("map", "Type that is stable", columns),
-            Table(
+            SourceTable("map", "Type that is stable", columns),
+            SourceTable(
                 "releases",
                 "Where releases end",
                 {
@@ -121,7 +121,7 @@ _FOOT = (
 )
 
 
-def _draw(axes: Axes, bench: Bench, found: _Map) -> None:
+def _draw(axes: Axes, bench: SweepRig, found: _Map) -> None:
     axes.grid(False)
     axes.pcolormesh(
         ZETAS,
@@ -145,7 +145,7 @@ def _draw(axes: Axes, bench: Bench, found: _Map) -> None:
     label(axes, "damping ratio ζ", None, f"c34 = {found.c34:g} N m s/rad")
 
 
-def _releases(work: Workspace, bench: Bench) -> tuple[Array, Ends]:
+def _releases(work: Workspace, bench: SweepRig) -> tuple[Array, Ends]:
     """Return damping and speed of releases, shape (n, 2), and their ends; pendulum damping LIGHT."""
     zetas: Array = np.linspace(float(ZETAS[0]), float(ZETAS[-1]), RELEASED[0] + 2)[1:-1]
     ratios: Array = np.linspace(float(RATIOS[0]), float(RATIOS[-1]), RELEASED[1] + 2)[1:-1]
@@ -155,7 +155,7 @@ def _releases(work: Workspace, bench: Bench) -> tuple[Array, Ends]:
     return at, released(rigs, speeds, lambda share: work.progress(0.5 + 0.5 * share))
 
 
-def _border(bench: Bench, kind: str, zeta: float, below: bool) -> float:
+def _border(bench: SweepRig, kind: str, zeta: float, below: bool) -> float:
     """Return the speed ratio at which points of a type end, by bisection on the points themselves."""
     p = bench.damped(zeta, LIGHT)
     there, gone = (0.01, 1.0) if below else (100.0, 1.0)
@@ -166,7 +166,7 @@ def _border(bench: Bench, kind: str, zeta: float, below: bool) -> float:
     return there
 
 
-def _border_claims(bench: Bench, region: str, number: str) -> tuple[Claim, ...]:
+def _border_claims(bench: SweepRig, region: str, number: str) -> tuple[Claim, ...]:
     """Compare the closed form with the points, and the border over damping with the claim."""
     kinds = [loss for loss in point_losses(bench.damped(0.1, LIGHT)) if loss.speed_ratios]
     tried = (0.02, 0.1, 0.3, 0.5)
@@ -192,7 +192,7 @@ def _border_claims(bench: Bench, region: str, number: str) -> tuple[Claim, ...]:
     )
 
 
-def _first_stable(bench: Bench, zeta: float, c34: float, kind: str) -> float:
+def _first_stable(bench: SweepRig, zeta: float, c34: float, kind: str) -> float:
     """Return the lowest speed ratio from which a type is stable up to Ω = 2.5, on a grid of 0.5 %; NaN if never."""
     p = bench.damped(zeta, c34)
     first = math.nan
@@ -203,7 +203,7 @@ def _first_stable(bench: Bench, zeta: float, c34: float, kind: str) -> float:
     return first
 
 
-def _proper_claims(work: Workspace, bench: Bench, maps: list[_Map]) -> tuple[Claim, ...]:
+def _proper_claims(work: Workspace, bench: SweepRig, maps: list[_Map]) -> tuple[Claim, ...]:
     del work
     tried = (0.02, 0.1, 0.3, 0.5)
     first = {c34: [_first_stable(bench, z, c34, "I") for z in tried] for c34 in (1.0, HEAVY, 1e-2, LIGHT)}
@@ -215,10 +215,10 @@ def _proper_claims(work: Workspace, bench: Bench, maps: list[_Map]) -> tuple[Cla
     return (Claim("Figure 3.6", text, verdict, computed), _one_type(maps))
 
 
-def _improper_claims(work: Workspace, bench: Bench, maps: list[_Map]) -> tuple[Claim, ...]:
+def _improper_claims(work: Workspace, bench: SweepRig, maps: list[_Map]) -> tuple[Claim, ...]:
     two, three = point_losses(bench.damped(0.2, LIGHT))
     (low, _), (_, high) = three.speed_ratios[0], two.speed_ratios[0]
-    undersized = Bench.of(work, CASES[1])
+    undersized = SweepRig.of(work, CASES[1])
     missing = 0
     tried = [(z, r) for z in (0.0, 0.1, 1.0, 5.0) for r in (0.3, 0.9, 0.999, 1.001, 1.1, 3.0)]
     for zeta, ratio in tried:
@@ -255,7 +255,7 @@ def _one_type(maps: list[_Map]) -> Claim:
     )
 
 
-def _slip_claims(bench: Bench, at: Array, ends: Ends, number: str) -> tuple[Claim, Claim]:
+def _slip_claims(bench: SweepRig, at: Array, ends: Ends, number: str) -> tuple[Claim, Claim]:
     """Return claims on the motion where no point is stable, and on releases where one is."""
     types = [stable_types(bench.damped(z, LIGHT), r) for z, r in at.tolist()]
     bare, slips = np.array([not own for own in types]), turning(ends)

@@ -17,7 +17,7 @@ from dynamics.equations.linearised import type_one
 from dynamics.equations.parameters import RotorParameters
 from dynamics.stability.floquet import piecewise
 from reproduction.items.stability_plane import frame_of_rig
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 from rig_basics.arrays import Array
 
@@ -59,7 +59,7 @@ def largest_multiplier_4_3(work: Workspace) -> Reproduced:
     return Reproduced(
         (Panel("cylinder", "Multipliers of largest modulus over the speed ratio, with the unit cylinder.", figure),),
         (
-            Table(
+            SourceTable(
                 "largest",
                 "The multiplier of largest modulus over one revolution along K = 14.9",
                 {"speed_ratio": _RATIOS, "real": largest.real, "imaginary": largest.imag},
@@ -147,7 +147,7 @@ def three_views_4_4(work: Workspace) -> Reproduced:
         columns |= {f"real_{i + 1}": spectra[:, i].real, f"imaginary_{i + 1}": spectra[:, i].imag}
     return Reproduced(
         (Panel("views", "All eight multipliers from above, from the side, and along the cylinder's axis.", figure),),
-        (Table("multipliers", "All multipliers over one revolution along K = 14.9", columns),),
+        (SourceTable("multipliers", "All multipliers over one revolution along K = 14.9", columns),),
         numbers_of(p),
         ("Ω = 0.5 … 6.5.",),
         (

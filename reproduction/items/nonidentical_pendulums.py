@@ -11,8 +11,8 @@ from dynamics import Scene, SpeedHistory, SteadyBranches, balancing_region, simu
 from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.integrate import locked_state
 from reproduction.items.imbalance_curves import (
-    Compared,
     Series,
+    StartUpComparison,
     amplitude_claim,
     amplitude_figure,
     angle_claim,
@@ -21,7 +21,7 @@ from reproduction.items.imbalance_curves import (
     curve_table,
     table_of,
 )
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 
 MASSES_KG = (0.019, 0.037, 0.055)
@@ -51,7 +51,9 @@ def _title(series: Series, what: str) -> str:
     return f"{what} {where} resonance, Ω = {series.speed_ratio:.4g}: M_A = 0.075 kg, M_B = {MAIN_KG:g} kg"
 
 
-def _tables(found: SteadyBranches, rows: list[Compared], others: list[tuple[str, SteadyBranches]]) -> tuple[Table, ...]:
+def _tables(
+    found: SteadyBranches, rows: list[StartUpComparison], others: list[tuple[str, SteadyBranches]]
+) -> tuple[SourceTable, ...]:
     more = [curve_table(one, f"curves-{name[6:11]}", f"Stable states with {name}") for name, one in others]
     return (table_of(rows), curve_table(found), *more)
 
@@ -78,7 +80,7 @@ def amplitude_below_3_11(work: Workspace) -> Reproduced:
         ms=5,
         label="slipping together, integrated",
     )
-    slip_table = Table(
+    slip_table = SourceTable(
         "slipping",
         "Whirl of slipping pendulums where no steady state exists",
         {
@@ -189,7 +191,7 @@ def positions_below_3_12(work: Workspace) -> Reproduced:
     )
 
 
-def _apart(row: Compared) -> tuple[float, float]:
+def _apart(row: StartUpComparison) -> tuple[float, float]:
     """Return θ3 − θ4 and its standard deviation, rad."""
     a, b = row.recorded.measured.theta_rad
     return math.remainder(a.value - b.value, 2 * math.pi), math.hypot(a.std, b.std)

@@ -20,7 +20,7 @@ from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import DynamicsError
 from dynamics.steady.point_loss import point_losses
 from reproduction.items.slips import Ends, draw_ends, ends_counted, released, slip_rates_text, slip_verdict, turning
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 from rig_basics.arrays import Array
 
@@ -85,12 +85,12 @@ def open_lost_points(work: Workspace) -> Reproduced:
             ),
         ),
         (
-            Table(
+            SourceTable(
                 "map",
                 "Types of stable steady states",
                 {"zeta": [z for z, _ in places], "speed_ratio": [r for _, r in places], "stable": names},
             ),
-            Table(
+            SourceTable(
                 "releases",
                 "Where releases end",
                 {

@@ -23,7 +23,7 @@ from dynamics.stability.borders import stability_borders
 from dynamics.stability.map_plane import SpeedStiffnessPlane
 from dynamics.steady.reaction import Reaction, reaction
 from dynamics.steady.steady_state import SteadyState
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 from rig_basics.arrays import Array
 from rig_basics.units import TO_RPM
@@ -116,7 +116,7 @@ def gravity(work: Workspace) -> Reproduced:
             ),
         ),
         (
-            Table(
+            SourceTable(
                 "gravity",
                 "Stable states with gravity in the disk's plane",
                 {"speed_ratio": _GRAVITY_RATIOS, "state": kinds, "vibration_um": left, "swing_deg": swing},
@@ -208,12 +208,14 @@ def pendulum_damping(work: Workspace) -> Reproduced:
             ),
         ),
         (
-            Table(
+            SourceTable(
                 "time-constants",
                 "Slowest time constant of the balanced state over c34, s",
                 {"c34_Nms_per_rad": _C34, **{f"{name}_s": values for name, values in constants.items()}},
             ),
-            Table("shares", "Stable share of the plane over c34", {"c34_Nms_per_rad": wide, "stable_share": shares}),
+            SourceTable(
+                "shares", "Stable share of the plane over c34", {"c34_Nms_per_rad": wide, "stable_share": shares}
+            ),
         ),
         numbers_of(p) | {"c3_Nms_per_rad": "1e-4 … 0.1", "c4_Nms_per_rad": "1e-4 … 0.1"},
         ("Best is what dies out fastest: the slowest time constant, by the largest multiplier.",),
@@ -291,7 +293,7 @@ def type_three(work: Workspace) -> Reproduced:
                 figure,
             ),
         ),
-        (Table("classes", "Stable types over the plane", {**columns, **names}),),
+        (SourceTable("classes", "Stable types over the plane", {**columns, **names}),),
         numbers_of(p) | {"zeta1": "0.02, 0.05", "zeta2": "0.02, 0.05"},
         ("Type III is found as a periodic orbit and judged by its own multipliers.",),
         tuple(claims),
@@ -348,7 +350,7 @@ def imbalance_step(work: Workspace) -> Reproduced:
                 figure,
             ),
         ),
-        (Table("reaction", "Reaction time over c34, s", {"c34_Nms_per_rad": _STEP_C34, **columns}, shown=True),),
+        (SourceTable("reaction", "Reaction time over c34, s", {"c34_Nms_per_rad": _STEP_C34, **columns}, shown=True),),
         numbers_of(p) | {"change": f"S_P × {_STEP:g}"},
         (
             f"The imbalance grows by {100 * (_STEP - 1):.0f} % at once, the rotor's mass stays, the speed is held.",

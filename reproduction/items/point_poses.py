@@ -18,7 +18,7 @@ from dynamics.steady.point_eigenvalues import point_eigenvalues, stability_of
 from dynamics.steady.singular_points import SingularPoint, singular_points
 from dynamics.steady.whirl import circular_whirl
 from reproduction.items.pendulum_sets import isotropic_rig, with_moments
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 
 _ZETA = 0.05
@@ -117,7 +117,7 @@ def types_3_5(work: Workspace) -> Reproduced:
                 figure,
             ),
         ),
-        (Table("points", "Singular points drawn", columns, shown=True),),
+        (SourceTable("points", "Singular points drawn", columns, shown=True),),
         numbers_of(p),
         (
             f"One set of numbers for each, ζ = {_ZETA:g}; the source draws them without numbers. II: M_B = 19 g, "

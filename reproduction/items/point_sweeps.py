@@ -27,7 +27,7 @@ ABSENT = 2
 
 
 @dataclass(frozen=True)
-class Case:
+class PendulumSet:
     """A pendulum set in a region: S_A and S_B over S_P, A the heavier."""
 
     region: str
@@ -35,18 +35,22 @@ class Case:
     b: float
 
 
-CASES = (Case(PROPERLY_OVERSIZED, 1.1, 0.7), Case(UNDERSIZED, 0.5, 0.3), Case(IMPROPERLY_OVERSIZED, 1.7, 0.5))
+CASES = (
+    PendulumSet(PROPERLY_OVERSIZED, 1.1, 0.7),
+    PendulumSet(UNDERSIZED, 0.5, 0.3),
+    PendulumSet(IMPROPERLY_OVERSIZED, 1.7, 0.5),
+)
 
 
 @dataclass(frozen=True)
-class Bench:
+class SweepRig:
     """The rig of a region, with adjustable dampings."""
 
-    case: Case
+    case: PendulumSet
     rig: RotorParameters
 
     @classmethod
-    def of(cls, work: Workspace, case: Case) -> Bench:
+    def of(cls, work: Workspace, case: PendulumSet) -> SweepRig:
         """Return the isotropic rig with a case's pendulums."""
         p = isotropic_rig(work)
         s = p.imbalance_moment_kg_m
@@ -82,7 +86,7 @@ def points_of(p: RotorParameters, ratio: float, kind: str) -> list[SingularPoint
     return [point for point in singular_points(p, p.speed_rad_s(ratio)) if point.type == kind][::-1]
 
 
-def swept(bench: Bench, operation: str, kind: str) -> Swept:
+def swept(bench: SweepRig, operation: str, kind: str) -> Swept:
     """Compute the stability of a type's points over SPEEDS, ZETAS and C34."""
     speeds = SPEEDS[operation]
     stable = np.full((2, len(speeds), len(ZETAS), len(C34)), ABSENT, np.int64)
@@ -96,7 +100,7 @@ def swept(bench: Bench, operation: str, kind: str) -> Swept:
     return Swept(stable, speeds)
 
 
-def real_parts(bench: Bench, operation: str, kind: str, c34: Sequence[float]) -> list[NDArray[np.float64]]:
+def real_parts(bench: SweepRig, operation: str, kind: str, c34: Sequence[float]) -> list[NDArray[np.float64]]:
     """Return real parts of both sets' eigenvalues over c34 at SHOWN_SPEED and SHOWN_ZETA, shape (c34, 8) each, 1/s."""
     ratio = SHOWN_SPEED[operation]
     points = points_of(bench.damped(SHOWN_ZETA, c34[0]), ratio, kind)

@@ -15,7 +15,7 @@ from analysis.prediction import known_axis_angle
 from analysis.results import PointResult
 from analysis.rig_model import RigModel
 from reproduction.recordings import KnownRig, known_rig, recorded_point
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 from rig_basics.units import TO_RPM
 
@@ -103,7 +103,7 @@ def _point(work: Workspace, name: str) -> Reproduced:
     )
 
 
-def _scores(judged: PointResult) -> Table:
+def _scores(judged: PointResult) -> SourceTable:
     """Return measured and predicted steady values with their standard deviations."""
     values = judged.to_json()
     names = [n for n in values["measured"] if n in values["predicted"] and values["measured"][n] is not None]
@@ -111,4 +111,4 @@ def _scores(judged: PointResult) -> Table:
         key: np.array([math.nan if values[key][n] is None else values[key][n] for n in names])
         for key in ("measured", "measured_std", "predicted", "predicted_std")
     }
-    return Table("steady", "Steady values, measured and predicted", {"quantity": names, **columns}, shown=True)
+    return SourceTable("steady", "Steady values, measured and predicted", {"quantity": names, **columns}, shown=True)

@@ -30,7 +30,7 @@ from reproduction.items.shifted_pivots import (
     released,
 )
 from reproduction.recorded import Recorded, as_stated, recorded_points
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import ISOTROPIC, Workspace, numbers_of
 from rig_basics.arrays import Array
 
@@ -123,8 +123,8 @@ def _range_deg(one: Recorded) -> Array:
     return 0.5 * np.degrees(np.ptp(run.angle_rad[late], axis=0))
 
 
-def _row_table(rows: list[_Row]) -> Table:
-    return Table(
+def _row_table(rows: list[_Row]) -> SourceTable:
+    return SourceTable(
         "recorded",
         "Recorded on the virtual rig",
         {
@@ -251,9 +251,9 @@ def _scatter(p: RotorParameters, found: ShiftedPivot, friction: dict[float, Arra
     return out
 
 
-def _friction_table(p: RotorParameters, found: ShiftedPivot, friction: dict[float, Array]) -> Table:
+def _friction_table(p: RotorParameters, found: ShiftedPivot, friction: dict[float, Array]) -> SourceTable:
     rows = _scatter(p, found, friction)
-    return Table(
+    return SourceTable(
         "friction",
         f"Releases from {_FRICTION_STARTS} random angles with dry friction",
         {

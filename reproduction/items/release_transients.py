@@ -17,7 +17,7 @@ from analysis.steady_state import locked_radius_m
 from dynamics import RotorParameters
 from reproduction.items.imbalance_curves import Series
 from reproduction.recorded import Recorded
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 from rig_basics.arrays import Array
 
@@ -72,7 +72,7 @@ def _release(work: Workspace, number: str, mass_b: float) -> Reproduced:
     return Reproduced(
         (Panel("release", description, _figure(title, recorded, simulated)),),
         (
-            Table(
+            SourceTable(
                 "angles",
                 "Pendulum angles, recorded and simulated",
                 {
@@ -83,7 +83,7 @@ def _release(work: Workspace, number: str, mass_b: float) -> Reproduced:
                     "theta4_model_deg": pair.angle_model_deg[:, 1],
                 },
             ),
-            Table(
+            SourceTable(
                 "displacements",
                 "Displacements, recorded and simulated",
                 {

@@ -15,7 +15,7 @@ from analysis.figures.style import GOOD, GREY, MEASURED, MODEL, label
 from dynamics import Pendulum, Scene, SpeedHistory, simulate, steady_states
 from dynamics.equations.parameters import RotorParameters
 from dynamics.motions.frequency_response import frequency_response, light_pendulum_torque
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import ISOTROPIC, Workspace, numbers_of
 
 _DAMPINGS = (0.05, 0.1, 0.2, 0.4, 0.7)
@@ -51,7 +51,7 @@ def frequency_response_2_2(work: Workspace) -> Reproduced:
     resonance = [float(lags[1]) for lags in at.values()]
     return Reproduced(
         (Panel("response", "Amplification above, phase lag below, one curve a damping ratio.", figure),),
-        (Table("response", "Amplification and phase lag over the speed ratio", columns),),
+        (SourceTable("response", "Amplification and phase lag over the speed ratio", columns),),
         numbers_of(rigs[0.05]) | {"zeta1": "0.05 … 0.7", "zeta2": "0.05 … 0.7"},
         ("The damping ratios: the source's figure names its own, its text does not.",),
         (
@@ -142,7 +142,7 @@ def forces_2_3(work: Workspace) -> Reproduced:
                 figure,
             ),
         ),
-        (Table("torque", "Torque over M R ω² |z| by the pendulum's angle from the imbalance", columns),),
+        (SourceTable("torque", "Torque over M R ω² |z| by the pendulum's angle from the imbalance", columns),),
         numbers_of(p) | {"pendulum_kg": _LIGHT_KG},
         (f"Ω = 0.7, 1, 1.8 and ζ = {_ZETA:g}: the source draws three cases and gives no numbers.",),
         tuple(

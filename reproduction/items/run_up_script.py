@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.style import MEASURED, MODEL, label
 from dynamics.derivation.misprint_numbers import SCRIPT_SPEED_RAD_S, script_rig
-from dynamics.derivation.run_up_faults import Faults, Release, release
-from reproduction.results import Claim, Panel, Reproduced, Table
+from dynamics.derivation.run_up_faults import PrintedFaults, ReleaseMotion, release
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 
 _BEFORE_S, _SHOWN_S = 3.0, 10.0
@@ -21,8 +21,10 @@ _BEFORE_S, _SHOWN_S = 3.0, 10.0
 def run_up_script(work: Workspace) -> Reproduced:
     """Plot as the program does: Θ1, Θ2 in the turning frame and the pendulums, from 3 s before the release."""
     p = script_rig()
-    right = release(p, SCRIPT_SPEED_RAD_S, Faults(), free_s=30.0)
-    faulty = release(p, SCRIPT_SPEED_RAD_S, Faults(without_reaction=True, integrates_locked_speed=True), free_s=30.0)
+    right = release(p, SCRIPT_SPEED_RAD_S, PrintedFaults(), free_s=30.0)
+    faulty = release(
+        p, SCRIPT_SPEED_RAD_S, PrintedFaults(without_reaction=True, integrates_locked_speed=True), free_s=30.0
+    )
     with sheet(WIDTH_IN, 5.4, "The run-up program: faulty equations and right ones, its own numbers") as figure:
         grid: list[Axes] = figure.subplots(3, 1, sharex=True).tolist()
         for run, colour, dashes, name in (
@@ -47,7 +49,7 @@ def run_up_script(work: Workspace) -> Reproduced:
         columns |= {f"theta3_deg_{name}": angles[:, 0], f"theta4_deg_{name}": angles[:, 1]}
     return Reproduced(
         (Panel("run", "The disk's centre in the turning frame and both pendulums, as the program plots.", figure),),
-        (Table("run", "Both runs from 3 s before the release", columns),),
+        (SourceTable("run", "Both runs from 3 s before the release", columns),),
         numbers_of(p) | {"speed_rad_s": SCRIPT_SPEED_RAD_S},
         (
             "The program's locks: 0° and 180° + 0.001 rad, 12 s of full speed before the release.",
@@ -57,7 +59,7 @@ def run_up_script(work: Workspace) -> Reproduced:
     )
 
 
-def _claims(right: Release, faulty: Release) -> tuple[Claim, ...]:
+def _claims(right: ReleaseMotion, faulty: ReleaseMotion) -> tuple[Claim, ...]:
     speeds = [math.degrees(v) for v in faulty.speed_at_release_rad_s]
     before = [
         1e3 * float(np.sqrt(np.mean(run.radius_m[run.released - 200 : run.released] ** 2))) for run in (right, faulty)
@@ -94,14 +96,14 @@ def _claims(right: Release, faulty: Release) -> tuple[Claim, ...]:
     )
 
 
-def _part(run: Release) -> tuple[np.ndarray, np.ndarray]:
+def _part(run: ReleaseMotion) -> tuple[np.ndarray, np.ndarray]:
     """Return the times from 3 s before the release, and the states at these times."""
     time = run.time_s - run.time_s[run.released] + _BEFORE_S
     inside = (time >= 0) & (time <= _SHOWN_S)
     return time[inside], run.state[inside]
 
 
-def _shown(run: Release) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+def _shown(run: ReleaseMotion) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Return times, and the disk's centre in the turning frame along the imbalance and across it, m."""
     time, state = _part(run)
     start = run.time_s[run.released] - _BEFORE_S

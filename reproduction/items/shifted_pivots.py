@@ -17,7 +17,7 @@ from analysis.figures.style import GREY, label
 from dynamics import RotorParameters, Scene, SpeedHistory, locked_orbit, simulate_batch
 from dynamics.motions.integrate import locked_state
 from dynamics.steady.pivot_shift import ShiftedPivot, shifted_pivot
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import ISOTROPIC, Workspace, numbers_of
 from rig_basics.arrays import Array
 
@@ -47,10 +47,10 @@ def computed(work: Workspace, ratio: float = SPEED_RATIO) -> tuple[RotorParamete
     return p, shifted_pivot(p, p.speed_rad_s(ratio), _SHIFTS)
 
 
-def curve_table(found: ShiftedPivot) -> Table:
+def curve_table(found: ShiftedPivot) -> SourceTable:
     """Return the stable state as rows."""
     shift, alpha = found.ratio
-    return Table(
+    return SourceTable(
         "curve",
         "Stable state over the relative shift",
         {

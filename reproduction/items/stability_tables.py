@@ -28,13 +28,13 @@ from reproduction.items.point_sweeps import (
     SUB,
     SUPER,
     ZETAS,
-    Bench,
+    SweepRig,
     Swept,
     points_of,
     real_parts,
     swept,
 )
-from reproduction.results import Claim, Panel, Reproduced, Table, Verdict
+from reproduction.results import Claim, Panel, Reproduced, SourceTable, Verdict
 from reproduction.workspace import Workspace, numbers_of
 
 _CURVES_C34 = tuple(float(c) for c in np.logspace(-5, 0, 61))
@@ -57,7 +57,7 @@ _TABLE_3_3[SUPER, UNDERSIZED] = (False, True)
 def table_3_1(work: Workspace) -> Reproduced:
     """Reproduce Table 3.1: Type I."""
     made = _made(work, "I", "3.1", _TABLE_3_1)
-    outside = [swept(Bench.of(work, case), op, "I") for case in CASES[1:] for op in (SUB, SUPER)]
+    outside = [swept(SweepRig.of(work, case), op, "I") for case in CASES[1:] for op in (SUB, SUPER)]
     met = sum(int(np.sum(one.stable != ABSENT)) for one in outside)
     claim = Claim.judged(
         "Table 3.1",
@@ -65,11 +65,11 @@ def table_3_1(work: Workspace) -> Reproduced:
         met == 0,
         f"{sum(one.stable[0].size for one in outside)} places of undersized and improperly oversized sets: {met}",
     )
-    grown = _grown(Bench.of(work, CASES[0]))
+    grown = _grown(SweepRig.of(work, CASES[0]))
     return Reproduced(made.panels, made.tables, made.parameters, made.assumed, (*made.claims, claim, grown))
 
 
-def _grown(bench: Bench) -> Claim:
+def _grown(bench: SweepRig) -> Claim:
     """Compare the growth of an unstable Type I above resonance, integrated from near it, with its eigenvalue."""
     ratio = 1.1
     p = bench.damped(SHOWN_ZETA, SHOWN_C34)
@@ -104,7 +104,7 @@ def table_3_3(work: Workspace) -> Reproduced:
 
 
 def _made(work: Workspace, kind: str, number: str, cells: Cells) -> Reproduced:
-    benches = {case.region: Bench.of(work, case) for case in CASES}
+    benches = {case.region: SweepRig.of(work, case) for case in CASES}
     found = dict[tuple[str, str], Swept]()
     curves = dict[tuple[str, str], list[NDArray[np.float64]]]()
     for i, (operation, region) in enumerate(cells):
@@ -185,13 +185,13 @@ def _some(zetas: list[float]) -> str:
     return "all" if len(zetas) == len(ZETAS) else ", ".join(f"{z:g}" for z in zetas)
 
 
-def _cells(found: dict[tuple[str, str], Swept], cells: Cells, kind: str) -> Table:
+def _cells(found: dict[tuple[str, str], Swept], cells: Cells, kind: str) -> SourceTable:
     rows = [
         (operation, region, name, "stable" if claimed[i] else "unstable", own)
         for (operation, region), claimed in cells.items()
         for i, (name, own) in enumerate(zip(_ROMAN[kind], found[operation, region].stable, strict=True))
     ]
-    return Table(
+    return SourceTable(
         "cells",
         f"Type {kind} over the sweep",
         {
@@ -207,17 +207,17 @@ def _cells(found: dict[tuple[str, str], Swept], cells: Cells, kind: str) -> Tabl
     )
 
 
-def _curve_table(curves: dict[tuple[str, str], list[NDArray[np.float64]]], kind: str) -> Table:
+def _curve_table(curves: dict[tuple[str, str], list[NDArray[np.float64]]], kind: str) -> SourceTable:
     columns: dict[str, NDArray[np.float64]] = {"c34_Nms_per_rad": np.array(_CURVES_C34)}
     for (operation, region), both in curves.items():
         for name, own in zip(_ROMAN[kind], both, strict=False):
             start = f"{operation} {region} {name}"
             columns |= {f"{start} real_{i + 1}_1_per_s": own[:, i] for i in range(8)}
-    return Table("real-parts", "Real parts of the eigenvalues over c34", columns)
+    return SourceTable("real-parts", "Real parts of the eigenvalues over c34", columns)
 
 
 def _drawn(
-    benches: dict[str, Bench],
+    benches: dict[str, SweepRig],
     curves: dict[tuple[str, str], list[NDArray[np.float64]]],
     cells: Cells,
     kind: str,
@@ -239,7 +239,7 @@ def _drawn(
     return figure
 
 
-def _place(axes: Axes, bench: Bench, operation: str) -> None:
+def _place(axes: Axes, bench: SweepRig, operation: str) -> None:
     s = bench.rig.imbalance_moment_kg_m
     draw_regions(axes, s, 2.2 * s)
     for patch in (*axes.patches, *axes.lines):

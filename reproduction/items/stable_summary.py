@@ -24,11 +24,11 @@ from reproduction.items.point_sweeps import (
     SUB,
     SUPER,
     ZETAS,
-    Bench,
+    SweepRig,
     Swept,
     swept,
 )
-from reproduction.results import Claim, Panel, Reproduced, Table, Verdict
+from reproduction.results import Claim, Panel, Reproduced, SourceTable, Verdict
 from reproduction.workspace import Workspace, numbers_of
 
 _KINDS = ("I", "II", "III")
@@ -49,7 +49,7 @@ Sweeps = dict[Cell, dict[str, Swept]]
 
 def table_3_4(work: Workspace) -> Reproduced:
     """Reproduce Table 3.4, and the summary of section 3.1."""
-    benches = {case.region: Bench.of(work, case) for case in CASES}
+    benches = {case.region: SweepRig.of(work, case) for case in CASES}
     sweeps = Sweeps()
     for i, (operation, region) in enumerate(_SAID):
         sweeps[operation, region] = {kind: swept(benches[region], operation, kind) for kind in _KINDS}
@@ -116,7 +116,7 @@ def _where(places: NDArray[np.bool_], operation: str) -> str:
     )
 
 
-def _summary(benches: dict[str, Bench], stable: dict[Cell, dict[str, NDArray[np.bool_]]]) -> tuple[Claim, ...]:
+def _summary(benches: dict[str, SweepRig], stable: dict[Cell, dict[str, NDArray[np.bool_]]]) -> tuple[Claim, ...]:
     """Return the text's claims on its own tables."""
     counts = {cell: sum(own.astype(int) for own in kinds.values()) for cell, kinds in stable.items()}
     most = max(int(np.max(count)) for count in counts.values())
@@ -166,7 +166,7 @@ def _summary(benches: dict[str, Bench], stable: dict[Cell, dict[str, NDArray[np.
     )
 
 
-def _table(sweeps: Sweeps, stable: dict[Cell, dict[str, NDArray[np.bool_]]]) -> Table:
+def _table(sweeps: Sweeps, stable: dict[Cell, dict[str, NDArray[np.bool_]]]) -> SourceTable:
     columns: dict[str, list[str] | list[float]] = {
         "operation": [cell[0] for cell in _SAID],
         "region": [cell[1] for cell in _SAID],
@@ -176,10 +176,10 @@ def _table(sweeps: Sweeps, stable: dict[Cell, dict[str, NDArray[np.bool_]]]) -> 
         columns[f"{kind}_stable_share"] = [float(np.mean(stable[cell][kind])) for cell in _SAID]
         gone = [np.all(sweeps[cell][kind].stable == ABSENT, axis=0) for cell in _SAID]
         columns[f"{kind}_absent_share"] = [np.count_nonzero(g) / np.size(g) for g in gone]
-    return Table("stable-types", "Share of the sweep at which a type has a stable point", columns, shown=True)
+    return SourceTable("stable-types", "Share of the sweep at which a type has a stable point", columns, shown=True)
 
 
-def _drawn(benches: dict[str, Bench]) -> Figure:
+def _drawn(benches: dict[str, SweepRig]) -> Figure:
     with sheet(WIDTH_IN, 5.6, "Table 3.4: the stable singular point of each case, seen on the rotor") as figure:
         rows = figure.subplots(2, 3).tolist()
         for row, operation in zip(rows, (SUB, SUPER), strict=True):

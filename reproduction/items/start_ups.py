@@ -15,7 +15,7 @@ from analysis.settled_scatter import SettledScatter, more_consistent, settled_sc
 from analysis.steady_state import SteadyMeasurement, locked_radius_m
 from daq.lockstep.rehearsal import Rehearsal
 from dynamics import Pendulum, RotorParameters, locked_orbit
-from reproduction.results import Claim, Panel, Reproduced, Table
+from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import ISOTROPIC, Workspace, numbers_of
 from rig_basics.arrays import Array
 from rig_basics.units import RPM
@@ -73,10 +73,10 @@ class _Series:
         turned = [[math.remainder(angle.value - math.pi, 2 * math.pi) for angle in end.theta_rad] for end in self.ends]
         return ["A" if a < b else "B" for a, b in turned]
 
-    def table(self, name: str, title: str) -> Table:
+    def table(self, name: str, title: str) -> SourceTable:
         """Return every start-up."""
         places, (angle_std, amplitude_std) = np.degrees(self.scatter.places_rad), self.std
-        return Table(
+        return SourceTable(
             name,
             title,
             {

@@ -19,7 +19,7 @@ from dynamics import Pendulum, RotorParameters, Scene, SpeedHistory, balanced_an
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import locked_state
 from dynamics.steady.mirrored_positions import Imperfections, mirrored_positions
-from reproduction.results import Claim, Table
+from reproduction.results import Claim, SourceTable
 from rig_basics.arrays import Array
 
 _SHIFT_M = 25e-6
@@ -35,7 +35,7 @@ _SAME_M = 1e-11
 
 
 @dataclass(frozen=True)
-class Row:
+class ImperfectionRow:
     """One imperfection: remaining value in either position, in `unit`."""
 
     name: str
@@ -46,7 +46,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Curve:
+class RadiusCurve:
     """Remaining radii over S_P."""
 
     name: str
@@ -55,9 +55,9 @@ class Curve:
     second_m: Array
 
     @property
-    def table(self) -> Table:
+    def table(self) -> SourceTable:
         """Return the table's columns."""
-        return Table(
+        return SourceTable(
             "left-" + "".join(c if c.isalnum() else "-" for c in self.name),
             f"Left in both positions: {self.name}",
             {"S_P_g_m": 1e3 * self.moment_kg_m, "first_um": 1e6 * self.first_m, "second_um": 1e6 * self.second_m},
@@ -72,10 +72,10 @@ _CURVES: tuple[tuple[str, Imperfections], ...] = (
 )
 
 
-def imperfect_curves(p: RotorParameters, speed_ratio: float) -> list[Curve]:
+def imperfect_curves(p: RotorParameters, speed_ratio: float) -> list[RadiusCurve]:
     """Return the remaining radii in both positions over S_P, for four imperfections."""
     moments = np.linspace(0.0002, 0.00805, 158)
-    found = list[Curve]()
+    found = list[RadiusCurve]()
     for name, each in _CURVES:
         radii = np.full((len(moments), 2), np.nan)
         for i, moment in enumerate(moments.tolist()):
@@ -87,11 +87,11 @@ def imperfect_curves(p: RotorParameters, speed_ratio: float) -> list[Curve]:
                     break
                 continue
             radii[i] = [abs(position.z_m) for position in pair]
-        found.append(Curve(name, moments, radii[:, 0], radii[:, 1]))
+        found.append(RadiusCurve(name, moments, radii[:, 0], radii[:, 1]))
     return found
 
 
-def positions_figure(curves: Sequence[Curve], title: str) -> Figure:
+def positions_figure(curves: Sequence[RadiusCurve], title: str) -> Figure:
     """Draw both radii over S_P, one plot for each imperfection."""
     foot = "Pivots in the rotor's frame; along: towards the imbalance, oblique: 45° off it. Gaps: no such position."
     with sheet(WIDTH_IN, 4.6, title, [foot]) as figure:
@@ -111,7 +111,7 @@ def positions_figure(curves: Sequence[Curve], title: str) -> Figure:
     return figure
 
 
-def rows_of(p: RotorParameters, speed_ratio: float) -> list[Row]:
+def rows_of(p: RotorParameters, speed_ratio: float) -> list[ImperfectionRow]:
     """Return all imperfections, at S_P of 3 g m."""
     own = p.with_values(SP_kg_m=_AT_KG_M)
     speed = own.speed_rad_s(speed_ratio)
@@ -138,16 +138,16 @@ def rows_of(p: RotorParameters, speed_ratio: float) -> list[Row]:
     return [*found, _friction(own, speed)]
 
 
-def _row(name: str, first_m: float, second_m: float, least_m: float = _SAME_M) -> Row:
-    return Row(name, 1e6 * first_m, 1e6 * second_m, "µm", abs(first_m - second_m) > least_m)
+def _row(name: str, first_m: float, second_m: float, least_m: float = _SAME_M) -> ImperfectionRow:
+    return ImperfectionRow(name, 1e6 * first_m, 1e6 * second_m, "µm", abs(first_m - second_m) > least_m)
 
 
-def _solved(name: str, p: RotorParameters, speed: float, each: Imperfections) -> Row:
+def _solved(name: str, p: RotorParameters, speed: float, each: Imperfections) -> ImperfectionRow:
     first, second = mirrored_positions(p, speed, each)
     return _row(name, abs(first.z_m), abs(second.z_m))
 
 
-def _steady(name: str, p: RotorParameters, speed: float) -> Row:
+def _steady(name: str, p: RotorParameters, speed: float) -> ImperfectionRow:
     """Return the remaining values of the steady states near the two balanced positions."""
     radii = list[float]()
     for pair in balanced_angles(p):
@@ -158,7 +158,7 @@ def _steady(name: str, p: RotorParameters, speed: float) -> Row:
     return _row(name, radii[0], radii[1], 1e-9)
 
 
-def _seen(p: RotorParameters, speed: float) -> list[Row]:
+def _seen(p: RotorParameters, speed: float) -> list[ImperfectionRow]:
     """Return what a sensor or a second plane measures of positions with equal balance."""
     still = mirrored_positions(p, speed, Imperfections())
     torn = mirrored_positions(p, speed, Imperfections(torque_a_Nm=_TORQUE_NM))
@@ -170,11 +170,11 @@ def _seen(p: RotorParameters, speed: float) -> list[Row]:
     ]
     for name, own in (("pendulums in planes ± 20 mm", 0.0), ("the same, a couple of 10 g m mm across", _COUPLE_KG_M2)):
         first, second = (1e9 * abs(arm + 1j * own) for arm in arms)
-        rows.append(Row(name, first, second, "g m µm", abs(first - second) > 1e-6 * first))
+        rows.append(ImperfectionRow(name, first, second, "g m µm", abs(first - second) > 1e-6 * first))
     return rows
 
 
-def _friction(p: RotorParameters, speed: float) -> Row:
+def _friction(p: RotorParameters, speed: float) -> ImperfectionRow:
     """Return the mean radius on either side of releases with dry friction from random angles, and its significance."""
 
     def rubbing(q: Pendulum) -> Pendulum:
@@ -196,9 +196,9 @@ def _friction(p: RotorParameters, speed: float) -> Row:
     return _row(name, means[0], means[1], 3 * math.hypot(*errors))
 
 
-def positions_table(rows: Sequence[Row]) -> Table:
+def positions_table(rows: Sequence[ImperfectionRow]) -> SourceTable:
     """Return all imperfections as a table."""
-    return Table(
+    return SourceTable(
         "imperfections",
         "What is left with A below and above 180°, S_P = 3 g m",
         {
@@ -212,7 +212,7 @@ def positions_table(rows: Sequence[Row]) -> Table:
     )
 
 
-def positions_claim(rows: Sequence[Row], recorded_m: Sequence[Sequence[float]]) -> Claim:
+def positions_claim(rows: Sequence[ImperfectionRow], recorded_m: Sequence[Sequence[float]]) -> Claim:
     """Return the claim on which imperfections make the two positions differ."""
     mass = rows[0]
     different = [row for row in rows if row.differs]

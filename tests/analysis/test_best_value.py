@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.maps.families import Family, SearchRange, best_value
+from analysis.maps.families import BorderFamily, SearchRange, best_value
 from rig_configs import RigFileError
 
 KEYS = ("suspension.zeta1",)
@@ -80,6 +80,6 @@ def test_where_nothing_is_clearly_worse_the_interval_reaches_the_end(side: int) 
 def test_what_is_no_family_is_refused() -> None:
     for values in ((), (0.2, 0.1), (math.nan,)):
         with pytest.raises(RigFileError, match="rise"):
-            Family(KEYS, values)
+            BorderFamily(KEYS, values)
     with pytest.raises(RigFileError, match="zeta1"):
-        Family(("suspension.zeta",), (0.1,))
+        BorderFamily(("suspension.zeta",), (0.1,))

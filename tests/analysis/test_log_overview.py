@@ -19,7 +19,7 @@ from analysis.figures import log_overview
 from analysis.figures.log_marks import Marks
 from analysis.figures.log_overview import COLUMNS, Trace, draw_log_overview
 from daq.channels import LASER_X, PENDULUMS, TACHO, Channel
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log import content as log_content
 from daq.log import open_log
 from daq.log.file import LogFile
@@ -40,7 +40,7 @@ def labels(figure: Figure) -> list[str]:
     return [axes.get_ylabel() for axes in figure.axes]
 
 
-def write(path: Path, channel: Channel, time_s: np.ndarray, *events: tuple[float, Event], **columns: Any) -> Path:
+def write(path: Path, channel: Channel, time_s: np.ndarray, *events: tuple[float, DeviceEvent], **columns: Any) -> Path:
     """A log of one channel and some events."""
     whole = {name: columns.get(name, np.zeros(len(time_s))) for name in channel.names}
     time_ns = T0 + np.round(time_s * 1e9).astype(np.int64)
@@ -127,8 +127,8 @@ def test_angles_leave_at_180_and_come_in_at_minus_180(tmp_path: Path) -> None:
 
 def test_losses_are_shaded_where_they_are_and_happenings_named(tmp_path: Path) -> None:
     time = np.arange(0, 10, 0.01)
-    gap = Event("gap", "laser_x", "100 samples lost", {"samples": 100, "span_s": 1.0})
-    fault = Event("fault", "encoder", "wrong")
+    gap = DeviceEvent("gap", "laser_x", "100 samples lost", {"samples": 100, "span_s": 1.0})
+    fault = DeviceEvent("fault", "encoder", "wrong")
     figure = drawn(write(tmp_path / "run.mcap", LASER_X, time, (5.0, gap), (7.0, fault)))
     (axes,) = figure.axes
     shaded = [patch for patch in axes.patches if patch.get_alpha() == 0.25]

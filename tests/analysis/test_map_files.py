@@ -15,7 +15,7 @@ import zarr
 from analysis.errors import NoMapFile
 from analysis.maps.answers import MapAnswer, answer
 from analysis.maps.axes import MapAxis
-from analysis.maps.families import Family
+from analysis.maps.families import BorderFamily
 from analysis.maps.files import load_map, need_map_suffix, write_map
 from analysis.maps.question import MapQuestion, rig_source
 from analysis.maps.records import MapRecord, record
@@ -26,7 +26,7 @@ ZETAS = ("suspension.zeta1", "suspension.zeta2")
 @pytest.fixture(scope="module")
 def found() -> MapAnswer:
     x, y = MapAxis(("speed_ratio",), 1.0, 2.0, 7), MapAxis(ZETAS, 0.01, 0.04, 5, True)
-    family = Family(("pendulums.a.damping_Nms_per_rad", "pendulums.b.damping_Nms_per_rad"), (2e-3,))
+    family = BorderFamily(("pendulums.a.damping_Nms_per_rad", "pendulums.b.damping_Nms_per_rad"), (2e-3,))
     settings = ("suspension.k2_N_per_m=3e4",)
     return answer(MapQuestion(rig_source("virtual"), x, y, settings=settings, borders=True, family=family))
 

@@ -30,7 +30,7 @@ from analysis.rounding import plain, with_std
 from analysis.scores import Score
 from daq.signals.run import Run
 from rig_configs import load_rig
-from uncertainty import Budgets, Source
+from uncertainty import Budgets, ErrorSource
 
 HOSTILE = '<script>alert("$x^$ & 1")</script>'
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -213,10 +213,10 @@ def test_an_empty_campaign_still_gives_a_page() -> None:
 
 def test_budgets_are_tables_with_the_largest_source_first(hostile: Campaign) -> None:
     sources = (
-        Source("gain x", 1e-3, "1"),
-        Source(HOSTILE, 0.2, "mm"),
-        Source("dust", 1e-9, "mm"),
-        Source("clock a", 1, "u"),
+        ErrorSource("gain x", 1e-3, "1"),
+        ErrorSource(HOSTILE, 0.2, "mm"),
+        ErrorSource("dust", 1e-9, "mm"),
+        ErrorSource("clock a", 1, "u"),
     )
     table = np.array([[2.5, 0.1, 1.0, 1e-3]])
     budgets = Budgets(("D.amplitude_mm",), np.array([4.0]), ("mm",), sources, table)

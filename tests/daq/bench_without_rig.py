@@ -11,12 +11,12 @@ import numpy as np
 
 from daq.channels import LOCKS_CLOSED
 from daq.errors import DeviceError, ProcedureError
-from daq.guided_test_kinds import Asked
+from daq.guided_test_kinds import GuidedTestRequest
 from daq.guided_tests.controls import Controls
-from daq.guided_tests.orders import Orders
+from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.runner import Runner, TestDone
-from daq.guided_tests.table import Look, State, Table, View
-from daq.items import Event
+from daq.guided_tests.table import State, StateObservation, StateTable, StateView
+from daq.items import DeviceEvent
 from rig_configs.schema import Rig
 
 
@@ -66,7 +66,7 @@ class Bench:
     rates = NoRates()
     ramp_rpm_per_s = 100.0
     while_ordered: Callable[[int], None] = lambda number: None
-    notes: list[Event] = field(default_factory=list)
+    notes: list[DeviceEvent] = field(default_factory=list)
     logs: list[dict[str, Any]] = field(default_factory=list)
 
     def _order(self, text: str) -> None:
@@ -98,7 +98,7 @@ class Bench:
     def need(self, *topics: str) -> None:
         pass
 
-    def note(self, event: Event) -> None:
+    def note(self, event: DeviceEvent) -> None:
         self.notes.append(event)
 
     def start_recording(self, path: Path, metadata: Mapping[str, str], before_s: float = 0.0) -> None:
@@ -161,12 +161,12 @@ class Bench:
 
 
 def runner_of(bench: Bench, controls: Controls, folder: Path) -> Runner:
-    orders = Orders(bench, bench, folder, lambda text, share: None)  # type: ignore[arg-type]
+    orders = RigOrders(bench, bench, folder, lambda text, share: None)  # type: ignore[arg-type]
     orders.rotor, orders.locks = bench, bench  # type: ignore[assignment]
     return Runner(orders, controls)
 
 
-def scripted(table: Table, look: Callable[[State, View], Look], looks: int = 4) -> Table:
+def scripted(table: StateTable, look: Callable[[State, StateView], StateObservation], looks: int = 4) -> StateTable:
     """The table with looks that are played, a few of them until a state's limit."""
 
     def played(row: State) -> State:
@@ -174,14 +174,16 @@ def scripted(table: Table, look: Callable[[State, View], Look], looks: int = 4) 
             return row
         return replace(row, look=lambda view: look(row, view), period_s=max(0.01, row.limit_s / looks), missed=_missed)
 
-    return Table(tuple(map(played, table.states)), tuple(map(played, table.ending)))
+    return StateTable(tuple(map(played, table.states)), tuple(map(played, table.ending)))
 
 
-def _missed(view: View) -> str:
+def _missed(view: StateView) -> str:
     return "what was waited for"
 
 
-def finished(bench: Bench, asked: Asked, table: Table, controls: Controls, folder: Path) -> TestDone | Exception:
+def finished(
+    bench: Bench, asked: GuidedTestRequest, table: StateTable, controls: Controls, folder: Path
+) -> TestDone | Exception:
     """What a run of a table came to."""
     try:
         return runner_of(bench, controls, folder).run(asked, table, {})
@@ -189,11 +191,11 @@ def finished(bench: Bench, asked: Asked, table: Table, controls: Controls, folde
         return error
 
 
-def plays(script: Iterable[str], controls: Controls, bench: Bench) -> Callable[[State, View], Look]:
+def plays(script: Iterable[str], controls: Controls, bench: Bench) -> Callable[[State, StateView], StateObservation]:
     """A look that carries out a script: "done" ends the state, "wait" looks on, the others come from outside."""
     steps = iter(script)
 
-    def look(state: State, view: View) -> Look:
+    def look(state: State, view: StateView) -> StateObservation:
         step = next(steps, "wait")
         if step == "fault":
             bench.fault = DeviceError("a channel is silent")
@@ -204,6 +206,6 @@ def plays(script: Iterable[str], controls: Controls, bench: Bench) -> Callable[[
         elif step == "pause":
             controls.pause()
             controls.resume()  # a pause that nobody ends does not end
-        return Look(step.endswith("done"), remember={"released_ns": view.memory.get("released_ns", 1)})
+        return StateObservation(step.endswith("done"), remember={"released_ns": view.memory.get("released_ns", 1)})
 
     return look

@@ -7,7 +7,7 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.far_end import SimulatedDrive
 from daq.drivers.devices import make_pipelines
 from daq.drivers.rotorlink.far_end import SimulatedNode
-from daq.items import RX, Batch, Event
+from daq.items import RX, Batch, DeviceEvent
 from daq.transports import slcan
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs import load_rig
@@ -35,7 +35,7 @@ class Bench:
         self.interlocks = Interlocks(self.rig.limits, self.rig.roles, lambda s: s * patience, driving=True)
         self.now_s = self.far.motion.time_s
         self.stops: list[tuple[float, Stop]] = []
-        self.events: list[Event] = []
+        self.events: list[DeviceEvent] = []
         self.muted: set[str] = set()
         self._hear("drive", self.drive.receive(b"O\r", 0.0))
         for laser in ("laser_x", "laser_y"):
@@ -77,9 +77,9 @@ class Bench:
             else:
                 self._heed(self.interlocks.happened(item))
 
-    def _heed(self, found: list[Event | Stop] | list[Stop]) -> None:
+    def _heed(self, found: list[DeviceEvent | Stop] | list[Stop]) -> None:
         for item in found:
-            if isinstance(item, Event):
+            if isinstance(item, DeviceEvent):
                 self.events.append(item)
             else:
                 self.stops.append((self.now_s, item))

@@ -37,7 +37,7 @@ class HandMadeLaser:
         self.heard: list[str] = []
         info = f"Name: {name}\r\nSerial: 12345678\r\nMeasuring range: {range_mm}mm\r\nVersion: 001.005"
         self._answers = {"GETINFO": info, "GETOUTINFO_RS422": outinfo, **(answers or {})}
-        self._decoder = optoncdt.StreamDecoder(("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"))
+        self._decoder = optoncdt.BlockDecoder(("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"))
 
     def send(self, data: bytes) -> None:
         for command in data.decode("ascii").splitlines():

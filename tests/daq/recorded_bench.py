@@ -6,7 +6,7 @@ from pathlib import Path
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.devices import make_pipelines
-from daq.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, DeviceEvent
 from daq.log.file import LogFile
 from daq.transports import slcan
 from rig_configs import load_rig
@@ -66,7 +66,7 @@ class RecordedBench(Bench):
         """The host's heartbeat: an open session sends bytes to its drive continuously."""
         self._keep("drive", TX, slcan.encode(slcan.CanFrame(cia402.cob_heartbeat(1), b"\x05")))
 
-    def note(self, event: Event) -> None:
+    def note(self, event: DeviceEvent) -> None:
         """Write the stop and the summary of a session."""
         self.log.event(event, self.now_ns)
 

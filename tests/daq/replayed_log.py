@@ -16,7 +16,7 @@ from daq.drivers.devices import make_pipelines
 from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.rotorlink import wire as rotorlink
-from daq.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, DeviceEvent
 from daq.log.file import LogFile
 from daq.transports import slcan
 from rig_configs import load_rig
@@ -97,7 +97,7 @@ def reads(
             yield (
                 "encoder",
                 TX,
-                rotorlink.wire(rotorlink.Command(1, step, rotorlink.ACTIONS["lock both"]).pack()),
+                rotorlink.wire(rotorlink.NodeCommand(1, step, rotorlink.ACTIONS["lock both"]).pack()),
                 host_ns,
             )
         rpm = 60 + step % 1000 if rests_from is None else max(0, 1059 * (rests_from - step) // rests_from)
@@ -117,10 +117,10 @@ def reads(
                 yield device, RX, data[:cut], host_ns + 1000 * i + int(rng.integers(0, 500_000))
 
 
-Falsify = Callable[[int, Batch | Event, int], tuple[Batch | Event, "int | NDArray[np.int64]"] | None]
+Falsify = Callable[[int, Batch | DeviceEvent, int], tuple[Batch | DeviceEvent, "int | NDArray[np.int64]"] | None]
 
 
-def as_it_is(number: int, item: Batch | Event, host_ns: int) -> tuple[Batch | Event, int]:
+def as_it_is(number: int, item: Batch | DeviceEvent, host_ns: int) -> tuple[Batch | DeviceEvent, int]:
     """Return the item unchanged."""
     return item, host_ns
 
@@ -167,7 +167,7 @@ def write_log(
                 )
                 log.flush()
             if number == 50:
-                log.event(Event("disk", "host", "the disk is slow", {"backlog_bytes": 7}), host_ns)
+                log.event(DeviceEvent("disk", "host", "the disk is slow", {"backlog_bytes": 7}), host_ns)
         log.flush()
         if finish:
             losses = {name: pipeline.losses for name, pipeline in pipelines.items()}

@@ -21,13 +21,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.catalogue import Catalogue, Entry, Query, cache, facts, parse_instant, search
-from daq.catalogue.cache import NAME, Row, Stamp
+from daq.catalogue.cache import NAME, CachedFacts, Stamp
 from daq.catalogue.query import Sort
 from daq.channels import TACHO
 from daq.errors import LogError, RecordingError
 from daq.items import Batch
 from daq.log.file import LogFile
-from daq.log.verdicts import SUFFIX, Verdict, digest_of, keep_verdict, verdict_of
+from daq.log.verdicts import SUFFIX, LoggedVerdict, digest_of, keep_verdict, verdict_of
 from daq.mcap.writer import BlockWriter
 
 T0 = 1_700_000_000_000_000_000
@@ -59,8 +59,8 @@ def without_cache(folder: Path) -> list[Entry]:
         return Catalogue(folder).entries()
 
 
-def judged(log: Path, verdict: str = "pass") -> Verdict:
-    return Verdict(verdict=verdict, judged_at="2026-03-01T10:00:00Z", digest=digest_of(log), state="I", point="A")
+def judged(log: Path, verdict: str = "pass") -> LoggedVerdict:
+    return LoggedVerdict(verdict=verdict, judged_at="2026-03-01T10:00:00Z", digest=digest_of(log), state="I", point="A")
 
 
 # --- facts -------------------------------------------------------------------------------------------------------
@@ -458,8 +458,8 @@ def test_a_cache_that_is_none_is_made_anew(tmp_path: Path, how: str) -> None:
 
 
 def test_rows_of_another_process_are_kept_and_the_newer_one_wins(tmp_path: Path) -> None:
-    def row(looked_ns: int, text: str) -> Row:
-        return Row(Stamp(1, 2, 3), "", looked_ns, "", text)
+    def row(looked_ns: int, text: str) -> CachedFacts:
+        return CachedFacts(Stamp(1, 2, 3), "", looked_ns, "", text)
 
     cache.save(tmp_path, {"a": row(5, "new"), "b": row(1, "b"), "gone": row(1, "x")}, ())
     cache.save(tmp_path, {"a": row(4, "old"), "c": row(1, "c")}, {"gone"})

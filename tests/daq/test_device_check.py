@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.acquisition.device_check import Look, ObservedAngles, ObservedSpeed, common_factor, device_checks, passed
+from daq.acquisition.device_check import (
+    ObservedAngles,
+    ObservedSpeed,
+    RigObservation,
+    common_factor,
+    device_checks,
+    passed,
+)
 from daq.acquisition.rate_watch import Rate
 from daq.drivers.checks import Checks
 from daq.drivers.cia402 import wire as cia402
@@ -16,11 +23,11 @@ from daq.drivers.cia402.status_checks import drive_checks
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.status_checks import node_checks
 from daq.drivers.rotorlink.stream import NodePipeline
-from daq.items import Event
+from daq.items import DeviceEvent
 from rig_configs import load_rig
 
 RIG = load_rig("virtual")
-STATUS = rotorlink.Status(1, 8, 2_000_000, 3712, 315, 8, 0, 1, 4, 4096)
+STATUS = rotorlink.NodeStatus(1, 8, 2_000_000, 3712, 315, 8, 0, 1, 4, 4096)
 LOCKED = np.tile([0.0, np.pi], (100, 1))
 
 
@@ -36,7 +43,7 @@ def flags(value: int) -> np.ndarray:
 class Node:
     """What a look finds of the encoder node."""
 
-    status: rotorlink.Status | None = STATUS
+    status: rotorlink.NodeStatus | None = STATUS
     rssi_dBm: int | None = -58
     battery_low: bool = False
 
@@ -58,7 +65,7 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class Seen(Look):
+class Seen(RigObservation):
     """A look, with what the drivers looked at still to be judged."""
 
     node: Node = field(default_factory=Node)
@@ -115,7 +122,7 @@ def test_a_healthy_rig_passes_with_what_was_seen_and_expected() -> None:
     assert devices["encoder"]["firmware"].value == "1.4"
 
 
-EMERGENCY = Event("emergency", "drive", "drive error 0x3220", {"error_code": 0x3220})
+EMERGENCY = DeviceEvent("emergency", "drive", "drive error 0x3220", {"error_code": 0x3220})
 
 
 @pytest.mark.parametrize(
@@ -143,7 +150,7 @@ EMERGENCY = Event("emergency", "drive", "drive error 0x3220", {"error_code": 0x3
         ("speed.speed_rpm", 12.0, "drive", "speed_rpm"),
         ("speed.reports_Hz", float("nan"), "drive", "speed_reports_Hz"),
         ("events", [EMERGENCY], "drive", "emergencies"),
-        ("events", [Event("restart", "encoder", "the node started again")], "encoder", "restarts"),
+        ("events", [DeviceEvent("restart", "encoder", "the node started again")], "encoder", "restarts"),
     ],
 )
 def test_one_thing_wrong_fails_its_check_and_no_other(what: str, value: Any, device: str, check: str) -> None:
@@ -172,7 +179,7 @@ def test_an_open_lock_is_no_fault_and_its_position_not_judged() -> None:
 
 def test_a_rig_of_one_sensor_is_judged_by_that_one() -> None:
     one = RIG.model_copy(update={"devices": {"probe": RIG.devices["laser_x"]}})
-    look = Look(2.0, {"laser/x": rate(4000)}, {"probe": {"samples": 0}}, [], {"x": np.full(9, 3e-3)})
+    look = RigObservation(2.0, {"laser/x": rate(4000)}, {"probe": {"samples": 0}}, [], {"x": np.full(9, 3e-3)})
     devices = device_checks(one, look)
     assert [(name, key) for name, c in devices.items() for key, found in c.items() if not found.passed] == [
         ("probe", "from_mid_range_mm")

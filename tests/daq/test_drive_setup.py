@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START, Objects, SdoServer, drive_objects
 from daq.drivers.cia402.control import DriveControl
-from daq.drivers.cia402.settings import Drive
+from daq.drivers.cia402.settings import MotorDrive
 from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
-CONFIG = cast("Drive", load_rig("virtual").devices["drive"])
+CONFIG = cast("MotorDrive", load_rig("virtual").devices["drive"])
 NODE = CONFIG.node_id
 OFF = 1 << 31
 STATUS, ACTUAL, TORQUE = (index << 16 | 16 for index in (cia402.STATUSWORD, cia402.ACTUAL_VELOCITY, 0x6077))
@@ -39,7 +39,7 @@ class MappedDrive:
     Mapping, transmission type and identifier are changed only while the PDO is off, entries only at count 0.
     """
 
-    def __init__(self, changes: dict[tuple[int, int], int], *, settings: Drive = CONFIG) -> None:
+    def __init__(self, changes: dict[tuple[int, int], int], *, settings: MotorDrive = CONFIG) -> None:
         self.objects: Objects = drive_objects(NODE)
         forms = {0: "<B", 1: "<I", 2: "<B", 3: "<H", 5: "<H"}
         for (index, sub), value in changes.items():

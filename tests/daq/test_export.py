@@ -20,7 +20,7 @@ from scipy.io import loadmat
 from daq.channels import LASER_X, LASER_Y, MOTOR, PENDULUMS, TACHO
 from daq.exchange import ExchangeError, export_log, mat_file, tables
 from daq.exchange.units import unit_of
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log import open_log
 from daq.log.file import LogFile
 from daq.signals.run import load_run
@@ -66,7 +66,7 @@ def log_path(tmp_path: Path) -> Path:
             }
             log.batch(Batch(PENDULUMS, time[::5], np.arange(20, dtype=np.uint32), angles), int(time[-1]) + 9)
             log.flush()
-        log.event(Event("gap", "laser_x", "3 samples lost", {"samples": 3}), START + 5_000_000)
+        log.event(DeviceEvent("gap", "laser_x", "3 samples lost", {"samples": 3}), START + 5_000_000)
         log.note("health", {"kind": "health", "losses": {}}, START + 6_000_000, START + 6_000_000)
         return log.finish({"losses": {"laser_x": {"samples": 3}}})
 

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.errors import DeviceError
-from daq.guided_test_kinds import KINDS, Asked
+from daq.guided_test_kinds import KINDS, GuidedTestRequest
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.frame import FINISH, STOP, framed
 from daq.guided_tests.procedure import Procedures
 from daq.guided_tests.runner import NotReached, TestDone
-from daq.guided_tests.table import END, FAULT, Look, Outcome, State, Table, View
-from daq.guided_tests.test_inputs import asked
+from daq.guided_tests.table import END, FAULT, State, StateObservation, StateOutcome, StateTable, StateView
+from daq.guided_tests.test_inputs import requested_test
 from rig_configs import load_rig
 from tests.daq.bench_without_rig import Bench, finished, plays, scripted
 
@@ -27,15 +27,17 @@ if TYPE_CHECKING:
 
 RIG, HAND = load_rig("virtual"), load_rig("by_hand")
 ASKED = {
-    name: asked(RIG, "point-B" if name == "point" else name, {"speed_rpm": 288.0} if name == "start-ups" else {})
+    name: requested_test(
+        RIG, "point-B" if name == "point" else name, {"speed_rpm": 288.0} if name == "start-ups" else {}
+    )
     for name in KINDS
 }
 FROM_REST = "start-ups from rest"
-ASKED[FROM_REST] = asked(RIG, "start-ups", {"speed_rpm": 288.0, "from_rest": 1})
+ASKED[FROM_REST] = requested_test(RIG, "start-ups", {"speed_rpm": 288.0, "from_rest": 1})
 STEPS = ("wait", "done", "done", "done", "abort", "abort and done", "pause", "note", "fault")
 
 
-def table_of(name: str) -> Table:
+def table_of(name: str) -> StateTable:
     return ASKED[name].kind.table(ASKED[name])
 
 
@@ -52,14 +54,14 @@ def test_every_outcome_leads_forward_and_every_wait_has_a_limit(name: str) -> No
 def test_an_abort_leads_to_the_ending_from_every_state(name: str) -> None:
     table = table_of(name)
     for row in table.states:
-        assert table.transitions[row.name, Outcome.ABORT] == FINISH.name
+        assert table.transitions[row.name, StateOutcome.ABORT] == FINISH.name
     assert [row.name for row in table.ending][:2] == [FINISH.name, STOP.name]
 
 
 def test_a_speed_that_nothing_shows_yet_is_said_so() -> None:
-    wanted = asked(HAND, "point-A", {})
+    wanted = requested_test(HAND, "point-A", {})
     (up,) = [row for row in wanted.kind.table(wanted).rows if row.name == "spin up"]
-    look = up.look(View(cast("Measures", None), 0, 0, 0, float("nan"), {}))
+    look = up.look(StateView(cast("Measures", None), 0, 0, 0, float("nan"), {}))
     assert (look.done, look.words) == (False, "spinning up to 149 rpm: the speed is not measured yet")
 
 
@@ -74,7 +76,7 @@ def test_no_test_waits_while_the_rotor_passes_through_resonances_or_comes_to_res
 def test_a_point_in_a_resonance_is_not_paused_there() -> None:
     second_rpm = max(RIG.physics.natural_frequencies_rad_s) * 30 / 3.14159265
     for rpm, waits in ((second_rpm, False), (0.7 * second_rpm, True)):
-        there = asked(RIG, "point-B", {"speed_rpm": rpm})
+        there = requested_test(RIG, "point-B", {"speed_rpm": rpm})
         assert (there.kind.table(there).row("steady orbit").no_pause == "") is waits
 
 
@@ -137,10 +139,10 @@ def test_an_abort_keeps_the_log_with_its_reason_and_brings_the_rotor_to_rest_bef
 ) -> None:
     controls, bench = Controls(), Bench(RIG)
 
-    def look(state: State, view: View) -> Look:
+    def look(state: State, view: StateView) -> StateObservation:
         if state.name == "settle":
             controls.abort("smoke")
-        return Look(state.name != "settle")
+        return StateObservation(state.name != "settle")
 
     done = finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
     assert isinstance(done, TestDone)
@@ -150,7 +152,7 @@ def test_an_abort_keeps_the_log_with_its_reason_and_brings_the_rotor_to_rest_bef
 
 def test_a_test_that_ends_before_its_log_says_so_and_keeps_none(tmp_path: Path) -> None:
     controls, bench = Controls(), Bench(RIG)
-    table = scripted(table_of("point"), lambda state, view: Look(state.name != "spin up"))
+    table = scripted(table_of("point"), lambda state, view: StateObservation(state.name != "spin up"))
     done = finished(bench, ASKED["point"], table, controls, tmp_path)
     assert isinstance(done, NotReached)
     assert str(done) == "what was waited for"
@@ -162,12 +164,14 @@ def test_locks_that_do_not_close_after_an_abort_are_a_warning_and_otherwise_an_e
     for aborted in (True, False):
         controls, bench = Controls(), Bench(RIG)
 
-        def look(state: State, view: View, bench: Bench = bench, controls: Controls = controls) -> Look:
+        def look(
+            state: State, view: StateView, bench: Bench = bench, controls: Controls = controls
+        ) -> StateObservation:
             if state.name == "swing":
                 bench.fails_at = len(bench.orders) + 3  # the log's end, rest, lock
             if state.name == "swing" and aborted:  # noqa: B023 (used within this turn)
                 controls.abort("smoke")
-            return Look(not (state.name == "swing" and aborted))  # noqa: B023
+            return StateObservation(not (state.name == "swing" and aborted))  # noqa: B023
 
         done = finished(bench, ASKED["spin-down"], scripted(table_of("spin-down"), look), controls, tmp_path)
         if aborted:
@@ -192,13 +196,13 @@ def test_a_pause_stops_the_clock_of_the_limit_and_interlocks_go_on(tmp_path: Pat
 
     bench.clock.sleep = sleep  # type: ignore[method-assign]
 
-    def look(state: State, view: View) -> Look:
+    def look(state: State, view: StateView) -> StateObservation:
         if state.name != "pluck":
-            return Look(True)
+            return StateObservation(True)
         looks.append(view.now_ns)
         if not seen:
             controls.pause()
-        return Look(len(looks) == 3)
+        return StateObservation(len(looks) == 3)
 
     done = finished(bench, ASKED["ring-down-x"], scripted(table_of("ring-down-x"), look), controls, tmp_path)
     assert isinstance(done, TestDone)
@@ -209,10 +213,10 @@ def test_a_pause_stops_the_clock_of_the_limit_and_interlocks_go_on(tmp_path: Pat
 def test_a_fault_ends_a_pause(tmp_path: Path) -> None:
     controls, bench = Controls(), Bench(RIG)
 
-    def look(state: State, view: View) -> Look:
+    def look(state: State, view: StateView) -> StateObservation:
         if state.name == "steady orbit":
             controls.pause()
-        return Look(state.name != "steady orbit")
+        return StateObservation(state.name != "steady orbit")
 
     sleep, slept = bench.clock.sleep, list[float]()
 
@@ -245,11 +249,11 @@ def test_a_pause_in_motion_is_answered_and_takes_effect_where_the_rig_may_wait(t
 
     bench.clock.sleep = slept  # type: ignore[method-assign]
 
-    def look(state: State, view: View) -> Look:
+    def look(state: State, view: StateView) -> StateObservation:
         if state.name == "spin up" and not answers:
             controls.pause()
-            return Look(False)
-        return Look(not (state.name == "spin up" and len(answers) < 2))
+            return StateObservation(False)
+        return StateObservation(not (state.name == "spin up" and len(answers) < 2))
 
     finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
     assert any(answer.startswith("no pause here: the rotor passes through resonances") for answer in answers)
@@ -260,10 +264,10 @@ def test_notes_stand_in_the_log_with_their_time_also_those_made_before_it_begins
     controls, bench = Controls(), Bench(RIG)
     controls.note("before")
 
-    def look(state: State, view: View) -> Look:
+    def look(state: State, view: StateView) -> StateObservation:
         if state.name == "ring" and view.in_state_s == 0:
             controls.note("while it rings")
-        return Look(state.name != "ring" or view.in_state_s > 0)
+        return StateObservation(state.name != "ring" or view.in_state_s > 0)
 
     start_ns = bench.clock.ns
     finished(bench, ASKED["ring-down-x"], scripted(table_of("ring-down-x"), look), controls, tmp_path)
@@ -274,9 +278,9 @@ def test_notes_stand_in_the_log_with_their_time_also_those_made_before_it_begins
 
 def test_a_table_with_a_transition_to_nowhere_is_refused() -> None:
     with pytest.raises(ValueError, match=r"a: done leads to 'b'; expected one of a, finish"):
-        Table((State("a", done="b"),), (FINISH,))
+        StateTable((State("a", done="b"),), (FINISH,))
     with pytest.raises(ValueError, match="different names"):
-        Table((State("a"), State("a")), (FINISH,))
+        StateTable((State("a"), State("a")), (FINISH,))
 
 
 def test_orders_that_would_turn_unlocked_or_release_at_rest_are_refused(tmp_path: Path) -> None:
@@ -285,7 +289,7 @@ def test_orders_that_would_turn_unlocked_or_release_at_rest_are_refused(tmp_path
         order = {"turn": lambda orders: orders.turn(100.0, 10.0), "release": lambda orders: orders.release(True)}[name]
         opened = State("open", enter=lambda orders: orders.locks.release(False))
         unlocked = State("unlocked", enter=lambda orders: setattr(orders, "_held", False))
-        bench, asked_ = Bench(RIG), Asked(RIG, kind, "point-B", "B", ASKED["point"].numbers)
+        bench, asked_ = Bench(RIG), GuidedTestRequest(RIG, kind, "point-B", "B", ASKED["point"].numbers)
         table = framed(asked_, opened, unlocked, State(name, enter=order))
         assert wrong in str(finished(bench, asked_, table, Controls(), tmp_path))
         assert bench.wrong == []
@@ -294,9 +298,9 @@ def test_orders_that_would_turn_unlocked_or_release_at_rest_are_refused(tmp_path
 @pytest.mark.parametrize("before_s", [0.0, 2.0])
 def test_a_log_with_a_pre_trigger_begins_when_the_motion_was_seen(before_s: float, tmp_path: Path) -> None:
     for name, motion in (("ring-down-x", "pluck x"), ("spin-down", "flick")):
-        wanted = asked(RIG, name, {"pre_trigger_s": before_s})
+        wanted = requested_test(RIG, name, {"pre_trigger_s": before_s})
         controls, bench = Controls(), Bench(RIG)
-        table = scripted(wanted.kind.table(wanted), lambda state, view: Look(True))
+        table = scripted(wanted.kind.table(wanted), lambda state, view: StateObservation(True))
         done = finished(bench, wanted, table, controls, tmp_path)
         assert isinstance(done, TestDone)
         after = bench.orders.index("begin the log") > bench.orders.index(motion)
@@ -306,7 +310,7 @@ def test_a_log_with_a_pre_trigger_begins_when_the_motion_was_seen(before_s: floa
 def test_the_operators_orders_are_the_same_where_no_device_turns_the_rotor() -> None:
     for name in KINDS:
         numbers = {"speed_rpm": 288.0} if name == "start-ups" else {}
-        by_hand = asked(HAND, "point-B" if name == "point" else name, numbers)
+        by_hand = requested_test(HAND, "point-B" if name == "point" else name, numbers)
         rows, hands = table_of(name).rows, by_hand.kind.table(by_hand).rows
         assert [row.name for row in rows] == [row.name for row in hands]
         assert all(
@@ -316,7 +320,7 @@ def test_the_operators_orders_are_the_same_where_no_device_turns_the_rotor() -> 
 
 def test_a_start_up_from_rest_lets_go_before_the_rotor_turns(tmp_path: Path) -> None:
     controls, bench = Controls(), Bench(RIG)
-    table = scripted(table_of(FROM_REST), lambda state, view: Look(True))
+    table = scripted(table_of(FROM_REST), lambda state, view: StateObservation(True))
     finished(bench, ASKED[FROM_REST], table, controls, tmp_path)
     assert bench.wrong == []
     order = [text for text in bench.orders if text in ("begin the log", "release", "scatter", "turn at 288 rpm")]
@@ -327,12 +331,12 @@ def test_a_start_up_from_rest_lets_go_before_the_rotor_turns(tmp_path: Path) -> 
 def test_an_abort_ends_a_series_and_keeps_the_runs_before_it(state: str, runs: int, tmp_path: Path) -> None:
     bench, wanted, seen = Bench(RIG), ASKED["start-ups"], list[str]()
 
-    def look(row: State, view: View) -> Look:
+    def look(row: State, view: StateView) -> StateObservation:
         seen.append(row.name)
         if row.name == state and seen.count(state) == 2:
             tests.controls.abort("enough")
-            return Look(False)
-        return Look(True)
+            return StateObservation(False)
+        return StateObservation(True)
 
     tests = Procedures(bench, bench, tmp_path, lambda text, share: None)  # type: ignore[arg-type]
     tests._orders.rotor, tests._orders.locks = bench, bench  # type: ignore[assignment]

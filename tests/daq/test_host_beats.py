@@ -10,7 +10,7 @@ from daq.acquisition.session import Session
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.errors import DeviceError
-from daq.items import RX, TX, Event
+from daq.items import RX, TX, DeviceEvent
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
@@ -28,12 +28,12 @@ class Bus:
 
     def __init__(self) -> None:
         self.pipeline = DrivePipeline("drive", CONFIG)
-        self.faults: list[Event] = []
+        self.faults: list[DeviceEvent] = []
         self.now_ms = 0.0
 
     def at(self, ms: float, direction: int, data: bytes) -> None:
         found = self.pipeline.feed(direction, data, int((self.now_ms + ms) * 1e6))
-        self.faults += [item for item in found if isinstance(item, Event) and item.kind == "fault"]
+        self.faults += [item for item in found if isinstance(item, DeviceEvent) and item.kind == "fault"]
 
     def period(self, *what: tuple[float, int, bytes]) -> None:
         for ms, direction, data in sorted(

@@ -12,13 +12,13 @@ import pytest
 from daq.acquisition.interlock_table import CHANNELS, LOOK_S
 from daq.channels import LASER_X, MOTOR, TACHO
 from daq.errors import LogError
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log import open_log, recover, snapshot
 from daq.log.file import LogFile
 from daq.log.snapshot import rig_of
 from daq.replay.arrivals import Arrivals, Hole, holes_of
 from daq.replay.interlocked import InterlockReplay, replay_interlocks
-from daq.replay.orders import Orders, report_hand_orders, standing_order
+from daq.replay.orders import LoggedOrders, report_hand_orders, standing_order
 from daq.replay.session_facts import clock_rate
 from daq.replay.stream import pipelines_of
 from rig_configs import RigFileError, load_rig
@@ -135,7 +135,7 @@ def motor(rpm: list[float], target: list[float] | None) -> Batch:
 
 def test_orders_are_told_once_and_in_their_order() -> None:
     speeds: list[float] = []
-    orders = Orders(speeds.append, whole=True)
+    orders = LoggedOrders(speeds.append, whole=True)
     orders.sent()
     orders.follow(motor([0, 0], [0, 0]))
     orders.follow(motor([0, 5, 9, 12], [0, 300, 300, 0]))
@@ -145,7 +145,7 @@ def test_orders_are_told_once_and_in_their_order() -> None:
 
 def test_an_order_that_the_log_does_not_hold_is_the_drive_s_own_word_until_the_next_one() -> None:
     speeds: list[float] = []
-    orders = Orders(speeds.append, whole=True)
+    orders = LoggedOrders(speeds.append, whole=True)
     orders.sent()
     orders.follow(motor([590, 600], [0, 0]))
     assert (speeds, orders.rpm) == ([590, 600, 600], None)
@@ -157,11 +157,11 @@ def test_an_order_that_the_log_does_not_hold_is_the_drive_s_own_word_until_the_n
 
 def test_behind_a_hole_a_rotor_at_rest_has_no_order_that_is_known() -> None:
     speeds: list[float] = []
-    orders = Orders(speeds.append, whole=False)
+    orders = LoggedOrders(speeds.append, whole=False)
     orders.sent()
     orders.follow(motor([0], [600]))
     assert (orders.rpm, speeds) == (None, [0, 0, 0])
-    no_field = Orders(speeds.append, whole=True)
+    no_field = LoggedOrders(speeds.append, whole=True)
     no_field.sent()
     no_field.follow(motor([0], None))
     assert no_field.rpm is None
@@ -178,7 +178,7 @@ def test_a_test_that_begins_at_a_speed_names_the_order_that_stands() -> None:
     ):
         assert standing_order(facts) is None
     speeds: list[float] = []
-    orders = Orders(speeds.append, whole=True, standing=600.0)
+    orders = LoggedOrders(speeds.append, whole=True, standing=600.0)
     orders.follow(motor([600], [0]))
     orders.follow(motor([600], [300]))
     assert speeds == [600, 300]
@@ -252,7 +252,7 @@ def test_a_stop_that_the_session_made_is_found_even_in_the_last_seconds(tmp_path
         bench.pass_time(1.0)
         bench.fails("drive", "network", 0x7F)
         bench.pass_time(0.2)
-        bench.note(Event("stop", "host", bench.why()))
+        bench.note(DeviceEvent("stop", "host", bench.why()))
         bench.pass_time(0.5)
         path = bench.finish(bench.why())
     found = judged(path)
@@ -290,7 +290,7 @@ def test_a_device_s_events_count_where_its_driver_is_not_installed(
 ) -> None:
     with RecordedBench(tmp_path / "a.mcap") as bench:
         bench.turn(600)
-        bench.note(Event("fault", "drive", "the rotor does not follow"))
+        bench.note(DeviceEvent("fault", "drive", "the rotor does not follow"))
         bench.pass_time(1.0)
         path = bench.finish()
     assert judged(path).trips == ()  # its bytes contain no orders

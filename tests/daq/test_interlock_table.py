@@ -11,7 +11,7 @@ import pytest
 from daq.acquisition.interlock_table import CHANNELS, INTERLOCKS, SESSION, interlock
 from daq.acquisition.recorder import BACKLOG_BYTES
 from daq.drivers.optoncdt import distance_words
-from daq.items import Event
+from daq.items import DeviceEvent
 from rig_configs import load_rig
 from rig_configs.roles import Roles
 from rig_configs.schema import Limits
@@ -29,7 +29,7 @@ def mutes(device: str) -> Scenario:
     return lambda bench: bench.muted.add(device)
 
 
-def happens(event: Event) -> Scenario:
+def happens(event: DeviceEvent) -> Scenario:
     return lambda bench: bench._heed(bench.interlocks.happened(event))
 
 
@@ -62,7 +62,7 @@ SCENARIOS: dict[str, tuple[Scenario, tuple[str, ...]]] = {
     "runaway": (fails("drive", "speed", 1100), ()),
     "speed disagreement": (fails("drive", "reported share", 0.5), ()),
     "restart": (fails("drive", "restart"), ()),
-    "fault": (happens(Event("fault", "drive", "the rotor does not follow")), ()),
+    "fault": (happens(DeviceEvent("fault", "drive", "the rotor does not follow")), ()),
     "left operation": (fails("drive", "network", 0x04), ()),
 }
 """Fault that trips each row at 600 rpm, and the settings of the limits."""

@@ -13,7 +13,7 @@ from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.errors import DeviceError
-from daq.items import RX, Batch, Event
+from daq.items import RX, Batch, DeviceEvent
 from tests.daq.hand_made_laser import HandMadeLaser
 
 START_NS = 1_700_000_000_000_000_000
@@ -48,11 +48,11 @@ def blocks(counters: np.ndarray, rate_Hz: float, tick0: int = 0) -> bytes:
 
 def read(
     counters: np.ndarray, rate_Hz: float, tick0: int, sizes: list[int]
-) -> tuple[list[int], list[Event], dict[str, int]]:
+) -> tuple[list[int], list[DeviceEvent], dict[str, int]]:
     """Counters that came out, events, losses; bytes come in pieces of these sizes, when they are made."""
     pipeline, wire = laser(rate_Hz), blocks(counters, rate_Hz, tick0)
     found: list[int] = []
-    events: list[Event] = []
+    events: list[DeviceEvent] = []
     at = turn = 0
     while at < len(wire):
         end = min(at + sizes[turn % len(sizes)], len(wire))

@@ -12,7 +12,7 @@ from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.blocks import measure
 from daq.drivers.optoncdt.stream import LaserPipeline
-from daq.items import RX, Batch, Event
+from daq.items import RX, Batch, DeviceEvent
 from rig_configs import load_rig
 
 LASER = load_rig("virtual").devices["laser_x"]
@@ -29,8 +29,8 @@ def stream(counters: np.ndarray, rate_Hz: float, tick0: int = 0) -> bytes:
     )
 
 
-def read(pipeline: LaserPipeline, data: bytes, sizes: list[int], host_ns: int = START_NS) -> list[Batch | Event]:
-    out: list[Batch | Event] = []
+def read(pipeline: LaserPipeline, data: bytes, sizes: list[int], host_ns: int = START_NS) -> list[Batch | DeviceEvent]:
+    out: list[Batch | DeviceEvent] = []
     at, k = 0, 0
     while at < len(data):
         size = sizes[k % len(sizes)]
@@ -43,7 +43,7 @@ def laser() -> LaserPipeline:
     return LaserPipeline("laser_x", LASER, channels.LASER_X, {})
 
 
-def ticks_of(items: list[Batch | Event]) -> np.ndarray:
+def ticks_of(items: list[Batch | DeviceEvent]) -> np.ndarray:
     return np.concatenate([i.columns["device_ticks"] for i in items if isinstance(i, Batch)]).astype(np.int64)
 
 
@@ -65,8 +65,8 @@ def test_at_any_rate_samples_and_losses_are_right(rate_Hz: float, tick0: int, si
     assert len(missed) == len(expected) - len(found) == pipeline.losses["damaged"] <= _SETTLING
     assert set(missed.tolist()) <= set(expected[:_SETTLING].tolist())
     assert lost <= pipeline.losses["samples"] <= lost + len(missed)
-    assert "restart" not in [e.kind for e in items if isinstance(e, Event)]
-    rates = [e.facts["rate_Hz"] for e in items if isinstance(e, Event) and e.kind == "rate"]
+    assert "restart" not in [e.kind for e in items if isinstance(e, DeviceEvent)]
+    rates = [e.facts["rate_Hz"] for e in items if isinstance(e, DeviceEvent) and e.kind == "rate"]
     if abs(rate_Hz / 4000 - 1) > 0.005:
         assert rates[-1] == pytest.approx(rate_Hz, rel=2e-3)
         assert len(rates) <= 2
@@ -81,9 +81,9 @@ def test_a_sensor_that_comes_back_at_another_rate_restarts_once_and_is_read_on(r
     after = read(pipeline, stream(np.arange(100, 1100), rate_Hz, tick0=7), [500], START_NS + 10**9)
     assert len(ticks_of(before)) == 2000
     assert len(ticks_of(after)) >= 1000 - _SETTLING
-    assert [e.kind for e in after if isinstance(e, Event)].count("restart") == 1
+    assert [e.kind for e in after if isinstance(e, DeviceEvent)].count("restart") == 1
     assert pipeline.losses["samples"] <= pipeline.losses["damaged"] <= _SETTLING
-    reported = [e for e in after if isinstance(e, Event) and e.kind == "rate"]
+    reported = [e for e in after if isinstance(e, DeviceEvent) and e.kind == "rate"]
     assert reported[0].facts["nominal_Hz"] == 4000
     assert "the rig file states 4000" in reported[0].text
 
@@ -96,7 +96,7 @@ def test_a_rate_that_changes_while_the_sensor_measures_is_no_restart() -> None:
     changed = stream(np.arange(3000, 4000), 2000.0, tick0=ticks_then - 3000 * 50)
     items = read(pipeline, changed, [700], START_NS + 10**9)
     assert np.array_equal(ticks_of(items), ticks_then + 50 * np.arange(1000))
-    assert [e.kind for e in items if isinstance(e, Event)] == ["rate"]
+    assert [e.kind for e in items if isinstance(e, DeviceEvent)] == ["rate"]
     assert not any(pipeline.losses.values())
 
 

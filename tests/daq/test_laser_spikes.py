@@ -17,7 +17,7 @@ from daq.drivers.optoncdt import distance_words
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
-from daq.items import RX, Batch, Event
+from daq.items import RX, Batch, DeviceEvent
 from rig_configs import load_rig
 
 STEP_M = 0.025 * 1.02 / distance_words.CODE_MAX
@@ -117,7 +117,9 @@ def test_the_flags_do_not_depend_on_the_reads(cuts: list[int], places: set[int],
         pipeline = laser()
         items = [item for i, part in enumerate(parts) for item in pipeline.feed(RX, part, START_NS + i)]
         found = [int(flag) for item in items if isinstance(item, Batch) for flag in item.columns["flags"]]
-        reported = sum(item.facts["suspect"] for item in items if isinstance(item, Event) and item.kind == "suspect")
+        reported = sum(
+            item.facts["suspect"] for item in items if isinstance(item, DeviceEvent) and item.kind == "suspect"
+        )
         assert pipeline.losses["suspect"] == reported == sum(found)
         return found
 
@@ -131,7 +133,7 @@ def test_a_false_sample_is_kept_as_it_came_marked_and_counted() -> None:
     pipeline = laser()
     batch, event = pipeline.feed(RX, wire(codes), START_NS)
     assert isinstance(batch, Batch)
-    assert isinstance(event, Event)
+    assert isinstance(event, DeviceEvent)
     assert batch.columns["code"][300] == codes[300]
     assert np.flatnonzero(suspects(batch.columns["flags"])).tolist() == [300]
     assert np.flatnonzero(batch.columns["flags"]).tolist() == [300 + LOOK_AHEAD]

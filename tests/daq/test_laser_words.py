@@ -14,7 +14,7 @@ from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.stream import DEFAULT_WORDS, LaserPipeline
 from daq.errors import DeviceError
-from daq.items import RX, Batch, Event
+from daq.items import RX, Batch, DeviceEvent
 from rig_configs import load_rig
 
 DEVICES = load_rig("virtual").devices
@@ -44,10 +44,10 @@ def stream(names: tuple[str, ...] | list[str], counter: np.ndarray) -> bytes:
     return optoncdt.encode_block(np.column_stack([columns.get(w, np.full(len(counter), 1234)) for w in words]))
 
 
-def fed(parts: list[bytes], laser: LaserPipeline) -> tuple[list[tuple[int, ...]], list[Event]]:
+def fed(parts: list[bytes], laser: LaserPipeline) -> tuple[list[tuple[int, ...]], list[DeviceEvent]]:
     """Samples as (code, counter, ticks, flags), and events; the host's time goes on by the bytes."""
     rows: list[tuple[int, ...]] = []
-    events: list[Event] = []
+    events: list[DeviceEvent] = []
     seen = 0
     for part in parts:
         seen += len(part)

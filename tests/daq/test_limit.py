@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import daq.signals.limit as limit_module
-from daq.signals.limit import Limit, limit
+from daq.signals.limit import ApproachLimit, limit
 from daq.signals.rounding import half_width, rounding_covariance, rounding_terms
 
 WINDOW_S = 1.02
@@ -59,7 +59,7 @@ def standing(rng: np.random.Generator) -> list[Motion]:
     return [lambda t: 0 * t] * 3
 
 
-def drawn(kind: Callable[[np.random.Generator], list[Motion]], seed: int) -> tuple[Limit | None, np.ndarray]:
+def drawn(kind: Callable[[np.random.Generator], list[Motion]], seed: int) -> tuple[ApproachLimit | None, np.ndarray]:
     """Limits of one draw for three quantities, and the true ones."""
     rng = np.random.default_rng([seed, 7])
     edges = windows(int(rng.integers(15, 31)))

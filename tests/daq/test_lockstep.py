@@ -22,7 +22,7 @@ from daq.replay import check
 from daq.signals.run import load_run
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
-from rig_testing.fault_schedules import Fault, Schedule, draw, run
+from rig_testing.fault_schedules import Schedule, ScheduledFault, draw, run
 
 SHIPPED = ("virtual", "other_devices", "by_hand", "one_laser")
 
@@ -384,11 +384,11 @@ def test_a_run_without_faults_does_not_trip(tmp_path: Path) -> None:
 
 def test_the_judge_sees_a_sample_that_is_wrong(tmp_path: Path) -> None:
     """Bits of a line without a checksum are flipped after the judge's record."""
-    schedule = Schedule(1, 0.0, 5.0, STEP_S, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
+    schedule = Schedule(1, 0.0, 5.0, STEP_S, (ScheduledFault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
     honest = run("virtual", schedule, tmp_path)
     assert honest.wrong == []
     (tmp_path / "schedule-1.mcap").unlink()
-    hidden = Schedule(1, 0.0, 5.0, STEP_S, (Fault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
+    hidden = Schedule(1, 0.0, 5.0, STEP_S, (ScheduledFault(1.0, 3.0, "laser_x", "bit errors", 1e-3),))
     monkey = pytest.MonkeyPatch()
     monkey.setattr("rig_testing.fault_schedules._SPOILING", ())
     found = run("virtual", hidden, tmp_path)
@@ -415,9 +415,13 @@ def test_the_judge_does_not_take_other_motion_for_early_times(seed: int, tmp_pat
 @pytest.mark.skipif(sys.platform == "win32", reason="a busy host is a stopped process: POSIX signals")
 @pytest.mark.parametrize(
     "fault",
-    [Fault(1.5, 0.3, "", "busy"), Fault(1.5, 1.5, "encoder", "garbage", 200.0), Fault(1.5, 0.8, "laser_y", "unplug")],
+    [
+        ScheduledFault(1.5, 0.3, "", "busy"),
+        ScheduledFault(1.5, 1.5, "encoder", "garbage", 200.0),
+        ScheduledFault(1.5, 0.8, "laser_y", "unplug"),
+    ],
 )
-def test_the_same_faults_in_real_time(fault: Fault, tmp_path: Path) -> None:
+def test_the_same_faults_in_real_time(fault: ScheduledFault, tmp_path: Path) -> None:
     """`python -m benchmarks.fault_schedules --real-time` runs a hundred."""
     result = run("virtual", Schedule(5, 0.0, 5.0, STEP_S, (fault,)), tmp_path, real_time=True)
     assert (result.wrong, result.ended) == ([], "")
@@ -425,7 +429,7 @@ def test_the_same_faults_in_real_time(fault: Fault, tmp_path: Path) -> None:
 
 def test_the_judge_sees_a_rotor_that_is_not_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daq.acquisition.interlocks.Interlocks.tick", lambda self, now_ns: [])
-    schedule = Schedule(2, 300.0, 8.0, STEP_S, (Fault(3.0, 4.0, "encoder", "radio", 1.0),))
+    schedule = Schedule(2, 300.0, 8.0, STEP_S, (ScheduledFault(3.0, 4.0, "encoder", "radio", 1.0),))
     found = run("virtual", schedule, tmp_path)
     assert any("blind for" in text for text in found.wrong)
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.channels import HEALTH_TOPIC, LASER_X, RX, TX
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log import Log, open_log
 from daq.log import content as log_content
 from daq.log.content import (
@@ -39,8 +39,10 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Log:
             file.raw("laser_x", RX, b"1234", now)
             if second % 10 == 0:
                 file.raw("laser_x", TX, b"query", now)
-                file.event(Event("gap", "laser_x", f"{second} samples lost", {"samples": second, "span_s": 0.25}), now)
-                file.event(Event("reply", "laser_x", "OK"), now)
+                file.event(
+                    DeviceEvent("gap", "laser_x", f"{second} samples lost", {"samples": second, "span_s": 0.25}), now
+                )
+                file.event(DeviceEvent("reply", "laser_x", "OK"), now)
             if 3 <= second < 33:
                 k = np.arange(20)
                 columns = {"displacement_m": 1e-3 * k, "code": k, "counter": k, "device_ticks": k}

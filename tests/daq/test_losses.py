@@ -5,7 +5,7 @@ import json
 import pytest
 
 from daq.errors import LogError
-from daq.items import Event
+from daq.items import DeviceEvent
 from daq.log import open_log
 from daq.log.content import event_content
 from daq.log.file import LogFile
@@ -27,10 +27,10 @@ def write(path, summary=None, health=(), events=()):
 
 
 GAPS = [
-    Event("gap", "laser_x", "3 samples lost", {"samples": 3}),
-    Event("damage", "laser_x", "5 bytes skipped", {"bytes": 5}),
-    Event("gap", "encoder", "2 radio frames lost", {"radio_frames": 2}),
-    Event("reply", "laser_x", "ok", {"samples": 1000}),
+    DeviceEvent("gap", "laser_x", "3 samples lost", {"samples": 3}),
+    DeviceEvent("damage", "laser_x", "5 bytes skipped", {"bytes": 5}),
+    DeviceEvent("gap", "encoder", "2 radio frames lost", {"radio_frames": 2}),
+    DeviceEvent("reply", "laser_x", "ok", {"samples": 1000}),
 ]
 COUNTED = {"laser_x": {"samples": 3, "bytes": 5}, "encoder": {"radio_frames": 2}}
 
@@ -62,10 +62,10 @@ def test_a_cut_log_tells_by_its_last_health_report_or_by_its_events(tmp_path):
 def test_a_silence_counts_for_the_device_whose_channel_was_silent(tmp_path):
     silence = {"of": "encoder", "channel": "tacho"}
     events = [
-        Event("silence", "host", "tacho: silent", {**silence, "since_ns": START}),
-        Event("silence", "host", "tacho: came back", {**silence, "tacho_silent_ms": 1500, "span_s": 1.5}),
-        Event("silence", "host", "tacho: silent", {**silence, "since_ns": START}),
-        Event("silence", "host", "tacho: still silent", {**silence, "tacho_silent_ms": 250, "span_s": 0.25}),
+        DeviceEvent("silence", "host", "tacho: silent", {**silence, "since_ns": START}),
+        DeviceEvent("silence", "host", "tacho: came back", {**silence, "tacho_silent_ms": 1500, "span_s": 1.5}),
+        DeviceEvent("silence", "host", "tacho: silent", {**silence, "since_ns": START}),
+        DeviceEvent("silence", "host", "tacho: still silent", {**silence, "tacho_silent_ms": 250, "span_s": 0.25}),
     ]
     with open_log(write(tmp_path / "a.mcap", None, (), events)) as log:
         assert losses_of(log).by_device == {"encoder": {"tacho_silent_ms": 1750}}

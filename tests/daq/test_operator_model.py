@@ -20,7 +20,7 @@ from daq.errors import AcquisitionError
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.rig import LockstepRig
-from daq.virtual_rig.motion import Trajectory
+from daq.virtual_rig.motion import StepTrajectory
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
 
@@ -58,7 +58,7 @@ class Watch:
     def __post_init__(self) -> None:
         advance = self.sim.far.motion.advance
 
-        def watched(until_s: float) -> Trajectory | None:
+        def watched(until_s: float) -> StepTrajectory | None:
             stretch = advance(until_s)
             self.look()
             return stretch

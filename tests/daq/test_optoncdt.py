@@ -20,7 +20,7 @@ LINES = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), min_size=
 
 
 def decode(pieces, words=WORDS):
-    decoder = nc.StreamDecoder(words)
+    decoder = nc.BlockDecoder(words)
     found = [decoder.feed(piece) for piece in pieces]
     values = np.concatenate([np.empty((0, len(words)), np.uint32), *(part.values for part in found)])
     return values, [line for part in found for line in part.text], sum(part.skipped_bytes for part in found)
@@ -104,7 +104,7 @@ def test_a_lost_byte_costs_its_block_only(blocks, data):
 
 @given(st.binary(max_size=500))
 def test_hostile_bytes_never_break_it(data):
-    decoder = nc.StreamDecoder(WORDS)
+    decoder = nc.BlockDecoder(WORDS)
     found = decoder.feed(data)
     assert found.values.max(initial=0) < 2**18
     assert found.values.nbytes // 16 * 12 + found.skipped_bytes + sum(map(len, found.text)) <= len(data)
@@ -130,14 +130,14 @@ def test_more_words_than_expected_show_as_skipped():
 
 
 def test_an_endless_text_is_bounded():
-    decoder = nc.StreamDecoder(WORDS)
+    decoder = nc.BlockDecoder(WORDS)
     skipped = sum(decoder.feed(b"abcdefgh" * 1000).skipped_bytes for _ in range(10))
     assert len(decoder._line) <= 1024
     assert skipped + len(decoder._line) == 80_000
 
 
 def test_words_can_change():
-    decoder = nc.StreamDecoder(["DIST"])
+    decoder = nc.BlockDecoder(["DIST"])
     decoder.feed(nc.encode_block([[1]]))
     decoder.set_words(WORDS)
     assert decoder.feed(nc.encode_block([[1, 2, 3, 4]])).values.tolist() == [[1, 2, 3, 4]]

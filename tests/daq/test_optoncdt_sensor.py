@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines, outputs_of
 
-INFO = sensor_answers.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
+INFO = sensor_answers.SensorInfo(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
 
 
 def sensor(fixed: bool = False) -> SensorCommands:

@@ -54,7 +54,7 @@ class Asking:
         self.replies: queue.Queue[str] = self.clock.queue()
         self.bytes_in = 0
         self._device = device
-        self._decoder = optoncdt.StreamDecoder(("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"))
+        self._decoder = optoncdt.BlockDecoder(("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"))
 
     def send(self, data: bytes) -> None:
         answer = self._device.hear(data)
@@ -79,8 +79,8 @@ def test_an_answer_never_falls_into_a_block(words: int, cuts: list[int], start: 
     """Any number of words, any cut into reads, a stream that begins anywhere, and answers between any two reads."""
     stream = blocks(60, words)[start:]
     names = ("DIST", "A", "B", "C", "D")[:words]
-    alone = optoncdt.StreamDecoder(names).feed(stream)
-    source, decoder = WholeBlocks(words), optoncdt.StreamDecoder(names)
+    alone = optoncdt.BlockDecoder(names).feed(stream)
+    source, decoder = WholeBlocks(words), optoncdt.BlockDecoder(names)
     rows, text, skipped, rest, played = [], [], 0, stream, b""
     for number, cut in enumerate(cuts * len(stream)):
         data = source.feed(RX, rest[:cut]) if rest else source.rest()
@@ -182,7 +182,7 @@ def test_an_identity_no_sensor_has_is_refused(identity: dict, words: str) -> Non
 
 def test_a_node_lets_commands_pass_and_counts_them() -> None:
     node = PlayedNode()
-    frame = rotorlink.wire(rotorlink.Command(1, 7, rotorlink.ACTIONS["release both"]).pack())
+    frame = rotorlink.wire(rotorlink.NodeCommand(1, 7, rotorlink.ACTIONS["release both"]).pack())
     assert node.hear(frame[:3]) == b""
     assert node.hear(frame[3:] + frame + b"noise") == b""
     assert (node.commands, node.unfollowed, node.sending) == (2, 2, True)

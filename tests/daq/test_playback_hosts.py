@@ -14,7 +14,7 @@ from daq.drivers.rotorlink import wire as rotorlink
 from daq.errors import DeviceError, LinkLost
 from daq.items import RX
 from daq.log import Log, open_log
-from daq.playback import Playback, Played, played_devices
+from daq.playback import Playback, PlaybackState, played_devices
 from daq.transports import slcan
 from tests.daq.replayed_log import write_log
 from tests.daq.test_replay import FakeClock
@@ -204,7 +204,7 @@ def test_a_host_that_leaves_ends_it_and_whether_it_stopped_its_devices_is_known(
     script = leaving(hosts, began_s + 0.25, politely)
     sleep = clock.sleep
     clock.sleep = lambda seconds: (sleep(seconds), script(clock.ns * 1e-9 - 5))[0]  # type: ignore[method-assign]  # a hook of this test
-    states: list[Played] = []
+    states: list[PlaybackState] = []
     state = playback.play(log.raw_in_order(), states.append)
     assert state.cut_short
     assert state.stopped == politely
@@ -244,7 +244,7 @@ def test_stopped_and_started_again_it_goes_on_where_the_log_is_by_then(log: Log,
     began_s = clock.ns * 1e-9
     words = [(0.2, LASERS[0]), (0.4, LASERS[2])]
 
-    def respond(_: Played) -> None:
+    def respond(_: PlaybackState) -> None:
         if words and clock.ns * 1e-9 - began_s >= words[0][0]:
             hosts["laser_x"].next_bytes = words.pop(0)[1]
 
@@ -263,7 +263,7 @@ def test_a_late_command_is_answered_between_two_blocks(log: Log, hosts: dict[str
     clock = FakeClock()
     playback = Playback(hosts, played_devices(log), 1.0, clock)
 
-    def respond(state: Played) -> None:
+    def respond(state: PlaybackState) -> None:
         if state.log_ns > log.start_ns + 200_000_000 and b"Serial" not in hosts["laser_y"].got:
             hosts["laser_y"].next_bytes = LASERS[1]
 
@@ -272,7 +272,7 @@ def test_a_late_command_is_answered_between_two_blocks(log: Log, hosts: dict[str
     before, name, _ = hosts["laser_y"].got.partition(b"Name: ")
     assert name
     assert len(before) % 12 == 0
-    found = optoncdt.StreamDecoder(("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")).feed(hosts["laser_y"].got)
+    found = optoncdt.BlockDecoder(("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")).feed(hosts["laser_y"].got)
     assert found.skipped_bytes == 0
     assert len(found.values) == len(log["laser/y"].time_ns)
 
@@ -280,7 +280,7 @@ def test_a_late_command_is_answered_between_two_blocks(log: Log, hosts: dict[str
 def test_what_a_log_cannot_do_is_counted(log: Log, hosts: dict[str, Host]) -> None:
     clock = FakeClock()
     playback = set_up(hosts, log, clock)
-    hosts["encoder"].next_bytes = rotorlink.wire(rotorlink.Command(1, 3, rotorlink.ACTIONS["release both"]).pack())
+    hosts["encoder"].next_bytes = rotorlink.wire(rotorlink.NodeCommand(1, 3, rotorlink.ACTIONS["release both"]).pack())
     state = playback.play(log.raw_in_order())
     assert state.unfollowed == {"laser_x": 0, "laser_y": 0, "encoder": 1, "drive": 0}
     assert hosts["encoder"].got == from_device(log, "encoder")

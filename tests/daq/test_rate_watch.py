@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from daq import channels
 from daq.acquisition.rate_watch import RateWatches
 from daq.drivers.optoncdt import wire as optoncdt
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from rig_configs import load_rig
 
 DEVICES = load_rig("virtual").devices
@@ -26,10 +26,10 @@ def laser(
     stalls: tuple[tuple[float, float], ...] = (),
     delay_s: float = 2e-3,
     start_s: float = 0.0,
-) -> list[Event]:
+) -> list[DeviceEvent]:
     """Reads every 20 ms of a sensor that makes `rate_Hz` samples a host second, its clock `clock` times ours."""
     rng = np.random.default_rng(seed)
-    events: list[Event] = []
+    events: list[DeviceEvent] = []
     before = int(start_s * rate_Hz)
     for at in start_s + 0.02 * np.arange(1, round(seconds / 0.02) + 1):
         if any(begin < at - start_s < begin + length for begin, length in stalls):
@@ -120,7 +120,7 @@ def test_two_seconds_show_twice_the_rate_and_admit_what_they_do_not_show() -> No
 def test_a_host_that_catches_up_is_no_wrong_rate_however_fast_the_rig_runs(pace: int) -> None:
     """It is half a second behind, and makes up for it in another half: eight seconds of a rig eight times as fast."""
     watches = RateWatches(DEVICES, lambda seconds: seconds * pace)
-    found: list[Event] = []
+    found: list[DeviceEvent] = []
     for read in range(1, 400):
         host_s = 0.02 * read
         device_s = max(host_s - 0.5, min(host_s, 2 * (host_s - 0.5))) if host_s > 0.5 else 0.0
@@ -137,8 +137,8 @@ def test_a_host_that_catches_up_is_no_wrong_rate_however_fast_the_rig_runs(pace:
 def test_a_restart_begins_the_rate_anew() -> None:
     """A counter that did not count while the device was set up again does not make its rate wrong."""
     watches = RateWatches(load_rig("virtual").devices)
-    restart = Event("restart", "laser_x", "its counter restarts")
-    found: list[Event] = []
+    restart = DeviceEvent("restart", "laser_x", "its counter restarts")
+    found: list[DeviceEvent] = []
     count = 0
     for read in range(1500):
         host_ns = 20_000_000 * read + (2_500_000_000 if read >= 750 else 0)

@@ -16,7 +16,7 @@ from daq.acquisition import recorder as recorder_module
 from daq.acquisition.recorder import Recorder
 from daq.channels import LASER_X
 from daq.errors import LogError, RecordingError
-from daq.items import RX, Batch, Event
+from daq.items import RX, Batch, DeviceEvent
 from daq.log import open_log
 from daq.log.file import LogFile
 from daq.transports import HostClock
@@ -54,7 +54,7 @@ def check_content(log, turns, per_turn=40):
 def test_all_that_was_taken_is_in_the_file_in_order(tmp_path):
     recorder = begin(tmp_path / "run.mcap")
     feed(recorder, 300)
-    recorder.event(Event("gap", "laser_x", "3 samples lost", {"samples": 3}), START)
+    recorder.event(DeviceEvent("gap", "laser_x", "3 samples lost", {"samples": 3}), START)
     recorder.health({"kind": "health", "losses": {"laser_x": {"samples": 3}}})
     path = recorder.close({"losses": {"laser_x": {"samples": 3}}})
     with open_log(path) as log:

@@ -13,7 +13,7 @@ import pytest
 
 from daq.channels import TACHO
 from daq.errors import LogError
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log import open_log
 from daq.log.file import LogFile
 from daq.log.losses import losses_of
@@ -77,7 +77,7 @@ def falsified(topic: str, number: int, change: Callable[[dict[str, Any], Batch],
     """Changes one batch of a channel; `change` receives its arrays (as a dict that also has time_ns and sequence)."""
     seen = [0]
 
-    def falsify(_: int, item: Batch | Event, host_ns: int) -> tuple[Batch | Event, Any]:
+    def falsify(_: int, item: Batch | DeviceEvent, host_ns: int) -> tuple[Batch | DeviceEvent, Any]:
         if not isinstance(item, Batch) or item.channel.topic != topic:
             return item, host_ns
         seen[0] += 1
@@ -151,7 +151,7 @@ def test_nan_is_the_same_nan_and_minus_zero_is_not_zero(tmp_path: Path) -> None:
 def test_a_missing_and_an_invented_batch_are_differences_in_a_whole_log(tmp_path: Path) -> None:
     seen = [0]
 
-    def leave_out(_: int, item: Batch | Event, host_ns: int) -> tuple[Batch | Event, int] | None:
+    def leave_out(_: int, item: Batch | DeviceEvent, host_ns: int) -> tuple[Batch | DeviceEvent, int] | None:
         if isinstance(item, Batch) and item.channel.topic == "tacho":
             seen[0] += 1
         return None if seen[0] == 60 and isinstance(item, Batch) and item.channel.topic == "tacho" else (item, host_ns)
@@ -175,15 +175,15 @@ def test_a_missing_and_an_invented_batch_are_differences_in_a_whole_log(tmp_path
 
 @pytest.mark.parametrize("change", ["text", "fact", "left out", "late"])
 def test_events_are_compared_with_their_facts(tmp_path: Path, change: str) -> None:
-    def falsify(_: int, item: Batch | Event, host_ns: int) -> tuple[Batch | Event, int] | None:
-        if not isinstance(item, Event) or item.kind != "gap":
+    def falsify(_: int, item: Batch | DeviceEvent, host_ns: int) -> tuple[Batch | DeviceEvent, int] | None:
+        if not isinstance(item, DeviceEvent) or item.kind != "gap":
             return item, host_ns
         if change == "left out":
             return None
         facts = dict(item.facts) | ({"samples": 41} if change == "fact" else {})
         if change == "late":
             facts["time_ns"] = host_ns + 1
-        return Event(item.kind, item.device, "x" if change == "text" else item.text, facts), host_ns
+        return DeviceEvent(item.kind, item.device, "x" if change == "text" else item.text, facts), host_ns
 
     path = write_log(tmp_path / "a.mcap", falsify=falsify, lost=frozenset({9}))
     rows = {row.topic: row for row in check(path)}

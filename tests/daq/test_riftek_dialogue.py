@@ -16,9 +16,9 @@ from daq.drivers.riftek.driver import DRIVER
 from daq.drivers.riftek.far_end import SimulatedRiftek
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.errors import DeviceError
-from daq.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports import HostClock
-from daq.virtual_rig.motion import GRID_S, Trajectory
+from daq.virtual_rig.motion import GRID_S, StepTrajectory
 from daq.virtual_rig.world import DeviceClock
 
 START_NS = 1_700_000_000_000_000_000
@@ -62,7 +62,7 @@ class Bench:
         self.now_s = 0.0
         self.sent: list[bytes] = []
         self.batches: list[Batch] = []
-        self.events: list[Event] = []
+        self.events: list[DeviceEvent] = []
         self.damage: set[int] = set()  # places of answer bytes that get a bit flipped
         self._answered = 0
 
@@ -93,7 +93,7 @@ class Bench:
             rows = np.zeros((len(times), 10))
             rows[:, 1], rows[:, 5] = self.motion(times), 40e-3 * np.cos(20.0 * times)
             self.now_s = float(times[-1])
-            self._hear(self.sensor.sample(Trajectory(times, rows)))
+            self._hear(self.sensor.sample(StepTrajectory(times, rows)))
 
     def _hear(self, data: bytes) -> None:
         if not data:

@@ -20,7 +20,7 @@ from daq.drivers.riftek.driver import DRIVER
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.riftek.stream import RiftekPipeline
 from daq.errors import DeviceError
-from daq.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, DeviceEvent
 
 START_NS = 1_700_000_000_000_000_000
 MIDDLE = wire.FULL_SCALE // 2
@@ -35,9 +35,9 @@ def pipeline(config: RiftekLaser, identity: dict[str, Any] | None = None) -> Rif
     return RiftekPipeline("laser_x", config, channels.LASER_X, identity or {})
 
 
-def feed(pipe: RiftekPipeline, reads: Reads) -> tuple[list[Batch], list[Event]]:
+def feed(pipe: RiftekPipeline, reads: Reads) -> tuple[list[Batch], list[DeviceEvent]]:
     items = [item for data, host_ns in reads for item in pipe.feed(RX, data, host_ns)]
-    return [x for x in items if isinstance(x, Batch)], [x for x in items if isinstance(x, Event)]
+    return [x for x in items if isinstance(x, Batch)], [x for x in items if isinstance(x, DeviceEvent)]
 
 
 def column(batches: list[Batch], name: str) -> NDArray[Any]:

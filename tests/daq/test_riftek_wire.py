@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.drivers.riftek import wire
-from daq.drivers.riftek.decoder import Decoded, StreamDecoder
+from daq.drivers.riftek.decoder import DecodedResults, ResultDecoder
 from daq.errors import DeviceError
 
 IDENTIFICATION = bytes.fromhex("9F 93 90 99 91 92 93 94 90 95 90 90 92 93 90 90")
 MUTATIONS = 10_000
 
 
-class Slow(StreamDecoder):
+class Slow(ResultDecoder):
     """Takes every byte by itself."""
 
     @property
@@ -25,7 +25,7 @@ class Slow(StreamDecoder):
         return False
 
 
-def rows(found: list[Decoded]) -> list[tuple[int, bool, int, int]]:
+def rows(found: list[DecodedResults]) -> list[tuple[int, bool, int, int]]:
     """Results with what belongs to them."""
     return [
         row
@@ -36,7 +36,7 @@ def rows(found: list[Decoded]) -> list[tuple[int, bool, int, int]]:
     ]
 
 
-def doubted(found: list[Decoded]) -> list[int]:
+def doubted(found: list[DecodedResults]) -> list[int]:
     places, count = [], 0
     for each in found:
         places += [count + place for place in each.doubted]
@@ -44,8 +44,8 @@ def doubted(found: list[Decoded]) -> list[int]:
     return places
 
 
-def decode(data: bytes, cut: int | None = None, decoder: StreamDecoder | None = None) -> list[Decoded]:
-    decoder = decoder or StreamDecoder()
+def decode(data: bytes, cut: int | None = None, decoder: ResultDecoder | None = None) -> list[DecodedResults]:
+    decoder = decoder or ResultDecoder()
     size = cut or max(1, len(data))
     return [decoder.feed(data[at : at + size]) for at in range(0, len(data), size)]
 
@@ -74,7 +74,7 @@ def test_a_result_of_the_manual() -> None:
 
 
 def test_an_identification_of_the_manual() -> None:
-    decoder = StreamDecoder()
+    decoder = ResultDecoder()
     decoder.expect(wire.awaited(wire.request(1, wire.IDENTIFY)))
     (answer,) = decoder.feed(IDENTIFICATION).answers
     assert wire.packet(answer, 1) == IDENTIFICATION
@@ -129,7 +129,7 @@ pieces = st.one_of(
 @given(st.lists(pieces, max_size=8).map(b"".join), st.integers(1, 70), st.sampled_from([None, 2, 16]))
 def test_neither_the_split_nor_the_fast_path_changes_anything(data: bytes, cut: int, wanted: int | None) -> None:
     results = []
-    for decoder, size in ((StreamDecoder(), None), (StreamDecoder(), cut), (Slow(), None), (StreamDecoder(), 1)):
+    for decoder, size in ((ResultDecoder(), None), (ResultDecoder(), cut), (Slow(), None), (ResultDecoder(), 1)):
         decoder.expect(wanted)
         found = decode(data, size, decoder)
         answers = [answer for each in found for answer in each.answers]
@@ -145,7 +145,7 @@ def test_every_byte_is_a_results_or_counted(data: bytes) -> None:
 
 
 def test_a_stuck_line_gives_no_results_and_takes_no_memory() -> None:
-    decoder = StreamDecoder()
+    decoder = ResultDecoder()
     found = [decoder.feed(b"\xff" * 5000) for _ in range(20)]
     assert rows(found) == []
     assert sum(each.skipped_bytes for each in found) == 100_000 - 3
@@ -162,7 +162,7 @@ def test_fewer_than_four_lost_results_are_counted_exactly(lost: int, first: int)
 
 
 def test_an_answer_between_results_counts_as_a_packet_and_not_as_a_result() -> None:
-    decoder = StreamDecoder()
+    decoder = ResultDecoder()
     before = decoder.feed(stream(6, 0))
     decoder.expect(2)
     between = decoder.feed(wire.packet(b"\x5a", 8) + stream(6, 9))  # two results lost before the answer

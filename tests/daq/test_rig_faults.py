@@ -13,7 +13,7 @@ from daq.drivers.simulated import FarEnd
 from daq.drivers.vesc import wire as vesc
 from daq.items import RX, Batch
 from daq.transports import slcan
-from daq.virtual_rig.faults import LINE_FAULTS, Faults
+from daq.virtual_rig.faults import LINE_FAULTS, FaultInjector
 from daq.virtual_rig.rig import SimulatedRig
 from rig_configs import load_rig
 
@@ -235,7 +235,7 @@ def test_a_far_end_that_lists_nothing_has_the_faults_of_every_line_and_its_own()
             self.tired = value
 
     strange = Strange()
-    faults = Faults({"it": strange}, lambda name: np.random.default_rng(0))
+    faults = FaultInjector({"it": strange}, lambda name: np.random.default_rng(0))
     assert list(faults.kinds("it")) == list(LINE_FAULTS)
     faults.place({"device": "it", "what": "tired", "value": 3}, 0.0)
     assert strange.tired == 3

@@ -18,7 +18,7 @@ COUNTS = st.lists(st.tuples(*[st.integers(-(2**31), 2**31 - 1)] * 2), min_size=1
 
 NODE_FRAMES = st.one_of(
     st.builds(rl.EncoderBlock, U8, U16, U32, U32, U16, U8, COUNTS.map(lambda rows: np.array(rows, np.int32))),
-    st.builds(rl.Status, U8, U16, U32, U16, I16, U32, U16, U8, U8, U32),
+    st.builds(rl.NodeStatus, U8, U16, U32, U16, I16, U32, U16, U8, U8, U32),
     st.builds(rl.LockEvent, U8, U16, U32, U8, U8, U16),
     st.builds(rl.Pong, U8, U16, U32, U32, U16),
     st.builds(rl.IndexMark, U8, U16, U32, U32),
@@ -28,7 +28,7 @@ FRAMES = st.one_of(
     NODE_FRAMES,
     st.builds(rl.DongleStatus, U8, U16, U32, U32, U32, I8),
     st.builds(rl.Wrapped, U8, U16, U32, I8, NODE_FRAMES),
-    st.builds(rl.Command, U8, U16, U8),
+    st.builds(rl.NodeCommand, U8, U16, U8),
     st.builds(rl.Ping, U8, U16),
 )
 
@@ -36,14 +36,14 @@ ENCODER = rl.EncoderBlock(1, 7, 1000, 1_000_500, 1000, 0x60, np.array([[0, 1000]
 INDEX = rl.IndexMark(1, 10, 2_050_000, 33)
 VECTORS = {
     "11 01 07 00 e8 03 00 00 34 44 0f 00 e8 03 02 60 00 00 00 00 e8 03 00 00 fb ff ff ff eb 03 00 00 51 2d": ENCODER,
-    "12 01 08 00 80 84 1e 00 80 0e 3b 01 08 00 00 00 00 00 01 04 00 10 00 00 8f 5c": rl.Status(
+    "12 01 08 00 80 84 1e 00 80 0e 3b 01 08 00 00 00 00 00 01 04 00 10 00 00 8f 5c": rl.NodeStatus(
         1, 8, 2_000_000, 3712, 315, 8, 0, 1, 4, 4096
     ),
     "13 01 09 00 fb 84 1e 00 00 01 2a 00 56 fe": rl.LockEvent(1, 9, 2_000_123, 0, 1, 42),
     "15 01 0a 00 d0 47 1f 00 21 00 00 00 b0 9d": INDEX,
     "16 01 0b 00 2a 00 00 c8 8f": rl.Acknowledge(1, 11, 42, 0),
     "14 01 0c 00 c0 c6 2d 00 e8 c6 2d 00 03 00 3a e3": rl.Pong(1, 12, 3_000_000, 3_000_040, 3),
-    "90 01 2a 00 05 00 f5 ca": rl.Command(1, 42, rl.ACTIONS["release both"]),
+    "90 01 2a 00 05 00 f5 ca": rl.NodeCommand(1, 42, rl.ACTIONS["release both"]),
     "91 01 03 00 88 56": rl.Ping(1, 3),
     "21 01 f4 01 40 54 89 00 c3 15 01 0a 00 d0 47 1f 00 21 00 00 00 b0 9d e5 bc": rl.Wrapped(
         1, 500, 9_000_000, -61, INDEX
@@ -83,7 +83,7 @@ def test_vectors(text, frame):
 
 def test_wire_vectors():
     assert rl.wire(ENCODER.pack()) == bytes.fromhex(ENCODER_WIRE)
-    assert rl.wire(rl.Command(1, 42, 5).pack()) == bytes.fromhex("04 90 01 2a 02 05 03 f5 ca 00")
+    assert rl.wire(rl.NodeCommand(1, 42, 5).pack()) == bytes.fromhex("04 90 01 2a 02 05 03 f5 ca 00")
 
 
 @given(FRAMES)
@@ -112,7 +112,7 @@ def test_hostile_bytes_only_give_frames_with_a_right_crc(data):
     frames, _ = decode([data, b"\x00"])
     sound = {run for run in data.split(b"\x00") if run}
     for frame in frames:
-        payload = frame.pack() if not isinstance(frame, rl.Command) else None
+        payload = frame.pack() if not isinstance(frame, rl.NodeCommand) else None
         assert payload is None or cobs.encode(payload) in sound
 
 

@@ -18,12 +18,12 @@ from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.errors import DeviceError
-from daq.items import RX, Event
+from daq.items import RX, DeviceEvent
 from daq.transports import HostClock, open_link
 from daq.transports.wires import TcpWire
 from rig_configs import load_rig
 
-INFO = sensor_answers.Info(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
+INFO = sensor_answers.SensorInfo(name="ILD1420", serial="14200001", range_m=0.025, version="001.019")
 
 
 CLOCK = HostClock()
@@ -76,17 +76,17 @@ class Line:
 
 
 @contextmanager
-def line_to(sensor: LeftStreaming) -> Iterator[tuple[Line, list[Event], list[int]]]:
+def line_to(sensor: LeftStreaming) -> Iterator[tuple[Line, list[DeviceEvent], list[int]]]:
     """A reader on the sensor's line with what it decodes: events, and how many samples came."""
     rig = load_rig("virtual", settings={"devices.laser_x.port": sensor.wire.port})
     device = DeviceReader("laser_x", open_link(sensor.wire.port, 921_600), CLOCK)
     line = Line(device, make_pipelines(rig.devices, {})["laser_x"])
-    events: list[Event] = []
+    events: list[DeviceEvent] = []
     samples: list[int] = []
 
     def take(sent: object, data: bytes, host_ns: int) -> None:
         for item in line.pipeline.feed(RX, data, host_ns):
-            if isinstance(item, Event):
+            if isinstance(item, DeviceEvent):
                 events.append(item)
                 if item.kind == "reply":
                     device.replies.put(item.text)

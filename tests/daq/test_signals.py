@@ -10,7 +10,7 @@ import pytest
 
 from daq.errors import ChannelMissing, LogError
 from daq.exchange.imported_channels import DISPLACEMENT_Y, PENDULUM_ANGLES, ROTOR_MARK, ROTOR_PHASE
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log.file import LogFile
 from daq.signals.run import load_run
 from rig_configs import load_rig
@@ -58,7 +58,7 @@ START = 1_700_000_000_500_000_000
 
 
 def imported_log(
-    path: Path, *parts: Batch, events: tuple[Event, ...] = (), rig: bytes | None = None, **facts: str
+    path: Path, *parts: Batch, events: tuple[DeviceEvent, ...] = (), rig: bytes | None = None, **facts: str
 ) -> Path:
     """A log without device clocks: the samples' own times are on the common clock."""
     snapshot = (
@@ -88,7 +88,7 @@ def test_channels_without_a_device_clock_are_on_the_common_clock(tmp_path: Path)
         theta4_rad=np.array([3.0, 3.1, 3.2, np.nan]),
     )
     marks = batch(ROTOR_MARK, 0.25, revolutions=np.array([0, 1, 3]))
-    reported = Event(
+    reported = DeviceEvent(
         "lock", "encoder", "", {"pendulum": 1, "state": "released", "time_ns": START + 4_000_000, "time_std_s": 0.02}
     )
     run = load_run(imported_log(tmp_path / "a.mcap", y, angles, marks, events=(reported,), clock_tolerance_ppm="7"))

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.transports.slcan import BEL, CanFrame, Decoded, LineDecoder, encode
+from daq.transports.slcan import BEL, CanFrame, DecodedLines, LineDecoder, encode
 
 FRAMES = st.one_of(
     st.builds(CanFrame, st.integers(0, 0x7FF), st.binary(max_size=8)),
@@ -21,7 +21,7 @@ def decode(pieces):
         frames += found.frames
         other += found.other_lines
         damaged += found.damaged
-    return Decoded(frames, other, damaged)
+    return DecodedLines(frames, other, damaged)
 
 
 def test_known_lines():
@@ -32,12 +32,12 @@ def test_known_lines():
 
 @given(FRAMES)
 def test_round_trip(frame):
-    assert decode([encode(frame)]) == Decoded([frame], [], 0)
+    assert decode([encode(frame)]) == DecodedLines([frame], [], 0)
 
 
 @given(FRAMES, st.integers(0, 0xEA5F))
 def test_adapter_time_behind_the_data_is_ignored(frame, time_ms):
-    assert decode([encode(frame)[:-1] + f"{time_ms:04X}\r".encode()]) == Decoded([frame], [], 0)
+    assert decode([encode(frame)[:-1] + f"{time_ms:04X}\r".encode()]) == DecodedLines([frame], [], 0)
 
 
 @given(
@@ -75,12 +75,12 @@ def test_an_intact_line_is_decoded_after_any_bytes(pieces):
     ],
 )
 def test_damaged_lines_are_counted(line):
-    assert decode([line + b"\r"]) == Decoded([], [], 1)
+    assert decode([line + b"\r"]) == DecodedLines([], [], 1)
 
 
 def test_answers_bell_and_crlf():
     found = decode([b"V1013\rz\r\r\x07t1230\r\nt1240\r"])
-    assert found == Decoded([CanFrame(0x123), CanFrame(0x124)], ["V1013", "z", "", BEL], 0)
+    assert found == DecodedLines([CanFrame(0x123), CanFrame(0x124)], ["V1013", "z", "", BEL], 0)
 
 
 def test_an_endless_line_is_bounded():
@@ -88,7 +88,7 @@ def test_an_endless_line_is_bounded():
     for _ in range(100):
         decoder.feed(b"A" * 1000)
     assert len(decoder._line) <= 64
-    assert decoder.feed(b"\r" + encode(CanFrame(1))) == Decoded([CanFrame(1)], [], 1)
+    assert decoder.feed(b"\r" + encode(CanFrame(1))) == DecodedLines([CanFrame(1)], [], 1)
 
 
 @pytest.mark.parametrize(
@@ -101,11 +101,11 @@ def test_a_frame_that_cannot_be_is_refused(frame):
 
 @pytest.mark.parametrize("line", ["V1013", "v0107", "NA123", "NA1230000", "F04", "z", "Z", ""])
 def test_what_adapters_answer_is_no_damage(line):
-    assert decode([line.encode() + b"\r"]) == Decoded([], [line], 0)
+    assert decode([line.encode() + b"\r"]) == DecodedLines([], [line], 0)
 
 
 @pytest.mark.parametrize("line", ["", "C", "O", "L", "S6", "s031C", "Z1", "M00000000", "V", "F"])
 def test_orders_are_a_host_s_and_no_adapter_s(line):
     data = line.encode() + b"\r"
-    assert LineDecoder(of_host=True).feed(data) == Decoded([], [line], 0)
+    assert LineDecoder(of_host=True).feed(data) == DecodedLines([], [line], 0)
     assert LineDecoder().feed(data).damaged == (line != "")

@@ -20,7 +20,7 @@ from daq.signals.run import load_run
 from rig_configs import load_rig
 from rig_configs.drivers import installed
 from rig_configs.roles import (
-    Displacement,
+    DisplacementSensor,
     OtherQuantity,
     PendulumAngles,
     PendulumLocks,
@@ -77,7 +77,7 @@ def test_roles_that_are_none_are_refused(tmp_path: Path, stored: bytes, monkeypa
 @pytest.mark.parametrize(
     "role",
     [
-        Displacement(device="a", topic="laser/x", axis="x", rate_Hz=10.0, range_m=0.1, clock_tolerance_ppm=1.0),
+        DisplacementSensor(device="a", topic="laser/x", axis="x", rate_Hz=10.0, range_m=0.1, clock_tolerance_ppm=1.0),
         PendulumAngles(
             device="a", topic="t", rate_Hz=1.0, counts_per_revolution=64, zero_std_deg=0.0, clock_tolerance_ppm=1.0
         ),

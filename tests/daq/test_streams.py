@@ -23,7 +23,7 @@ from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.errors import DeviceError
-from daq.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
@@ -38,14 +38,14 @@ def blocks(counters: np.ndarray, metres: np.ndarray) -> np.ndarray:
     ).astype(np.uint32)
 
 
-def feed(pipeline: LaserPipeline | NodePipeline, parts: list[bytes]) -> tuple[list[Batch], list[Event]]:
+def feed(pipeline: LaserPipeline | NodePipeline, parts: list[bytes]) -> tuple[list[Batch], list[DeviceEvent]]:
     """A whole log, to its end."""
     return feed_on(pipeline, [*parts, b""])
 
 
-def feed_on(pipeline: LaserPipeline | NodePipeline, parts: list[bytes]) -> tuple[list[Batch], list[Event]]:
+def feed_on(pipeline: LaserPipeline | NodePipeline, parts: list[bytes]) -> tuple[list[Batch], list[DeviceEvent]]:
     items = [x for i, p in enumerate(parts) for x in pipeline.feed(RX, p, START_NS + i * 10_000_000)]
-    return [x for x in items if isinstance(x, Batch)], [x for x in items if isinstance(x, Event)]
+    return [x for x in items if isinstance(x, Batch)], [x for x in items if isinstance(x, DeviceEvent)]
 
 
 def laser() -> LaserPipeline:
@@ -195,7 +195,7 @@ def test_a_gap_longer_than_the_counter_is_counted_by_the_timestamp() -> None:
 
 def test_a_node_with_other_encoders_than_in_the_rig_file_is_a_fault() -> None:
     pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
-    status = rotorlink.Status(1, 0, 1000, 3700, 250, 10, 0, 1, 4, 1024)
+    status = rotorlink.NodeStatus(1, 0, 1000, 3700, 250, 10, 0, 1, 4, 1024)
     _, events = feed(pipeline, [rotorlink.wire(status.pack())])
     assert "1024" in next(e.text for e in events if e.kind == "fault")
 
@@ -228,12 +228,12 @@ def test_what_waits_for_a_repeat_is_handed_out_at_the_logs_end() -> None:
         assert pipeline.losses["samples"] == (20 if end is not None else 0)
 
 
-def decoded(sent: list[tuple[float, bytes]]) -> tuple[NodePipeline, list[int], list[Event]]:
+def decoded(sent: list[tuple[float, bytes]]) -> tuple[NodePipeline, list[int], list[DeviceEvent]]:
     """A node's frames, each with the host's time of its arrival in s; what came out, to the log's end."""
     pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
     items = [x for s, frame in [*sent, (sent[-1][0], b"")] for x in pipeline.feed(RX, frame, START_NS + round(s * 1e9))]
     index = [int(k) for x in items if isinstance(x, Batch) for k in x.columns["index"]]
-    return pipeline, index, [x for x in items if isinstance(x, Event)]
+    return pipeline, index, [x for x in items if isinstance(x, DeviceEvent)]
 
 
 def blocks_from(
@@ -332,7 +332,7 @@ def test_a_status_within_a_long_block_is_no_restart(period_us: int) -> None:
     length_s = 29e-6 * period_us
     frames = [(s, 1, frame) for s, frame in blocks_from(0.0, 30, period_us=period_us, n=29)]
     status = [
-        (0.9 * k, 0, rotorlink.Status(1, 0, round(9e5 * k), 3700, 250, 0, 0, 1, 1, 4096))
+        (0.9 * k, 0, rotorlink.NodeStatus(1, 0, round(9e5 * k), 3700, 250, 0, 0, 1, 1, 4096))
         for k in range(int(33 * length_s))
     ]
     reported = sorted([*frames, *status], key=lambda each: each[:2])
@@ -343,10 +343,10 @@ def test_a_status_within_a_long_block_is_no_restart(period_us: int) -> None:
     assert not any(pipeline.losses.values())
 
 
-def _numbered(frame: bytes | rotorlink.Status, seq: int) -> bytes:
+def _numbered(frame: bytes | rotorlink.NodeStatus, seq: int) -> bytes:
     """A frame with its place in the sender's sequence."""
     found = FrameDecoder().feed(frame).frames[0] if isinstance(frame, bytes) else frame
-    assert isinstance(found, rotorlink.EncoderBlock | rotorlink.Status)
+    assert isinstance(found, rotorlink.EncoderBlock | rotorlink.NodeStatus)
     return rotorlink.wire(replace(found, seq=seq).pack())
 
 
@@ -529,13 +529,13 @@ def test_the_quick_way_is_taken_and_a_split_block_waits_for_its_rest() -> None:
     assert [len(b.time_ns) for b in batches] == [20, 15]
 
 
-def heard(*frames: tuple[int, bytes]) -> list[Event]:
+def heard(*frames: tuple[int, bytes]) -> list[DeviceEvent]:
     """Events of a drive that sends these frames, each in a read of its own."""
     pipeline = DrivePipeline("drive", DEVICES["drive"])
-    found: list[Batch | Event] = []
+    found: list[Batch | DeviceEvent] = []
     for number, (identifier, data) in enumerate(frames):
         found += pipeline.feed(RX, slcan.encode(slcan.CanFrame(identifier, data)), START_NS + number)
-    return [item for item in found if isinstance(item, Event)]
+    return [item for item in found if isinstance(item, DeviceEvent)]
 
 
 def test_a_drive_that_starts_again_or_leaves_operation_is_an_event() -> None:
@@ -575,7 +575,7 @@ def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
     batches = [x for x in items if isinstance(x, Batch)]
     assert [float(b.columns["speed_rpm"][0]) for b in batches] == [600.0] * 6
     assert all(b.columns["target_rpm"][0] == 0 for b in batches)
-    assert [x.kind for x in items if isinstance(x, Event)] == ["drive"]
+    assert [x.kind for x in items if isinstance(x, DeviceEvent)] == ["drive"]
 
 
 def test_a_report_may_be_longer_and_one_that_is_too_short_is_an_event() -> None:
@@ -585,7 +585,7 @@ def test_a_report_may_be_longer_and_one_that_is_too_short_is_an_event() -> None:
     for data in (cia402.pack_tpdo1(0x0627, -600) + b"\x02", b"\x27\x06", b"\x27\x06"):
         items += pipeline.feed(RX, slcan.encode(slcan.CanFrame(identifier, data)), START_NS)
     assert [b.columns["speed_rpm"].tolist() for b in items if isinstance(b, Batch)] == [[-600.0]]
-    assert [x.kind for x in items if isinstance(x, Event)] == ["drive", "mapping"]
+    assert [x.kind for x in items if isinstance(x, DeviceEvent)] == ["drive", "mapping"]
     assert "have 2 bytes" in pipeline.complaint
 
 
@@ -604,7 +604,7 @@ def test_frames_that_the_adapter_refused_are_counted_and_its_own_orders_are_not(
     assert pipeline.feed(RX, b"\r\x07\r\r", START_NS) == []  # it was closed
     pipeline.feed(TX, speed * 3, START_NS)
     (event,) = pipeline.feed(RX, b"z\r\x07\x07", START_NS)
-    assert isinstance(event, Event)
+    assert isinstance(event, DeviceEvent)
     assert (event.kind, event.facts) == ("refused", {"lines": 2})
     assert pipeline.losses == {"damaged_lines": 0, "refused_lines": 2}
     pipeline.feed(TX, b"C\r", START_NS)

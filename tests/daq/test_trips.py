@@ -15,7 +15,7 @@ from daq import channels
 from daq.acquisition.recent import Recent
 from daq.acquisition.trips import POINTS, Trips, kept_rows
 from daq.channels import LASER_X, MOTOR, TACHO
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log import open_log
 from daq.log.file import LogFile
 from rig_configs import load_rig
@@ -53,7 +53,7 @@ def motor(at_ns: int, rpm: float) -> Batch:
     return Batch(MOTOR, np.array([at_ns]), np.zeros(1, np.uint32), columns)
 
 
-def only(events: list[Event]) -> Event:
+def only(events: list[DeviceEvent]) -> DeviceEvent:
     (event,) = events
     assert (event.kind, event.device) == ("trip", "host")
     return event

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import pytest
 
-from daq.drivers.contract import Driver, RotorGuard, SpeedSource, TurnsRotor
+from daq.drivers.contract import Driver, RotorGuard, SpeedControl, TurnsRotor
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.control import Mode, VescControl
 from daq.drivers.vesc.dialogue import identify
@@ -18,9 +18,9 @@ from daq.drivers.vesc.driver import DRIVER
 from daq.drivers.vesc.far_end import SimulatedVesc
 from daq.drivers.vesc.settings import Vesc
 from daq.errors import DeviceError, LinkLost, ProcedureError
-from daq.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports import HostClock
-from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.motion import SimulatedMotion
 from rig_configs import load_rig
 
 PHYSICS = load_rig("virtual").true_physics
@@ -61,16 +61,16 @@ class Bench:
 
     def __init__(self, settings: Vesc = SETTINGS, **far: object) -> None:
         self.settings, self.clock = settings, RigTime()
-        self.motion = Motion(PHYSICS, SLIP, 0.08)
+        self.motion = SimulatedMotion(PHYSICS, SLIP, 0.08)
         self.far = SimulatedVesc(settings, self.motion, **far)  # type: ignore[arg-type]
         self.pipeline = DRIVER.pipeline("drive", settings, {})
-        self.commands: list[tuple[float, wire.Command]] = []
+        self.commands: list[tuple[float, wire.MotorCommand]] = []
         self.permitted: list[float | None] = []
         self.refuse: Exception | None = None
         self.at_permit: Callable[[], None] = lambda: None
         self.gone = self.asleep = False
         self.rows: list[tuple[float, float, int]] = []
-        self.events: list[Event] = []
+        self.events: list[DeviceEvent] = []
         self.log: list[tuple[int, bytes, int]] = []
         self._host = packets.PacketDecoder()
         guard = RotorGuard(self._permit, self._at_rest, lambda: abs(self.control.actual_rpm))
@@ -157,7 +157,7 @@ def test_the_driver_is_one() -> None:
 
 
 def test_it_is_a_speed_source(bench: Bench) -> None:
-    source: SpeedSource = bench.control
+    source: SpeedControl = bench.control
     assert source.was_reset == ""
 
 
@@ -253,7 +253,7 @@ def test_an_invalid_ramp_is_refused(bench: Bench) -> None:
 def test_a_quick_stop_brakes_at_once(bench: Bench) -> None:
     bench.runs(600.0)
     bench.control.quick_stop()
-    assert bench.commands[-1][1] == wire.Command(wire.SET_BRAKE, 5000)
+    assert bench.commands[-1][1] == wire.MotorCommand(wire.SET_BRAKE, 5000)
     assert not bench.control.enabled
     bench.pass_time(1.0)
     assert abs(bench.rpm) < 1
@@ -304,7 +304,7 @@ def test_stop_brakes_and_then_lets_go(bench: Bench) -> None:
     assert bench.control.stop() is True
     assert abs(bench.rpm) < 1
     assert {command.what for _, command in bench.commands[:-1]} == {wire.SET_BRAKE}
-    assert bench.commands[-1][1] == wire.Command(wire.SET_CURRENT, 0)
+    assert bench.commands[-1][1] == wire.MotorCommand(wire.SET_CURRENT, 0)
     count = len(bench.log)
     bench.control.quick_stop()  # a late one of another thread
     assert bench.commands[-1][1].what == wire.SET_BRAKE
@@ -332,7 +332,7 @@ def test_a_silent_one_is_commanded_and_its_release_is_not_confirmed(bench: Bench
     messages: list[str] = []
     assert bench.control.stop(messages.append) is False
     assert abs(bench.rpm) < 1
-    assert bench.commands[-1][1] == wire.Command(wire.SET_CURRENT, 0)
+    assert bench.commands[-1][1] == wire.MotorCommand(wire.SET_CURRENT, 0)
     assert "the release is not confirmed" in messages[-1]
 
 

@@ -14,7 +14,7 @@ from daq.drivers.vesc import packets, stream, wire
 from daq.drivers.vesc.driver import DRIVER
 from daq.drivers.vesc.settings import Vesc
 from daq.drivers.vesc.stream import VescPipeline
-from daq.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, DeviceEvent
 
 SETTINGS = Vesc(
     driver="vesc", port="/dev/x", pole_pairs=7, timeout_s=1.0, brake_A=10.0, min_erpm=700.0, follow_s=0.1
@@ -26,7 +26,7 @@ def answer(values: wire.Values) -> bytes:
     return packets.packet(wire.pack_values(values))
 
 
-def samples(items: list[Batch | Event]) -> list[tuple[float, float, int]]:
+def samples(items: list[Batch | DeviceEvent]) -> list[tuple[float, float, int]]:
     rows: list[tuple[float, float, int]] = []
     for item in items:
         if isinstance(item, Batch):
@@ -36,8 +36,8 @@ def samples(items: list[Batch | Event]) -> list[tuple[float, float, int]]:
     return rows
 
 
-def events(items: list[Batch | Event], kind: str) -> list[Event]:
-    return [item for item in items if isinstance(item, Event) and item.kind == kind]
+def events(items: list[Batch | DeviceEvent], kind: str) -> list[DeviceEvent]:
+    return [item for item in items if isinstance(item, DeviceEvent) and item.kind == kind]
 
 
 def test_speed_target_and_state() -> None:
@@ -127,7 +127,7 @@ def test_only_a_speed_is_followed(command: bytes) -> None:
 def test_who_it_is_comes_as_a_reply() -> None:
     firmware = wire.Firmware(5, 3, "60", "00" * 12)
     (reply,) = VescPipeline("drive", SETTINGS).feed(RX, packets.packet(wire.pack_firmware(firmware)), 1)
-    assert isinstance(reply, Event)
+    assert isinstance(reply, DeviceEvent)
     assert wire.parse_firmware(bytes.fromhex(reply.text)) == firmware
     assert reply.facts["firmware"] == "5.03"
 
@@ -168,7 +168,7 @@ PIECES = st.lists(
 )
 
 
-def same(one: list[Batch | Event], other: list[Batch | Event]) -> None:
+def same(one: list[Batch | DeviceEvent], other: list[Batch | DeviceEvent]) -> None:
     assert len(one) == len(other)
     for a, b in zip(one, other, strict=True):
         if isinstance(a, Batch) and isinstance(b, Batch):
@@ -189,15 +189,17 @@ def test_replay_gives_the_same(pieces: list[tuple[int, bytes]]) -> None:
 @given(PIECES, st.integers(1, 9))
 def test_any_split_gives_the_same_samples_and_losses(pieces: list[tuple[int, bytes]], size: int) -> None:
     whole, split = VescPipeline("drive", SETTINGS), VescPipeline("drive", SETTINGS)
-    one: list[Batch | Event] = []
-    other: list[Batch | Event] = []
+    one: list[Batch | DeviceEvent] = []
+    other: list[Batch | DeviceEvent] = []
     for direction, data in pieces:
         one += whole.feed(direction, data, 7)
         for at in range(0, len(data), size):
             other += split.feed(direction, data[at : at + size], 7)
     assert samples(one) == samples(other)
     assert whole.losses == split.losses
-    texts = [[(e.kind, e.text) for e in items if isinstance(e, Event) and e.kind != "damage"] for items in (one, other)]
+    texts = [
+        [(e.kind, e.text) for e in items if isinstance(e, DeviceEvent) and e.kind != "damage"] for items in (one, other)
+    ]
     assert texts[0] == texts[1]
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.drivers.vesc import packets, wire
-from daq.drivers.vesc.ramp import Ramp
+from daq.drivers.vesc.ramp import SetpointRamp
 from daq.drivers.vesc.settings import Vesc
 
 MUTATIONS = 10_000
@@ -159,9 +159,9 @@ def test_commands_round_trip(erpm: int, amperes: float) -> None:
     sent = wire.set_rpm(erpm) + wire.set_brake(amperes) + wire.release() + wire.alive() + wire.get_values()
     payloads = packets.PacketDecoder().feed(sent).payloads
     assert [wire.parse_command(payload) for payload in payloads] == [
-        wire.Command(wire.SET_RPM, erpm),
-        wire.Command(wire.SET_BRAKE, round(amperes * 1000)),
-        wire.Command(wire.SET_CURRENT, 0),
+        wire.MotorCommand(wire.SET_RPM, erpm),
+        wire.MotorCommand(wire.SET_BRAKE, round(amperes * 1000)),
+        wire.MotorCommand(wire.SET_CURRENT, 0),
         None,
         None,
     ]
@@ -348,7 +348,7 @@ def test_values_that_only_the_operator_has_have_no_default(name: str) -> None:
 def test_the_ramp_is_never_steeper_and_never_where_nothing_holds(
     orders: list[tuple[float, float]], rate: float, least: float
 ) -> None:
-    ramp, now, before = Ramp(rate, least, 0.25), 0.0, 0.0
+    ramp, now, before = SetpointRamp(rate, least, 0.25), 0.0, 0.0
     ramp.begin(0.0, now)
     for target, passed in orders:
         ramp.target_rpm, now = target, now + passed
@@ -361,7 +361,7 @@ def test_the_ramp_is_never_steeper_and_never_where_nothing_holds(
 
 
 def test_the_ramp_arrives() -> None:
-    ramp = Ramp(100.0, 50.0, 0.25)
+    ramp = SetpointRamp(100.0, 50.0, 0.25)
     ramp.begin(0.0, 0.0)
     ramp.target_rpm = 200.0
     assert [ramp.at(t / 4) for t in range(8)] == [50, 75, 100, 125, 150, 175, 200, 200]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.virtual_rig.motion import GRID_S, Motion
+from daq.virtual_rig.motion import GRID_S, SimulatedMotion
 from dynamics import Scene, SpeedHistory, simulate
 from rig_configs import load_rig
 
@@ -20,7 +20,7 @@ def _released(arm_m: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
     """Pendulum angles after a release at 600 rpm: the simulated rig's and those of `simulate`, shape (n, 2) each."""
     rig = load_rig("isotropic").physics
     p = replace(rig, a=replace(rig.a, friction_arm_m=arm_m), b=replace(rig.b, friction_arm_m=arm_m))
-    motion = Motion(p, 0.0, 0.001)
+    motion = SimulatedMotion(p, 0.0, 0.001)
     for pendulum, play in ((0, _PLAY), (1, _PLAY_B)):
         motion.lock(pendulum, play)
     motion.target_rad_s, motion.ramp_rad_s2 = 600 * _RPM, 1000.0

@@ -18,12 +18,12 @@ from daq.lockstep.rig import LockstepRig
 from daq.log.file import LogFile
 from daq.replay import check
 from daq.signals.run import disagreements, load_run
-from daq.signals.witnesses import Agreement, Witness, agreement
+from daq.signals.witnesses import Witness, WitnessAgreement, agreement
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from identification import identify
 from rig_cli.main import run as main
 from rig_configs import load_rig
-from rig_configs.roles import Displacement, role_table
+from rig_configs.roles import DisplacementSensor, role_table
 
 Floats = NDArray[np.float64]
 NOISE_M = 4e-6
@@ -46,7 +46,7 @@ def compared(
     drift: float = 20e-6,
     noise_m: float = NOISE_M,
     gain_std: float = 1.4e-3,
-) -> Agreement:
+) -> WitnessAgreement:
     rng = np.random.default_rng(seed)
     ta, tb = (np.arange(rng.uniform(0, 1) / rate, 12.0, 1 / rate) for rate in rates)
     a = motion(ta, size_m) + noise_m * rng.normal(size=len(ta)) + 3e-4
@@ -165,7 +165,9 @@ def witnessed_log(path: Path, gain: float) -> Path:
     rig = load_rig("virtual")
     snapshot, roles = json.loads(rig.snapshot_json()), json.loads(rig.roles_json())
     snapshot["devices"]["top"] = {"driver": "acme", "port": "p"}
-    top = Displacement("top", "laser/top", "x", 4000.0, 0.025, 30.0, lever_ratio=1.3, gain_std=0.002, witness=True)
+    top = DisplacementSensor(
+        "top", "laser/top", "x", 4000.0, 0.025, 30.0, lever_ratio=1.3, gain_std=0.002, witness=True
+    )
     roles["top"] = [role_table(top)]
     attachments = {"rig.json": json.dumps(snapshot).encode(), "roles.json": json.dumps(roles).encode()}
     start, rng = 1_700_000_000_000_000_000, np.random.default_rng(3)

@@ -18,9 +18,9 @@ from daq.drivers.xbee.driver import DRIVER
 from daq.drivers.xbee.far_end import SimulatedXBeeNode
 from daq.drivers.xbee.settings import XBeeNode
 from daq.errors import DeviceError
-from daq.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports import HostClock
-from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import DeviceClock
 from rig_configs import load_rig
 from rig_configs.schema import Radio
@@ -49,7 +49,7 @@ class Bench:
     def __init__(self, config: XBeeNode, air: Radio = CLEAR_AIR, host: XBeeNode | None = None) -> None:
         rig = load_rig("virtual")
         self.config = host or config
-        self.motion = Motion(rig.true_physics, 0.0, 0.08)
+        self.motion = SimulatedMotion(rig.true_physics, 0.0, 0.08)
         self.air = Air(air, np.random.default_rng(3))
         self.far = SimulatedXBeeNode(
             config, self.motion, np.zeros(2), 0.3, 0.0, DeviceClock(5.0, 2e-5), self.air, np.random.default_rng(4)
@@ -59,7 +59,7 @@ class Bench:
         self.clock = HostClock()
         self.locks = DRIVER.locks(self.config, self.send, self.clock)
         self.raw: list[tuple[int, bytes, int]] = []
-        self.found: list[Batch | Event] = []
+        self.found: list[Batch | DeviceEvent] = []
         self.replies: queue.Queue[str] = queue.Queue()
         self.bytes_in = 0
         self.deaf = False
@@ -88,9 +88,9 @@ class Bench:
         self.bytes_in += len(data) if direction == RX else 0
         for item in self.pipeline.feed(direction, data, host_ns):
             self.found.append(item)
-            if isinstance(item, Event) and item.kind == "reply":
+            if isinstance(item, DeviceEvent) and item.kind == "reply":
                 self.replies.put(item.text)
-            elif isinstance(item, Event) and item.kind == "acknowledge":
+            elif isinstance(item, DeviceEvent) and item.kind == "acknowledge":
                 self.locks.heard(item)
 
     def column(self, topic: str, name: str) -> np.ndarray:
@@ -99,7 +99,7 @@ class Bench:
         )
 
     def texts(self, kind: str) -> list[str]:
-        return [item.text for item in self.found if isinstance(item, Event) and item.kind == kind]
+        return [item.text for item in self.found if isinstance(item, DeviceEvent) and item.kind == kind]
 
 
 def no_check() -> None:
@@ -241,7 +241,7 @@ def test_the_bytes_of_a_run_decoded_again_give_the_same() -> None:
     found = [item for raw in bench.raw for item in again.feed(*raw)]
     assert len(found) == len(bench.found) > 20
     for new, old in zip(found, bench.found, strict=True):
-        if isinstance(new, Event):
+        if isinstance(new, DeviceEvent):
             assert new == old
         else:
             assert isinstance(old, Batch)
@@ -332,13 +332,13 @@ def test_an_address_of_no_module() -> None:
         bench.locks.command("release both", no_check)
 
 
-def acknowledged(result: int, seq: int) -> Event:
-    return Event("acknowledge", "encoder", f"command {seq}", {"command_seq": seq, "result": result})
+def acknowledged(result: int, seq: int) -> DeviceEvent:
+    return DeviceEvent("acknowledge", "encoder", f"command {seq}", {"command_seq": seq, "result": result})
 
 
-def undelivered(frame_id: int) -> Event:
+def undelivered(frame_id: int) -> DeviceEvent:
     facts = {"frame_id": frame_id, "delivery_status": 0x21}
-    return Event("acknowledge", "encoder", f"radio frame {frame_id}: no acknowledgement", facts)
+    return DeviceEvent("acknowledge", "encoder", f"radio frame {frame_id}: no acknowledgement", facts)
 
 
 def command(answer: Callable[[Any, int, int], None], tries: list[int]) -> None:

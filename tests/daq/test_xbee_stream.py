@@ -16,7 +16,7 @@ from daq.drivers.rotorlink.stream import NodePipeline
 from daq.drivers.xbee import framing
 from daq.drivers.xbee.settings import XBeeNode
 from daq.drivers.xbee.stream import XBeePipeline
-from daq.items import RX, TX, Batch, Event
+from daq.items import RX, TX, Batch, DeviceEvent
 from tests.daq.test_xbee_wire import mutated
 
 START_NS = 1_700_000_000_000_000_000
@@ -59,9 +59,9 @@ def block(i: int, first_seq: int = 0, samples: int = 5) -> bytes:
     ).pack()
 
 
-def feed(into: NodePipeline, parts: list[bytes]) -> tuple[list[Batch], list[Event]]:
+def feed(into: NodePipeline, parts: list[bytes]) -> tuple[list[Batch], list[DeviceEvent]]:
     found = [item for i, part in enumerate([*parts, b""]) for item in into.feed(RX, part, START_NS + 20_000_000 * i)]
-    return [x for x in found if isinstance(x, Batch)], [x for x in found if isinstance(x, Event)]
+    return [x for x in found if isinstance(x, Batch)], [x for x in found if isinstance(x, DeviceEvent)]
 
 
 def column(batches: list[Batch], name: str) -> np.ndarray:
@@ -82,7 +82,7 @@ def same(first: list[Batch], second: list[Batch], times: bool = True) -> bool:
 PAYLOADS = [
     block(0),
     rotorlink.IndexMark(1, 1, 21_000, 33).pack(),
-    rotorlink.Status(1, 2, 22_000, 3712, 315, 8, 0, 1, 4, 4096).pack(),
+    rotorlink.NodeStatus(1, 2, 22_000, 3712, 315, 8, 0, 1, 4, 4096).pack(),
     rotorlink.LockEvent(1, 3, 23_000, 0, 1, 42).pack(),
     rotorlink.Acknowledge(1, 4, 42, 0).pack(),
     block(1, first_seq=4),
@@ -211,7 +211,7 @@ def test_signal_strength_of_a_frame_an_answer_or_the_opening() -> None:
 def test_words_of_the_module(data: str, kind: str, text: str, facts: dict[str, Any]) -> None:
     into = pipeline()
     (event,) = into.feed(RX, module_frame(data), START_NS)
-    assert isinstance(event, Event)
+    assert isinstance(event, DeviceEvent)
     assert (event.kind, event.facts, event.device) == (kind, facts, "encoder")
     assert text in event.text
     assert not any(into.losses.values())

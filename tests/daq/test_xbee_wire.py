@@ -39,7 +39,7 @@ PUBLISHED = {  # examples in the maker's manuals
 }
 
 
-def decode(pieces: list[bytes], escaped: bool) -> list[bytes | framing.Damage]:
+def decode(pieces: list[bytes], escaped: bool) -> list[bytes | framing.DamagedPart]:
     decoder = framing.ApiDecoder(escaped=escaped)
     return [found for piece in pieces for found in decoder.feed(piece)]
 
@@ -130,7 +130,7 @@ def test_bytes_between_frames_cost_no_frame_and_are_counted(pieces: list[tuple[b
     line += b"".join(garbage + framing.encode(data, escaped=escaped) for garbage, data in clean)
     _, *found = decode([line], escaped)
     assert [item for item in found if isinstance(item, bytes)] == [data for _, data in clean]
-    assert found.count(framing.Damage("garbage")) == sum(bool(garbage) for garbage, _ in clean)
+    assert found.count(framing.DamagedPart("garbage")) == sum(bool(garbage) for garbage, _ in clean)
 
 
 @given(st.lists(st.tuples(st.binary(max_size=60), FRAME_DATA), max_size=5))
@@ -147,7 +147,7 @@ def test_a_lost_byte_costs_its_frame_alone_and_is_one_damage(lost: int, escaped:
     line = [framing.encode(data, escaped=escaped) for data in (before, hit, behind)]
     line[1] = line[1][:lost] + line[1][lost + 1 :]
     found = decode([b"".join(line), past_the_beginning(escaped), bytes(400)], escaped)
-    damages = [item for item in found if item not in (framing.Damage("garbage"), before, behind, b"\xfe")]
+    damages = [item for item in found if item not in (framing.DamagedPart("garbage"), before, behind, b"\xfe")]
     assert [item for item in found if isinstance(item, bytes)] == [before, behind, b"\xfe"]
     assert len(damages) == 1
     assert found[:3] == [before, damages[0], behind]
@@ -183,7 +183,7 @@ def test_a_flipped_bit_that_moves_no_byte_never_gives_other_data(data: bytes, bi
 def test_reasons(line: str, reason: str, escaped: bool) -> None:
     sound = past_the_beginning(escaped)
     found = decode([sound, bytes.fromhex(line), sound], escaped)
-    assert found == [b"\xfe", framing.Damage(reason), b"\xfe"]
+    assert found == [b"\xfe", framing.DamagedPart(reason), b"\xfe"]
 
 
 @MODES
@@ -202,7 +202,7 @@ def test_a_line_without_a_single_frame_is_counted_and_not_kept(escaped: bool) ->
     assert len(found) == (10_000 - 2 * framing.MAX_FRAME_BYTES) // framing.MAX_FRAME_BYTES
     assert found == decode([bytes(10_000)], escaped)
     found = [damage for _ in range(100) for damage in decoder.feed(b"\x7e\x02" + bytes(98))]
-    assert framing.Damage("length") in found
+    assert framing.DamagedPart("length") in found
     assert len(decoder._line) < 2 * framing.MAX_FRAME_BYTES
 
 
@@ -215,7 +215,7 @@ def test_wrong_sizes_are_refused(data: str) -> None:
 
 
 def test_other_types_are_named() -> None:
-    assert wire.parse(b"\x97\x01") == wire.Other(0x97)
+    assert wire.parse(b"\x97\x01") == wire.UnusedFrame(0x97)
 
 
 def mutated(line: bytes, draw: random.Random) -> bytes:

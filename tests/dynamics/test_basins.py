@@ -23,7 +23,7 @@ from dynamics.steady.basins.pursuit import deviation
 from dynamics.steady.basins.regions import quadratic_form, spectral_radius
 from dynamics.steady.basins.single import kind_of, release_ends
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit, mean_rates, slipping_orbit
-from dynamics.steady.basins.turning import Turning
+from dynamics.steady.basins.turning import RevolutionMap
 from tests.dynamics.nominal import rig
 
 B, D, E = 1.6, 3.3, 5.8
@@ -47,10 +47,10 @@ def _later(p, speed, state, seconds):
 
 
 @pytest.fixture(scope="module")
-def slipping() -> tuple[Turning, SlippingOrbit, np.ndarray]:
+def slipping() -> tuple[RevolutionMap, SlippingOrbit, np.ndarray]:
     """The slipping orbit at D with strong damping, and the strobed motion it was found from."""
     p = rig(zeta=0.05)
-    turning = Turning.of(p, _speed(p, D))
+    turning = RevolutionMap.of(p, _speed(p, D))
     strobe = turning.strobed(locked_state(p, turning.speed_rad_s, 0.0, 0.3, 2.9), 1400)[-900:]
     found = slipping_orbit(turning, strobe, NEAR_RAD)
     assert found is not None
@@ -59,7 +59,7 @@ def slipping() -> tuple[Turning, SlippingOrbit, np.ndarray]:
 
 def test_a_revolution_is_the_integrators():
     p = rig(zeta=0.03, pivot_shift_m=1e-3)
-    turning = Turning.of(p, _speed(p, D))
+    turning = RevolutionMap.of(p, _speed(p, D))
     rng = np.random.default_rng(3)
     for state in rng.normal(size=(3, 8)) * 0.5 * turning.units:
         scene = Scene(SpeedHistory.constant(turning.speed_rad_s), (True, True), state.copy())
@@ -82,7 +82,7 @@ def test_the_form_shrinks_with_every_step_of_the_linear_map(seed, radius):
 
 def test_what_a_region_holds_ends_at_its_state():
     p = rig()
-    turning = Turning.of(p, _speed(p, E))
+    turning = RevolutionMap.of(p, _speed(p, E))
     ends = steady_ends(turning)
     assert [(end.name, end.mirror) for end in ends] == [("I", 0), ("I", 1)]
     table, away = packed(ends, turning), np.empty(8)
@@ -98,7 +98,7 @@ def test_what_a_region_holds_ends_at_its_state():
 
 def test_mirror_images_have_mirrored_regions():
     p = rig()
-    first, second = steady_ends(Turning.of(p, _speed(p, B)))
+    first, second = steady_ends(RevolutionMap.of(p, _speed(p, B)))
     assert first.region is not None
     assert second.region is not None
     over = [0, 1, 3, 2, 4, 5, 7, 6]
@@ -138,7 +138,7 @@ def test_deviations_from_a_slipping_orbit_shrink_as_its_multipliers_say(slipping
 
 def test_a_transient_that_turns_is_no_slipping_orbit():
     p = rig()
-    turning = Turning.of(p, _speed(p, E))
+    turning = RevolutionMap.of(p, _speed(p, E))
     start = locked_state(p, turning.speed_rad_s, 0.0, 0.0, 0.0)
     start[6:8] = -0.4 * turning.speed_rad_s  # thrown back: they turn until their damping has caught them
     strobe = turning.strobed(start, 60)
@@ -148,7 +148,7 @@ def test_a_transient_that_turns_is_no_slipping_orbit():
 
 def test_pendulums_that_hang_are_a_locked_slipping_orbit():
     p = replace(rig(), gravity_m_per_s2=9.81)
-    turning = Turning.of(p, _speed(p, 0.4))
+    turning = RevolutionMap.of(p, _speed(p, 0.4))
     strobe = turning.strobed(locked_state(p, turning.speed_rad_s, 0.0, 0.0, 3.1), 300)
     orbit = slipping_orbit(turning, strobe, NEAR_RAD)
     assert orbit is not None
@@ -192,7 +192,7 @@ def test_what_is_cut_short_is_not_settled():
 def test_what_is_left_at_the_end_of_the_time_is_the_motions_own():
     p = rig()
     speed = _speed(p, B)
-    turning = Turning.of(p, speed)
+    turning = RevolutionMap.of(p, speed)
     found = basins(p, speed, [2.2], [4.5], 20.0)
     assert found.end[0, 0] >= 0
     turns = math.ceil(20.0 / turning.period_s)
@@ -235,7 +235,7 @@ def test_what_has_no_basins_is_refused(changed, message):
 
 def test_numbers_that_mean_nothing_are_refused():
     p = rig()
-    turning = Turning.of(p, _speed(p, E))
+    turning = RevolutionMap.of(p, _speed(p, E))
     with pytest.raises(OutsideDomain, match="theta3_rad"):
         basins(p, _speed(p, E), [math.nan], [3.0])
     with pytest.raises(OutsideDomain, match="seconds"):
@@ -316,14 +316,14 @@ def test_a_slipping_orbit_whose_period_is_doubled():
     orbit = found.slipping[0]
     assert orbit.winding == (2, 2), "passed once, the pendulums turn twice: the simple curve has a multiplier of −1.11"
     assert not orbit.catches
-    turning = Turning.of(p, speed)
+    turning = RevolutionMap.of(p, speed)
     strobe = turning.strobed(locked_state(p, speed, 0.0, 1.5, 3.6), 4000)[-2000:]
     assert orbit.turns_per_revolution == pytest.approx(mean_rates(strobe[:, 2:4]), abs=1e-8)
 
 
 def test_multiplier_across_is_what_motions_beside_the_orbit_shrink_by():
     p = rig(zeta=0.05)
-    turning = Turning.of(p, _speed(p, D))
+    turning = RevolutionMap.of(p, _speed(p, D))
     strobe = turning.strobed(locked_state(p, turning.speed_rad_s, 0.0, 1.5, 3.6), 1500)[-700:]
     orbit = slipping_orbit(turning, strobe, None)
     assert orbit is not None

@@ -19,7 +19,7 @@ from dynamics.equations.balancing import balanced_angles
 from dynamics.errors import OutsideDomain
 from dynamics.stability.border_cells import KnownPoints, Lattice, border_cells
 from dynamics.stability.border_crossings import crossings_of
-from dynamics.stability.border_following import SHORTEST, Followed, follow
+from dynamics.stability.border_following import SHORTEST, FollowedBorder, follow
 from dynamics.stability.borders import FLUTTER, Borders, stability_borders
 from dynamics.stability.map_plane import SpeedStiffnessPlane, multiplier_at
 from dynamics.stability.stability_map import stability_map
@@ -32,7 +32,7 @@ def silent(share: float) -> None:
     assert 0 <= share <= 1
 
 
-def length(line: Followed) -> float:
+def length(line: FollowedBorder) -> float:
     return float(np.sum(np.abs(np.diff(np.array(line.points)))))
 
 

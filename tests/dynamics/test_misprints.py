@@ -16,7 +16,7 @@ from dynamics.derivation.comparison import compare, comparison, comparisons
 from dynamics.derivation.definitions import definitions, lagrange_rows
 from dynamics.derivation.effects import POINTS, rig, variants
 from dynamics.derivation.misprint_pieces import PIECES, unexplained
-from dynamics.derivation.run_up_faults import Faults, release, script_rates
+from dynamics.derivation.run_up_faults import PrintedFaults, release, script_rates
 from dynamics.derivation.scenes import rig_values
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.kernels import rates
@@ -208,7 +208,11 @@ def test_the_run_up_faults_show() -> None:
     p = rig()
     runs = {
         faults: release(p, p.speed_rad_s(POINTS["D"]), faults, 5.0, 20.0, 100)
-        for faults in (Faults(), Faults(without_reaction=True), Faults(integrates_locked_speed=True))
+        for faults in (
+            PrintedFaults(),
+            PrintedFaults(without_reaction=True),
+            PrintedFaults(integrates_locked_speed=True),
+        )
     }
     right, without_reaction, runs_on = runs.values()
     assert right.speed_at_release_rad_s == without_reaction.speed_at_release_rad_s == (0.0, 0.0)

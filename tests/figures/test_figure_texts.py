@@ -24,7 +24,7 @@ from analysis.figures.slip import draw_slip
 from analysis.figures.stability_map import MapPoint, draw_points_on_map
 from analysis.maps.answers import answer
 from analysis.maps.axes import MapAxis
-from analysis.maps.families import Family, SearchRange
+from analysis.maps.families import BorderFamily, SearchRange
 from analysis.maps.question import MapQuestion, rig_source
 from daq.log import open_log
 from daq.signals.run import Run
@@ -104,7 +104,7 @@ def _map(**more: Any) -> Figure:
 
 def _family() -> Figure:
     damping = ("pendulums.a.damping_Nms_per_rad", "pendulums.b.damping_Nms_per_rad")
-    return _map(family=Family(damping, (1e-3, 4e-3)), best=SearchRange(damping, 1e-4, 1e-2, True), borders=True)
+    return _map(family=BorderFamily(damping, (1e-3, 4e-3)), best=SearchRange(damping, 1e-4, 1e-2, True), borders=True)
 
 
 _OTHERS: dict[str, Callable[[], Figure]] = {

@@ -16,7 +16,7 @@ from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.integrate import simulate
 from identification.bench import decays, library_peers, precision, ramps, releases, ring_down_peers, spins, tables
 from identification.bench.fisher import bound
-from identification.bench.trials import Answer, Case, Method, Precision, Trial, measure
+from identification.bench.trials import Method, MethodResult, Precision, SyntheticRecord, TrialSet, measure
 from rig_configs import load_rig
 
 
@@ -88,15 +88,15 @@ def test_the_release_moves_as_the_dynamics_say() -> None:
         ring_down_peers.nonlinear_least_squares,
     ],
 )
-def test_every_peer_reads_a_quiet_decay(peer: Callable[[decays.Decay], Answer]) -> None:
+def test_every_peer_reads_a_quiet_decay(peer: Callable[[decays.DecayTrial], MethodResult]) -> None:
     trial = decays.one_mode(np.random.default_rng(3), 0.02, amplitude_m=1.0, record_s=12.0)
     assert peer(trial.record).values["f1_Hz"] == pytest.approx(trial.truth["f1_Hz"], rel=2e-3)
     assert peer(trial.record).values["zeta1"] == pytest.approx(trial.truth["zeta1"], rel=0.08)
 
 
 @pytest.mark.parametrize("peer", [ring_down_peers.matrix_pencil, ring_down_peers.nonlinear_least_squares])
-def test_the_strong_peers_reach_the_bound(peer: Callable[[decays.Decay], Answer]) -> None:
-    case = Case(
+def test_the_strong_peers_reach_the_bound(peer: Callable[[decays.DecayTrial], MethodResult]) -> None:
+    case = TrialSet(
         "ring-down",
         "c",
         lambda rng: decays.one_mode(rng, 0.02, record_s=8.0),
@@ -138,17 +138,17 @@ def test_subspace_identification_reads_a_decay() -> None:
     assert abs(found["f1_Hz"] - trial.truth["f1_Hz"]) < 20 * trial.bound["f1_Hz"]
 
 
-def _number(rng: np.random.Generator) -> Trial:
+def _number(rng: np.random.Generator) -> SyntheticRecord:
     """A record that is one number, 10 plus noise of 1."""
-    return Trial(10 + rng.normal(), {"a": 10.0}, {"a": 1.0})
+    return SyntheticRecord(10 + rng.normal(), {"a": 10.0}, {"a": 1.0})
 
 
-def _case(*methods: Method) -> Case:
-    return Case("s", "c", _number, {"a": ("a",)}, {"a": 0.5}, methods)
+def _case(*methods: Method) -> TrialSet:
+    return TrialSet("s", "c", _number, {"a": ("a",)}, {"a": 0.5}, methods)
 
 
-def _read(shift: float = 0.0, half_width: float = 1.96) -> Callable[[float], Answer]:
-    return lambda y: Answer({"a": y + shift}, {"a": (y + shift - half_width, y + shift + half_width)})
+def _read(shift: float = 0.0, half_width: float = 1.96) -> Callable[[float], MethodResult]:
+    return lambda y: MethodResult({"a": y + shift}, {"a": (y + shift - half_width, y + shift + half_width)})
 
 
 def test_rms_bias_and_coverage_are_what_they_say() -> None:
@@ -166,13 +166,13 @@ def test_rms_bias_and_coverage_are_what_they_say() -> None:
 
 
 def test_failures_are_counted_left_out_and_kept_off_the_front() -> None:
-    def flaky(value: float) -> Answer:
+    def flaky(value: float) -> MethodResult:
         if value > 10.5:
             raise RuntimeError("too much")
-        return Answer({"a": value if value > 9.5 else 1e9})
+        return MethodResult({"a": value if value > 9.5 else 1e9})
 
-    def silent(value: float) -> Answer:
-        return Answer({"a": math.nan})
+    def silent(value: float) -> MethodResult:
+        return MethodResult({"a": math.nan})
 
     rows = compared(
         measure(
@@ -196,9 +196,9 @@ def test_failures_are_counted_left_out_and_kept_off_the_front() -> None:
 def test_the_same_seed_gives_the_same_records_whatever_their_number() -> None:
     seen: list[float] = []
 
-    def keep(value: float) -> Answer:
+    def keep(value: float) -> MethodResult:
         seen.append(value)
-        return Answer({"a": value})
+        return MethodResult({"a": value})
 
     measure(_case(Method("m", "", keep)), 3, 11)
     few = seen[:]

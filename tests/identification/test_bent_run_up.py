@@ -14,14 +14,14 @@ from dynamics.equations.speed_history import SpeedHistory
 from identification.run_up.bent_oscillator import bent_response, forcing
 from identification.run_up.bent_passage import BentPassage, KnownSuspension
 from identification.run_up.fit import fit_run_up_run
-from identification.run_up.forced_oscillator import Drive, responses_at
+from identification.run_up.forced_oscillator import Excitation, responses_at
 from identification.run_up.result import run_up_estimate
 from identification.run_up.slow_roll import bow_answer, turning
 
 OWN = (18.0, 0.02)
 TIMES = np.linspace(0.5, 9.5, 901)
 SPREAD = np.full(len(TIMES), 1e-6)
-DRIVE = Drive.from_history(SpeedHistory.ramp(8.0, 40.0, 10.0), 0.0, 10.0)
+DRIVE = Excitation.from_history(SpeedHistory.ramp(8.0, 40.0, 10.0), 0.0, 10.0)
 
 
 def response(

@@ -16,8 +16,8 @@ from synthetic import Campaign
 from test_joint import OWN, TRUTH, draw, spoilt
 
 from identification import Estimate, NotIdentifiable, identify
-from identification.compare import compare, holm
-from identification.history import history
+from identification.compare import compare_parameters, holm
+from identification.history import parameter_history
 from identification.identify import Identification
 from identification.joint import joint_estimate
 from identification.joint.limits import SOURCES, limits
@@ -65,7 +65,7 @@ def test_a_changed_spring_is_said_in_plain_words() -> None:
         parameters_of(draw(rng, gains=GAINS)[0]),
         parameters_of(changed(draw(rng, gains=GAINS)[0], "k2_N_per_m", 0.05), day=2),
     )
-    found = compare(old, new)
+    found = compare_parameters(old, new)
     (change,) = found.significant()
     assert change.name == "k2_N_per_m"
     assert abs(change.relative - 0.05) < 4 * change.relative_std
@@ -81,7 +81,7 @@ def test_no_change_is_called_one_in_few_of_many_pairs() -> None:
     rng = np.random.default_rng(2)
     single = overall = 0
     for _ in range(80):
-        found = compare(parameters_of(draw(rng)[0], None), parameters_of(draw(rng)[0], None))
+        found = compare_parameters(parameters_of(draw(rng)[0], None), parameters_of(draw(rng)[0], None))
         single += bool(found.significant(0.05))
         overall += found.p < 0.05
     assert single <= 10
@@ -96,7 +96,7 @@ def test_changes_that_go_together_are_found_though_each_is_small() -> None:
     k1, zeta1 = 2600.0 / np.e * 2.7, 0.02 / np.pi * 3.1  # all the digits of a double, as files have them
     old = IdentifiedParameters(dict(zip(names, (k1, zeta1), strict=True)), covariance)
     new = IdentifiedParameters(dict(zip(names, (k1 + 0.1, zeta1 - 1e-6), strict=True)), covariance)
-    found = compare(old, new)
+    found = compare_parameters(old, new)
     assert found.significant() == []
     assert found.p < 1e-6
     assert "all together they did" in found.in_words()
@@ -105,15 +105,15 @@ def test_changes_that_go_together_are_found_though_each_is_small() -> None:
     old, new = (
         IdentifiedParameters({n: float(f"{v:.5g}") for n, v in p.values.items()}, covariance) for p in (old, new)
     )
-    assert compare(old, new).p > 1e-4
+    assert compare_parameters(old, new).p > 1e-4
 
 
 def test_the_same_laser_s_gain_is_no_change() -> None:
     rng = np.random.default_rng(4)
     first, second = draw(rng, ("run-up",), gains=GAINS)[0], draw(rng, ("run-up",), gains=GAINS)[0]
-    same = compare(parameters_of(first, "A"), parameters_of(second, "A", 2))
-    other = compare(parameters_of(first, "A"), parameters_of(second, "B", 2))
-    unknown = compare(parameters_of(first, None), parameters_of(second, None, 2))
+    same = compare_parameters(parameters_of(first, "A"), parameters_of(second, "A", 2))
+    other = compare_parameters(parameters_of(first, "A"), parameters_of(second, "B", 2))
+    unknown = compare_parameters(parameters_of(first, None), parameters_of(second, None, 2))
     std = [next(c.std for c in found.changes if c.name == "SP_kg_m") for found in (same, other, unknown)]
     own = np.sqrt(2) * 1e-4 * TRUTH["SP_kg_m"]
     gain = np.sqrt(2 * 2) * 0.5e-3 * TRUTH["SP_kg_m"]
@@ -132,7 +132,7 @@ def test_the_std_of_a_change_with_shared_logs_is_what_many_draws_show() -> None:
         estimates, _ = draw(rng, ("spin-down", "spin-down", "point-E"))
         old = parameters_of(estimates[:2])
         new = parameters_of(estimates)
-        found = compare(old, new)
+        found = compare_parameters(old, new)
         change = next(c for c in found.changes if c.name == "c3_Nms_per_rad")
         z.append(change.z)
         alone.append(change.change / np.hypot(old.std[change.name], new.std[change.name]))
@@ -143,11 +143,13 @@ def test_the_std_of_a_change_with_shared_logs_is_what_many_draws_show() -> None:
 def test_logs_in_both_are_named_in_one_sentence() -> None:
     estimates, _ = draw(np.random.default_rng(5), ("spin-down", "spin-down", "point-E"))
     notes = [
-        note for note in compare(parameters_of(estimates[:2]), parameters_of(estimates)).notes if "in both" in note
+        note
+        for note in compare_parameters(parameters_of(estimates[:2]), parameters_of(estimates)).notes
+        if "in both" in note
     ]
     assert len(notes) == 1
     assert notes[0].endswith("are in both: their own errors cancel")
-    one = compare(parameters_of(estimates[:2]), parameters_of(estimates[1:])).notes
+    one = compare_parameters(parameters_of(estimates[:2]), parameters_of(estimates[1:])).notes
     assert [note.partition(" is ")[2] for note in one if "in both" in note] == ["in both: its own errors cancel"]
 
 
@@ -167,7 +169,7 @@ def test_p_is_uniform_however_the_logs_overlap(first: tuple[int, ...], second: t
     p, z = [], []
     for _ in range(80):
         estimates, _ = draw(rng, DAMPING)
-        found = compare(*(parameters_of([estimates[i] for i in which]) for which in (first, second)))
+        found = compare_parameters(*(parameters_of([estimates[i] for i in which]) for which in (first, second)))
         p.append(found.p)
         z += [c.z for c in found.changes]
         assert found.dof == 2
@@ -186,7 +188,7 @@ def test_a_campaign_against_its_own_beginning_has_not_changed(
     for _ in range(25):
         estimates, _ = draw(rng)
         old, new = (parameters_of([estimates[i] for i in which], serial) for which in (first, second))
-        found = compare(old, new)
+        found = compare_parameters(old, new)
         p.append(found.p)
         assert found.dof <= len(found.changes)
         assert all(abs(c.z) < 5 and np.isfinite([c.std, c.z, c.p]).all() for c in found.changes)
@@ -213,7 +215,7 @@ def test_a_clock_common_to_what_stayed_and_what_came_is_no_change() -> None:
             covariance = estimate.covariance * np.outer(scale, scale)
             shared = {"clock encoder": shift}
             estimates.append(dataclasses.replace(estimate, values=values, covariance=covariance, shared=shared))
-        found = compare(parameters_of(estimates[:2]), parameters_of(estimates))
+        found = compare_parameters(parameters_of(estimates[:2]), parameters_of(estimates))
         p.append(found.p)
         assert found.dof == 2  # c3 and c4; all else rests on the same logs
         assert all(0 <= c.share <= 1 for c in found.changes)
@@ -230,14 +232,14 @@ def test_rounded_files_of_the_same_logs_have_not_changed(tmp_path: Path) -> None
         short = IdentifiedParameters(
             {n: float(f"{v:.{digits}g}") for n, v in whole.values.items()}, whole.covariance, whole.provenance
         )
-        found = compare(whole, short)
+        found = compare_parameters(whole, short)
         assert found.p > 1e-3
         assert not found.significant(0.05)
 
 
 def test_a_file_against_itself_has_not_changed() -> None:
     parameters = parameters_of(draw(np.random.default_rng(6))[0])
-    found = compare(parameters, parameters)
+    found = compare_parameters(parameters, parameters)
     assert found.chi2 == 0
     assert found.p == 1
     assert [c.std for c in found.changes] == [0.0] * len(parameters.values)
@@ -247,11 +249,11 @@ def test_a_file_against_itself_has_not_changed() -> None:
 def test_files_without_tests_count_all_errors_as_independent() -> None:
     parameters = parameters_of(draw(np.random.default_rng(6))[0])
     bare = IdentifiedParameters(parameters.values, parameters.covariance)
-    found = compare(bare, parameters)
+    found = compare_parameters(bare, parameters)
     assert [c.std for c in found.changes] == pytest.approx([np.sqrt(2) * s for s in bare.std.values()])
     assert found.notes[0].startswith("OLD keeps too little")
     with pytest.raises(NotIdentifiable, match="nothing to compare"):
-        compare(bare, IdentifiedParameters({}, np.zeros((0, 0))))
+        compare_parameters(bare, IdentifiedParameters({}, np.zeros((0, 0))))
 
 
 def test_holm_of_known_values() -> None:
@@ -337,7 +339,7 @@ def test_history_finds_the_files_and_marks_the_change(tmp_path: Path) -> None:
             estimates = changed(estimates, "zeta1", 0.2)
         parameters_of(estimates, day=day).save(tmp_path / f"day{day}.toml")
     (tmp_path / "rig.toml").write_text("name = 'x'\n")
-    found = history([tmp_path])
+    found = parameter_history([tmp_path])
     assert [i.path.name for i in found.instants] == ["day1.toml", "day2.toml", "day3.toml", "day4.toml"]
     assert len(found.skipped) == 1
     marked = {(i, c.name) for i, step in enumerate(found.steps) if step for c in step.significant()}
@@ -352,20 +354,20 @@ def test_history_asks_which_rig_and_refuses_logs(tmp_path: Path) -> None:
     for rig in ("one", "two"):
         parameters_of(draw(rng)[0], rig=rig).save(tmp_path / f"{rig}.toml")
     with pytest.raises(ParametersFileError, match="--rig"):
-        history([tmp_path])
-    assert len(history([tmp_path], "two").instants) == 1
+        parameter_history([tmp_path])
+    assert len(parameter_history([tmp_path], "two").instants) == 1
     with pytest.raises(ParametersFileError, match="'three'"):
-        history([tmp_path], "three")
+        parameter_history([tmp_path], "three")
     with pytest.raises(ParametersFileError, match="rig identify"):
-        history([tmp_path / "a.mcap"])
+        parameter_history([tmp_path / "a.mcap"])
     with pytest.raises(NotIdentifiable, match="no parameters file"):
-        history([empty])
+        parameter_history([empty])
 
 
 def test_a_file_that_does_not_say_when_has_its_own_time(tmp_path: Path) -> None:
     parameters = parameters_of(draw(np.random.default_rng(12))[0])
     IdentifiedParameters(parameters.values, parameters.covariance).save(tmp_path / "p.toml")
     os.utime(tmp_path / "p.toml", (1.7e9, 1.7e9))
-    (instant,) = history([tmp_path / "p.toml"]).instants
+    (instant,) = parameter_history([tmp_path / "p.toml"]).instants
     assert not instant.time_known
     assert instant.time.timestamp() == 1.7e9

@@ -14,7 +14,7 @@ from identification.estimate import Estimate
 from identification.joint.budget import exact_shifts, parameter_budgets
 from identification.joint.combine import joint_estimate
 from rig_configs import IdentifiedParameters, load_rig
-from uncertainty import Group, Source
+from uncertainty import ErrorSource, Group
 from uncertainty.rows import budget_json, budget_rows
 
 NAMES = ("k1_N_per_m", "k2_N_per_m", "zeta1")
@@ -147,7 +147,7 @@ def test_gains_have_the_standard_uncertainty_of_the_rig_file() -> None:
     rig = load_rig("virtual")
     found = parameter_budgets(kept([estimate(0, [0, 0, 0])]), rig).budgets
     gain = next(s for s in found.sources if s.name == "gain x")
-    assert isinstance(gain, Source)
+    assert isinstance(gain, ErrorSource)
     assert gain.std == rig.roles.gain_stds[0]
     row = next(r for r in budget_rows(found["k2_N_per_m"]) if r.source == "gain x")
     assert row.contribution == pytest.approx(2.0)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from synthetic import Campaign
 
 from identification import NotIdentifiable, identify
-from identification.plan import Requirement, Sensors, parse_requirement, plan
+from identification.plan import Requirement, SensorProperties, parse_requirement, plan_experiments
 from identification.plan.experiment import Experiment, together
 from identification.plan.information import covariance, derivatives, ring_down_bound, spin_down_bound
 from identification.plan.pendulums import release, spin_down
@@ -20,7 +20,7 @@ from rig_configs import RigFileError, load_rig
 from tests.identification.added_rows import row
 
 RIG = load_rig("virtual")
-SENSORS = Sensors.of(RIG)
+SENSORS = SensorProperties.of(RIG)
 
 
 def own(experiment: Experiment, name: str) -> float:
@@ -183,7 +183,7 @@ def test_a_want_in_per_cent_or_in_units_is_the_same(share: float) -> None:
 
 def test_a_plan_reaches_what_it_promises_with_no_step_too_many() -> None:
     requirements = [parse_requirement(t) for t in ("zeta1=0.1%", "zeta2=0.1%", "c3=0.1%", "SP=0.1%")]
-    found = plan(RIG, requirements)
+    found = plan_experiments(RIG, requirements)
     assert found.possible
     reached = together([(s.experiment, s.runs) for s in found.steps])
     for answer in found.answers:
@@ -197,24 +197,24 @@ def test_a_plan_reaches_what_it_promises_with_no_step_too_many() -> None:
 
 
 def test_a_harder_want_takes_more_and_the_hardest_is_refused_with_its_reason() -> None:
-    easy = plan(RIG, [parse_requirement("SP=1%")])
-    hard = plan(RIG, [parse_requirement("SP=0.01%")])
+    easy = plan_experiments(RIG, [parse_requirement("SP=1%")])
+    hard = plan_experiments(RIG, [parse_requirement("SP=0.01%")])
     assert easy.possible
     assert not hard.possible
     (answer,) = hard.answers
     assert answer.limited_by == "gain"
     assert answer.floor == pytest.approx(1e-3 / np.sqrt(2), rel=1e-2)
     assert hard.steps == []
-    (k1,) = plan(RIG, [parse_requirement("k1=0.01%")], mass_std=1e-3).answers
+    (k1,) = plan_experiments(RIG, [parse_requirement("k1=0.01%")], mass_std=1e-3).answers
     assert (k1.possible, k1.limited_by) == (False, "mass")
     assert k1.floor == pytest.approx(1e-3, rel=1e-2)
-    (k1,) = plan(RIG, [parse_requirement("k1=0.0001%")]).answers
+    (k1,) = plan_experiments(RIG, [parse_requirement("k1=0.0001%")]).answers
     assert (k1.possible, k1.limited_by) == (False, "clock")
 
 
 def test_runs_are_repeated_where_one_does_not_do() -> None:
     noisy = replace(SENSORS, laser_noise_m=(4e-4, 4e-4))
-    found = plan(RIG, [parse_requirement("zeta1=0.15%")], noisy)
+    found = plan_experiments(RIG, [parse_requirement("zeta1=0.15%")], noisy)
     assert found.possible
     (step,) = found.steps
     assert step.runs > 1
@@ -222,23 +222,23 @@ def test_runs_are_repeated_where_one_does_not_do() -> None:
 
 def test_limits_of_the_rig_are_kept() -> None:
     slow = load_rig("virtual", settings=["limits.speed_rpm=500"])
-    found = plan(slow, [parse_requirement("zeta1=0.1%"), parse_requirement("c3=1%")])
+    found = plan_experiments(slow, [parse_requirement("zeta1=0.1%"), parse_requirement("c3=1%")])
     assert all(s.experiment.test != "run-up" for s in found.steps)
     assert any("does not pass the second resonance" in r for r in found.remarks)
     narrow = load_rig("virtual", settings=["limits.amplitude_m=0.002"])
-    found = plan(narrow, [parse_requirement("zeta1=0.1%")])
+    found = plan_experiments(narrow, [parse_requirement("zeta1=0.1%")])
     assert all(s.experiment.largest_m <= 0.002 for s in found.steps)
     assert any("left out" in r for r in found.remarks)
 
 
 def test_a_plan_needs_requirements_and_something_to_be_known() -> None:
     with pytest.raises(NotIdentifiable, match="at least one"):
-        plan(RIG, [])
+        plan_experiments(RIG, [])
     with pytest.raises(NotIdentifiable, match="once"):
-        plan(RIG, [parse_requirement("k1=1%"), parse_requirement("k1=2%")])
+        plan_experiments(RIG, [parse_requirement("k1=1%"), parse_requirement("k1=2%")])
     undamped = load_rig("virtual", settings=["suspension.zeta1=0"])
     with pytest.raises(NotIdentifiable, match="zeta1 is 0"):
-        plan(undamped, [parse_requirement("zeta1=1%")])
+        plan_experiments(undamped, [parse_requirement("zeta1=1%")])
 
 
 def test_sensors_are_measured_in_a_log() -> None:
@@ -255,7 +255,7 @@ def test_sensors_are_measured_in_a_log() -> None:
 
 def test_errors_bear_the_labels_that_a_recorded_test_gives_them() -> None:
     """So a plan and what was found before can be taken together: the same clock and gain are the same error."""
-    other = Sensors.of(load_rig("other_devices"))
+    other = SensorProperties.of(load_rig("other_devices"))
     speed = RIG.physics.speed_rad_s(3.3)
     planned = (
         ring_down(RIG.physics, other, "x", 2.5e-3, 10.0),
@@ -279,13 +279,13 @@ def test_errors_bear_the_labels_that_a_recorded_test_gives_them() -> None:
 
 def test_a_rig_with_one_laser_is_planned_for_as_far_as_it_goes() -> None:
     one = load_rig("one_laser")
-    found = plan(one, [parse_requirement("zeta1=1%")])
+    found = plan_experiments(one, [parse_requirement("zeta1=1%")])
     assert found.possible
     assert {s.experiment.test for s in found.steps} == {"ring-down-x"}
-    both = plan(RIG, [parse_requirement("zeta1=1%")])
+    both = plan_experiments(RIG, [parse_requirement("zeta1=1%")])
     assert found.answers[0].reached == pytest.approx(both.answers[0].reached, rel=0.02)
     assert any(r == "no ring-down-y: the rig file has no device for displacement along y" for r in found.remarks)
-    beyond = plan(one, [parse_requirement("zeta2=1%"), parse_requirement("c3=1%")])
+    beyond = plan_experiments(one, [parse_requirement("zeta2=1%"), parse_requirement("c3=1%")])
     assert not beyond.possible
     assert [(a.best, a.limited_by) for a in beyond.answers] == [([], "no test"), ([], "no test")]
 
@@ -294,6 +294,6 @@ def test_an_added_test_is_planned_with_what_its_row_gives(monkeypatch: pytest.Mo
     table = {"struck": row("struck", ("x",), turns=False, gives=("zeta1",))}
     monkeypatch.setattr("identification.methods.KINDS", table)
     monkeypatch.setattr("daq.guided_test_kinds.KINDS", table)
-    found = plan(RIG, [parse_requirement("zeta1=1%"), parse_requirement("k1=1%")])
+    found = plan_experiments(RIG, [parse_requirement("zeta1=1%"), parse_requirement("k1=1%")])
     assert [(s.experiment.test, s.experiment.expected.names) for s in found.steps] == [("struck", ("zeta1",))]
     assert [a.possible for a in found.answers] == [True, False]

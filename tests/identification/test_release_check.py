@@ -14,7 +14,7 @@ from daq.signals.run import Run
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.motions.integrate import locked_state
 from identification.pendulums.frictional_motion import frictional_motion
-from identification.pendulums.release_problem import Release
+from identification.pendulums.release_problem import RecordedRelease
 from identification.pendulums.suspension_knowledge import BOW, Knowledge
 from identification.release_check import ReleaseRows, check_releases
 from identification.release_check.attempts import Attempts
@@ -144,7 +144,7 @@ def test_all_that_tests_share_is_held_where_releases_agree(campaign: Campaign, r
     """If one of them stays at its first point, a release at D ends in a side minimum with χ² 15 per reading."""
     found = identified(campaign, 10)
     known = dataclasses.replace(Knowledge.nominal(found.applied_to(campaign.rig.physics)), terms=TERMS)
-    release = Release.of(release_d, known, 3 * math.radians(campaign.rig.roles.zero_std_deg), "balanced")
+    release = RecordedRelease.of(release_d, known, 3 * math.radians(campaign.rig.roles.zero_std_deg), "balanced")
     fitted = Attempts(found, frozenset()).fitted(release)
     shared = {"pendulums.b.mass_kg": 1e-6, BOW[0]: 1e-8, **dict(zip(TERMS, (20.0, -20.0, 0.01, 0.02), strict=True))}
     there = fitted_at(fitted, shared, Misfit(1.0, 1.0))

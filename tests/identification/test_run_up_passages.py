@@ -14,8 +14,8 @@ from daq.signals.run import Run
 from dynamics.equations.speed_history import SpeedHistory
 from identification import FitFailed, NotIdentifiable, RunUpFit, fit_run_up, fit_run_up_run
 from identification.run_up import fit as run_up_fit
-from identification.run_up.forced_oscillator import Drive, responses_at
-from identification.run_up.rotor_phase import RotorPhase
+from identification.run_up.forced_oscillator import Excitation, responses_at
+from identification.run_up.rotor_phase import PhaseHistory
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 Speed = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
@@ -186,7 +186,7 @@ def test_forced_response_is_the_differential_equations() -> None:
     speed = rippled(ramp(0.5, 7.0, 20.0), 0.003, 0.002)
     t = np.arange(0.0, 20.0, 1e-3)
     history = SpeedHistory.from_phases(t, speed(t)[0])
-    drive = Drive.from_history(history, 0.0, 19.9)
+    drive = Excitation.from_history(history, 0.0, 19.9)
     omega, zeta = 2 * np.pi * 3.0, 0.003
     at = np.sort(np.random.default_rng(0).uniform(0.1, 19.8, 200))
     response = responses_at(at, 0 * at, drive, [(omega, zeta)])[0]
@@ -273,10 +273,10 @@ def test_rounding_that_beats_with_the_readings_lengthens_intervals() -> None:
 def test_rounding_alone_is_told_from_noise() -> None:
     passage = Passage(ramp(2.9, 7.0, 10.0), 10.0)
     resolution = 2 * np.pi / 2048
-    exact = RotorPhase.from_samples(passage.time, passage.phase)
-    rounded = RotorPhase.from_samples(passage.time, np.round(passage.phase / resolution) * resolution)
+    exact = PhaseHistory.from_samples(passage.time, passage.phase)
+    rounded = PhaseHistory.from_samples(passage.time, np.round(passage.phase / resolution) * resolution)
     noisy = passage.phase + 2 * resolution * passage.rng.normal(size=len(passage.phase))
-    shaken = RotorPhase.from_samples(passage.time, np.round(noisy / resolution) * resolution)
+    shaken = PhaseHistory.from_samples(passage.time, np.round(noisy / resolution) * resolution)
     assert exact.rounding is None
     assert shaken.rounding is None
     assert rounded.rounding is not None
@@ -507,8 +507,8 @@ def test_jitter_of_marks_is_measured() -> None:
     rng = np.random.default_rng(0)
     turns = 2 * np.pi * np.arange(1, 200)
     marks = np.sqrt(2 * turns / 2.0)
-    quiet = RotorPhase.from_marks(marks, turns)
-    noisy = RotorPhase.from_marks(marks + 2e-4 * rng.normal(size=len(marks)), turns)
+    quiet = PhaseHistory.from_marks(marks, turns)
+    noisy = PhaseHistory.from_marks(marks + 2e-4 * rng.normal(size=len(marks)), turns)
     jitter = np.sqrt(np.median(noisy.noise_density / np.diff(marks))) / np.median(2 * np.pi / np.diff(marks))
     assert jitter == pytest.approx(2e-4, rel=0.3)
     assert quiet.noise_density.max() < 1e-3 * noisy.noise_density.max()
@@ -522,11 +522,11 @@ def test_white_errors_of_marks_and_a_walk_of_the_phase_are_told_apart() -> None:
     end, after = np.sqrt(2 * 2 * np.pi * 299.5 / slope), np.arange(1, 14)  # at the top from the middle of a turn on
     at_top = end + (after - 0.5) * 2 * np.pi / (slope * end)
     marks, turns = np.r_[marks, at_top], np.r_[turns, turns[-1] + 2 * np.pi * after]
-    white, walks = list[RotorPhase](), list[RotorPhase]()
+    white, walks = list[PhaseHistory](), list[PhaseHistory]()
     for _ in range(100):
-        white.append(RotorPhase.from_marks(marks + 1e-6 * rng.normal(size=len(marks)), turns))
+        white.append(PhaseHistory.from_marks(marks + 1e-6 * rng.normal(size=len(marks)), turns))
         walk = np.cumsum(np.sqrt(1e-8 * np.diff(marks, prepend=0.0)) * rng.normal(size=len(marks)))
-        walks.append(RotorPhase.from_marks(marks - walk / (slope * marks), turns))
+        walks.append(PhaseHistory.from_marks(marks - walk / (slope * marks), turns))
     assert sum(one.wander_density == 0.0 for one in white) >= 96
     assert sum(one.wander_density > 0.0 for one in walks) >= 98
     assert np.median([one.wander_density for one in walks]) == pytest.approx(1e-8, rel=0.1)

@@ -13,7 +13,7 @@ from test_run_up_passages import Passage, assert_covers, ramp
 
 from dynamics.equations.speed_history import SpeedHistory
 from identification import RunUpFit
-from identification.run_up.forced_oscillator import Drive, responses_at
+from identification.run_up.forced_oscillator import Excitation, responses_at
 from identification.run_up.slow_roll import bow_answer, turning
 from identification.run_up.slow_roll_vector import slow_roll_of, slow_roll_of_all
 from rig_configs import IdentifiedParameters
@@ -66,7 +66,7 @@ PASSAGE = ramp(0.3, 7.0, 25.0)
 def test_the_answer_to_a_bow_obeys_its_equation() -> None:
     time = np.arange(0.0, 12.0, 1e-3)
     history = SpeedHistory.from_phases(time, ramp(0.5, 6.0, 12.0)(time)[0])
-    drive = Drive.from_history(history, 0.0, 11.9)
+    drive = Excitation.from_history(history, 0.0, 11.9)
     at = np.arange(1.0, 11.0, 1e-3)
     omega, zeta = 2 * np.pi * 3.0, 0.05
     seen = responses_at(at, np.zeros(len(at)), drive, [(omega, zeta)])[0]

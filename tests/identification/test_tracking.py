@@ -17,7 +17,7 @@ from identification import NotIdentifiable
 from identification.tracking.phase_clock import PhaseClock
 from identification.tracking.release_start import damping_start
 from identification.tracking.replay import track
-from identification.tracking.tracker import Sensors, Tracker
+from identification.tracking.tracker import SensorNoise, Tracker
 from identification.tracking.unscented import TALLY, cholesky, filter_readings
 from rig_configs.load import load_rig
 
@@ -203,7 +203,7 @@ def test_a_run_without_angles_is_refused() -> None:
 
 
 def test_a_settled_pendulum_teaches_nothing_of_its_damping() -> None:
-    tracker = Tracker(RIG, Sensors(), damping_std=0.5)
+    tracker = Tracker(RIG, SensorNoise(), damping_std=0.5)
     rng, time_ns = np.random.default_rng(5), np.arange(0, 20_000_000_000, 1_000_000)
     resting = np.column_stack([np.full(len(time_ns), 0.3), np.full(len(time_ns), -0.2)])
     angle = np.round((resting + 3e-4 * rng.standard_normal(resting.shape)) * 4096 / 2 / np.pi) * 2 * np.pi / 4096

@@ -15,7 +15,7 @@ from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.log.snapshot import rig_of
 from daq.virtual_rig.simulated_operator import SimulatedOperator
-from live.model import Model
+from live.model import LiveModel
 from live.replayed import Replayed
 from live.serving import Serving
 from rig_configs import load_rig
@@ -46,7 +46,7 @@ def replayed(point_log: Path) -> Replayed:
 @pytest.fixture
 def serving(replayed: Replayed) -> Iterator[Serving]:
     """A page of it."""
-    with Serving(replayed, Model(replayed.signals.rig)) as page:
+    with Serving(replayed, LiveModel(replayed.signals.rig)) as page:
         yield page
 
 

@@ -22,7 +22,7 @@ from daq.log import open_log
 from daq.log.snapshot import rig_of
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from dynamics.compiled_code import keep_compiled_code
-from live.model import Model
+from live.model import LiveModel
 from live.replayed import Replayed
 from live.serving import Serving
 from rig_configs import load_rig
@@ -47,7 +47,7 @@ def draw(page: Page, log: Path, at_s: float, out: Path) -> None:
         replayed = Replayed(opened, rig_of(opened))
     replayed.transport.pause()
     replayed.transport.seek(at_s)
-    with Serving(replayed, Model(replayed.signals.rig)) as serving:
+    with Serving(replayed, LiveModel(replayed.signals.rig)) as serving:
         page.goto(serving.url)
         expect(page.locator("#position")).to_have_text(re.compile(rf"^{at_s:.1f} s of"), timeout=WAIT_MS)
         expect(page.locator("#dial .legend")).to_contain_text("model", timeout=WAIT_MS)

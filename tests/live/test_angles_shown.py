@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from live.angles import FIRST_DEG, shown_deg, within_a_turn
 from live.followers import Followers
 from live.frames import decode
-from live.levels import Stretch, decimate
-from live.model import Model
-from live.picture import Pictures, View
+from live.levels import ChartRows, decimate
+from live.model import LiveModel
+from live.picture import Pictures, ViewerView
 from live.watched import Watched
 from rig_configs import load_rig
 
@@ -63,7 +63,7 @@ def test_a_row_shows_the_angles_it_stands_for_and_no_line_jumps_a_turn(
 def test_a_pendulum_that_turns_on_draws_no_stroke_across_and_a_minimum_and_maximum_is_divided() -> None:
     time = np.arange(4.0)
     low, high = np.array([350.0, 353.0, 356.0, 400.0]), np.array([352.0, 357.0, 358.0, 800.0])
-    shown = within_a_turn(Stretch(time, low, high, 1.0))
+    shown = within_a_turn(ChartRows(time, low, high, 1.0))
     np.testing.assert_allclose(shown.low, [350, 353, np.nan, -5, -4, np.nan, -5])
     np.testing.assert_allclose(shown.high, [352, 355, np.nan, -3, -2, np.nan, 355])
     np.testing.assert_allclose(shown.time_s, [0, 1, 1, 1, 2, 2, 3])
@@ -73,7 +73,7 @@ def test_header_and_curve_have_the_same_value() -> None:
     ours, theirs = Pipe()
     with ours, theirs:
         watched = Watched(load_rig("virtual"), theirs, 1.0, "virtual")
-        model = Model(watched.signals.rig)
+        model = LiveModel(watched.signals.rig)
         pictures = Pictures(watched, model, Followers(watched.signals, model))
         heard_ns = 10**18
         for degrees in (-0.1, 359.9, 0.1, -30.0, 354.9, 355.1, 719.0):
@@ -84,7 +84,7 @@ def test_header_and_curve_have_the_same_value() -> None:
             topic = watched.signals.rig.roles.angles
             assert topic is not None
             watched._take({"heard_ns": heard_ns, "rows": [(topic.topic, times, columns)], "events": [], "facts": None})
-            header, drawn = decode(pictures.frame(View(0.5), 1))
+            header, drawn = decode(pictures.frame(ViewerView(0.5), 1))
             for name, value in zip(("theta3", "theta4"), header["theta"], strict=True):
                 assert FIRST_DEG <= value < LAST_DEG
                 assert drawn[f"{name}.low"][-1] == np.float32(value), degrees

@@ -27,7 +27,7 @@ from daq.log import open_log
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from live import watched
 from live.errors import LiveError
-from live.model import Model
+from live.model import LiveModel
 from live.port import bound
 from live.serving import Serving
 from live.session_page import Asking, LivePage
@@ -174,7 +174,7 @@ def test_what_is_asked_waits_for_no_other_thread_of_the_page(monkeypatch: pytest
     monkeypatch.setattr(anyio.to_thread, "run_sync", busy)
     ours, theirs = Pipe()
     source = watched.Watched(load_rig("virtual"), theirs, 1.0, "virtual")
-    with ours, theirs, Serving(source, Model(source.signals.rig)) as serving:
+    with ours, theirs, Serving(source, LiveModel(source.signals.rig)) as serving:
         parts = urlsplit(serving.url)
         connection = HTTPConnection(parts.netloc, timeout=WAIT_S)
         connection.request("POST", f"/stop?{parts.query}", "{}", {"Origin": f"http://{parts.netloc}"})

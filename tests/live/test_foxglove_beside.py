@@ -20,7 +20,7 @@ from daq.acquisition.recent import Recent
 from daq.acquisition.session import Session
 from daq.channels import LASER_X, TACHO
 from daq.guided_tests.procedure import Procedures
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.virtual_rig.simulated_operator import SimulatedOperator
@@ -62,7 +62,7 @@ def test_a_session_gives_what_its_log_will_have(virtual_rig: VirtualRigProcess, 
         with Session(plugged, virtual_rig.clock) as session:
             session.start_recording(tmp_path / "a.mcap", {"test": "record", "rig": "virtual"})
             connection.follow(session)
-            session.note(Event("note", "host", "by hand", {"time_ns": session.clock.now_ns()}))
+            session.note(DeviceEvent("note", "host", "by hand", {"time_ns": session.clock.now_ns()}))
             deadline = time.monotonic() + WAIT_S
             while not ({topic for topic, *_ in came} >= set(topics.values()) and len(came) > 3000):
                 assert time.monotonic() < deadline, {topic for topic, *_ in came}

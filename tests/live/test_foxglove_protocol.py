@@ -13,7 +13,7 @@ from daq.channels import CHANNELS, LASER_X, MOTOR, Channel
 from live.errors import InvalidRequest
 from live.foxglove.client import Subscriptions
 from live.foxglove.protocol import (
-    Block,
+    ChannelMessages,
     Subscribe,
     Unsubscribe,
     advertise,
@@ -133,7 +133,7 @@ def test_one_subscription_a_channel_and_one_channel_an_id() -> None:
 @given(st.lists(st.lists(st.integers(0, 100), max_size=8), max_size=4))
 def test_messages_of_several_channels_come_in_order_of_time(times: list[list[int]]) -> None:
     blocks = [
-        Block(number, np.sort(np.array(each, np.int64)), b"".join(bytes([number, t]) for t in sorted(each)))
+        ChannelMessages(number, np.sort(np.array(each, np.int64)), b"".join(bytes([number, t]) for t in sorted(each)))
         for number, each in enumerate(times)
     ]
     found = list(in_order(blocks, {0: 10, 1: 11, 3: 13}))
@@ -144,6 +144,6 @@ def test_messages_of_several_channels_come_in_order_of_time(times: list[list[int
 
 def test_a_block_of_a_log_is_cut_where_its_messages_end() -> None:
     packed = MOTOR.pack({"speed_rpm": np.array([1.0, 2.0]), "target_rpm": 3.0, "statusword": 4})
-    block = Block(5, np.array([10, 20], np.int64), packed.tobytes())
+    block = ChannelMessages(5, np.array([10, 20], np.int64), packed.tobytes())
     cut = [MOTOR.unpack(message)["speed_rpm"][0] for _, _, _, message in in_order([block], {5: 1})]
     assert cut == [1.0, 2.0]

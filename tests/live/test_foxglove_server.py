@@ -23,7 +23,7 @@ from websockets.typing import Origin, Subprotocol
 from daq.log import Log, open_log
 from live.errors import PortTaken
 from live.foxglove.client import LEFT_OUT, MOST_BYTES, MOST_REFUSED, Turn
-from live.foxglove.played import LogSender, Played
+from live.foxglove.played import LogMessages, LogSender
 from live.foxglove.protocol import SUBPROTOCOLS, time_data
 from live.foxglove.server import MOST_CLIENTS, FoxgloveServer
 from live.transport import Transport
@@ -39,15 +39,15 @@ def log(point_log: Path) -> Iterator[Log]:
 
 
 @pytest.fixture(scope="module")
-def played(log: Log) -> Played:
-    return Played(log)
+def played(log: Log) -> LogMessages:
+    return LogMessages(log)
 
 
 REFUSED: list[str] = []
 
 
 @pytest.fixture
-def server(played: Played) -> Iterator[FoxgloveServer]:
+def server(played: LogMessages) -> Iterator[FoxgloveServer]:
     REFUSED.clear()
     with FoxgloveServer("a.mcap", played.offered, {"rig": "virtual"}, [ALLOWED], 0, REFUSED.append) as running:
         yield running
@@ -241,7 +241,7 @@ def _class_of(channel: dict[str, Any]) -> Any:
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"]))
 
 
-def test_protobuf_gives_the_numbers_of_the_log(server: FoxgloveServer, played: Played, log: Log) -> None:
+def test_protobuf_gives_the_numbers_of_the_log(server: FoxgloveServer, played: LogMessages, log: Log) -> None:
     start_ns = int(log["motor"].time_ns[50])
     end_ns = start_ns + 2 * 10**9
     with _client(server) as line:
@@ -268,7 +268,7 @@ def test_protobuf_gives_the_numbers_of_the_log(server: FoxgloveServer, played: P
                 np.testing.assert_equal(getattr(message, field), samples[field][row].item())
 
 
-def test_what_is_no_more_wanted_does_not_come(server: FoxgloveServer, played: Played, log: Log) -> None:
+def test_what_is_no_more_wanted_does_not_come(server: FoxgloveServer, played: LogMessages, log: Log) -> None:
     start_ns = int(log["motor"].time_ns[50])
     with _client(server) as line, _client(server) as other:
         topics = _subscribed(line, "motor", "pendulums")
@@ -281,7 +281,7 @@ def test_what_is_no_more_wanted_does_not_come(server: FoxgloveServer, played: Pl
     assert [m[1:3] for m in came] == [m[1:3] for m in others]
 
 
-def test_the_clock_goes_back_only_when_somebody_sought(server: FoxgloveServer, played: Played, log: Log) -> None:
+def test_the_clock_goes_back_only_when_somebody_sought(server: FoxgloveServer, played: LogMessages, log: Log) -> None:
     start_ns = int(log["motor"].time_ns[50])
     with _client(server) as line:
         _subscribed(line, "motor")
@@ -297,7 +297,7 @@ def test_the_clock_goes_back_only_when_somebody_sought(server: FoxgloveServer, p
     assert all(clock == time_ns for _, time_ns, _, clock in came[half:])
 
 
-def test_a_log_is_given_as_it_is_played_and_sought(server: FoxgloveServer, played: Played, log: Log) -> None:
+def test_a_log_is_given_as_it_is_played_and_sought(server: FoxgloveServer, played: LogMessages, log: Log) -> None:
     origin_ns = int(log["motor"].time_ns[0])
     clock_s = [0.0]
     transport = Transport(0.0, 60.0, 1.0, lambda: clock_s[0])
@@ -342,7 +342,7 @@ def test_publishing_is_refused_with_a_status(server: FoxgloveServer) -> None:
     )
 
 
-def test_who_is_refused_too_often_is_shown_out_and_others_stay(server: FoxgloveServer, played: Played) -> None:
+def test_who_is_refused_too_often_is_shown_out_and_others_stay(server: FoxgloveServer, played: LogMessages) -> None:
     with _client(server) as bad, _client(server) as good:
         _begun(bad)
         _begun(good)
@@ -370,7 +370,7 @@ def test_a_huge_message_ends_its_own_line_only(server: FoxgloveServer, data: str
 
 
 def test_a_client_that_reads_nothing_costs_bounded_memory_and_others_nothing(
-    server: FoxgloveServer, played: Played, log: Log
+    server: FoxgloveServer, played: LogMessages, log: Log
 ) -> None:
     start_ns = int(log["laser/x"].time_ns[0])
     second, turns = 10**9, 30
@@ -401,7 +401,7 @@ def test_a_client_that_reads_nothing_costs_bounded_memory_and_others_nothing(
     assert server.left_out > 0, "counted after it is gone, too"
 
 
-def test_the_end_is_sent_and_does_not_wait_for_the_dead(played: Played, log: Log) -> None:
+def test_the_end_is_sent_and_does_not_wait_for_the_dead(played: LogMessages, log: Log) -> None:
     start_ns = int(log["laser/x"].time_ns[0])
     with FoxgloveServer("a", played.offered, {}, (), 0) as server:
         dead, fine = _client(server, max_queue=1), _client(server)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from live.model import Model
+from live.model import LiveModel
 from live.serving import Serving
 from live.watched import Watched
 from rig_configs import load_rig
@@ -28,7 +28,7 @@ def watched() -> Iterator[Watched]:
 
 
 def test_a_rig_that_opens_is_waited_for_and_not_stale(page: Page, watched: Watched) -> None:
-    with Serving(watched, Model(watched.signals.rig)) as serving:
+    with Serving(watched, LiveModel(watched.signals.rig)) as serving:
         page.goto(serving.url)
         for panel in ("#strip-x", "#strip-y", "#strip-theta3", "#strip-speed", "#orbit", "#dial"):
             expect(page.locator(panel)).to_have_attribute("data-waits", "waiting for the rig", timeout=WAIT_MS)

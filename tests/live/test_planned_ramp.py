@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
-from daq.guided_tests.controls import Controls, Status
+from daq.guided_tests.controls import Controls, GuidedTestStatus
 from live.levels import Array
-from live.model import Model
-from live.planned import Ramp, simulated_ramp
+from live.model import LiveModel
+from live.planned import SpeedRamp, simulated_ramp
 from live.serving import Serving
 from live.session_page import Asking
 from live.watched import Watched
@@ -29,12 +29,12 @@ def _peaks(rows: Array) -> list[tuple[float, float]]:
 
 def test_a_ramp_passes_its_peaks_late_and_low_and_a_slow_one_is_steady() -> None:
     rig = load_rig("virtual")
-    model = Model(rig)
+    model = LiveModel(rig)
     rpm, x, y = model.bode()
     steady = _peaks(np.column_stack([rpm, x.real, x.imag, y.real, y.imag]))
     up, down, slow = (
         _peaks(simulated_ramp(rig, model, ramp))
-        for ramp in (Ramp(0, TOP_RPM, 40), Ramp(TOP_RPM, 0, 40), Ramp(0, TOP_RPM, 400))
+        for ramp in (SpeedRamp(0, TOP_RPM, 40), SpeedRamp(TOP_RPM, 0, 40), SpeedRamp(0, TOP_RPM, 400))
     )
     for axis in range(2):
         assert down[axis][0] < steady[axis][0] < up[axis][0]
@@ -46,8 +46,8 @@ def test_a_ramp_passes_its_peaks_late_and_low_and_a_slow_one_is_steady() -> None
 def test_far_from_the_resonances_a_ramp_is_the_steady_response_in_the_sensors_axes() -> None:
     """Of sensors that stand turned, too: size and phase of both."""
     rig = load_rig("virtual", settings=["devices.laser_x.direction_deg=30", "devices.laser_y.direction_deg=120"])
-    model = Model(rig)
-    rows = simulated_ramp(rig, model, Ramp(0, TOP_RPM, 200))
+    model = LiveModel(rig)
+    rows = simulated_ramp(rig, model, SpeedRamp(0, TOP_RPM, 200))
     rpm, x, y = model.bode()
     for first, steady in ((1, x), (3, y)):
         near = np.abs(rows[:, 0] - 450) < 20
@@ -59,22 +59,22 @@ def test_far_from_the_resonances_a_ramp_is_the_steady_response_in_the_sensors_ax
 @pytest.mark.parametrize(
     ("facts", "wanted"),
     [
-        (UP, Ramp(0.0, TOP_RPM, 40.0)),
-        ({**UP, "test": "run-down"}, Ramp(TOP_RPM, 0.0, 40.0)),
+        (UP, SpeedRamp(0.0, TOP_RPM, 40.0)),
+        ({**UP, "test": "run-down"}, SpeedRamp(TOP_RPM, 0.0, 40.0)),
         ({**UP, "test": "point-A"}, None),
         ({"test": "run-up", "numbers": {}}, None),
         ({"test": "run-up", "numbers": {"top_rpm": TOP_RPM, "duration_s": 1e5}}, None),
         ({}, None),
     ],
 )
-def test_a_ramp_is_known_by_the_tests_numbers(facts: dict[str, object], wanted: Ramp | None) -> None:
-    assert Ramp.of(facts) == wanted
+def test_a_ramp_is_known_by_the_tests_numbers(facts: dict[str, object], wanted: SpeedRamp | None) -> None:
+    assert SpeedRamp.of(facts) == wanted
 
 
 def test_the_page_is_told_the_numbers_of_the_test_that_runs() -> None:
     controls = Controls()
-    controls.status = Status("run-up", "ramp", numbers={"top_rpm": TOP_RPM, "duration_s": 40.0})
-    assert Ramp.of(Asking(controls).facts()) == Ramp(0.0, TOP_RPM, 40.0)
+    controls.status = GuidedTestStatus("run-up", "ramp", numbers={"top_rpm": TOP_RPM, "duration_s": 40.0})
+    assert SpeedRamp.of(Asking(controls).facts()) == SpeedRamp(0.0, TOP_RPM, 40.0)
 
 
 def test_the_bode_plot_draws_the_ramp_of_the_test_and_no_other(page: Page) -> None:
@@ -82,7 +82,7 @@ def test_the_bode_plot_draws_the_ramp_of_the_test_and_no_other(page: Page) -> No
     with ours, theirs:
         watched = Watched(load_rig("virtual"), theirs, 1.0, "virtual")
         handed = {"heard_ns": 10**18, "rows": [], "events": []}
-        with Serving(watched, Model(watched.signals.rig)) as serving:
+        with Serving(watched, LiveModel(watched.signals.rig)) as serving:
             page.goto(serving.url)
             legend = page.locator("#bode .ramp")
             expect(legend).to_be_hidden()

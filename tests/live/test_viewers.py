@@ -20,7 +20,7 @@ from daq.log import open_log
 from daq.log.snapshot import rig_of
 from live.errors import PortTaken
 from live.frames import decode
-from live.model import Model
+from live.model import LiveModel
 from live.port import bound
 from live.replayed import Replayed
 from live.server import MOST_UNANSWERED, MOST_VIEWERS
@@ -62,7 +62,7 @@ def test_a_viewer_that_answers_nothing_gets_no_more_than_a_few(serving: Serving)
 def test_a_replay_waits_at_its_beginning_until_somebody_looks(point_log: Path) -> None:
     with open_log(point_log) as log:
         source = Replayed(log, rig_of(log))
-    with Serving(source, Model(source.signals.rig)) as serving:
+    with Serving(source, LiveModel(source.signals.rig)) as serving:
         with _viewer(serving) as asleep:  # it gets what it may be sent, and answers nothing
             for _ in range(MOST_UNANSWERED):
                 while not isinstance(data := asleep.recv(timeout=WAIT_S), bytes) or decode(data)[0]["kind"] != "frame":

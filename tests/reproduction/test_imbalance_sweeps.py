@@ -12,7 +12,7 @@ import pytest
 
 from dynamics import steady_states
 from reproduction.items import identical_pendulums, nonidentical_pendulums, switching
-from reproduction.items.imbalance_curves import Compared, Series, amplitude_claim, angle_claim
+from reproduction.items.imbalance_curves import Series, StartUpComparison, amplitude_claim, angle_claim
 from reproduction.recorded import as_stated
 from reproduction.workspace import Workspace
 from rig_configs import load_rig
@@ -104,14 +104,14 @@ def test_a_wrong_model_is_refuted(tmp_path: Path) -> None:
     ((moment, one),) = replace(nonidentical_pendulums.ABOVE, recorded_kg_m=(0.0092,)).recordings(work)
     speed = one.measured.speed_rad_s.value
     (state,) = [s for s in steady_states(one.rig.physics, speed) if s.stable]
-    right = [Compared(moment, one, state)]
+    right = [StartUpComparison(moment, one, state)]
     assert amplitude_claim("", right).verdict == "holds"
     assert angle_claim("", right).verdict == "holds"
     heavier = replace(one.rig.physics, k1_N_per_m=1.1 * state_stiffness(one), k2_N_per_m=1.1 * state_stiffness(one))
     (other,) = [s for s in steady_states(heavier, speed) if s.stable]
-    assert amplitude_claim("", [Compared(moment, one, other)]).verdict == "does not hold"
+    assert amplitude_claim("", [StartUpComparison(moment, one, other)]).verdict == "does not hold"
     turned = SimpleNamespace(type="III", theta_rad=(state.theta_rad[0] + 0.01,) * 2, amplitude_m=state.amplitude_m)
-    assert angle_claim("", [Compared(moment, one, turned)]).verdict == "does not hold"  # pyright: ignore
+    assert angle_claim("", [StartUpComparison(moment, one, turned)]).verdict == "does not hold"  # pyright: ignore
 
 
 def state_stiffness(one) -> float:

@@ -63,7 +63,7 @@ def test_identification_writes_every_service_beside_peers(
 ) -> None:
     from identification.bench import precision
 
-    tiny = precision.Size(
+    tiny = precision.BenchmarkSize(
         zetas=(0.02,),
         damaged_zetas=(),
         pairs=(),

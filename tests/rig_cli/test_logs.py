@@ -14,7 +14,7 @@ from rich.console import Console
 
 from daq.catalogue import Entry
 from daq.log.file import LogFile
-from daq.log.verdicts import Verdict, digest_of, keep_verdict
+from daq.log.verdicts import LoggedVerdict, digest_of, keep_verdict
 from rig_cli import log_table
 from rig_cli.log_table import print_logs
 from rig_cli.logs import log, logs
@@ -43,7 +43,9 @@ def shelf(tmp_path: Path) -> Path:
     make_log(tmp_path / "a.mcap", rig="bench", test="point-A", point="A", started="2026-03-01T10:00:00Z", note="spring")
     make_log(tmp_path / "b.mcap", losses={"laser_x": {"samples": 7}}, rig="bench", started="2026-03-02T10:00:00Z")
     make_log(tmp_path / "c.mcap", cut=True, rig="tower", started="2026-03-03T10:00:00Z")
-    keep_verdict(tmp_path / "a.mcap", Verdict(verdict="pass", judged_at="now", digest=digest_of(tmp_path / "a.mcap")))
+    keep_verdict(
+        tmp_path / "a.mcap", LoggedVerdict(verdict="pass", judged_at="now", digest=digest_of(tmp_path / "a.mcap"))
+    )
     (tmp_path / "junk.mcap").write_bytes(b"junk")
     return tmp_path
 
@@ -183,7 +185,7 @@ def test_the_table_fits(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
 def test_a_log_as_json(run_rig: Any, tmp_path: Path) -> None:
     path = write_small_log(tmp_path / "small.mcap", steps=60, opened_at=30, reported=(0, 1))
-    keep_verdict(path, Verdict(verdict="pass", judged_at="now", digest="sha256:" + "0" * 64))
+    keep_verdict(path, LoggedVerdict(verdict="pass", judged_at="now", digest="sha256:" + "0" * 64))
     code, out, _ = run_rig("log", path, "--json")
     found = json.loads(out)
     assert code == 0
@@ -231,11 +233,11 @@ def test_a_log_in_words(run_rig: Any, tmp_path: Path) -> None:
 
 
 def test_gaps_are_listed_with_number_and_span(run_rig: Any, tmp_path: Path) -> None:
-    from daq.items import Event
+    from daq.items import DeviceEvent
 
     with LogFile(tmp_path / "run.mcap", {}, {}, (), 10**18) as file:
         for second in range(3):
-            gap = Event("gap", "laser_x", f"{second} samples lost", {"samples": second, "span_s": 0.5})
+            gap = DeviceEvent("gap", "laser_x", f"{second} samples lost", {"samples": second, "span_s": 0.5})
             file.event(gap, 10**18 + second * 10**9)
         path = file.finish({"losses": {"laser_x": {"samples": 3}}})
     _, out, _ = run_rig("log", path)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from analysis.maps.axes import MapAxis
-from analysis.maps.families import Family
+from analysis.maps.families import BorderFamily
 from analysis.maps.files import load_map
 from analysis.maps.planes import plane_over
 from dynamics import balanced_angles
@@ -196,7 +196,7 @@ def test_a_family_and_the_best_value(capsys: pytest.CaptureFixture[str], tmp_pat
     kept = load_map(file)
     assert {line.value for line in kept.borders} == {0.05, 0.2}
     assert float(kept.grid["computed"].mean()) == pytest.approx(result["computed_share"])
-    assert kept.question.family == Family(tuple(zetas.split("+")), (0.05, 0.2))
+    assert kept.question.family == BorderFamily(tuple(zetas.split("+")), (0.05, 0.2))
     physics = load_rig("virtual", settings=["suspension.zeta1=0.2", "suspension.zeta2=0.2"]).physics
     alone = SpeedStiffnessPlane(physics, balanced_angles(physics)[0])
     assert stability_borders(alone, (2.0, 6.0), (4.0, 12.0)).stable_share == members[1]["stable_share"]

@@ -14,7 +14,7 @@ import pytest
 from cyclopts import App
 
 from daq.errors import LogError
-from daq.items import Batch, Event
+from daq.items import Batch, DeviceEvent
 from daq.log import open_log
 from daq.log.samples import Samples
 from daq.replay import check
@@ -41,7 +41,7 @@ def log(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def falsified(tmp_path: Path) -> Path:
-    def falsify(number: int, item: Batch | Event, host_ns: int) -> tuple[Batch | Event, int]:
+    def falsify(number: int, item: Batch | DeviceEvent, host_ns: int) -> tuple[Batch | DeviceEvent, int]:
         if isinstance(item, Batch) and item.channel.topic == "motor" and number > 150:
             return Batch(
                 item.channel,

@@ -10,7 +10,7 @@ from cyclopts import App
 
 from daq.acquisition.interlock_table import INTERLOCKS
 from daq.errors import LogError
-from daq.items import Event
+from daq.items import DeviceEvent
 from daq.log import open_log
 from daq.log.file import LogFile
 from rig_cli.log_facts import log_facts
@@ -45,7 +45,7 @@ def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
         bench.turn(600)
         bench.fails("laser_x", "code", 262076)
         bench.pass_time(0.5)
-        bench.note(Event("stop", "host", f"{bench.why()}; the rotor was commanded to stop"))
+        bench.note(DeviceEvent("stop", "host", f"{bench.why()}; the rotor was commanded to stop"))
         return bench.finish(bench.why())
 
 
@@ -165,8 +165,8 @@ TRIP = {
 
 def page(capsys: pytest.CaptureFixture[str], path: Path, facts: dict) -> str:
     with LogFile(path, {"test": "record"}, {}, (), START_NS) as log:
-        log.event(Event("drive", "drive", "READY"), START_NS)
-        log.event(Event("trip", "host", "amplitude, runaway: …", facts), START_NS)
+        log.event(DeviceEvent("drive", "drive", "READY"), START_NS)
+        log.event(DeviceEvent("trip", "host", "amplitude, runaway: …", facts), START_NS)
         made = log.finish({"ended": "x"})
     with open_log(made) as opened:
         print_log(log_facts(opened, made, None))

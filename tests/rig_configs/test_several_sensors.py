@@ -10,9 +10,9 @@ from pydantic import ValidationError
 
 from rig_configs import RigFileError, load_rig
 from rig_configs.device import DisplacementSettings
-from rig_configs.roles import Displacement, Roles
+from rig_configs.roles import DisplacementSensor, Roles
 
-LOW = Displacement("low", "laser/x", "x", 4000.0, 0.025, 30.0, gain_std=0.001)
+LOW = DisplacementSensor("low", "laser/x", "x", 4000.0, 0.025, 30.0, gain_std=0.001)
 TOP = replace(LOW, device="top", topic="laser/top", lever_ratio=1.3, gain_std=0.002, witness=True)
 NORTH = replace(LOW, device="north", topic="laser/y", axis="y")
 
@@ -92,8 +92,8 @@ def test_settings_name_the_channel_and_the_role() -> None:
     table = {"driver": "acme", "port": "p", "axis": "x", "rate_Hz": 1000}
     (main,) = Named.model_validate(table).roles("low")
     (witness,) = Named.model_validate({**table, "witness": "top", "direction_deg": 2.0}).roles("upper")
-    assert isinstance(main, Displacement)
-    assert isinstance(witness, Displacement)
+    assert isinstance(main, DisplacementSensor)
+    assert isinstance(witness, DisplacementSensor)
     assert (main.topic, main.witness, main.direction_deg) == ("laser/x", False, None)
     assert (witness.topic, witness.witness, witness.direction_deg) == ("laser/top", True, 2.0)
     with pytest.raises(ValidationError, match="cannot be a witness"):

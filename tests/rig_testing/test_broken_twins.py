@@ -22,10 +22,10 @@ from daq.drivers.rotorlink.locks import NodeLocks
 from daq.drivers.rotorlink.settings import EncoderNode
 from daq.drivers.vesc.driver import VescDriver
 from daq.drivers.vesc.far_end import SimulatedVesc
-from daq.items import RX, Batch, Event
+from daq.items import RX, Batch, DeviceEvent
 from rig_testing.examination import CHECKS
 
-Items = list[Batch | Event]
+Items = list[Batch | DeviceEvent]
 
 
 def with_pipeline(base: type, feed: Callable[..., Items], claims: frozenset[str] | None = None) -> Driver:
@@ -200,7 +200,7 @@ def shares_a_count(seen: list[int]) -> Callable[..., Items]:
 
 def crashes_on_damage(pipeline: Any, given: Any, direction: int, data: bytes, host_ns: int) -> Items:
     out = given(direction, data, host_ns)
-    if any(isinstance(item, Event) and item.kind == "damage" for item in out):
+    if any(isinstance(item, DeviceEvent) and item.kind == "damage" for item in out):
         raise KeyError("unknown frame")
     return out
 
@@ -226,7 +226,7 @@ def ends_at_a_restart(pipeline: Any, given: Any, direction: int, data: bytes, ho
     if getattr(pipeline, "ended", False):
         return []
     out = given(direction, data, host_ns)
-    pipeline.ended = any(isinstance(item, Event) and item.kind == "restart" for item in out)
+    pipeline.ended = any(isinstance(item, DeviceEvent) and item.kind == "restart" for item in out)
     return out
 
 
@@ -236,7 +236,7 @@ def restarts_at_a_wrap(pipeline: Any, given: Any, direction: int, data: bytes, h
         if isinstance(item, Batch):
             last, pipeline.newest = getattr(pipeline, "newest", 0), int(item.sequence[-1])
             if pipeline.newest < last:
-                out.append(Event("restart", "device", "its counter restarted"))
+                out.append(DeviceEvent("restart", "device", "its counter restarted"))
     return out
 
 

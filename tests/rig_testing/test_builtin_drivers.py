@@ -13,7 +13,7 @@ from rig_configs.drivers import installed
     "case",
     [pytest.param(case, id=f"{name}-{case}") for name in installed() for case in rig_testing.cases(driver(name))],
 )
-def test_contract(case: rig_testing.Case) -> None:
+def test_contract(case: rig_testing.ContractCase) -> None:
     case()
 
 

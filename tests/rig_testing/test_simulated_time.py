@@ -13,7 +13,7 @@ import pytest
 import rig_testing
 from daq.drivers.rotorlink.driver import RotorLink
 from rig_testing import examination
-from rig_testing.simulated_time import SimulatedTime, WaitNeverEnds
+from rig_testing.simulated_time import EndlessWait, SimulatedTime
 
 MINUTE_S = 60.0
 
@@ -49,7 +49,7 @@ def test_waits_of_minutes_take_no_time_and_the_rig_moves_meanwhile() -> None:
 
 
 def test_what_never_comes_is_an_error_not_a_hang() -> None:
-    with SimulatedTime(lambda now: None).running(), pytest.raises(WaitNeverEnds):
+    with SimulatedTime(lambda now: None).running(), pytest.raises(EndlessWait):
         queue.Queue[int]().get()
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from uncertainty import Source, reliability_degrees
+from uncertainty import ErrorSource, reliability_degrees
 
 STANDARD_NM = 50_000_623.0
 DIFFERENCE_NM = 215.0
@@ -15,15 +15,15 @@ EXPANSION = 11.5e-6
 MEAN_TEMPERATURE = -0.1  # °C off 20 °C
 
 GAUGE = [
-    Source("length of the standard", 25.0, "nm", "B", "t", 18),
-    Source("repeated comparisons", 13.0 / math.sqrt(5), "nm", "A", "t", 24),
-    Source("comparator, random", 3.9, "nm", "B", "t", 5),
-    Source("comparator, systematic", 6.7, "nm", "B", "t", 8),
-    Source.of_half_width("expansion", 2e-6, "1/°C"),
-    Source("mean temperature", 0.2, "°C"),
-    Source.of_half_width("cyclic temperature", 0.5, "°C", "arcsine"),
-    Source.of_half_width("difference of expansions", 1e-6, "1/°C", "rectangular", round(reliability_degrees(0.1))),
-    Source.of_half_width("difference of temperatures", 0.05, "°C", "rectangular", round(reliability_degrees(0.5))),
+    ErrorSource("length of the standard", 25.0, "nm", "B", "t", 18),
+    ErrorSource("repeated comparisons", 13.0 / math.sqrt(5), "nm", "A", "t", 24),
+    ErrorSource("comparator, random", 3.9, "nm", "B", "t", 5),
+    ErrorSource("comparator, systematic", 6.7, "nm", "B", "t", 8),
+    ErrorSource.of_half_width("expansion", 2e-6, "1/°C"),
+    ErrorSource("mean temperature", 0.2, "°C"),
+    ErrorSource.of_half_width("cyclic temperature", 0.5, "°C", "arcsine"),
+    ErrorSource.of_half_width("difference of expansions", 1e-6, "1/°C", "rectangular", round(reliability_degrees(0.1))),
+    ErrorSource.of_half_width("difference of temperatures", 0.05, "°C", "rectangular", round(reliability_degrees(0.5))),
 ]
 
 VOLTAGE = (5.007, 4.994, 5.005, 4.990, 4.999)

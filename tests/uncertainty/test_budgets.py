@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uncertainty import BadInput, Budget, Budgets, Contribution, Group, GroupContribution, Source
+from uncertainty import BadInput, Budget, Budgets, Contribution, ErrorSource, Group, GroupContribution
 
 SIZES = st.floats(1e-3, 1e3)
 SIGNED = st.one_of(SIZES, SIZES.map(lambda x: -x))
@@ -25,7 +25,9 @@ def budget_of(rows: list[Row], scale: float = 1.0) -> Budget:
         "q",
         1.0,
         "m",
-        tuple(Contribution(Source(f"s{i}", u, degrees_of_freedom=nu), scale * c) for i, (u, c, nu) in enumerate(rows)),
+        tuple(
+            Contribution(ErrorSource(f"s{i}", u, degrees_of_freedom=nu), scale * c) for i, (u, c, nu) in enumerate(rows)
+        ),
     )
 
 
@@ -87,7 +89,7 @@ PAIR = Group("pair", ("x", "y"), ("m", "V"), np.array([[4.0, 1.5], [1.5, 1.0]]),
 
 
 def test_group_is_one_term() -> None:
-    budget = Budget("q", 0.0, "m", (GroupContribution(PAIR, (1.0, -2.0)), Contribution(Source("s", 1.0), 1.0)))
+    budget = Budget("q", 0.0, "m", (GroupContribution(PAIR, (1.0, -2.0)), Contribution(ErrorSource("s", 1.0), 1.0)))
     of_group = 4.0 + 4 * 1.0 - 4 * 1.5
     assert budget.std**2 == pytest.approx(of_group + 1)
     assert budget.shares == pytest.approx({"pair": of_group / (of_group + 1), "s": 1 / (of_group + 1)})
@@ -110,7 +112,7 @@ def tables(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray]:
 def test_covariance_is_that_of_the_table(case: tuple[np.ndarray, np.ndarray]) -> None:
     table, std = case
     names = tuple(f"q{i}" for i in range(len(table)))
-    sources = tuple(Source(f"s{j}", float(u)) for j, u in enumerate(std))
+    sources = tuple(ErrorSource(f"s{j}", float(u)) for j, u in enumerate(std))
     budgets = Budgets(names, np.zeros(len(table)), ("m",) * len(table), sources, table)
     expected = table @ np.diag(std**2) @ table.T
     assert budgets.covariance == pytest.approx(expected, rel=1e-9, abs=1e-9)
@@ -127,14 +129,14 @@ def test_covariance_is_that_of_the_table(case: tuple[np.ndarray, np.ndarray]) ->
 def test_contributions_instead_of_sensitivities(case: tuple[np.ndarray, np.ndarray]) -> None:
     table, std = case
     names = [f"q{i}" for i in range(len(table))]
-    sources = [Source(f"s{j}", float(u) + 0.1) for j, u in enumerate(std)]
+    sources = [ErrorSource(f"s{j}", float(u) + 0.1) for j, u in enumerate(std)]
     budgets = Budgets.of_contributions(names, np.ones(len(table)), ["m"] * len(table), sources, table)
     assert budgets.covariance == pytest.approx(table @ table.T, rel=1e-9, abs=1e-9)
 
 
 def test_groups_among_the_sources() -> None:
     table = np.array([[1.0, 2.0, 3.0, 0.0], [0.0, -1.0, 1.0, 5.0]])
-    sources = (Source("a", 0.5), PAIR, Source("b", 2.0, degrees_of_freedom=3))
+    sources = (ErrorSource("a", 0.5), PAIR, ErrorSource("b", 2.0, degrees_of_freedom=3))
     budgets = Budgets(("q", "r"), np.array([1.0, 2.0]), ("m", "s"), sources, table)
     middle = np.zeros((4, 4))
     middle[0, 0], middle[3, 3] = 0.25, 4.0
@@ -145,7 +147,7 @@ def test_groups_among_the_sources() -> None:
 
 
 def test_shared_source_cancels_in_a_difference() -> None:
-    sources = (Source("shared", 3.0), Source("own q", 1.0), Source("own r", 2.0))
+    sources = (ErrorSource("shared", 3.0), ErrorSource("own q", 1.0), ErrorSource("own r", 2.0))
     budgets = Budgets(("q", "r"), np.array([5.0, 4.0]), ("m", "m"), sources, np.array([[1.0, 1, 0], [1, 0, 1]]))
     assert budgets.correlation[0, 1] == pytest.approx(9 / math.sqrt(10 * 13))
     difference = budgets.derived(["q - r"], [1.0], ["m"], [[1.0, -1.0]])["q - r"]
@@ -156,7 +158,7 @@ def test_shared_source_cancels_in_a_difference() -> None:
 
 def test_derived_quantities_follow_the_chain_rule() -> None:
     table = np.array([[1.0, -2.0, 3.0, 0.5], [0.0, -1.0, 1.0, -5.0]])
-    sources = (Source("a", 0.5), PAIR, Source("b", 2.0))
+    sources = (ErrorSource("a", 0.5), PAIR, ErrorSource("b", 2.0))
     budgets = Budgets(("q", "r"), np.array([1.0, 2.0]), ("m", "s"), sources, table)
     jacobian = np.array([[2.0, -1.0], [0.0, 3.0], [1.0, 1.0]])
     derived = budgets.derived(["u", "v", "w"], [0.0, 6.0, 3.0], ["m", "s", "m"], jacobian)
@@ -166,7 +168,7 @@ def test_derived_quantities_follow_the_chain_rule() -> None:
 
 
 def test_json_is_plain_and_finite() -> None:
-    sources = (Source("a", 0.5, "kg"), PAIR, Source("b", 2.0, degrees_of_freedom=3))
+    sources = (ErrorSource("a", 0.5, "kg"), PAIR, ErrorSource("b", 2.0, degrees_of_freedom=3))
     table = np.array([[1.0, 2.0, 3.0, 1.0], [1.0, 0.0, 0.0, 0.0]])
     budgets = Budgets(("q", "r"), np.array([1.0, 2.0]), ("m", "s"), sources, table)
     found = json.loads(json.dumps(budgets.to_json(), allow_nan=False))
@@ -189,7 +191,7 @@ def test_json_is_plain_and_finite() -> None:
     assert np.array(found["correlation"]) == pytest.approx(budgets.correlation)
 
 
-A, B = Source("a", 1.0), Source("b", 0.0)
+A, B = ErrorSource("a", 1.0), ErrorSource("b", 0.0)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from uncertainty import BadInput, Group, Source, coverage_factor, reliability_degrees
+from uncertainty import BadInput, ErrorSource, Group, coverage_factor, reliability_degrees
 from uncertainty.source import Distribution
 
 N = 200_000
@@ -21,7 +21,7 @@ FOURTH = {"normal": 3.0, "rectangular": 1.8, "triangular": 2.4, "arcsine": 1.5} 
 
 @pytest.mark.parametrize("distribution", FOURTH)
 def test_draws_have_mean_zero_the_standard_uncertainty_and_the_shape(distribution: Distribution) -> None:
-    drawn = Source("a", 0.3, "m", "B", distribution).draw(np.random.default_rng(11), N) / 0.3
+    drawn = ErrorSource("a", 0.3, "m", "B", distribution).draw(np.random.default_rng(11), N) / 0.3
     assert drawn.shape == (N,)
     assert np.mean(drawn) == pytest.approx(0, abs=0.01)
     assert np.std(drawn) == pytest.approx(1, abs=0.01)
@@ -33,13 +33,13 @@ def test_draws_have_mean_zero_the_standard_uncertainty_and_the_shape(distributio
 
 @pytest.mark.parametrize("nu", [2.0, 4.0, 30.0])
 def test_draws_of_t_have_students_interval(nu: float) -> None:
-    drawn = Source("a", 2.0, "m", "A", "t", nu).draw(np.random.default_rng(12), N)
+    drawn = ErrorSource("a", 2.0, "m", "A", "t", nu).draw(np.random.default_rng(12), N)
     inside = np.mean(np.abs(drawn) <= 2.0 * coverage_factor(0.95, nu))
     assert inside == pytest.approx(0.95, abs=0.002)
 
 
 def test_t_of_infinite_degrees_is_normal() -> None:
-    drawn = Source("a", 1.0, distribution="t").draw(np.random.default_rng(13), N)
+    drawn = ErrorSource("a", 1.0, distribution="t").draw(np.random.default_rng(13), N)
     assert np.mean(drawn**4) == pytest.approx(3, rel=0.03)
 
 
@@ -48,14 +48,14 @@ def test_every_distribution_is_tested() -> None:
 
 
 def test_readings() -> None:
-    source = Source.of_readings("a", [1.0, 2.0, 3.0, 4.0], "m")
+    source = ErrorSource.of_readings("a", [1.0, 2.0, 3.0, 4.0], "m")
     assert source.std == pytest.approx(math.sqrt(5 / 3) / 2)
     assert (source.degrees_of_freedom, source.kind, source.distribution, source.unit) == (3, "A", "t", "m")
 
 
 @pytest.mark.parametrize("distribution", EXTREME)
 def test_half_width(distribution: Distribution) -> None:
-    source = Source.of_half_width("a", 0.5, "m", distribution)
+    source = ErrorSource.of_half_width("a", 0.5, "m", distribution)
     assert source.std * EXTREME[distribution] == pytest.approx(0.5)
     assert np.max(np.abs(source.draw(np.random.default_rng(1), 1000))) <= 0.5 * (1 + 1e-12)
 
@@ -80,16 +80,16 @@ def test_reliability(relative: float, nu: float) -> None:
 )
 def test_source_refuses(fields: dict[str, Any]) -> None:
     with pytest.raises(BadInput):
-        Source(**({"name": "a", "std": 1.0} | fields))
+        ErrorSource(**({"name": "a", "std": 1.0} | fields))
 
 
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: Source.of_readings("a", [1.0]),
-        lambda: Source.of_readings("a", [1.0, math.nan]),
-        lambda: Source.of_half_width("a", 1.0, "m", "normal"),
-        lambda: Source.of_half_width("a", -1.0),
+        lambda: ErrorSource.of_readings("a", [1.0]),
+        lambda: ErrorSource.of_readings("a", [1.0, math.nan]),
+        lambda: ErrorSource.of_half_width("a", 1.0, "m", "normal"),
+        lambda: ErrorSource.of_half_width("a", -1.0),
         lambda: reliability_degrees(-0.1),
         lambda: Group("g", (), (), np.zeros((0, 0))),
         lambda: Group("g", ("x", "x"), ("m", "m"), np.eye(2)),

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from uncertainty import (
     BadInput,
     BadModel,
+    ErrorSource,
     Group,
     MonteCarlo,
-    Source,
     Spread,
     TooManyTrials,
     check_linear,
@@ -27,7 +27,7 @@ from uncertainty import (
 from uncertainty.budget import Budget, Contribution
 from uncertainty.source import Distribution
 
-TWO = [Source("a", 1.0), Source("b", 2.0, distribution="rectangular")]
+TWO = [ErrorSource("a", 1.0), ErrorSource("b", 2.0, distribution="rectangular")]
 Array = NDArray[np.float64]
 
 
@@ -60,7 +60,7 @@ def errors_seen(sources: list[Any], trials: int, rows: int = 10_000) -> Array:
 
 def test_errors_of_a_source_depend_on_the_seed_and_its_place_alone() -> None:
     names = get_args(Distribution)
-    sources: list[Any] = [Source(name, 1.0, "", "A", name, 5.0) for name in names]
+    sources: list[Any] = [ErrorSource(name, 1.0, "", "A", name, 5.0) for name in names]
     sources.append(Group("g", ("x", "y"), ("", ""), np.eye(2), "A", "t", 5.0))
     long = errors_seen(sources, 20_000)
     assert long.shape == (20_000, len(names) + 2)
@@ -101,14 +101,14 @@ def test_mean_and_covariance_are_those_of_the_values() -> None:
 
 
 def test_ellipsoid_of_normal_quantities_has_the_factor_of_chi_square() -> None:
-    sources = [Source("a", 1.0), Source("b", 2.0), Source("c", 3e-6)]
+    sources = [ErrorSource("a", 1.0), ErrorSource("b", 2.0), ErrorSource("c", 3e-6)]
     turned = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1e-6, 1.0]])
     for level in (0.5, 0.95):
         found = monte_carlo(lambda e: 7 + e @ turned.T, sources, seed=11, trials=100_000, level=level)
         assert found.ellipsoid_factor == pytest.approx(ellipsoid_factor(level, 3), abs=0.02)
     one = monte_carlo(lambda e: e[:, :1], sources[:1], seed=11, trials=100_000)
     assert one.ellipsoid_factor == pytest.approx(1.96, abs=0.02)
-    uniform = monte_carlo(lambda e: e, [Source("a", 1.0, distribution="rectangular")], seed=11, trials=100_000)
+    uniform = monte_carlo(lambda e: e, [ErrorSource("a", 1.0, distribution="rectangular")], seed=11, trials=100_000)
     assert uniform.ellipsoid_factor == pytest.approx(0.95 * math.sqrt(3), abs=0.02)
     flat = monte_carlo(lambda e: np.column_stack([e[:, 0], -2 * e[:, 0]]), sources, seed=11, trials=1000)
     assert flat.ellipsoid_factor is None
@@ -120,7 +120,7 @@ def test_adaptive_procedure_reaches_the_digits_asked_for() -> None:
     calls: list[tuple[int, int | None]] = []
     for digits, tolerance in ((1, 0.5), (2, 0.05)):
         found = monte_carlo(
-            lambda e: e[:, :1], [Source("a", 3.0)], seed=5, digits=digits, progress=lambda *x: calls.append(x)
+            lambda e: e[:, :1], [ErrorSource("a", 3.0)], seed=5, digits=digits, progress=lambda *x: calls.append(x)
         )
         assert found.stabilised
         y = found.quantities[0]
@@ -140,7 +140,7 @@ def test_more_digits_take_more_trials() -> None:
 
 def test_shortest_interval_takes_more_trials() -> None:
     symmetric, shortest = (
-        monte_carlo(lambda e: e, [Source("a", 4.0)], seed=7, interval=i, most_trials=400_000)
+        monte_carlo(lambda e: e, [ErrorSource("a", 4.0)], seed=7, interval=i, most_trials=400_000)
         for i in ("symmetric", "shortest")
     )
     assert (symmetric.stabilised, shortest.stabilised) == (True, False)
@@ -181,7 +181,7 @@ def test_digits_beyond_the_rounding_of_the_values_are_not_waited_for() -> None:
 
 
 def test_heavy_tails_do_not_stabilise() -> None:
-    cauchy = [Source("a", 1.0, "", "A", "t", 1.0)]
+    cauchy = [ErrorSource("a", 1.0, "", "A", "t", 1.0)]
     found = monte_carlo(lambda e: e, cauchy, seed=10, most_trials=200_000)
     assert not found.stabilised
     assert found.quantities[0].symmetric == pytest.approx((-12.71, 12.71), abs=0.5)
@@ -291,7 +291,7 @@ def spread(low: float, high: float, error: float) -> MonteCarlo:
     ],
 )
 def test_verdict_on_the_linear_interval(low: float, high: float, error: float, verdict: str) -> None:
-    budget = Budget("q", 0.0, "m", (Contribution(Source("a", 1.0), 1.0),))
+    budget = Budget("q", 0.0, "m", (Contribution(ErrorSource("a", 1.0), 1.0),))
     check = check_linear(budget, spread(low, high, error))
     assert (check.verdict, check.tolerance) == (verdict, 0.05)
     assert (check.low, check.high) == pytest.approx((abs(low + 1.96), abs(high - 1.96)), abs=1e-4)
@@ -314,10 +314,10 @@ def test_differences_of_a_model() -> None:
     def model(e: Array) -> Array:
         return np.column_stack([3 * e[:, 0] - 2 * e[:, 1] + 5 * e[:, 2], np.exp(e[:, 1])])
 
-    budgets = linear_budgets(model, [Source("a", 0.1), group], ["q", "r"], ["m", ""], step=1e-3)
+    budgets = linear_budgets(model, [ErrorSource("a", 0.1), group], ["q", "r"], ["m", ""], step=1e-3)
     assert budgets.sensitivities == pytest.approx(np.array([[3, -2, 5], [0, 1, 0]]), abs=1e-6)
     assert budgets.values == pytest.approx([0, 1])
-    for step, sources in ((0.0, TWO), (1.0, [Source("a", 0.0)]), (1.0, [])):
+    for step, sources in ((0.0, TWO), (1.0, [ErrorSource("a", 0.0)]), (1.0, [])):
         with pytest.raises(BadInput):
             linear_budgets(both, sources, ["q", "r"], ["m", "m"], step=step)
 
@@ -329,7 +329,7 @@ def test_second_order_terms_are_exact_for_normal_errors_of_a_quadratic_model() -
         lambda e: np.column_stack(
             [e[:, 0] + 2 * e[:, 1] + 3 * e[:, 0] ** 2 + 5 * e[:, 0] * e[:, 1], e[:, 0] + e[:, 0] * e[:, 1] ** 2]
         ),
-        [Source("a", u), Source("b", v)],
+        [ErrorSource("a", u), ErrorSource("b", v)],
     )
     assert found[0] == pytest.approx(18 * u**4 + 25 * u**2 * v**2)
     assert found[1] == pytest.approx(2 * u**2 * v**2)  # c_a = 1, c_abb = 2
@@ -340,6 +340,6 @@ def test_second_order_terms_with_third_derivatives() -> None:
     u, v = 0.01, 0.02
     found = second_order_variance(
         lambda e: np.column_stack([e[:, 1] + e[:, 1] * e[:, 0] ** 2, e[:, 0] + e[:, 0] ** 3]),
-        [Source("a", u), Source("b", v)],
+        [ErrorSource("a", u), ErrorSource("b", v)],
     )
     assert found == pytest.approx([2 * u**2 * v**2, 6 * u**4], rel=1e-3)

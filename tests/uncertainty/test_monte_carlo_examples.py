@@ -18,17 +18,17 @@ from tests.uncertainty.gum_models import (
     gauge_length,
     impedance,
 )
-from uncertainty import Budgets, Group, Source, check_linear, linear_budgets, monte_carlo, second_order_variance
+from uncertainty import Budgets, ErrorSource, Group, check_linear, linear_budgets, monte_carlo, second_order_variance
 from uncertainty.source import Distribution
 
 TRIALS = 400_000
 
 MASS = [
-    Source("reference weight", 0.050, "mg"),
-    Source("added weight", 0.020, "mg"),
-    Source.of_half_width("density of air", 0.10, "kg/m³"),
-    Source.of_half_width("density of the weight", 1000.0, "kg/m³"),
-    Source.of_half_width("density of the reference", 50.0, "kg/m³"),
+    ErrorSource("reference weight", 0.050, "mg"),
+    ErrorSource("added weight", 0.020, "mg"),
+    ErrorSource.of_half_width("density of air", 0.10, "kg/m³"),
+    ErrorSource.of_half_width("density of the weight", 1000.0, "kg/m³"),
+    ErrorSource.of_half_width("density of the reference", 50.0, "kg/m³"),
 ]
 
 
@@ -43,11 +43,11 @@ def mass_off_nominal(errors: NDArray[np.float64]) -> NDArray[np.float64]:
     return ((100_000.000 + reference + 1.234 + added) * (1 + buoyancy) - 100_000.000)[:, None]
 
 
-def four(distribution: Distribution, last: float = 1.0) -> list[Source]:
-    return [Source(f"X{i}", std, "", "B", distribution) for i, std in enumerate((1.0, 1.0, 1.0, last), start=1)]
+def four(distribution: Distribution, last: float = 1.0) -> list[ErrorSource]:
+    return [ErrorSource(f"X{i}", std, "", "B", distribution) for i, std in enumerate((1.0, 1.0, 1.0, last), start=1)]
 
 
-def budgets_of_sum(sources: list[Source]) -> Budgets:
+def budgets_of_sum(sources: list[ErrorSource]) -> Budgets:
     return Budgets(("sum",), np.zeros(1), ("",), tuple(sources), np.ones((1, 4)))
 
 
@@ -130,7 +130,10 @@ def test_gauge_block() -> None:
     """9.5: mean 838, u 36, 99 % interval 745 … 932 nm, with limits that are themselves inexact."""
     sources = [*GAUGE[:7]]
     for name, unit in (("difference of expansions", "1/°C"), ("difference of temperatures", "°C")):
-        sources += [Source.of_half_width(f"{name}, shape", 1.0), Source.of_half_width(f"{name}, limit", 1.0, unit)]
+        sources += [
+            ErrorSource.of_half_width(f"{name}, shape", 1.0),
+            ErrorSource.of_half_width(f"{name}, limit", 1.0, unit),
+        ]
 
     def with_inexact_limits(errors: NDArray[np.float64]) -> NDArray[np.float64]:
         expansions = errors[:, 7] * (1e-6 + 0.1e-6 * errors[:, 8])

@@ -10,7 +10,7 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.cia402.objects import NodeObjects
 from daq.drivers.cia402.process_data import map_process_data
-from daq.drivers.cia402.settings import Drive
+from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import Pipeline, RotorGuard
 from daq.drivers.run_down import wait_for_rest
@@ -53,7 +53,7 @@ class DriveControl:
 
     def __init__(
         self,
-        config: Drive,
+        config: MotorDrive,
         send: Callable[[bytes], None],
         clock: HostClock,
         guard: RotorGuard | None = None,

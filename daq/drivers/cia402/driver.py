@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
-from daq.drivers.cia402.settings import Drive
-from daq.drivers.contract import Line, Pipeline, RotorGuard, SampleClock, SpeedSource, Talk
+from daq.drivers.cia402.settings import MotorDrive
+from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SampleClock, SpeedControl, Talk
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
-from daq.items import Event
+from daq.items import DeviceEvent
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
@@ -25,34 +25,34 @@ class Cia402:
     """See Driver."""
 
     name = "cia402"
-    settings = Drive
+    settings = MotorDrive
     rest_s = 0.01
     example: ClassVar[Mapping[str, Any]] = {"node_id": 5}
     claims = frozenset({"falls silent"})
 
-    def line(self, settings: Drive) -> Line:
+    def line(self, settings: MotorDrive) -> DeviceLine:
         """See Driver."""
-        return Line(settings.port, _ADAPTER_BAUD, settings.bitrate)
+        return DeviceLine(settings.port, _ADAPTER_BAUD, settings.bitrate)
 
-    def channels(self, settings: Drive) -> tuple[Channel, ...]:
+    def channels(self, settings: MotorDrive) -> tuple[Channel, ...]:
         """See Driver."""
         return (channels.MOTOR,)
 
-    def occasional(self, settings: Drive) -> tuple[Channel, ...]:
+    def occasional(self, settings: MotorDrive) -> tuple[Channel, ...]:
         """See Driver."""
         return ()
 
-    def clocks(self, settings: Drive) -> tuple[SampleClock, ...]:
+    def clocks(self, settings: MotorDrive) -> tuple[SampleClock, ...]:
         """See Driver; a drive has no clock, its samples get the host's time."""
         return ()
 
-    def pipeline(self, device: str, settings: Drive, identity: Mapping[str, Any]) -> Pipeline:
+    def pipeline(self, device: str, settings: MotorDrive, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
         from daq.drivers.cia402.stream import DrivePipeline
 
         return DrivePipeline(device, settings)
 
-    def words(self, event: Event) -> str:
+    def words(self, event: DeviceEvent) -> str:
         """See Driver."""
         from daq.drivers.cia402 import wire
 
@@ -60,7 +60,7 @@ class Cia402:
         return wire.emergency_words(code) if code else ""
 
     def checks(
-        self, settings: Drive, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+        self, settings: MotorDrive, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
     ) -> Checks:
         """See Driver: the drive's state and emergencies, and heartbeats of another node under the host's number."""
         from daq.drivers.cia402.status_checks import drive_checks
@@ -69,13 +69,13 @@ class Cia402:
         assert isinstance(pipeline, DrivePipeline)
         return drive_checks(control, events, pipeline.host_beats.foreign)
 
-    def far_end(self, device: str, settings: Drive, world: Any) -> FarEnd:
+    def far_end(self, device: str, settings: MotorDrive, world: Any) -> FarEnd:
         """See Driver."""
         from daq.drivers.cia402.far_end import SimulatedDrive
 
         return SimulatedDrive.of(settings, world)
 
-    def played(self, settings: Drive, identity: Mapping[str, Any]) -> PlayedDevice:
+    def played(self, settings: MotorDrive, identity: Mapping[str, Any]) -> PlayedDevice:
         """See Driver."""
         from daq.drivers.cia402.played import PlayedDrive
 
@@ -84,7 +84,7 @@ class Cia402:
     def prepare(self) -> None:
         """See Driver."""
 
-    def open(self, device: str, settings: Drive, talk: Talk) -> dict[str, Any]:
+    def open(self, device: str, settings: MotorDrive, talk: Talk) -> dict[str, Any]:
         """See Driver; the drive's command (`control`) starts the network."""
         return {"driver": self.name, "node_id": settings.node_id}
 
@@ -92,8 +92,8 @@ class Cia402:
         """See Driver; the drive's command (`control`) has stopped it."""
 
     def speed_source(
-        self, settings: Drive, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
-    ) -> SpeedSource:
+        self, settings: MotorDrive, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
+    ) -> SpeedControl:
         """See TurnsRotor."""
         from daq.drivers.cia402.control import DriveControl  # imports canopen
 

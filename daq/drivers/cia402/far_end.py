@@ -17,10 +17,10 @@ from daq.drivers.cia402.canopen_node import (
     SdoServer,
     drive_objects,
 )
-from daq.drivers.cia402.settings import Drive
+from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.simulated import FarEnd, FaultKind
 from daq.transports import slcan
-from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
 
@@ -70,7 +70,7 @@ class SimulatedDrive(FarEnd):
         ),
     }
 
-    def __init__(self, config: Drive, motion: Motion, report_s: float) -> None:
+    def __init__(self, config: MotorDrive, motion: SimulatedMotion, report_s: float) -> None:
         self._config, self._motion, self._node, self._report_s = config, motion, config.node_id, report_s
         self.frames_sent = 0
         self.emergencies: list[int] = []
@@ -98,7 +98,7 @@ class SimulatedDrive(FarEnd):
         return drive_objects(self._node) | _MAKERS | {(cia402.TPDO1, 5): (timer_ms, "<H")}
 
     @classmethod
-    def of(cls, config: Drive, world: World) -> SimulatedDrive:
+    def of(cls, config: MotorDrive, world: World) -> SimulatedDrive:
         """Make the drive of a simulated rig."""
         return cls(config, world.motion, world.virtual.drive.report_s)
 

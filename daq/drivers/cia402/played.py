@@ -15,7 +15,7 @@ from daq.drivers.cia402.canopen_node import (
     SdoServer,
     drive_objects,
 )
-from daq.drivers.cia402.settings import Drive
+from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.played import PlayedDevice
 from daq.transports import slcan
 
@@ -71,7 +71,7 @@ class PlayedDrive(PlayedDevice):
 
     expects = "the network's start"
 
-    def __init__(self, config: Drive) -> None:
+    def __init__(self, config: MotorDrive) -> None:
         self._bus = BothWays(config.host_node_id)
         super().__init__(self._bus)
         self._node, self._host_beat = config.node_id, cia402.cob_heartbeat(config.host_node_id)

@@ -11,7 +11,7 @@ from rig_configs.device import DeviceSettings
 from rig_configs.roles import AT_REST_RPM, Role, SpeedSource
 
 
-class Drive(DeviceSettings):
+class MotorDrive(DeviceSettings):
     """The CiA 402 motor drive behind a CAN adapter.
 
     Attributes:
@@ -40,7 +40,7 @@ class Drive(DeviceSettings):
         return (SpeedSource(device=device, topic="motor", ramp_rpm_per_s=self.ramp_rpm_per_s, rest_rpm=self.rest_rpm),)
 
     @model_validator(mode="after")
-    def _beats_before_timeout(self) -> Drive:
+    def _beats_before_timeout(self) -> MotorDrive:
         if self.host_node_id == self.node_id:
             raise ValueError(f"host_node_id and node_id are both {self.node_id}: the drive would watch itself")
         if self.heartbeat_timeout_ms < 2 * self.heartbeat_ms:

@@ -5,16 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from daq.drivers.checks import Check, Checks
+from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.cia402 import wire
 from daq.drivers.cia402.host_beats import IN_A_ROW
-from daq.drivers.contract import SpeedSource
-from daq.items import Event
+from daq.drivers.contract import SpeedControl
+from daq.items import DeviceEvent
 
 _FAULTY = (wire.FAULT, wire.FAULT_REACTION, wire.UNKNOWN)
 
 
-def drive_checks(control: SpeedSource | None, events: Sequence[Event], foreign_beats: int = 0) -> Checks:
+def drive_checks(control: SpeedControl | None, events: Sequence[DeviceEvent], foreign_beats: int = 0) -> Checks:
     """Return the checks of an open drive.
 
     Args:
@@ -26,13 +26,13 @@ def drive_checks(control: SpeedSource | None, events: Sequence[Event], foreign_b
     codes = [int(e.facts.get("error_code", 0)) for e in events if e.kind == "emergency"]
     bad = [code for code in codes if code not in (0, wire.HEARTBEAT_ERROR)]
     words = ", ".join(f"0x{code:04X}" for code in codes) or "none"
-    out["emergencies"] = Check(words, "none", not bad, "" if not bad else "look them up in the drive's manual")
+    out["emergencies"] = DeviceCheck(words, "none", not bad, "" if not bad else "look them up in the drive's manual")
     note = "" if foreign_beats < IN_A_ROW else "another node bears the host's number (host_node_id): find it"
-    out["foreign_heartbeats"] = Check(foreign_beats, 0, foreign_beats < IN_A_ROW, note)
+    out["foreign_heartbeats"] = DeviceCheck(foreign_beats, 0, foreign_beats < IN_A_ROW, note)
     return out
 
 
-def _state(control: SpeedSource) -> Check:
+def _state(control: SpeedControl) -> DeviceCheck:
     state = control.state
     faulty = state in _FAULTY
     code = control.fault_code() if faulty and state != wire.UNKNOWN else None
@@ -41,4 +41,4 @@ def _state(control: SpeedSource) -> Check:
     if faulty:
         cause = "it reports no cause" if code is None else f"error 0x{code:04X}"
         note = f"{cause}{': a host was gone; the next test resets it' if beat else '; mend the cause, reset the drive'}"
-    return Check(state, "no fault", not faulty or beat, note)
+    return DeviceCheck(state, "no fault", not faulty or beat, note)

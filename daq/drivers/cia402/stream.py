@@ -10,8 +10,8 @@ import numpy as np
 from daq import channels
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.host_beats import HostBeats
-from daq.drivers.cia402.settings import Drive
-from daq.items import TX, Batch, Event
+from daq.drivers.cia402.settings import MotorDrive
+from daq.items import TX, Batch, DeviceEvent
 from daq.transports import slcan
 
 _AGAIN_NS = 1_000_000_000
@@ -32,7 +32,7 @@ class DrivePipeline:
 
     told = True
 
-    def __init__(self, device: str, config: Drive) -> None:
+    def __init__(self, device: str, config: MotorDrive) -> None:
         self.losses = {"damaged_lines": 0, "refused_lines": 0}
         self.frames: list[slcan.CanFrame] = []
         self.complaint = ""
@@ -46,7 +46,7 @@ class DrivePipeline:
         self._network: cia402.Heartbeat | None = None
         self._may_refuse = 0  # pending commands to the adapter itself; a refusal of these is not a lost frame
 
-    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
         if direction == TX:
             sent = self._tx.feed(data)
@@ -59,13 +59,13 @@ class DrivePipeline:
             return []
         found = self._rx.feed(data) if self._joined else self._join(data)
         self.frames = cia402.own_frames(found.frames)
-        out: list[Batch | Event] = [*self._second_host(host_ns)]
+        out: list[Batch | DeviceEvent] = [*self._second_host(host_ns)]
         damaged = found.damaged
         if found.other_lines or self._may_refuse:
             out += self._answered(found)
         if damaged:
             self.losses["damaged_lines"] += damaged
-            out.append(Event("damage", self._device, f"{damaged} damaged lines dropped", {"lines": damaged}))
+            out.append(DeviceEvent("damage", self._device, f"{damaged} damaged lines dropped", {"lines": damaged}))
         rows: list[tuple[int, int, float]] = []  # statusword, actual and target speed in rpm
         report, beat = cia402.cob_tpdo(1, self._node), cia402.cob_heartbeat(self._node)
         for frame in self.frames:
@@ -83,12 +83,12 @@ class DrivePipeline:
                 facts: dict[str, Any] = {"error_code": emergency.error_code, "register": emergency.error_register}
                 if any(emergency.maker_bytes):
                     facts["maker_bytes"] = emergency.maker_bytes.hex(" ")
-                out.append(Event("emergency", self._device, f"drive error 0x{emergency.error_code:04X}", facts))
+                out.append(DeviceEvent("emergency", self._device, f"drive error 0x{emergency.error_code:04X}", facts))
         if rows:
             out += self._speed(rows, host_ns)
         return out
 
-    def _second_host(self, host_ns: int) -> Iterator[Event]:
+    def _second_host(self, host_ns: int) -> Iterator[DeviceEvent]:
         """Report each second that another node sends the host's heartbeat, as long as it does."""
         if not self.host_beats.received(self.frames, host_ns) or host_ns - self._reported_ns < _AGAIN_NS:
             return
@@ -97,26 +97,26 @@ class DrivePipeline:
             f"another node sends this host's heartbeat (node {self._host_node}): the drive would go on turning without "
             "its host. Find the node with this number, or give the host another one (host_node_id)"
         )
-        yield Event("fault", self._device, text, {"foreign_heartbeats": self.host_beats.foreign})
+        yield DeviceEvent("fault", self._device, text, {"foreign_heartbeats": self.host_beats.foreign})
 
-    def _short(self, frame: slcan.CanFrame) -> Event:
+    def _short(self, frame: slcan.CanFrame) -> DeviceEvent:
         """Return the event about a report that is too short for statusword and speed; reported once."""
         self.complaint = (
             f"its reports (TPDO1) have {len(frame.data)} bytes; statusword and actual speed are "
             f"{cia402.TPDO1_BYTES}. Look at the drive's mapping (1A00h)"
         )
-        return Event("mapping", self._device, self.complaint, {"bytes": len(frame.data)})
+        return DeviceEvent("mapping", self._device, self.complaint, {"bytes": len(frame.data)})
 
-    def _join(self, data: bytes) -> slcan.Decoded:
+    def _join(self, data: bytes) -> slcan.DecodedLines:
         """Decode the first line of a log, which may be cut at its beginning, without counting damage."""
         end = slcan.first_line_end(data)
         if not end:
             return self._rx.feed(data)
         self._joined = True
         first, found = self._rx.feed(data[:end]), self._rx.feed(data[end:])
-        return slcan.Decoded(first.frames + found.frames, first.other_lines + found.other_lines, found.damaged)
+        return slcan.DecodedLines(first.frames + found.frames, first.other_lines + found.other_lines, found.damaged)
 
-    def _answered(self, found: slcan.Decoded) -> list[Event]:
+    def _answered(self, found: slcan.DecodedLines) -> list[DeviceEvent]:
         """Return the event about refused frames in the adapter's answers, which are in the order of the commands."""
         refused = 0
         for line in found.other_lines:
@@ -131,13 +131,13 @@ class DrivePipeline:
             return []
         self.losses["refused_lines"] += refused
         text = f"the adapter refused {refused} lines: these frames did not go out. Look at the bus and its termination"
-        return [Event("refused", self._device, text, {"lines": refused})]
+        return [DeviceEvent("refused", self._device, text, {"lines": refused})]
 
     def _take_target(self, frame: slcan.CanFrame) -> None:
         if frame.arbitration_id == cia402.cob_rpdo(1, self._node) and len(frame.data) == 4:
             self._target_rpm = float(cia402.unpack_rpdo1(frame.data)[1])
 
-    def _heartbeat(self, frame: slcan.CanFrame) -> list[Batch | Event]:
+    def _heartbeat(self, frame: slcan.CanFrame) -> list[Batch | DeviceEvent]:
         """Return the event of a boot-up or of a change of the network state. A drive reports only if operational."""
         state = cia402.heartbeat(frame.data)
         before, self._network = self._network, self._network if state is None else state
@@ -145,20 +145,20 @@ class DrivePipeline:
             return []
         if state == cia402.Heartbeat.BOOT_UP:
             text = "the drive started again (boot-up message): its settings are gone, its speed is unknown"
-            return [Event("restart", self._device, text)]
+            return [DeviceEvent("restart", self._device, text)]
         operational = state == cia402.Heartbeat.OPERATIONAL
         if operational and before is None:
             return []  # the expected state
         text = f"network state {state.name.replace('_', '-')}" + ("" if operational else ": it reports no speed")
-        return [Event("network", self._device, text, {"network_state": int(state), "operational": operational})]
+        return [DeviceEvent("network", self._device, text, {"network_state": int(state), "operational": operational})]
 
-    def _speed(self, rows: list[tuple[int, int, float]], host_ns: int) -> list[Batch | Event]:
-        out: list[Batch | Event] = []
+    def _speed(self, rows: list[tuple[int, int, float]], host_ns: int) -> list[Batch | DeviceEvent]:
+        out: list[Batch | DeviceEvent] = []
         for word, _, _ in rows:
             if word == self._status:
                 continue
             if self._status is None or cia402.state(word) != cia402.state(self._status):
-                out.append(Event("drive", self._device, cia402.state(word), {"statusword": word}))
+                out.append(DeviceEvent("drive", self._device, cia402.state(word), {"statusword": word}))
             self._status = word
         words, actual, target = zip(*rows, strict=True)
         columns = {

@@ -76,7 +76,7 @@ def _take(
 
 
 def take_clean_blocks(
-    data: bytes, places: sensor_answers.Places, last_counter: int, last_tick: int, nominal_ticks: float
+    data: bytes, places: sensor_answers.WordPositions, last_counter: int, last_tick: int, nominal_ticks: float
 ) -> CleanBlocks:
     """Decode the blocks at the beginning of `data` that are complete and undamaged and continue one another.
 
@@ -135,7 +135,7 @@ def measure(
 
 def compile_loop() -> None:
     """Load or compile the compiled code before the first byte arrives."""
-    take_clean_blocks(bytes(12), sensor_answers.Places(4, 0, 1, 2, 3), 0, 0, 25.0)
+    take_clean_blocks(bytes(12), sensor_answers.WordPositions(4, 0, 1, 2, 3), 0, 0, 25.0)
     measure(np.zeros(1, np.uint32), 1.0, 1.0)
     compile_watch()
 

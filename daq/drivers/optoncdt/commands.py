@@ -129,7 +129,7 @@ class SensorCommands:
         return []
 
 
-def info_lines(info: sensor_answers.Info) -> list[str]:
+def info_lines(info: sensor_answers.SensorInfo) -> list[str]:
     """Return the answer to GETINFO that `sensor_answers.parse_info` converts to the same `info`."""
     millimetres = f"{info['range_m'] * 1e3:.2f}"
     if float(millimetres) / 1000.0 != info["range_m"]:

@@ -90,7 +90,7 @@ class _Dialogue:
         )
 
 
-def _checked_scaling(device: str, config: Laser, info: sensor_answers.Info) -> str:
+def _checked_scaling(device: str, config: Laser, info: sensor_answers.SensorInfo) -> str:
     """Return the scaling of the sensor.
 
     Raises:

@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
-from daq.drivers.contract import Line, Pipeline, SampleClock, SpeedSource, Talk
+from daq.drivers.contract import DeviceLine, Pipeline, SampleClock, SpeedControl, Talk
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
-from daq.items import Event
+from daq.items import DeviceEvent
 
 _COUNTER_WRAP = 2**18
 
@@ -27,9 +27,9 @@ class OptoNcdt:
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
     claims = frozenset({"counts exactly", "falls silent"})
 
-    def line(self, settings: Laser) -> Line:
+    def line(self, settings: Laser) -> DeviceLine:
         """See Driver."""
-        return Line(settings.port, settings.baud)
+        return DeviceLine(settings.port, settings.baud)
 
     def channels(self, settings: Laser) -> tuple[Channel, ...]:
         """See Driver."""
@@ -56,12 +56,12 @@ class OptoNcdt:
         (channel,) = self.channels(settings)
         return LaserPipeline(device, settings, channel, identity)
 
-    def words(self, event: Event) -> str:
+    def words(self, event: DeviceEvent) -> str:
         """See Driver."""
         return event.text
 
     def checks(
-        self, settings: Laser, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+        self, settings: Laser, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
     ) -> Checks:
         """See Driver."""
         return {}

@@ -12,7 +12,7 @@ from daq.drivers.optoncdt import distance_words, sensor_answers
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.drivers.optoncdt.settings import Laser
-from daq.drivers.simulated import FarEnd, FaultKind, Stretch
+from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
 from daq.virtual_rig.world import DeviceClock, World
 
 _ERROR_BEFORE, _ERROR_BEHIND, _ERROR_BAUD, _NO_PEAK = 262077, 262078, 262075, 262076
@@ -57,7 +57,7 @@ class SimulatedLaser(FarEnd):
         self._counter = int(rng.integers(0, optoncdt.COUNTER_WRAP))
         model = config.scaling or distance_words.USUAL_SCALING
         self._scaling = distance_words.SCALINGS[model]
-        self._info = sensor_answers.Info(name=model, serial=serial, range_m=config.range_m, version="001.019")
+        self._info = sensor_answers.SensorInfo(name=model, serial=serial, range_m=config.range_m, version="001.019")
         self._commands = self._fresh_commands()
 
     def _fresh_commands(self) -> SensorCommands:
@@ -93,7 +93,7 @@ class SimulatedLaser(FarEnd):
     def _reset_counter(self) -> None:
         self._counter = 0
 
-    def sample(self, motion: Stretch) -> bytes:
+    def sample(self, motion: MotionInterval) -> bytes:
         """Return the bytes of the samples in an interval of motion."""
         period = 1.0 / self._commands.rate_Hz
         last = int(np.floor(float(self._clock.device_s(motion.time_s[-1])) / period))

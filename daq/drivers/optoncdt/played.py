@@ -109,7 +109,7 @@ def _words(found: object) -> list[str]:
     return words
 
 
-def _info(identity: Mapping[str, Any], config: Laser) -> sensor_answers.Info:
+def _info(identity: Mapping[str, Any], config: Laser) -> sensor_answers.SensorInfo:
     """Return the sensor's own identity. The range is the reported one, not one that was corrected afterwards."""
     scaling = identity.get("scaling", config.scaling or distance_words.USUAL_SCALING)
     if not isinstance(scaling, str) or scaling not in distance_words.SCALINGS:
@@ -121,4 +121,4 @@ def _info(identity: Mapping[str, Any], config: Laser) -> sensor_answers.Info:
         raise LogError(f"identities.json: expected a measuring range in m, got {range_m!r}")
     serial, version = (str(identity.get(key, _UNKNOWN)) for key in ("serial", "version"))
     name = str(identity.get("name", scaling))  # a host derives the scaling from it
-    return sensor_answers.Info(name=name, serial=serial, range_m=float(range_m), version=version)
+    return sensor_answers.SensorInfo(name=name, serial=serial, range_m=float(range_m), version=version)

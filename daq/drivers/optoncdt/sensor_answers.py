@@ -18,7 +18,7 @@ MAX_WORDS = 32
 """Largest number of words in a block; sensors have about ten."""
 
 
-class Info(TypedDict):
+class SensorInfo(TypedDict):
     """Contents of the answer to GETINFO: name, serial number, measuring range in m, firmware version."""
 
     name: str
@@ -27,7 +27,7 @@ class Info(TypedDict):
     version: str
 
 
-def parse_info(lines: Sequence[str]) -> Info:
+def parse_info(lines: Sequence[str]) -> SensorInfo:
     """Parse the answer to GETINFO.
 
     Raises:
@@ -42,7 +42,7 @@ def parse_info(lines: Sequence[str]) -> Info:
             f"in {list(lines)!r}: is this an optoNCDT sensor, and was the stream stopped before the command?"
         )
     name, serial, version = (fields.get(key, "") for key in ("name", "serial", "version"))
-    return Info(name=name, serial=serial, range_m=float(match[1]) / 1000.0, version=version)
+    return SensorInfo(name=name, serial=serial, range_m=float(match[1]) / 1000.0, version=version)
 
 
 def parse_outinfo(line: str) -> tuple[str, ...]:
@@ -84,7 +84,7 @@ def announced(line: str) -> tuple[str, ...] | None:
         return None
 
 
-class Places(NamedTuple):
+class WordPositions(NamedTuple):
     """Positions of a sample's words in a block.
 
     Attributes:
@@ -99,10 +99,10 @@ class Places(NamedTuple):
     high: int
 
 
-def places_of(words: Sequence[str]) -> Places | None:
+def places_of(words: Sequence[str]) -> WordPositions | None:
     """Return the positions of distance, counter and timestamp in a block; None if one of them is missing."""
     try:
         found = [words.index(name) for name in (DISTANCE, COUNTER, TIMESTAMP_LO, TIMESTAMP_HI)]
     except ValueError:
         return None
-    return Places(len(words), *found)
+    return WordPositions(len(words), *found)

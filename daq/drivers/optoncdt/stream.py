@@ -19,12 +19,12 @@ from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.words import WordsTrial
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
-from daq.items import TX, Batch, Event
+from daq.items import TX, Batch, DeviceEvent
 
 DEFAULT_WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")
 _MIN_RATE_DEVIATION = 2e-3  # relative deviation of the rate that is reported; a smaller one needs the host's clock
 
-Items = list[Batch | Event]
+Items = list[Batch | DeviceEvent]
 
 
 class LaserPipeline:
@@ -42,7 +42,7 @@ class LaserPipeline:
         self._scaling = _scaling(device, identity.get("scaling", usual))
         self._to_disk = 1.0 / config.lever_ratio
         words = _words(device, identity.get("words", config.output_words or DEFAULT_WORDS))
-        self._decoder = optoncdt.StreamDecoder(words, follow_answers=True)
+        self._decoder = optoncdt.BlockDecoder(words, follow_answers=True)
         self._places = sensor_answers.places_of(words)
         self._trial: WordsTrial | None = None
         self._reported_lines = 0  # lines already reported that the decoder has not reached yet
@@ -91,7 +91,7 @@ class LaserPipeline:
         if skipped:
             self.losses["bytes"] += skipped
             text = f"{skipped} bytes skipped to find the next block"
-            out.append(Event("damage", self._device, text, {"bytes": skipped}))
+            out.append(DeviceEvent("damage", self._device, text, {"bytes": skipped}))
         if len(found.values):
             self._joined = True
             self._rows(found.values, host_ns, out)
@@ -112,19 +112,19 @@ class LaserPipeline:
         self._decoder.follow_answers = False  # the decision has taken the answers in the held bytes into account
         if decided and words != self._decoder.words:
             text = f"from here on the stream's words are {' '.join(words)}, no longer {' '.join(self._decoder.words)}"
-            out.append(Event("words", self._device, text))
+            out.append(DeviceEvent("words", self._device, text))
             self._decoder.set_words(words)
             self._places, self._unusable_reported = sensor_answers.places_of(words), False
         elif not decided:
             text = f"an answer announces the words {' '.join(words)}, the stream does not consist of them: ignored"
-            out.append(Event("words", self._device, text))
+            out.append(DeviceEvent("words", self._device, text))
         return self._decode(held, host_ns, out) + rest  # answers in the bytes that follow count again
 
     def _report_lines(self, lines: Sequence[str], out: Items) -> None:
         """Append an event for each line that has not been reported yet."""
         before = min(self._reported_lines, len(lines))
         self._reported_lines -= before
-        out += [Event("reply", self._device, line) for line in lines[before:]]
+        out += [DeviceEvent("reply", self._device, line) for line in lines[before:]]
 
     def _clean(self, data: bytes, host_ns: int) -> CleanBlocks | None:
         """Decode all of `data` if it continues without damage; an incomplete block at its end is kept."""
@@ -155,7 +155,7 @@ class LaserPipeline:
                     f"the stream's words are {' '.join(self._decoder.words)}: no samples without distance, counter "
                     "and timestamp (OUTADD_RS422 COUNTER TIMESTAMP)"
                 )
-                out.append(Event("words", self._device, text))
+                out.append(DeviceEvent("words", self._device, text))
             return
         _, counter, ticks = _columns(values, self._places)
         found = self._order.sort(np.column_stack([counter.astype(np.int64), ticks]), values, host_ns)
@@ -163,12 +163,12 @@ class LaserPipeline:
             self.losses["damaged"] += found.dropped
             what = "a sample" if found.dropped == 1 else f"{found.dropped} samples"
             text = f"{what} whose counter and timestamp do not fit {'was' if found.dropped == 1 else 'were'} dropped"
-            out.append(Event("damage", self._device, text, {"damaged": found.dropped}))
+            out.append(DeviceEvent("damage", self._device, text, {"damaged": found.dropped}))
         self._report_rate(out)
         for restarted, rows in found.stretches:
             if restarted:
                 text = "counter and timestamp do not continue: the sensor restarted"
-                out.append(Event("restart", self._device, text))
+                out.append(DeviceEvent("restart", self._device, text))
                 self._restart()
             out += self._samples(_columns(rows, self._places), host_ns, gapless=False)
 
@@ -180,7 +180,7 @@ class LaserPipeline:
         self._reported_period = period
         rate, expected = 1.0 / (period * optoncdt.TICK_S), 1.0 / (self._nominal_ticks * optoncdt.TICK_S)
         text = f"the sensor measures {rate:.4g} times a second by its own clock, the rig file states {expected:g}"
-        out.append(Event("rate", self._device, text, {"rate_Hz": rate, "nominal_Hz": expected}))
+        out.append(DeviceEvent("rate", self._device, text, {"rate_Hz": rate, "nominal_Hz": expected}))
 
     def _samples(self, rows: CleanBlocks, host_ns: int, *, gapless: bool) -> Items:
         before = self._last
@@ -205,14 +205,14 @@ class LaserPipeline:
             out.append(self._suspects(flags, time_ns))
         return out
 
-    def _suspects(self, flags: NDArray[np.uint32], time_ns: NDArray[np.int64]) -> Event:
+    def _suspects(self, flags: NDArray[np.uint32], time_ns: NDArray[np.int64]) -> DeviceEvent:
         """Return the event about samples that are spikes; its time is that of the first."""
         found = np.flatnonzero(flags)
         self.losses["suspect"] += len(found)
         first_ns = int(time_ns[found[0]]) - round(LOOK_AHEAD * self._order.period_ticks) * 10_000
         what = "a sample jumps" if len(found) == 1 else f"{len(found)} samples jump"
         text = f"{what} out of the signal for one sample: marked as suspect"
-        return Event("suspect", self._device, text, {"suspect": len(found), "time_ns": first_ns})
+        return DeviceEvent("suspect", self._device, text, {"suspect": len(found), "time_ns": first_ns})
 
     def _gaps(
         self,
@@ -230,13 +230,13 @@ class LaserPipeline:
         counts = steps_from(before[0], counter.astype(np.int64)) % optoncdt.COUNTER_WRAP
         wraps = np.rint((steps_from(before[1], ticks) / self._order.period_ticks - counts) / optoncdt.COUNTER_WRAP)
         steps = counts + optoncdt.COUNTER_WRAP * wraps.astype(np.int64)
-        out: list[Batch | Event] = []
+        out: list[Batch | DeviceEvent] = []
         for i in np.flatnonzero(steps != 1):
             lost = int(steps[i]) - 1
             self.losses["samples"] += lost
             span = lost * self._order.period_ticks * optoncdt.TICK_S
             out.append(
-                Event(
+                DeviceEvent(
                     "gap",
                     self._device,
                     f"{lost} samples lost ({span * 1e3:.2f} ms)",
@@ -246,7 +246,7 @@ class LaserPipeline:
         return out
 
 
-def _columns(values: NDArray[np.uint32], places: sensor_answers.Places) -> CleanBlocks:
+def _columns(values: NDArray[np.uint32], places: sensor_answers.WordPositions) -> CleanBlocks:
     """Return distance word, counter and timestamp of rows of words."""
     ticks = optoncdt.timestamp_ticks(values[:, places.low], values[:, places.high]).astype(np.int64)
     return CleanBlocks(values[:, places.distance], values[:, places.counter], ticks)

@@ -34,8 +34,8 @@ _WINDOW, _WINDOW_LIMIT = 16, 4096  # blocks that the fast path tests at once: fe
 
 
 @dataclass(frozen=True)
-class Decoded:
-    """Result of one call of `StreamDecoder.feed`.
+class DecodedBlocks:
+    """Result of one call of `BlockDecoder.feed`.
 
     Attributes:
         values: raw 18-bit words of the complete blocks, uint32 of shape (blocks, words).
@@ -54,7 +54,7 @@ class Decoded:
     rest: bytes = b""
 
 
-class StreamDecoder:
+class BlockDecoder:
     """Decode the bytes of one sensor to measurement blocks and answer lines.
 
     The result does not depend on the split into calls.
@@ -77,7 +77,7 @@ class StreamDecoder:
 
     @property
     def words(self) -> tuple[str, ...]:
-        """Names of the columns of `Decoded.values`."""
+        """Names of the columns of `DecodedBlocks.values`."""
         return self._words
 
     @property
@@ -108,7 +108,7 @@ class StreamDecoder:
         """Bytes taken that do not form a complete value or line yet."""
         return bytes(self._line + self._pending)
 
-    def feed(self, data: bytes) -> Decoded:
+    def feed(self, data: bytes) -> DecodedBlocks:
         """Decode the next bytes of the line.
 
         Args:
@@ -129,7 +129,7 @@ class StreamDecoder:
         else:
             values = np.concatenate([np.empty((0, len(self._words)), np.uint32), *self._rows])
         first = self._skipped if self._skipped_first is None else self._skipped_first
-        return Decoded(values, self._text, self._skipped, first, self._announced, data[position:])
+        return DecodedBlocks(values, self._text, self._skipped, first, self._announced, data[position:])
 
     def _take_clean_blocks(self, data: bytes, position: int) -> int:
         """Decode complete consecutive blocks, at most a window of them; return their number.

@@ -37,7 +37,7 @@ class _Reading:
         last: counter and ticks of the last block; None before the first.
     """
 
-    decoder: optoncdt.StreamDecoder
+    decoder: optoncdt.BlockDecoder
     row: int = 0
     chain: int = 0
     last: NDArray[np.int64] | None = None
@@ -77,7 +77,7 @@ class WordsTrial:
         held: bytes since the first answer.
     """
 
-    def __init__(self, decoder: optoncdt.StreamDecoder, announced: tuple[str, ...], follows: Follows) -> None:
+    def __init__(self, decoder: optoncdt.BlockDecoder, announced: tuple[str, ...], follows: Follows) -> None:
         self.held = b""
         self._follows = follows
         self._old = _Reading(copy.deepcopy(decoder))
@@ -86,7 +86,7 @@ class WordsTrial:
 
     def _compare(self, announced: tuple[str, ...]) -> None:
         self.announced = announced
-        self._new = _Reading(optoncdt.StreamDecoder(announced))
+        self._new = _Reading(optoncdt.BlockDecoder(announced))
         self._new.decoder.feed(self._old.decoder.unread)
 
     def feed(self, data: bytes) -> tuple[bool | None, list[str], bytes]:

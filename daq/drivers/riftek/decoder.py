@@ -20,7 +20,7 @@ _JOINING = RESULT_BYTES - 1  # bytes of a packet that was cut because reception 
 _WINDOW, _WINDOW_LIMIT = 16, 4096  # packets tested at once: few after damage, more without
 
 
-class Row(NamedTuple):
+class ResultRow(NamedTuple):
     """One result of a stream.
 
     Attributes:
@@ -37,8 +37,8 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Decoded:
-    """Result of one call of `StreamDecoder.feed`.
+class DecodedResults:
+    """Result of one call of `ResultDecoder.feed`.
 
     Attributes:
         code: results, int64, shape (n,).
@@ -62,7 +62,7 @@ class Decoded:
 _Block = tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]
 
 
-class StreamDecoder:
+class ResultDecoder:
     """Decode the bytes of one sensor to results and answers. The result does not depend on the split into calls.
 
     A packet is a run of exactly four bytes with the same high half. A run of eight bytes is two packets with three lost
@@ -90,7 +90,7 @@ class StreamDecoder:
 
     def _clear(self) -> None:
         self._blocks: list[_Block] = []
-        self._rows: list[Row] = []
+        self._rows: list[ResultRow] = []
         self._count = 0
         self._doubted: list[int] = []
         self._answers: list[bytes] = []
@@ -100,7 +100,7 @@ class StreamDecoder:
         """Set the length of the answer that the next packet without a new result is; None for no answer."""
         self._wanted = wire_bytes
 
-    def feed(self, data: bytes) -> Decoded:
+    def feed(self, data: bytes) -> DecodedResults:
         """Decode the next bytes of the line.
 
         Args:
@@ -121,7 +121,7 @@ class StreamDecoder:
                 position += 1
         self._close_block()
         columns = self._blocks[0] if len(self._blocks) == 1 else _joined(self._blocks)
-        return Decoded(*columns, tuple(self._doubted), tuple(self._answers), self._skipped)
+        return DecodedResults(*columns, tuple(self._doubted), tuple(self._answers), self._skipped)
 
     @property
     def _at_boundary(self) -> bool:
@@ -216,7 +216,7 @@ class StreamDecoder:
             self._answers.append(_bytes_of(halves))
             return
         low, high = _bytes_of(halves)
-        self._rows.append(Row(low | high << 8, bool(self._head & UPDATED), 1 + lost + self._owed, self._since))
+        self._rows.append(ResultRow(low | high << 8, bool(self._head & UPDATED), 1 + lost + self._owed, self._since))
         self._count += 1
         self._owed = self._since = 0
 

@@ -75,7 +75,7 @@ class _Dialogue:
     def __init__(self, device: str, settings: RiftekLaser, talk: Talk) -> None:
         self._device, self._settings, self._talk = device, settings, talk
 
-    def identify(self) -> wire.Info:
+    def identify(self) -> wire.SensorIdentity:
         """Return the sensor's identification after two equal answers."""
         answers = [self._request(wire.IDENTIFY)]
         while len(answers) <= _TRIES:

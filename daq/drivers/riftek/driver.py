@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
-from daq.drivers.contract import Line, Pipeline, SampleClock, SpeedSource, Talk
+from daq.drivers.contract import DeviceLine, Pipeline, SampleClock, SpeedControl, Talk
 from daq.drivers.played import PlayedDevice
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.simulated import FarEnd
-from daq.items import Event
+from daq.items import DeviceEvent
 
 _COUNTER_WRAP = 2**32
 
@@ -27,9 +27,9 @@ class Riftek:
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
     claims = frozenset({"falls silent"})
 
-    def line(self, settings: RiftekLaser) -> Line:
+    def line(self, settings: RiftekLaser) -> DeviceLine:
         """See Driver."""
-        return Line(settings.port, settings.baud, parity=settings.parity)
+        return DeviceLine(settings.port, settings.baud, parity=settings.parity)
 
     def channels(self, settings: RiftekLaser) -> tuple[Channel, ...]:
         """See Driver."""
@@ -56,12 +56,12 @@ class Riftek:
         (channel,) = self.channels(settings)
         return RiftekPipeline(device, settings, channel, identity)
 
-    def words(self, event: Event) -> str:
+    def words(self, event: DeviceEvent) -> str:
         """See Driver."""
         return event.text
 
     def checks(
-        self, settings: RiftekLaser, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+        self, settings: RiftekLaser, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
     ) -> Checks:
         """See Driver."""
         return {}
@@ -83,11 +83,11 @@ class Riftek:
         import numpy as np
 
         from daq.drivers.riftek import wire
-        from daq.drivers.riftek.decoder import StreamDecoder
+        from daq.drivers.riftek.decoder import ResultDecoder
         from daq.drivers.spikes import compile_watch
 
         compile_watch()
-        StreamDecoder().feed(wire.results(np.zeros(8, np.int64), np.arange(8)))
+        ResultDecoder().feed(wire.results(np.zeros(8, np.int64), np.arange(8)))
 
     def open(self, device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
         """See Driver."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.settings import RiftekLaser
-from daq.drivers.simulated import FarEnd, FaultKind, Stretch
+from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
 from daq.virtual_rig.world import DeviceClock, World
 
 _NO_TARGET = 0
@@ -161,7 +161,7 @@ class SimulatedRiftek(FarEnd):
         if word == wire.PERIOD:
             self._next = None
 
-    def sample(self, motion: Stretch) -> bytes:
+    def sample(self, motion: MotionInterval) -> bytes:
         """Return the bytes of the samples in an interval of motion."""
         period = 1e-6 * self.period_us
         last = int(np.floor(float(self._clock.device_s(float(motion.time_s[-1]))) / period))

@@ -29,12 +29,12 @@ from numpy.typing import NDArray
 from daq import channels
 from daq.clock import ClockMap, clock_rules
 from daq.drivers.riftek import wire
-from daq.drivers.riftek.decoder import Decoded, StreamDecoder
+from daq.drivers.riftek.decoder import DecodedResults, ResultDecoder
 from daq.drivers.riftek.read_lags import ReadLags
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.errors import DeviceError
-from daq.items import TX, Batch, Event
+from daq.items import TX, Batch, DeviceEvent
 
 TICK_NS = 10_000
 """Unit of `device_ticks`."""
@@ -46,7 +46,7 @@ _NO_READING = 0x3FFFF  # code for the spike detector: above any reading
 _WAIT_NS, _WAIT_READS = 250_000_000, 4  # a late read waits at least so long for the host to catch up
 _MAX_WAIT_ROWS = 65_536  # results that may wait
 
-Items = list[Batch | Event]
+Items = list[Batch | DeviceEvent]
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class RiftekPipeline:
         self._to_disk = 1.0 / settings.lever_ratio
         self._period_ns = 1000 * settings.period_us
         self._no_target = np.array(settings.no_target_codes, np.int64)
-        self._decoder = StreamDecoder()
+        self._decoder = ResultDecoder()
         self._lags = ReadLags(self._period_ns)
         self._clock = ClockMap(settings.clock_tolerance_ppm, clock_rules(identity))
         self._spikes = SpikeWatch()
@@ -138,18 +138,18 @@ class RiftekPipeline:
         if not data:
             return self._ended(host_ns)
         found = self._decoder.feed(data)
-        out: Items = [Event("reply", self._device, answer.hex()) for answer in found.answers]
+        out: Items = [DeviceEvent("reply", self._device, answer.hex()) for answer in found.answers]
         if found.skipped_bytes:
             self.losses["bytes"] += found.skipped_bytes
             text = f"{found.skipped_bytes} bytes skipped that do not belong to a packet"
-            out.append(Event("damage", self._device, text, {"bytes": found.skipped_bytes}))
+            out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
         self._verdicts += [self._decoded + place for place in found.doubted]
         self._decoded += len(found.code)
         if len(found.code):
             out += self._place(self._counted(found, host_ns), host_ns)
         return out
 
-    def _counted(self, found: Decoded, host_ns: int) -> _Rows:
+    def _counted(self, found: DecodedResults, host_ns: int) -> _Rows:
         """Count steps by the packets' numbers; after damaged bytes add the results that these bytes can have been."""
         step = found.step.copy()
         guessed = np.zeros(len(step), np.bool_)
@@ -274,13 +274,13 @@ class RiftekPipeline:
                 later.append(place)
         self._verdicts = later
 
-    def _suspects(self, found: NDArray[np.intp], time_ns: NDArray[np.int64]) -> Event:
+    def _suspects(self, found: NDArray[np.intp], time_ns: NDArray[np.int64]) -> DeviceEvent:
         """Return the event about spikes and samples of too long packets; its time is that of the first of them."""
         self.losses["suspect"] += len(found)
         first_ns = int(time_ns[found[0]]) - LOOK_AHEAD * self._period_ns
         what = "a sample" if len(found) == 1 else f"{len(found)} samples"
         text = f"{what} marked as suspect: a jump for one sample, or a packet that was too long"
-        return Event("suspect", self._device, text, {"suspect": len(found), "time_ns": first_ns})
+        return DeviceEvent("suspect", self._device, text, {"suspect": len(found), "time_ns": first_ns})
 
     def _gaps(self, rows: _Rows, step: NDArray[np.int64], time_ns: NDArray[np.int64], found_late: int) -> Items:
         """Return the gaps between rows. The time of a gap is that of the first sample after it."""
@@ -304,7 +304,7 @@ class RiftekPipeline:
             if found_late and i == 0:
                 facts["found_late"] = found_late
                 text += f"; {found_late} of them within the last 1.25 s: the times since their loss are early by that"
-            out.append(Event("gap", self._device, text, facts))
+            out.append(DeviceEvent("gap", self._device, text, facts))
         return out
 
 

@@ -102,7 +102,7 @@ def awaited(sent: bytes) -> int | None:
     return ANSWER_BYTES.get(sent[begin + 1] & 0x0F)
 
 
-class Info(NamedTuple):
+class SensorIdentity(NamedTuple):
     """Identification of a sensor.
 
     Attributes:
@@ -118,7 +118,7 @@ class Info(NamedTuple):
     range_m: float
 
 
-def parse_info(data: bytes) -> Info:
+def parse_info(data: bytes) -> SensorIdentity:
     """Parse the eight bytes of an identification.
 
     Raises:
@@ -129,7 +129,7 @@ def parse_info(data: bytes) -> Info:
     serial, base_mm, range_mm = (int.from_bytes(data[at : at + 2], "little") for at in (2, 4, 6))
     if not range_mm:
         raise DeviceError(f"expected a measuring range above 0 mm in the identification, got {data.hex()}")
-    return Info(data[0], data[1], serial, base_mm / 1000.0, range_mm / 1000.0)
+    return SensorIdentity(data[0], data[1], serial, base_mm / 1000.0, range_mm / 1000.0)
 
 
 def metres(code: ArrayLike, range_m: float) -> NDArray[np.float64]:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
-from daq.drivers.contract import Line, PendulumLocks, Pipeline, SampleClock, SpeedSource, Talk
+from daq.drivers.contract import DeviceLine, LockControl, Pipeline, SampleClock, SpeedControl, Talk
 from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink.settings import EncoderNode
 from daq.drivers.simulated import FarEnd
-from daq.items import Event
+from daq.items import DeviceEvent
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
@@ -27,9 +27,9 @@ class RotorLink:
     rest_s = 0.01
     claims = frozenset({"checksum", "counts exactly"})
 
-    def line(self, settings: EncoderNode) -> Line:
+    def line(self, settings: EncoderNode) -> DeviceLine:
         """See Driver."""
-        return Line(settings.port, settings.baud)
+        return DeviceLine(settings.port, settings.baud)
 
     def channels(self, settings: EncoderNode) -> tuple[Channel, ...]:
         """See Driver."""
@@ -53,12 +53,12 @@ class RotorLink:
 
         return NodePipeline(device, settings, identity)
 
-    def words(self, event: Event) -> str:
+    def words(self, event: DeviceEvent) -> str:
         """See Driver."""
         return event.text
 
     def checks(
-        self, settings: EncoderNode, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+        self, settings: EncoderNode, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
     ) -> Checks:
         """See Driver: the node's status, and the signal strength of its frames."""
         from daq.drivers.rotorlink.status_checks import node_checks
@@ -87,7 +87,7 @@ class RotorLink:
     def stop(self, talk: Talk) -> None:
         """See Driver; a node sends as long as it has power."""
 
-    def locks(self, settings: EncoderNode, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
+    def locks(self, settings: EncoderNode, send: Callable[[bytes], None], clock: HostClock) -> LockControl:
         """See MovesLocks."""
         from daq.drivers.rotorlink.locks import NodeLocks
 

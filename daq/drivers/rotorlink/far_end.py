@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder
-from daq.drivers.simulated import FarEnd, FaultKind, Stretch
-from daq.virtual_rig.motion import Motion
+from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
+from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import DeviceClock, World
 from rig_configs.device import RotorNodeSettings
 from rig_configs.schema import Radio
@@ -119,7 +119,7 @@ class SimulatedNode(FarEnd):
     def __init__(
         self,
         config: RotorNodeSettings,
-        motion: Motion,
+        motion: SimulatedMotion,
         zero_error_rad: NDArray[np.floating],
         noise_counts: float,
         play_rad: float,
@@ -195,14 +195,14 @@ class SimulatedNode(FarEnd):
         if isinstance(frame, rotorlink.Ping):
             us = self._us(now_s)
             self._send(now_s, lambda seq: rotorlink.Pong(_NODE, seq, us, us + 40, frame.seq).pack())
-        elif isinstance(frame, rotorlink.Command):
+        elif isinstance(frame, rotorlink.NodeCommand):
             known = next((result for seq, result in self._acted if seq == frame.seq), None)
             result = self._command(frame, now_s) if known is None else known[0]
             if known is None:
                 self._acted.append((frame.seq, bytes([result])))
             self._send(now_s, lambda seq: rotorlink.Acknowledge(_NODE, seq, frame.seq, result).pack())
 
-    def _command(self, frame: rotorlink.Command, now_s: float) -> int:
+    def _command(self, frame: rotorlink.NodeCommand, now_s: float) -> int:
         """Execute a command; return the result code of its acknowledgement."""
         names = {v: k for k, v in rotorlink.ACTIONS.items()}
         action = names.get(frame.action)
@@ -254,7 +254,7 @@ class SimulatedNode(FarEnd):
     def _counts_exact(self) -> NDArray[np.floating]:
         return (self._motion.angles_rad + self._zero) * self._config.counts_per_revolution / (2 * math.pi)
 
-    def sample(self, motion: Stretch) -> bytes:
+    def sample(self, motion: MotionInterval) -> bytes:
         """See FarEnd."""
         self.put_on_air(motion)
         return self.dongle(float(motion.time_s[-1]))
@@ -292,7 +292,7 @@ class SimulatedNode(FarEnd):
         """See FarEnd: the radio's counts of sent, dropped and delivered frames."""
         return {"sent": self.air.sent, "dropped": self.air.dropped, "last_delivered": self.air.last_delivered}
 
-    def put_on_air(self, motion: Stretch) -> None:
+    def put_on_air(self, motion: MotionInterval) -> None:
         """Send the frames of an interval of motion on air, in order of time."""
         queue: list[tuple[float, Callable[[], None]]] = []
         queue += self._index_marks(motion)
@@ -307,9 +307,9 @@ class SimulatedNode(FarEnd):
     def _status(self, now_s: float) -> None:
         per_turn = self._config.counts_per_revolution
         sent, us = self.air.sent, self._us(now_s)
-        self._send(now_s, lambda seq: rotorlink.Status(_NODE, seq, us, 3712, 315, sent, 0, 1, 4, per_turn).pack())
+        self._send(now_s, lambda seq: rotorlink.NodeStatus(_NODE, seq, us, 3712, 315, sent, 0, 1, 4, per_turn).pack())
 
-    def _index_marks(self, motion: Stretch) -> list[tuple[float, Callable[[], None]]]:
+    def _index_marks(self, motion: MotionInterval) -> list[tuple[float, Callable[[], None]]]:
         index = math.radians(self._config.index_angle_deg)
         turns = np.floor((motion.rows[:, 8] - index) / (2 * math.pi))
         out: list[tuple[float, Callable[[], None]]] = []
@@ -332,7 +332,7 @@ class SimulatedNode(FarEnd):
         us = self._us(time_s)
         self._send(time_s, lambda seq: rotorlink.IndexMark(_NODE, seq, us, revolutions % 2**32).pack())
 
-    def _blocks(self, motion: Stretch) -> list[tuple[float, Callable[[], None]]]:
+    def _blocks(self, motion: MotionInterval) -> list[tuple[float, Callable[[], None]]]:
         if self._next == 0:
             self._next = math.floor(float(self._clock.device_s(motion.time_s[0])) / self._period) + 1
         last = math.floor(float(self._clock.device_s(motion.time_s[-1])) / self._period)

@@ -17,7 +17,7 @@ RUN_LIMIT_BYTES = 300
 
 
 @dataclass(frozen=True)
-class Decoded:
+class DecodedFrames:
     """Result of one call of `FrameDecoder.feed`.
 
     Attributes:
@@ -40,13 +40,13 @@ class FrameDecoder:
         self._run = bytearray()
         self._overlong = False
 
-    def feed(self, data: bytes) -> Decoded:
+    def feed(self, data: bytes) -> DecodedFrames:
         """Decode the next bytes of the line.
 
         Args:
             data: any number of bytes, in the order of arrival.
         """
-        found = Decoded([], [])
+        found = DecodedFrames([], [])
         *ended, rest = data.split(b"\x00")
         for run in ended:
             self._extend(run, found)
@@ -57,7 +57,7 @@ class FrameDecoder:
         self._extend(rest, found)
         return found
 
-    def _extend(self, run: bytes, found: Decoded) -> None:
+    def _extend(self, run: bytes, found: DecodedFrames) -> None:
         """Extend the present run; a run that is too long for a frame is reported once and dropped."""
         if self._overlong:
             return
@@ -68,7 +68,7 @@ class FrameDecoder:
             self._overlong = True
 
 
-def _decode_run(run: bytes, found: Decoded) -> None:
+def _decode_run(run: bytes, found: DecodedFrames) -> None:
     try:
         payload = _cobs_decode(run)
     except cobs.DecodeError:

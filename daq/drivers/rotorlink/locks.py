@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from daq.drivers.rotorlink import wire
 from daq.errors import DeviceError
-from daq.items import Event
+from daq.items import DeviceEvent
 from daq.transports.host_clock import HostClock
 
 _DEFAULT_NODE = 1
@@ -28,11 +28,11 @@ class NodeLocks:
     def __init__(self, send: Callable[[bytes], None], clock: HostClock, node: int | None = None) -> None:
         self._send, self._clock = send, clock
         self._node = _DEFAULT_NODE if node is None else node
-        self._acknowledges: queue.Queue[Event] = clock.queue()
+        self._acknowledges: queue.Queue[DeviceEvent] = clock.queue()
         # The node stores the seq of past commands, also those of an earlier session, and acts once on each.
         self._seq = clock.now_ns() // 1_000_000 & 0x7FFF
 
-    def heard(self, event: Event) -> None:
+    def heard(self, event: DeviceEvent) -> None:
         """See PendulumLocks."""
         if "node" in event.facts:
             self._node = event.facts["node"]
@@ -42,7 +42,7 @@ class NodeLocks:
     def command(self, action: str, check: Callable[[], None]) -> None:
         """See PendulumLocks; a command without acknowledgement is repeated with the same seq."""
         self._seq = (self._seq + 1) & 0x7FFF
-        payload = wire.Command(self._node, self._seq, wire.ACTIONS[action]).pack()
+        payload = wire.NodeCommand(self._node, self._seq, wire.ACTIONS[action]).pack()
         for _ in range(_TRIES):
             self._transmit(payload)
             deadline = self._clock.wall_s() + _TRY_S
@@ -61,7 +61,7 @@ class NodeLocks:
         """Send a command in the format of the node's dongle."""
         self._send(wire.wire(payload))
 
-    def _settles(self, action: str, event: Event) -> bool:
+    def _settles(self, action: str, event: DeviceEvent) -> bool:
         """Whether an acknowledgement is that of the present command.
 
         Raises:

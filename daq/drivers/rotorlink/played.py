@@ -17,7 +17,7 @@ class PlayedNode(PlayedDevice):
 
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice."""
-        commands = sum(isinstance(frame, rotorlink.Command) for frame in self._frames.feed(data).frames)
+        commands = sum(isinstance(frame, rotorlink.NodeCommand) for frame in self._frames.feed(data).frames)
         self.commands += commands
         self.unfollowed += commands
         return b""

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from daq.drivers.checks import Check, Checks
+from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import Pipeline
 from daq.drivers.rotorlink.stream import NodePipeline
 from rig_configs.device import RotorNodeSettings
@@ -17,20 +17,22 @@ def node_checks(settings: RotorNodeSettings, pipeline: Pipeline) -> Checks:
     status, rssi_dBm = pipeline.status, pipeline.rssi_dBm
     out: Checks = {}
     if status is None:
-        out["status"] = Check(None, "each second", False, "the node's status did not arrive; look at its radio")
+        out["status"] = DeviceCheck(None, "each second", False, "the node's status did not arrive; look at its radio")
     else:
         counts = settings.counts_per_revolution
         ok = status.counts_per_revolution == counts
         note = "" if ok else "every angle would be scaled wrongly: correct the rig file"
-        out["counts_per_revolution"] = Check(status.counts_per_revolution, counts, ok, note)
+        out["counts_per_revolution"] = DeviceCheck(status.counts_per_revolution, counts, ok, note)
         low = pipeline.battery_low
         note = "the node reports that it is low: change it" if low else ""
-        out["battery_mV"] = Check(status.battery_mv, "not low", not low, note)
-        out["firmware"] = Check(f"{status.firmware_major}.{status.firmware_minor}", None, True)
-        out["temperature_degC"] = Check(status.temperature_decidegc / 10, None, True)
-        out["overruns"] = Check(status.overruns, None, True, "" if not status.overruns else "samples lost in the node")
+        out["battery_mV"] = DeviceCheck(status.battery_mv, "not low", not low, note)
+        out["firmware"] = DeviceCheck(f"{status.firmware_major}.{status.firmware_minor}", None, True)
+        out["temperature_degC"] = DeviceCheck(status.temperature_decidegc / 10, None, True)
+        out["overruns"] = DeviceCheck(
+            status.overruns, None, True, "" if not status.overruns else "samples lost in the node"
+        )
     if rssi_dBm is not None:
         weak = rssi_dBm < _MIN_SIGNAL_DBM
         note = "weak: move the dongle nearer" if weak else ""
-        out["signal_dBm"] = Check(rssi_dBm, f"at least {_MIN_SIGNAL_DBM}", not weak, note)
+        out["signal_dBm"] = DeviceCheck(rssi_dBm, f"at least {_MIN_SIGNAL_DBM}", not weak, note)
     return out

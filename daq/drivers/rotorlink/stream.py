@@ -16,7 +16,7 @@ from daq.drivers.rotorlink.repeats import Arrived, Repeats
 from daq.drivers.rotorlink.sender_clock import SenderClock
 from daq.drivers.rotorlink.sequence import SequenceCounter
 from daq.errors import DeviceError
-from daq.items import TX, Batch, Event
+from daq.items import TX, Batch, DeviceEvent
 from rig_configs.device import RotorNodeSettings
 
 _REPEATS_RULES = 3  # rules of a log since which blocks wait for repeated ones
@@ -46,7 +46,7 @@ class NodePipeline:
 
     def __init__(self, device: str, config: RotorNodeSettings, identity: Mapping[str, Any]) -> None:
         self.losses = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
-        self.status: rotorlink.Status | None = None
+        self.status: rotorlink.NodeStatus | None = None
         self.rssi_dBm: int | None = None
         self.complaint = ""
         self.battery_low = False
@@ -91,7 +91,7 @@ class NodePipeline:
         """See TellsItself."""
         return self.status is not None
 
-    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
         if direction == TX:
             return []
@@ -102,23 +102,23 @@ class NodePipeline:
         self._joined |= bool(found.frames or found.bad)
         return [*(self.damaged(reason) for reason, _ in bad), *self.take(found.frames, host_ns)]
 
-    def waited(self) -> list[Batch | Event]:
+    def waited(self) -> list[Batch | DeviceEvent]:
         """Return the samples that wait for earlier ones, which will not arrive any more."""
         return self._blocks(self._repeats.end())
 
-    def damaged(self, reason: str) -> Event:
+    def damaged(self, reason: str) -> DeviceEvent:
         """Count a dropped frame; return the event with the reason."""
         self.losses["damaged_frames"] += 1
-        return Event("damage", self._device, f"frame dropped: {reason}", {"reason": reason})
+        return DeviceEvent("damage", self._device, f"frame dropped: {reason}", {"reason": reason})
 
-    def take(self, frames: Iterable[rotorlink.Frame], host_ns: int) -> list[Batch | Event]:
+    def take(self, frames: Iterable[rotorlink.Frame], host_ns: int) -> list[Batch | DeviceEvent]:
         """Return the samples and events of intact frames.
 
         Args:
             frames: the frames in the order of arrival.
             host_ns: host time of their arrival, ns since 1970.
         """
-        out: list[Batch | Event] = []
+        out: list[Batch | DeviceEvent] = []
         for frame in frames:
             if isinstance(frame, rotorlink.Wrapped | rotorlink.DongleStatus):
                 self.rssi_dBm = frame.rssi_dbm
@@ -129,16 +129,16 @@ class NodePipeline:
             elif isinstance(frame, rotorlink.Skipped) and frame.kind not in frame.NODES:
                 if frame.kind in frame.DONGLES:
                     self._count("cable_frames", self._cable.feed(frame.seq)[0], 0.0, out)
-            elif not isinstance(frame, rotorlink.Command | rotorlink.Ping):
+            elif not isinstance(frame, rotorlink.NodeCommand | rotorlink.Ping):
                 out += self._node_frame(frame, host_ns)
         return out
 
     def _dongle_frame(
-        self, frame: rotorlink.Wrapped | rotorlink.DongleStatus, host_ns: int, out: list[Batch | Event]
+        self, frame: rotorlink.Wrapped | rotorlink.DongleStatus, host_ns: int, out: list[Batch | DeviceEvent]
     ) -> bool:
         """Count the frames lost on the cable; return whether the frame is a repeated one."""
         if self._dongle.has_restarted(frame.dongle_time_us, host_ns):
-            out.append(Event("dongle", self._device, "the dongle started again: its counters restart"))
+            out.append(DeviceEvent("dongle", self._device, "the dongle started again: its counters restart"))
             self._dongle, self._last_dongle_us = SenderClock(), None
             self._dongle.has_restarted(frame.dongle_time_us, host_ns)
             self._cable.reset()
@@ -153,15 +153,15 @@ class NodePipeline:
         last, self._last_dongle_us = self._last_dongle_us, dongle_us
         return 0.0 if last is None else _seconds(last, dongle_us)
 
-    def _count(self, what: str, lost: int, span_s: float, out: list[Batch | Event]) -> None:
+    def _count(self, what: str, lost: int, span_s: float, out: list[Batch | DeviceEvent]) -> None:
         """Count lost frames; `span_s` is the time from the frame before them to the frame after them, s."""
         if lost:
             self.losses[what] += lost
             text = f"{lost} {what.replace('_', ' ')} lost within {span_s * 1e3:.0f} ms"
-            out.append(Event("gap", self._device, text, {what: lost, "span_s": span_s}))
+            out.append(DeviceEvent("gap", self._device, text, {what: lost, "span_s": span_s}))
 
-    def _node_frame(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> list[Batch | Event]:
-        out: list[Batch | Event] = []
+    def _node_frame(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> list[Batch | DeviceEvent]:
+        out: list[Batch | DeviceEvent] = []
         if not self._is_ours(frame, out):
             return out
         block = frame if isinstance(frame, rotorlink.EncoderBlock) else None
@@ -173,7 +173,7 @@ class NodePipeline:
             return out
         if restarted:
             out += self.waited()
-            out.append(Event("restart", self._device, "the node started again: its counters restart"))
+            out.append(DeviceEvent("restart", self._device, "the node started again: its counters restart"))
             self._restart()
             self._counted(frame.seq, block if not again else None, node_us, host_ns, again)
         if node_us is not None and (self._last_us is None or 0 < (node_us - self._last_us) % _WRAP < _WRAP // 2):
@@ -184,7 +184,7 @@ class NodePipeline:
         self._count("radio_frames", lost, span_s, out)
         return [*out, *self._content(frame, host_ns)]
 
-    def _content(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> list[Batch | Event]:
+    def _content(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, host_ns: int) -> list[Batch | DeviceEvent]:
         """Return the samples and events of a node frame that has been counted."""
         match frame:
             case rotorlink.EncoderBlock():
@@ -200,13 +200,13 @@ class NodePipeline:
             case rotorlink.Acknowledge():
                 result = rotorlink.RESULTS[min(frame.result, len(rotorlink.RESULTS) - 1)]
                 facts = {"command_seq": frame.command_seq, "result": frame.result}
-                return [Event("acknowledge", self._device, f"command {frame.command_seq}: {result}", facts)]
-            case rotorlink.Status():
+                return [DeviceEvent("acknowledge", self._device, f"command {frame.command_seq}: {result}", facts)]
+            case rotorlink.NodeStatus():
                 return [*self._status_events(frame)]
             case _:
                 return []
 
-    def _lock_event(self, frame: rotorlink.LockEvent, host_ns: int) -> Event:
+    def _lock_event(self, frame: rotorlink.LockEvent, host_ns: int) -> DeviceEvent:
         node_us = np.array([self._time.unwrap(frame.node_time_us)])
         name, state = "AB"[frame.pendulum & 1], rotorlink.LOCK_STATES[min(frame.state, 3)]
         facts = {
@@ -215,18 +215,18 @@ class NodePipeline:
             "node_time_us": int(node_us[0]),
             "time_ns": int(self._clock.map(node_us * 1000, host_ns)[0]),
         }
-        return Event("lock", self._device, f"pendulum {name} {state}", facts)
+        return DeviceEvent("lock", self._device, f"pendulum {name} {state}", facts)
 
-    def _status_events(self, frame: rotorlink.Status) -> list[Event]:
+    def _status_events(self, frame: rotorlink.NodeStatus) -> list[DeviceEvent]:
         """Keep the node's status; return its events, with a fault if it contradicts the rig file."""
         self.status = frame
-        out: list[Event] = []
+        out: list[DeviceEvent] = []
         if frame.counts_per_revolution != self._counts_per_revolution:
             self.complaint = (
                 f"the node reports {frame.counts_per_revolution} counts per revolution, the rig file states "
                 f"{self._counts_per_revolution}: every angle would be scaled wrongly. Correct the rig file"
             )
-            out.append(Event("fault", self._device, self.complaint))
+            out.append(DeviceEvent("fault", self._device, self.complaint))
         facts = {
             "battery_mv": frame.battery_mv,
             "frames_sent": frame.frames_sent,
@@ -234,7 +234,7 @@ class NodePipeline:
             "counts_per_revolution": frame.counts_per_revolution,
             "temperature_degC": frame.temperature_decidegc / 10,
         }
-        return [*out, Event("status", self._device, f"battery {frame.battery_mv} mV", facts)]
+        return [*out, DeviceEvent("status", self._device, f"battery {frame.battery_mv} mV", facts)]
 
     def _counted(
         self, seq: int, block: rotorlink.EncoderBlock | None, node_us: int | None, host_ns: int, again: bool
@@ -262,18 +262,18 @@ class NodePipeline:
             return 0, False, True
         return lost, repeated, False
 
-    def _is_ours(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, out: list[Batch | Event]) -> bool:
+    def _is_ours(self, frame: rotorlink.NodeFrame | rotorlink.Skipped, out: list[Batch | DeviceEvent]) -> bool:
         """Whether a frame is of this rig's node: that of the rig file, or the first one received."""
         if self._node is None:
             self._node = frame.node
             if frame.node != 1:  # NodeLocks assumes 1
                 out.append(
-                    Event("acknowledge", self._device, f"the node's number is {frame.node}", {"node": frame.node})
+                    DeviceEvent("acknowledge", self._device, f"the node's number is {frame.node}", {"node": frame.node})
                 )
         if frame.node != self._node and frame.node not in self._others:
             self._others.add(frame.node)
             text = f"frames of node {frame.node} ignored: this rig's is node {self._node}"
-            out.append(Event("foreign", self._device, text, {"node": frame.node}))
+            out.append(DeviceEvent("foreign", self._device, text, {"node": frame.node}))
         return frame.node == self._node
 
     def _index(self, first: int) -> int:
@@ -287,10 +287,10 @@ class NodePipeline:
             return False
         return (self._next_index - self._index(block.first_index)) * block.period_us > _MAX_STEP_BACK_US
 
-    def _blocks(self, arrived: Iterable[Arrived]) -> list[Batch | Event]:
+    def _blocks(self, arrived: Iterable[Arrived]) -> list[Batch | DeviceEvent]:
         return [item for each in arrived for item in self._encoder(each)]
 
-    def _encoder(self, arrived: Arrived) -> list[Batch | Event]:
+    def _encoder(self, arrived: Arrived) -> list[Batch | DeviceEvent]:
         first, block, host_ns = arrived
         n = len(block.counts)
         self.battery_low = bool(block.flags & channels.BATTERY_LOW)
@@ -318,12 +318,12 @@ class NodePipeline:
             "flags": np.full(n - fresh, block.flags, np.uint32),
         }
         time_ns = self._clock.map(node_us[fresh:] * 1000, host_ns)
-        out: list[Batch | Event] = []
+        out: list[Batch | DeviceEvent] = []
         if missing:
             self.losses["samples"] += missing
             span_s = missing * block.period_us * 1e-6
             facts = {"samples": missing, "span_s": span_s, "time_ns": int(time_ns[0])}
-            out.append(Event("gap", self._device, f"{missing} samples lost ({span_s * 1e3:.2f} ms)", facts))
+            out.append(DeviceEvent("gap", self._device, f"{missing} samples lost ({span_s * 1e3:.2f} ms)", facts))
         return [*out, Batch(channels.PENDULUMS, time_ns, sequence, columns)]
 
 

@@ -138,7 +138,7 @@ class EncoderBlock:
 
 
 @dataclass(frozen=True)
-class Status(_Packed):
+class NodeStatus(_Packed):
     """The node's state, sent each second; temperature in 0.1 °C, battery in mV."""
 
     TYPE: ClassVar[int] = 0x12
@@ -230,7 +230,7 @@ class DongleStatus(_Packed):
 
 
 @dataclass(frozen=True)
-class Command(_Packed):
+class NodeCommand(_Packed):
     """Host to node: one of `ACTIONS`. Without an answer it is repeated with the same seq; the node acts once."""
 
     TYPE: ClassVar[int] = 0x90
@@ -252,7 +252,7 @@ class Ping(_Packed):
     seq: int
 
 
-NodeFrame = EncoderBlock | Status | LockEvent | Pong | IndexMark | Acknowledge
+NodeFrame = EncoderBlock | NodeStatus | LockEvent | Pong | IndexMark | Acknowledge
 
 
 @dataclass(frozen=True)
@@ -285,9 +285,9 @@ class Wrapped:
         return encode_frame(head + inner)
 
 
-Frame = NodeFrame | DongleStatus | Wrapped | Command | Ping | Skipped
-_NODE_CLASSES: dict[int, Any] = {kind.TYPE: kind for kind in (Status, LockEvent, Pong, IndexMark, Acknowledge)}
-_ALL_CLASSES = _NODE_CLASSES | {kind.TYPE: kind for kind in (DongleStatus, Command, Ping)}
+Frame = NodeFrame | DongleStatus | Wrapped | NodeCommand | Ping | Skipped
+_NODE_CLASSES: dict[int, Any] = {kind.TYPE: kind for kind in (NodeStatus, LockEvent, Pong, IndexMark, Acknowledge)}
+_ALL_CLASSES = _NODE_CLASSES | {kind.TYPE: kind for kind in (DongleStatus, NodeCommand, Ping)}
 
 
 def _checked_body(payload: bytes, limit: int) -> bytes:

@@ -17,7 +17,7 @@ from enum import Enum
 from daq.drivers.contract import Pipeline, RotorGuard
 from daq.drivers.run_down import wait_for_rest
 from daq.drivers.vesc import stream, wire
-from daq.drivers.vesc.ramp import Ramp
+from daq.drivers.vesc.ramp import SetpointRamp
 from daq.drivers.vesc.settings import Vesc
 from daq.drivers.vesc.stream import VescPipeline
 from daq.errors import DeviceError
@@ -73,7 +73,7 @@ class VescControl:
             at_rest=lambda: None if math.isnan(self.actual_rpm) else abs(self.actual_rpm) <= settings.rest_rpm,
             speed_rpm=lambda: abs(self.actual_rpm),
         )
-        self._ramp = Ramp(settings.ramp_rpm_per_s, settings.min_rpm, clock.patience(_MAX_STEP_S))
+        self._ramp = SetpointRamp(settings.ramp_rpm_per_s, settings.min_rpm, clock.patience(_MAX_STEP_S))
         self._deciding, self._sending = threading.Lock(), threading.Lock()
         self._repeated: Repeated | None = None
         self.mode = Mode.NOTHING

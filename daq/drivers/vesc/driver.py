@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
-from daq.drivers.contract import Line, Pipeline, RotorGuard, SampleClock, SpeedSource, Talk
+from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SampleClock, SpeedControl, Talk
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.drivers.vesc.settings import Vesc
-from daq.items import Event
+from daq.items import DeviceEvent
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
@@ -28,9 +28,9 @@ class VescDriver:
     claims = frozenset({"checksum", "falls silent"})
     settings = Vesc
 
-    def line(self, settings: Vesc) -> Line:
+    def line(self, settings: Vesc) -> DeviceLine:
         """See Driver."""
-        return Line(settings.port, settings.baud)
+        return DeviceLine(settings.port, settings.baud)
 
     def channels(self, settings: Vesc) -> tuple[Channel, ...]:
         """See Driver."""
@@ -50,7 +50,7 @@ class VescDriver:
 
         return VescPipeline(device, settings)
 
-    def words(self, event: Event) -> str:
+    def words(self, event: DeviceEvent) -> str:
         """See Driver."""
         from daq.drivers.vesc import wire
 
@@ -58,7 +58,7 @@ class VescDriver:
         return wire.fault_words(code) if code else ""
 
     def checks(
-        self, settings: Vesc, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+        self, settings: Vesc, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
     ) -> Checks:
         """See Driver: the controller's state, and the faults it reported."""
         from daq.drivers.vesc.status_checks import controller_checks
@@ -91,7 +91,7 @@ class VescDriver:
 
     def speed_source(
         self, settings: Vesc, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
-    ) -> SpeedSource:
+    ) -> SpeedControl:
         """See TurnsRotor."""
         from daq.drivers.vesc.control import VescControl
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 from daq.drivers.simulated import FarEnd, FaultKind
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import Vesc
-from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
 
@@ -57,7 +57,7 @@ class SimulatedVesc(FarEnd):
     def __init__(
         self,
         settings: Vesc,
-        motion: Motion,
+        motion: SimulatedMotion,
         report_s: float = 0.0,
         *,
         timeout_s: float | None = None,
@@ -92,7 +92,7 @@ class SimulatedVesc(FarEnd):
 
     def _start(self) -> None:
         """Set the state after power-up."""
-        self._command: wire.Command | None = None
+        self._command: wire.MotorCommand | None = None
         self._heard_s: float | None = None
         self._fault = 0
         self._runaway_rpm: float | None = None

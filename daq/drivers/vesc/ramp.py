@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 
-class Ramp:
+class SetpointRamp:
     """A set-point that approaches a target at a limited rate and skips speeds that cannot be held.
 
     Args:

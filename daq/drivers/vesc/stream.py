@@ -8,7 +8,7 @@ import numpy as np
 from daq import channels
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import Vesc
-from daq.items import TX, Batch, Event
+from daq.items import TX, Batch, DeviceEvent
 
 NOTHING, SPEED, BRAKE, FREE = 0, 1, 2, 3
 """The last command to the controller, as in the statusword."""
@@ -65,7 +65,7 @@ class VescPipeline:
         self._deviating = 0  # consecutive reports with a deviating speed
         self._max_deviating = max(3, round(settings.follow_s * settings.report_Hz))
 
-    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
         self.answers = []
         if direction == TX:
@@ -73,7 +73,7 @@ class VescPipeline:
                 self._sent(payload)
             return []
         found = self._rx.feed(data)
-        out: list[Batch | Event] = [*self._damage(found)]
+        out: list[Batch | DeviceEvent] = [*self._damage(found)]
         words: list[int] = []
         for payload in found.payloads:
             if payload[0] == wire.GET_VALUES:
@@ -101,13 +101,13 @@ class VescPipeline:
             self._command = _COMMANDS[command.what]
             self._target_rpm = command.number / self._pole_pairs if self._command == SPEED else 0.0
 
-    def _damage(self, found: packets.Found) -> list[Event]:
+    def _damage(self, found: packets.Found) -> list[DeviceEvent]:
         if not found.skipped:
             return []
         self.losses["damaged_bytes"] += found.skipped
-        return [Event("damage", self._device, f"{found.skipped} damaged bytes dropped", {"bytes": found.skipped})]
+        return [DeviceEvent("damage", self._device, f"{found.skipped} damaged bytes dropped", {"bytes": found.skipped})]
 
-    def _identity(self, payload: bytes) -> Event:
+    def _identity(self, payload: bytes) -> DeviceEvent:
         firmware = wire.parse_firmware(payload)
         facts = (
             {}
@@ -118,14 +118,14 @@ class VescPipeline:
                 "serial": firmware.serial,
             }
         )
-        return Event("reply", self._device, payload.hex(), facts)
+        return DeviceEvent("reply", self._device, payload.hex(), facts)
 
-    def _report(self, payload: bytes, words: list[int]) -> list[Event]:
+    def _report(self, payload: bytes, words: list[int]) -> list[DeviceEvent]:
         values = wire.parse_values(payload)
         if values is None:
             self.losses["unreadable_answers"] += 1
             text = f"an answer of {len(payload)} bytes, expected at least {wire.VALUES_BYTES}: is its firmware too old?"
-            return [Event("damage", self._device, text, {"bytes": len(payload)})]
+            return [DeviceEvent("damage", self._device, text, {"bytes": len(payload)})]
         out = self._gap() + self._restart(values)
         word = statusword(values, self._command)
         out += self._changes(word) + self._follows(values)
@@ -134,28 +134,28 @@ class VescPipeline:
         words.append(word)
         return out
 
-    def _gap(self) -> list[Event]:
+    def _gap(self) -> list[DeviceEvent]:
         lost, self._unanswered, self._polled = self._unanswered, 0, False
-        return [Event("gap", self._device, f"{lost} polls not answered", {"samples": lost})] if lost else []
+        return [DeviceEvent("gap", self._device, f"{lost} polls not answered", {"samples": lost})] if lost else []
 
-    def _restart(self, values: wire.Values) -> list[Event]:
+    def _restart(self, values: wire.Values) -> list[DeviceEvent]:
         if self._last is None or not wire.restarted(self._last, values):
             return []
         text = "the controller started again: its counters are smaller than before"
-        return [Event("restart", self._device, text, {"turned": values.turned})]
+        return [DeviceEvent("restart", self._device, text, {"turned": values.turned})]
 
-    def _changes(self, word: int) -> list[Event]:
+    def _changes(self, word: int) -> list[DeviceEvent]:
         """Return the events of a new state, a new fault, and a fault that has ended."""
-        before, out = self._word, list[Event]()
+        before, out = self._word, list[DeviceEvent]()
         if before is None or state(word) != state(before):
-            out.append(Event("drive", self._device, state(word), {"statusword": word}))
+            out.append(DeviceEvent("drive", self._device, state(word), {"statusword": word}))
         fault = word & 0xFF
         if fault != (0 if before is None else before & 0xFF):
             text = f"fault {wire.fault_words(fault)}" if fault else "no fault any more"
-            out.append(Event("emergency", self._device, text, {"error_code": fault}))
+            out.append(DeviceEvent("emergency", self._device, text, {"error_code": fault}))
         return out
 
-    def _follows(self, values: wire.Values) -> list[Event]:
+    def _follows(self, values: wire.Values) -> list[DeviceEvent]:
         """Return a fault if the rotor does not follow the set-point.
 
         The duration is counted in reports, so that a stall of the host causes no fault.
@@ -169,4 +169,4 @@ class VescPipeline:
             f"the rotor does not follow: the set-point is {self._target_rpm:.0f} rpm, it turns at {actual:.0f} rpm. "
             "Look at the controller's limits of current and speed, at its own timeout, at whether it may brake"
         )
-        return [Event("fault", self._device, text, {"target_rpm": self._target_rpm, "speed_rpm": actual})]
+        return [DeviceEvent("fault", self._device, text, {"target_rpm": self._target_rpm, "speed_rpm": actual})]

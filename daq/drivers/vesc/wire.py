@@ -78,7 +78,7 @@ def _command(command: int, number: int) -> bytes:
 
 
 @dataclass(frozen=True)
-class Command:
+class MotorCommand:
     """A command of the host to the motor.
 
     Attributes:
@@ -90,11 +90,11 @@ class Command:
     number: int
 
 
-def parse_command(payload: bytes) -> Command | None:
+def parse_command(payload: bytes) -> MotorCommand | None:
     """Parse a command to the motor; None if the payload is not such a command."""
     if len(payload) != _NUMBER.size or payload[0] not in (SET_RPM, SET_BRAKE, SET_CURRENT):
         return None
-    return Command(*_NUMBER.unpack(payload))
+    return MotorCommand(*_NUMBER.unpack(payload))
 
 
 # --- answers ---------------------------------------------------------------------------------------------------

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
-from daq.drivers.contract import Line, PendulumLocks, Pipeline, SampleClock, SpeedSource, Talk
+from daq.drivers.contract import DeviceLine, LockControl, Pipeline, SampleClock, SpeedControl, Talk
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.drivers.xbee.settings import XBeeNode
-from daq.items import Event
+from daq.items import DeviceEvent
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
@@ -28,9 +28,9 @@ class XBee:
     example: ClassVar[Mapping[str, Any]] = {"node_address": "0013A20040522BAB"}
     claims = frozenset({"checksum", "counts exactly"})
 
-    def line(self, settings: XBeeNode) -> Line:
+    def line(self, settings: XBeeNode) -> DeviceLine:
         """See Driver."""
-        return Line(settings.port, settings.baud)
+        return DeviceLine(settings.port, settings.baud)
 
     def channels(self, settings: XBeeNode) -> tuple[Channel, ...]:
         """See Driver."""
@@ -54,12 +54,12 @@ class XBee:
 
         return XBeePipeline(device, settings, identity)
 
-    def words(self, event: Event) -> str:
+    def words(self, event: DeviceEvent) -> str:
         """See Driver."""
         return event.text
 
     def checks(
-        self, settings: XBeeNode, pipeline: Pipeline, control: SpeedSource | None, events: Sequence[Event]
+        self, settings: XBeeNode, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
     ) -> Checks:
         """See Driver: the node's status."""
         from daq.drivers.rotorlink.status_checks import node_checks
@@ -90,7 +90,7 @@ class XBee:
     def stop(self, talk: Talk) -> None:
         """See Driver; a node sends as long as it has power."""
 
-    def locks(self, settings: XBeeNode, send: Callable[[bytes], None], clock: HostClock) -> PendulumLocks:
+    def locks(self, settings: XBeeNode, send: Callable[[bytes], None], clock: HostClock) -> LockControl:
         """See MovesLocks."""
         from daq.drivers.xbee.locks import XBeeLocks
 

@@ -14,7 +14,7 @@ from daq.drivers.rotorlink.far_end import Air, SimulatedNode
 from daq.drivers.simulated import FaultKind
 from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
-from daq.virtual_rig.motion import Motion
+from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import DeviceClock
 
 _TRIES = 11  # transmissions on air before a module reports a frame as not delivered
@@ -49,7 +49,7 @@ class SimulatedXBeeNode(SimulatedNode):
     def __init__(
         self,
         config: XBeeNode,
-        motion: Motion,
+        motion: SimulatedMotion,
         zero_error_rad: NDArray[np.floating],
         noise_counts: float,
         play_rad: float,

@@ -31,7 +31,7 @@ def encode(data: bytes, *, escaped: bool) -> bytes:
 
 
 @dataclass(frozen=True)
-class Damage:
+class DamagedPart:
     """A part of the line that does not contain an intact frame.
 
     Attributes:
@@ -70,14 +70,14 @@ class ApiDecoder:
         self._excused_until = 2 * MAX_FRAME_BYTES  # … nor are other bytes before this position
         self._garbage = 0
 
-    def feed(self, data: bytes) -> list[bytes | Damage]:
+    def feed(self, data: bytes) -> list[bytes | DamagedPart]:
         """Decode the next bytes of the line.
 
         Returns:
             Frame data and damages in the order of the line.
         """
         self._line += data
-        found: list[bytes | Damage] = []
+        found: list[bytes | DamagedPart] = []
         while self._line:
             start = self._line.find(START)
             self._skip(len(self._line) if start < 0 else start, found)
@@ -99,11 +99,11 @@ class ApiDecoder:
             self._blamed_until = self._excused_until = self._before
         return found
 
-    def _blame(self, broken: _Broken, found: list[bytes | Damage]) -> None:
+    def _blame(self, broken: _Broken, found: list[bytes | DamagedPart]) -> None:
         """Report a damage unless it is part of a damage that was already reported."""
         if self._before < self._blamed_until:
             return
-        found.append(Damage(broken.reason))
+        found.append(DamagedPart(broken.reason))
         self._blamed_until = self._excused_until = self._before + broken.end
         if broken.reason == "length":  # the true length of the frame is unknown
             self._blamed_until = self._excused_until = self._before + MAX_FRAME_BYTES
@@ -115,7 +115,7 @@ class ApiDecoder:
         del self._line[:count]
         self._before += count
 
-    def _skip(self, count: int, found: list[bytes | Damage]) -> None:
+    def _skip(self, count: int, found: list[bytes | DamagedPart]) -> None:
         """Skip bytes before a start."""
         while count:
             step = min(count, MAX_FRAME_BYTES - self._garbage)
@@ -126,9 +126,9 @@ class ApiDecoder:
             if self._garbage >= MAX_FRAME_BYTES:
                 self._end_garbage(found)
 
-    def _end_garbage(self, found: list[bytes | Damage]) -> None:
+    def _end_garbage(self, found: list[bytes | DamagedPart]) -> None:
         if self._garbage:
-            found.append(Damage("garbage"))
+            found.append(DamagedPart("garbage"))
             self._garbage = 0
 
     def _frame(self) -> tuple[bytes, int] | None:

@@ -9,7 +9,7 @@ from daq.drivers.rotorlink.locks import NodeLocks
 from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 from daq.errors import DeviceError
-from daq.items import Event
+from daq.items import DeviceEvent
 from daq.transports.host_clock import HostClock
 
 _MAX_FAILURES = 5  # commands that the module could not deliver, about 0.8 s
@@ -48,7 +48,7 @@ class XBeeLocks(NodeLocks):
         request = wire.transmit_request(self._frame_id, self._address, payload, legacy=self._legacy)
         self._send(framing.encode(request, escaped=self._escaped))
 
-    def _settles(self, action: str, event: Event) -> bool:
+    def _settles(self, action: str, event: DeviceEvent) -> bool:
         if "delivery_status" not in event.facts:
             return super()._settles(action, event)
         if event.facts["frame_id"] in self._sent_ids:

@@ -10,7 +10,7 @@ from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.stream import NodePipeline
 from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
-from daq.items import TX, Batch, Event
+from daq.items import TX, Batch, DeviceEvent
 
 _MAX_FOREIGN_EVENTS = 16  # senders and frame types with an event of their own; further ones are only counted
 
@@ -38,15 +38,15 @@ class XBeePipeline(NodePipeline):
         self._line = framing.ApiDecoder(escaped=config.api_mode == 2)
         self._foreign: set[str] = set()
 
-    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
         if direction == TX:
             return []
         if not data:
             return self.waited()
-        out: list[Batch | Event] = []
+        out: list[Batch | DeviceEvent] = []
         for found in self._line.feed(data):
-            if isinstance(found, framing.Damage):
+            if isinstance(found, framing.DamagedPart):
                 out.append(self.damaged(found.reason))
                 continue
             try:
@@ -57,7 +57,7 @@ class XBeePipeline(NodePipeline):
             out += self._api_frame(frame, host_ns)
         return out
 
-    def _api_frame(self, frame: wire.ApiFrame, host_ns: int) -> list[Batch | Event]:
+    def _api_frame(self, frame: wire.ApiFrame, host_ns: int) -> list[Batch | DeviceEvent]:
         match frame:
             case wire.Received():
                 return self._received(frame, host_ns)
@@ -65,16 +65,18 @@ class XBeePipeline(NodePipeline):
                 if status == wire.DELIVERED:
                     return []  # the node's own acknowledgement follows
                 facts = {"frame_id": frame_id, "delivery_status": status}
-                return [Event("acknowledge", self._device, f"radio frame {frame_id}: {frame.words}", facts)]
+                return [DeviceEvent("acknowledge", self._device, f"radio frame {frame_id}: {frame.words}", facts)]
             case wire.ModemStatus(status):
                 text = f"the module at the host: {frame.words}"
-                return [Event("modem", self._device, text, {"status": status, "restart": status in wire.RESTARTS})]
+                return [
+                    DeviceEvent("modem", self._device, text, {"status": status, "restart": status in wire.RESTARTS})
+                ]
             case wire.AtAnswer():
                 return [self._answered(frame)]
-            case wire.Other(kind):
+            case wire.UnusedFrame(kind):
                 return self._foreign_event(f"a frame of type 0x{kind:02X} ignored", {"frame_type": kind})
 
-    def _received(self, frame: wire.Received, host_ns: int) -> list[Batch | Event]:
+    def _received(self, frame: wire.Received, host_ns: int) -> list[Batch | DeviceEvent]:
         if not frame.comes_from(self._address):
             self.losses["foreign_frames"] += 1
             text = f"frames from {frame.source} ignored: the rig file states node_address = {self._address}"
@@ -90,17 +92,17 @@ class XBeePipeline(NodePipeline):
             return [self.damaged(f"payload {fault.reason}"), *self.take(numbered, host_ns)]
         return self.take([inner], host_ns)
 
-    def _foreign_event(self, text: str, facts: Mapping[str, Any]) -> list[Batch | Event]:
+    def _foreign_event(self, text: str, facts: Mapping[str, Any]) -> list[Batch | DeviceEvent]:
         """Return an event about a frame of another sender or type, once for each."""
         if text in self._foreign or len(self._foreign) >= _MAX_FOREIGN_EVENTS:
             return []
         self._foreign.add(text)
-        return [Event("foreign", self._device, text, facts)]
+        return [DeviceEvent("foreign", self._device, text, facts)]
 
-    def _answered(self, answer: wire.AtAnswer) -> Event:
+    def _answered(self, answer: wire.AtAnswer) -> DeviceEvent:
         if answer.command == "DB" and answer.status == 0 and any(answer.value):  # 0: no packet has been received yet
             self.rssi_dBm = -int.from_bytes(answer.value, "big")
         status = wire.AT_STATUS[answer.status] if answer.status < len(wire.AT_STATUS) else f"status {answer.status}"
         text = f"{answer.frame_id} {answer.command} {answer.value.hex()} {status}"
         facts = {"frame_id": answer.frame_id, "command": answer.command, "status": answer.status}
-        return Event("reply", self._device, text, facts)
+        return DeviceEvent("reply", self._device, text, facts)

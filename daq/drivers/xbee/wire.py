@@ -142,13 +142,13 @@ class AtAnswer:
 
 
 @dataclass(frozen=True)
-class Other:
+class UnusedFrame:
     """An intact frame of a type that this software does not use."""
 
     frame_type: int
 
 
-ApiFrame = Received | TransmitStatus | ModemStatus | AtAnswer | Other
+ApiFrame = Received | TransmitStatus | ModemStatus | AtAnswer | UnusedFrame
 
 _PARTS: dict[int, tuple[int, bool, Callable[[bytes], ApiFrame]]] = {
     0x90: (12, False, lambda d: Received(_known_64(d[1:9]), _known_16(d[9:11]), None, d[11], d[12:])),
@@ -173,7 +173,7 @@ def parse(data: bytes) -> ApiFrame:
         ValueError: the data are too short or too long for their type.
     """
     if data[0] not in _PARTS:
-        return Other(data[0])
+        return UnusedFrame(data[0])
     size, fixed, make = _PARTS[data[0]]
     if len(data) < size or (fixed and len(data) > size):
         raise ValueError(f"expected {size} bytes of type {data[0]:#04x}{'' if fixed else ' or more'}, got {len(data)}")

@@ -87,7 +87,7 @@ _MAX_DECAY = 35.0  # decay exponent over the span above which a mode is negligib
 BUDGET_US = 1.4e6  # computing time of one call, µs
 
 
-class Plan(NamedTuple):
+class FloquetMethod(NamedTuple):
     """A method with the coarser of its first two numbers of steps, and the reason.
 
     Attributes:
@@ -172,7 +172,7 @@ def _steps(name: str, rates: Complex, fastest: float, accuracy: float) -> int:
     return max(cost.fewest, math.ceil(needed))
 
 
-def plans(matrix: PeriodicMatrix, accuracy: float, name: str | None = None) -> list[Plan]:
+def plans(matrix: PeriodicMatrix, accuracy: float, name: str | None = None) -> list[FloquetMethod]:
     """Suitable methods for a matrix, the cheapest first.
 
     Args:
@@ -184,14 +184,14 @@ def plans(matrix: PeriodicMatrix, accuracy: float, name: str | None = None) -> l
     further = max(0, len(matrix.harmonics) - 3)
     fastest, swing = float(np.max(np.abs(rates))), float(np.max(np.abs(rates.imag)))
     why = f"fastest rate × span {fastest:.2g}, swing {swing:.2g} rad" if name is None else "requested"
-    found: list[Plan] = []
+    found: list[FloquetMethod] = []
     for candidate in (name,) if name else AUTOMATIC:
         cost = _COSTS[candidate]
         steps = _steps(candidate, rates, fastest, accuracy)
         step_us = cost.step_us + cost.harmonic_us * further
         if candidate == commutator_free.NAME:  # each doubling of rate × step adds one squaring
             step_us += 0.4 * max(0.0, math.log2(max(1.0, fastest / steps)))
-        plan = Plan(
+        plan = FloquetMethod(
             METHODS[candidate], steps, why, step_us, cost.step_roundings, cost.rate_roundings, fastest, cost.three
         )
         rounding = _EPS * (2 * steps * cost.step_roundings + fastest * cost.rate_roundings)

@@ -12,7 +12,7 @@ from dynamics.arrays import Array, Complex
 from dynamics.equations.periodic_matrix import PeriodicMatrix
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.stability.floquet.bounds import balancing_units, eigenvalues_with_bounds
-from dynamics.stability.floquet.choice import BUDGET_US, METHODS, Plan, plans
+from dynamics.stability.floquet.choice import BUDGET_US, METHODS, FloquetMethod, plans
 from dynamics.stability.floquet.neutral import without_neutral
 
 FINEST, COARSEST = 1e-13, 0.1
@@ -99,7 +99,7 @@ def _with_ones(found: Multipliers, ones: int) -> Multipliers:
     return dataclasses.replace(found, values=values[order], errors=errors[order])
 
 
-def _first_successful(matrix: PeriodicMatrix, accuracy: float, candidates: list[Plan]) -> Multipliers:
+def _first_successful(matrix: PeriodicMatrix, accuracy: float, candidates: list[FloquetMethod]) -> Multipliers:
     """Result of the first plan that meets the accuracy within the budget. Otherwise the last failure is raised."""
     failure: NotConverged | None = None
     left = BUDGET_US
@@ -154,7 +154,9 @@ def _missed(found: Multipliers, accuracy: float) -> NotConverged:
     )
 
 
-def _converged(matrix: PeriodicMatrix, accuracy: float, chosen: Plan, budget_us: float) -> tuple[Multipliers, float]:
+def _converged(
+    matrix: PeriodicMatrix, accuracy: float, chosen: FloquetMethod, budget_us: float
+) -> tuple[Multipliers, float]:
     """Double the steps until the bound meets the accuracy, stops decreasing, or the budget is used up.
 
     Returns:
@@ -191,7 +193,7 @@ def _limited_by_order(change: Array, earlier: Array, order: int) -> Array:
     return np.where(np.abs(change) >= np.abs(expected), change, expected)
 
 
-def _bounded(matrix: PeriodicMatrix, fine: Array, change: Array, steps: int, chosen: Plan) -> Multipliers:
+def _bounded(matrix: PeriodicMatrix, fine: Array, change: Array, steps: int, chosen: FloquetMethod) -> Multipliers:
     """Multipliers over a revolution from the monodromy matrix of two resolutions."""
     roundings = 4 + chosen.step_roundings * steps + chosen.rate_roundings * chosen.fastest
     values, errors = eigenvalues_with_bounds(fine, change, roundings)

@@ -13,9 +13,9 @@ from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import OutsideDomain
 from dynamics.motions.locked_motion import locked_state
 from dynamics.steady.basins.ends import NEAR_RAD, End, steady_ends, with_slipping
-from dynamics.steady.basins.following import STATED_ERROR_RAD, Followed, follow
+from dynamics.steady.basins.following import STATED_ERROR_RAD, FollowedReleases, follow
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit, slipping_orbit
-from dynamics.steady.basins.turning import Turning
+from dynamics.steady.basins.turning import RevolutionMap
 
 _FIRST = 12  # number of releases simulated before all others, to find slipping orbits
 _SCOUTS = 6  # number of releases simulated longer, to find their slipping orbits
@@ -89,7 +89,7 @@ def basins(
         NotConverged: the steady states cannot be computed.
     Source: docs/theory/basins.md.
     """
-    turning = Turning.of(rig, speed_rad_s)
+    turning = RevolutionMap.of(rig, speed_rad_s)
     three, four = np.array(theta3_rad, np.float64), np.array(theta4_rad, np.float64)
     for name, angles in (("theta3_rad", three), ("theta4_rad", four)):
         if angles.ndim != 1 or not len(angles) or not np.all(np.isfinite(angles)):
@@ -115,20 +115,20 @@ def basins(
     )
 
 
-def released(turning: Turning, theta_rad: Array) -> Array:
+def released(turning: RevolutionMap, theta_rad: Array) -> Array:
     """States on the locked orbit at ψ = 0, shape (n, 8), for angles (n, 2)."""
     p, w = turning.parameters, turning.speed_rad_s
     return np.array([locked_state(p, w, 0.0, a, b) for a, b in theta_rad.tolist()])
 
 
 def follow_to_all(
-    turning: Turning,
+    turning: RevolutionMap,
     starts: Array,
     seconds: float,
     stated_error_rad: float,
     workers: int | None,
     progress: Callable[[float], None] | None,
-) -> tuple[list[End], Followed]:
+) -> tuple[list[End], FollowedReleases]:
     """Simulate releases to steady states and to the slipping orbits that they lead to."""
     steady = steady_ends(turning)
     few = np.unique(np.linspace(0, len(starts) - 1, _FIRST).astype(int))
@@ -158,7 +158,7 @@ def _part(progress: Callable[[float], None] | None, begin: float, end: float) ->
     return None if progress is None else lambda share: progress(begin + share * (end - begin))
 
 
-def _scouted(turning: Turning, last: Array, known: Sequence[SlippingOrbit]) -> list[SlippingOrbit]:
+def _scouted(turning: RevolutionMap, last: Array, known: Sequence[SlippingOrbit]) -> list[SlippingOrbit]:
     """New slipping orbits that some of the releases reach when they are simulated longer."""
     found = list[SlippingOrbit]()
     if not len(last):

@@ -16,7 +16,7 @@ from dynamics.equations.parameters import RotorParameters, physics_of
 from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.locked_motion import locked_state
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit, continued, slipping_orbit
-from dynamics.steady.basins.turning import Turning
+from dynamics.steady.basins.turning import RevolutionMap
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
 
@@ -147,7 +147,7 @@ def _with(
     """Stable motions at a point, with those orbits of its neighbours that can be continued to it."""
     slipping = list(here.slipping)
     try:
-        turning = Turning.of(rig, float(speed))
+        turning = RevolutionMap.of(rig, float(speed))
         for known in orbits:
             _add(slipping, continued(turning, known))
     except (DynamicsError, np.linalg.LinAlgError):
@@ -157,7 +157,7 @@ def _with(
 
 def _at(rig: RotorParameters | object, speed: float, carried: Sequence[SlippingOrbit]) -> StableMotions:
     try:
-        turning = Turning.of(rig, speed)
+        turning = RevolutionMap.of(rig, speed)
         steady = tuple(s for s in steady_states(physics_of(rig), speed, 1e-6) if s.stable)
         orbits = list[SlippingOrbit]()
         for known in carried:

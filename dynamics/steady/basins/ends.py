@@ -14,7 +14,7 @@ from dynamics.arrays import Array
 from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.regions import Region, attracting_region, mirrored
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit
-from dynamics.steady.basins.turning import Turning
+from dynamics.steady.basins.turning import RevolutionMap
 from dynamics.steady.steady_motions import steady_states
 
 _MIRRORED = 1e-8  # in the units of the state: distance below which two states are mirror images
@@ -57,7 +57,7 @@ class End:
         return f"slipping: A {a:.4g}, B {b:.4g} turns per revolution"
 
 
-def steady_ends(turning: Turning) -> list[End]:
+def steady_ends(turning: RevolutionMap) -> list[End]:
     """Compute all stable steady states at the rig's speed.
 
     Raises:
@@ -104,7 +104,7 @@ def with_slipping(steady: Sequence[End], slipping: Sequence[SlippingOrbit]) -> l
     ]
 
 
-def _as_mirror_image(turning: Turning, kind: str, start: Array, ends: Sequence[End]) -> Region | None:
+def _as_mirror_image(turning: RevolutionMap, kind: str, start: Array, ends: Sequence[End]) -> Region | None:
     """Region of a state that is the mirror image of another one with A and B exchanged, if these are equal."""
     if turning.parameters.a != turning.parameters.b:
         return None
@@ -117,7 +117,7 @@ def _as_mirror_image(turning: Turning, kind: str, start: Array, ends: Sequence[E
     return None
 
 
-def packed(ends: Sequence[End], turning: Turning) -> tuple[Any, ...]:
+def packed(ends: Sequence[End], turning: RevolutionMap) -> tuple[Any, ...]:
     """Argument `ends` of dynamics.steady.basins.pursuit."""
     points, forms, first, lead, sheets = list[Array](), list[Array](), [0], list[int](), list[int]()
     maps, straight, near, radius = list[Array](), list[float](), list[float](), list[float]()

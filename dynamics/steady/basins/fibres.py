@@ -18,7 +18,7 @@ import numpy as np
 from dynamics.arrays import Array, Indices
 from dynamics.compiled_code import compiled
 from dynamics.steady.basins.pursuit import deviation
-from dynamics.steady.basins.turning import Turning
+from dynamics.steady.basins.turning import RevolutionMap
 
 _FOLLOWED, _DROPPED = 1600, 150  # revolutions of the deviations, and initial ones that are discarded
 _THOROUGH, _QUICK = (1.3, 50, 400), (1.8, 22, 100)  # ratio of neighbouring shells' radii, shells, samples on each
@@ -41,7 +41,7 @@ class Fibres:
         maps: A at the steps of χ, in the units of the state, shape (m, a, a).
     """
 
-    turning: Turning
+    turning: RevolutionMap
     values: Array
     turns: Array
     rate: float
@@ -50,7 +50,7 @@ class Fibres:
     maps: Array
 
     @classmethod
-    def of(cls, turning: Turning, values: Array, rate: float, winding: tuple[int, int]) -> Fibres | None:
+    def of(cls, turning: RevolutionMap, values: Array, rate: float, winding: tuple[int, int]) -> Fibres | None:
         """None if the lead pendulum's angle does not increase along the whole curve."""
         turns = np.zeros(8)
         turns[2:4] = 2 * math.pi * np.array(winding)
@@ -110,7 +110,7 @@ class Fibres:
         return states, found / units[:, None] / units[None, :]
 
 
-def moduli_across(turning: Turning, values: Array, rate: float, winding: tuple[int, int]) -> Array:
+def moduli_across(turning: RevolutionMap, values: Array, rate: float, winding: tuple[int, int]) -> Array:
     """Factors of deviations transverse to a curve per revolution, largest first, shape (free − 1,).
 
     The deviations are followed along the curve in its normal planes, so its angles need not increase monotonically.
@@ -150,7 +150,7 @@ def positive(forms: Array, across: list[int]) -> bool:
 
 
 def caught_scale(
-    turning: Turning, points: Array, forms: Array, lead: int, sheets: int, *, quick: bool = False
+    turning: RevolutionMap, points: Array, forms: Array, lead: int, sheets: int, *, quick: bool = False
 ) -> float:
     """V on the largest shell about a curve up to which every sample approached in a revolution; 0 if none did.
 

@@ -18,7 +18,7 @@ from dynamics.arrays import Array, Flags, Indices
 from dynamics.errors import OutsideDomain
 from dynamics.steady.basins.ends import End, packed
 from dynamics.steady.basins.pursuit import APART, CAUGHT, END, FACTS, RADIUS, SETTLED, TURNS_A, TURNS_B, pursue
-from dynamics.steady.basins.turning import COARSE_RAD, STEP_RAD, Turning
+from dynamics.steady.basins.turning import COARSE_RAD, STEP_RAD, RevolutionMap
 
 STATED_ERROR_RAD = 1e-6
 """Default distance of a release and its neighbour."""
@@ -30,7 +30,7 @@ _GROUP = 16  # number of releases per task
 
 
 @dataclass(frozen=True)
-class Followed:
+class FollowedReleases:
     """Results of many releases; arrays of shape (n,).
 
     Attributes:
@@ -56,18 +56,18 @@ class Followed:
         """Whether a neighbour at the stated error, simulated less accurately, has the same end."""
         return self.apart_rad <= _APART_RAD
 
-    def at(self, chosen: NDArray[Any]) -> Followed:
+    def at(self, chosen: NDArray[Any]) -> FollowedReleases:
         """Selection of the releases."""
-        return Followed(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
+        return FollowedReleases(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
 
-    def put(self, chosen: NDArray[Any], other: Followed) -> None:
+    def put(self, chosen: NDArray[Any], other: FollowedReleases) -> None:
         """Replace the results of some releases."""
         for f in fields(self):
             getattr(self, f.name)[chosen] = getattr(other, f.name)
 
 
 def follow(
-    turning: Turning,
+    turning: RevolutionMap,
     starts: Array,
     ends: Sequence[End],
     seconds: float,
@@ -75,7 +75,7 @@ def follow(
     stated_error_rad: float = STATED_ERROR_RAD,
     progress: Callable[[float], None] | None = None,
     workers: int | None = None,
-) -> Followed:
+) -> FollowedReleases:
     """Simulate releases until they enter the region of an end, at most for a given time.
 
     Args:
@@ -112,7 +112,7 @@ def follow(
     else:
         _in_threads(group, begins, workers or os.cpu_count() or 1, progress)
     period = turning.period_s
-    return Followed(
+    return FollowedReleases(
         facts[:, END].astype(np.int64),
         facts[:, CAUGHT] * period,
         facts[:, SETTLED] * period,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.arrays import Array, Complex
-from dynamics.steady.basins.turning import Turning
+from dynamics.steady.basins.turning import RevolutionMap
 
 _NEWTON = 12
 _CLOSED = 1e-10  # largest residual, in the units of the state
@@ -42,7 +42,7 @@ class PeriodicMotion:
 
 
 def periodic_motion(
-    turning: Turning, guess: Array, period: int = 1, turns: tuple[int, int] = (0, 0)
+    turning: RevolutionMap, guess: Array, period: int = 1, turns: tuple[int, int] = (0, 0)
 ) -> PeriodicMotion | None:
     """The periodic motion near a state, or None if Newton's method leaves the neighbourhood.
 
@@ -82,7 +82,7 @@ def _solved(matrix: Array, right: Array) -> Array:
     return np.linalg.solve(matrix, right).astype(np.float64)
 
 
-def repeats(turning: Turning, strobe: Array, most: int, within: float) -> tuple[int, tuple[int, int]] | None:
+def repeats(turning: RevolutionMap, strobe: Array, most: int, within: float) -> tuple[int, tuple[int, int]] | None:
     """Period of a strobed motion in revolutions, and its turns; None if it is not periodic.
 
     Args:

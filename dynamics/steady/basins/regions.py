@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.arrays import Array, Complex
-from dynamics.steady.basins.turning import COARSE_RAD, Turning
+from dynamics.steady.basins.turning import COARSE_RAD, RevolutionMap
 
 _THOROUGH, _QUICK = (1.25, 60, 192), (1.6, 26, 40)  # ratio of neighbouring shells' radii, shells, samples on each
 _FIRST_RAD = 1e-3  # largest deviation on the first shell, in the units of the state
@@ -81,7 +81,7 @@ def quadratic_form(turn_map: Array) -> Array:
     return 0.5 * (found + found.T)
 
 
-def attracting_region(turning: Turning, start: Array, *, quick: bool = False) -> Region | None:
+def attracting_region(turning: RevolutionMap, start: Array, *, quick: bool = False) -> Region | None:
     """The largest sampled region about a stable fixed point of the map; None if the smallest shell is not attracted.
 
     Args:
@@ -129,7 +129,7 @@ def mirrored(region: Region) -> Region:
 
 
 def _core(
-    turning: Turning,
+    turning: RevolutionMap,
     form: Array,
     placed: Callable[[Array], Array],
     deviation: Callable[[Array], Array],
@@ -160,7 +160,7 @@ def _core(
 
 
 def _outer(
-    turning: Turning,
+    turning: RevolutionMap,
     form: Array,
     placed: Callable[[Array], Array],
     deviation: Callable[[Array], Array],

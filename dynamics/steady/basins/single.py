@@ -22,7 +22,7 @@ from dynamics.steady.basins.following import STATED_ERROR_RAD, follow
 from dynamics.steady.basins.periodic import periodic_motion, repeats
 from dynamics.steady.basins.regions import attracting_region
 from dynamics.steady.basins.slipping_orbits import slipping_orbit
-from dynamics.steady.basins.turning import Turning
+from dynamics.steady.basins.turning import RevolutionMap
 
 Pair = tuple[float, float]
 
@@ -43,7 +43,7 @@ class ReleaseEnds:
         theta_rad: mean angles of the state reached, shape (n, 2); NaN for the others.
         turns_per_revolution: rates of a slipping orbit, shape (n, 2); 0 at rest, NaN if not settled.
         multiplier: largest modulus over one revolution of the motion reached; NaN if not settled.
-        caught_s, settled_s, amplitude_m: as in dynamics.steady.basins.following.Followed.
+        caught_s, settled_s, amplitude_m: as in dynamics.steady.basins.following.FollowedReleases.
         sure: False at a boundary.
         refused: error messages by index of the rig.
     """
@@ -118,7 +118,7 @@ class _One:
 
 
 def _one(p: RotorParameters, speed: float, from_rad: Array, seconds: float, stated_error_rad: float) -> _One:
-    turning = Turning.of(p, speed)
+    turning = RevolutionMap.of(p, speed)
     start = locked_state(p, speed, 0.0, float(from_rad[0]), float(from_rad[1]))
     blind = follow(turning, start[None, :], [], seconds, stated_error_rad=stated_error_rad, workers=1)
     end = end_ahead(turning, blind.last[0], seconds)
@@ -134,7 +134,7 @@ def _one(p: RotorParameters, speed: float, from_rad: Array, seconds: float, stat
     )
 
 
-def end_ahead(turning: Turning, state: Array, seconds: float) -> End | None:
+def end_ahead(turning: RevolutionMap, state: Array, seconds: float) -> End | None:
     """The stable motion that a motion approaches, found by further simulation, or None."""
     horizon = min(_MAX_REVOLUTIONS, max(_MIN_REVOLUTIONS, math.ceil(_FURTHER * seconds / turning.period_s)))
     strobe, done = turning.strobed(state, _RETRY_REVOLUTIONS), 0
@@ -150,7 +150,7 @@ def end_ahead(turning: Turning, state: Array, seconds: float) -> End | None:
     return None if orbit is None else with_slipping([], [orbit])[0]
 
 
-def _state_near(turning: Turning, state: Array) -> End | None:
+def _state_near(turning: RevolutionMap, state: Array) -> End | None:
     """The stable steady state found by Newton's method near a state."""
     motion = periodic_motion(turning, state)
     if motion is None or not motion.stable:

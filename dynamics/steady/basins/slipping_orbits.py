@@ -19,7 +19,7 @@ from dynamics.arrays import Array
 from dynamics.steady.basins.fibres import Fibres, caught_scale, derivative, moduli_across, positive, series, turned
 from dynamics.steady.basins.periodic import PeriodicMotion, periodic_motion, repeats
 from dynamics.steady.basins.regions import near_value
-from dynamics.steady.basins.turning import Turning
+from dynamics.steady.basins.turning import RevolutionMap
 
 _MIN_TURNS = 4.0  # turns within the strobed interval of a slipping motion
 _ODD = (33, 65, 129)  # numbers of values along the curve
@@ -74,7 +74,7 @@ class SlippingOrbit:
 
 
 def slipping_orbit(
-    turning: Turning, strobe: Array, near_rad: float | None, *, quick: bool = False
+    turning: RevolutionMap, strobe: Array, near_rad: float | None, *, quick: bool = False
 ) -> SlippingOrbit | None:
     """The stable slipping orbit near a strobed motion, or None.
 
@@ -108,7 +108,7 @@ def slipping_orbit(
     return None
 
 
-def continued(turning: Turning, known: SlippingOrbit) -> SlippingOrbit | None:
+def continued(turning: RevolutionMap, known: SlippingOrbit) -> SlippingOrbit | None:
     """Continue a slipping orbit to a rig and speed close to its own; None if Newton's method does not converge.
 
     The result has no region.
@@ -158,7 +158,7 @@ def _guess(strobe: Array, rate: float, winding: tuple[int, int], count: int) -> 
 
 
 def curve_by_newton(
-    turning: Turning, values: Array, rate: float, winding: tuple[int, int]
+    turning: RevolutionMap, values: Array, rate: float, winding: tuple[int, int]
 ) -> tuple[Array, float, float] | None:
     """The invariant curve near a guess: (values without winding, ρ, largest residual); None if it does not converge.
 
@@ -202,7 +202,9 @@ def curve_by_newton(
     return None
 
 
-def _residual(turning: Turning, u: Array, steps: Array, rate: float, turns: Array, knots: Array | None = None) -> Array:
+def _residual(
+    turning: RevolutionMap, u: Array, steps: Array, rate: float, turns: Array, knots: Array | None = None
+) -> Array:
     """P(u(χ)) − u(χ + ρ) without whole turns, at χ = steps; u is given there, or interpolated from knots."""
     after = turning.after(u + np.outer(steps, turns)) - np.outer(steps + rate, turns)
     curve = u if knots is None else knots
@@ -224,7 +226,7 @@ def _finer(values: Array, count: int) -> Array:
 
 
 def described(
-    turning: Turning,
+    turning: RevolutionMap,
     curve: tuple[Array, float, float],
     winding: tuple[int, int],
     near_rad: float | None,
@@ -264,7 +266,7 @@ def described(
     return orbit if near_rad is None or not orbit.stable else _with_region(turning, orbit, near_rad, quick)
 
 
-def _with_region(turning: Turning, orbit: SlippingOrbit, near_rad: float, quick: bool) -> SlippingOrbit:
+def _with_region(turning: RevolutionMap, orbit: SlippingOrbit, near_rad: float, quick: bool) -> SlippingOrbit:
     """A stable curve with its region; without one if its lead pendulum reverses or the contraction is not verified."""
     fibres = Fibres.of(turning, orbit.values, orbit.rotation, orbit.winding)
     if fibres is None:
@@ -284,7 +286,7 @@ def _with_region(turning: Turning, orbit: SlippingOrbit, near_rad: float, quick:
 
 
 def _of_periodic(
-    turning: Turning, motion: PeriodicMotion, near_rad: float | None, quick: bool = False
+    turning: RevolutionMap, motion: PeriodicMotion, near_rad: float | None, quick: bool = False
 ) -> SlippingOrbit | None:
     """A slipping orbit of q states, each with a form that decreases with a revolution; None without a region."""
     free, units, count = turning.free, turning.units, len(motion.states)

@@ -33,7 +33,7 @@ _MANY = 128  # number of states above which threads are used
 
 
 @dataclass(frozen=True)
-class Turning:
+class RevolutionMap:
     """The once-a-revolution map of a rig.
 
     Attributes:
@@ -45,7 +45,7 @@ class Turning:
     speed_rad_s: float
 
     @classmethod
-    def of(cls, rig: RotorParameters | object, speed_rad_s: float) -> Turning:
+    def of(cls, rig: RotorParameters | object, speed_rad_s: float) -> RevolutionMap:
         """The map of a rig.
 
         Raises:

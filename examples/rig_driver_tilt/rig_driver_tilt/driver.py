@@ -11,7 +11,7 @@ from daq.channels import Channel
 from daq.drivers.contract import SampleClock, Talk
 from daq.drivers.plain import PlainDriver
 from daq.drivers.played import PlayedDevice
-from daq.drivers.simulated import FarEnd, Stretch
+from daq.drivers.simulated import FarEnd, MotionInterval
 from daq.errors import DeviceError
 from rig_configs.device import DeviceSettings
 from rig_configs.roles import OtherQuantity, Role
@@ -55,7 +55,7 @@ class SimulatedTilt(FarEnd):
                 self._sends = command == b"START"
         return out
 
-    def sample(self, motion: Stretch) -> bytes:
+    def sample(self, motion: MotionInterval) -> bytes:
         """A line every ten milliseconds of its own clock."""
         first, last = (int(float(self._clock.device_s(motion.time_s[i])) * 1000 // _PERIOD_MS) for i in (0, -1))
         numbers = np.arange(first + 1 if self._next is None else self._next, last + 1)

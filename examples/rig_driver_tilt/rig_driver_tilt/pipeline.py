@@ -7,7 +7,7 @@ import numpy as np
 
 from daq.channels import Channel
 from daq.clock import ClockMap, Unwrap, clock_rules
-from daq.items import TX, Batch, Event
+from daq.items import TX, Batch, DeviceEvent
 from rig_driver_tilt import line
 
 
@@ -27,41 +27,41 @@ class TiltPipeline:
         self._ms = Unwrap(line.MS_WRAP)
         self._clock = ClockMap(self._tolerance_ppm, self._rules)
 
-    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | Event]:
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """Take one read or one write."""
         if direction == TX:
             return []
         *lines, rest = (self._rest + data).split(b"\n")
         self._rest = rest[: line.LONGEST + 2]  # what is longer is damaged already
-        out: list[Batch | Event] = []
+        out: list[Batch | DeviceEvent] = []
         samples: list[line.Sample] = []
         for each in lines:
             found = line.parse(each[: line.LONGEST + 2].removesuffix(b"\r"))
             if isinstance(found, line.Sample):
                 if self._restarted(found):
-                    out += [*self._batch(samples, host_ns), Event("restart", self._device, "it started again")]
+                    out += [*self._batch(samples, host_ns), DeviceEvent("restart", self._device, "it started again")]
                     samples = []
                     self._begin()
                 out += self._gap(found)
                 samples.append(found)
                 self._last = found
             elif found is not None:
-                out.append(Event("reply", self._device, found))
+                out.append(DeviceEvent("reply", self._device, found))
             elif self._heard:  # the first line may have begun before anybody listened
                 self.losses["damaged_lines"] += 1
-                out.append(Event("damage", self._device, "a damaged line was dropped", {"lines": 1}))
+                out.append(DeviceEvent("damage", self._device, "a damaged line was dropped", {"lines": 1}))
             self._heard = True
         return out + self._batch(samples, host_ns)
 
     def _restarted(self, found: line.Sample) -> bool:
         return self._last is not None and (found.ms - self._last.ms) % line.MS_WRAP > line.MS_WRAP // 2
 
-    def _gap(self, found: line.Sample) -> list[Event]:
+    def _gap(self, found: line.Sample) -> list[DeviceEvent]:
         missing = 0 if self._last is None else (found.count - self._last.count - 1) % line.COUNT_WRAP
         self.losses["samples"] += missing
-        return [Event("gap", self._device, f"{missing} samples lost", {"samples": missing})] if missing else []
+        return [DeviceEvent("gap", self._device, f"{missing} samples lost", {"samples": missing})] if missing else []
 
-    def _batch(self, samples: list[line.Sample], host_ns: int) -> list[Batch | Event]:
+    def _batch(self, samples: list[line.Sample], host_ns: int) -> list[Batch | DeviceEvent]:
         if not samples:
             return []
         count = np.array([s.count for s in samples], np.uint32)

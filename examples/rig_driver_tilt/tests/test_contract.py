@@ -7,5 +7,5 @@ import rig_testing
 
 
 @pytest.mark.parametrize("case", rig_testing.cases(DRIVER), ids=str)
-def test_contract(case: rig_testing.Case) -> None:
+def test_contract(case: rig_testing.ContractCase) -> None:
     case()

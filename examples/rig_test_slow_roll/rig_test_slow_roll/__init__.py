@@ -3,25 +3,27 @@
 At such a speed the column hardly bends, so what the sensors see is the runout of the surface they look at.
 """
 
-from daq.guided_test_kinds import CHANNELS, Asked, Number, TestKind
+from daq.guided_test_kinds import CHANNELS, GuidedTestRequest, Number, TestKind
 from daq.guided_tests.frame import framed, near_resonance, share_of, spin_up
-from daq.guided_tests.orders import Orders
-from daq.guided_tests.table import Look, State, Table, View
+from daq.guided_tests.orders import RigOrders
+from daq.guided_tests.table import State, StateObservation, StateTable, StateView
 from daq.guided_tests.test_inputs import speed_refusal
 
 _HIGHEST = 0.4  # of the first natural frequency: above it the orbit is more than a fifth larger than at rest
 _RPM = 30 / 3.141592653589793
 
 
-def table(asked: Asked) -> Table:
+def table(asked: GuidedTestRequest) -> StateTable:
     """The states between the beginning and the ending that all tests share."""
     rpm, turns = asked.numbers["speed_rpm"], asked.numbers["turns"]
     turn_s = 60.0 / rpm
 
-    def turned(view: View) -> Look:
+    def turned(view: StateView) -> StateObservation:
         done = view.measures.revolutions_since(view.entered_ns)
         runout = {f"runout_{axis}_mm": 1e3 * view.measures.peak_to_peak(CHANNELS[axis], 1.1 * turn_s) for axis in "xy"}
-        return Look(done >= turns, f"{done:.0f} of {turns:.0f} revolutions", share_of(done, turns), facts=runout)
+        return StateObservation(
+            done >= turns, f"{done:.0f} of {turns:.0f} revolutions", share_of(done, turns), facts=runout
+        )
 
     return framed(
         asked,
@@ -29,7 +31,7 @@ def table(asked: Asked) -> Table:
         State(
             "roll",
             does="begin the log",
-            enter=Orders.begin,
+            enter=RigOrders.begin,
             waits_for=f"{turns:.0f} revolutions",
             look=turned,
             rpm=rpm,
@@ -41,7 +43,7 @@ def table(asked: Asked) -> Table:
     )
 
 
-def refusal(asked: Asked) -> str:
+def refusal(asked: GuidedTestRequest) -> str:
     """Why it is not run at a speed."""
     highest = _HIGHEST * min(asked.rig.physics.natural_frequencies_rad_s) * _RPM
     rpm = asked.numbers["speed_rpm"]

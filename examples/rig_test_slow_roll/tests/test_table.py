@@ -2,19 +2,19 @@
 
 from rig_test_slow_roll import KIND
 
-from daq.guided_tests.table import END, Outcome
-from daq.guided_tests.test_inputs import asked, refusal
+from daq.guided_tests.table import END, StateOutcome
+from daq.guided_tests.test_inputs import refusal, requested_test
 from rig_configs import load_rig
 
 RIG = load_rig("virtual")
 
 
 def test_the_log_is_ended_and_the_rotor_brought_to_rest_from_every_state() -> None:
-    table = KIND.table(asked(RIG, "slow-roll"))
+    table = KIND.table(requested_test(RIG, "slow-roll"))
     for state in table.states:
-        assert table.transitions[state.name, Outcome.ABORT] == "finish"
-    assert table.transitions["roll", Outcome.DONE] == "finish"
-    assert table.transitions["stop", Outcome.DONE] == END
+        assert table.transitions[state.name, StateOutcome.ABORT] == "finish"
+    assert table.transitions["roll", StateOutcome.DONE] == "finish"
+    assert table.transitions["stop", StateOutcome.DONE] == END
 
 
 def test_a_fast_roll_is_refused() -> None:
