@@ -63,7 +63,7 @@ def ours(path: Path, reads: Reads) -> int:
     rates, recent = RateWatches(d), Recent(90.0)
     interlocks = Interlocks(rig.limits, rig.roles, lambda wall_s: wall_s, driving=True)
     interlocks.begin(START_NS)
-    interlocks.told(600.0)
+    interlocks.commanded(600.0)
     flush = tick = START_NS
     samples, arrived = 0, {}
     with LogFile(path, {}, {}, tuple(pipelines), START_NS) as log:

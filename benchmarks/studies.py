@@ -81,7 +81,7 @@ def seconds_of(engine: Engine, study: Study, place: Path) -> tuple[float, dict[s
         folder.keep(tile, content)
     seconds = time.perf_counter() - started
     files = {path.name: path.read_bytes() for path in place.glob("*.npz")}
-    folder.forget()
+    folder.remove()
     return seconds, files
 
 

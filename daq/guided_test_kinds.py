@@ -87,7 +87,7 @@ class TestKind:
 
     Attributes:
         name: name of the test; if `point` is "named", the name in the log is followed by the point's name.
-        line: description in one line.
+        summary: description in one line.
         needs: short names of the required signals.
         turns: whether the rotor turns.
         table: returns the states of the requested test.
@@ -96,13 +96,13 @@ class TestKind:
         numbers: numbers that the test accepts, by name.
         refusal: returns the reason why a requested test is refused; empty if it is accepted.
         warning: returns the limitation of a requested test; empty if there is none.
-        summed: combines the summaries of the runs of a test that is run `count` times; None for a test with one run.
+        combined: combines the summaries of the runs of a test that is run `count` times; None for a test with one run.
     """
 
     __test__ = False  # not a pytest class
 
     name: str
-    line: str
+    summary: str
     needs: tuple[str, ...]
     turns: bool
     table: Callable[[GuidedTestRequest], StateTable]
@@ -111,7 +111,7 @@ class TestKind:
     numbers: Mapping[str, Number] = field(default_factory=dict[str, Number])
     refusal: Callable[[GuidedTestRequest], str] = _no_text
     warning: Callable[[GuidedTestRequest], str] = _no_text
-    summed: Callable[[Sequence[Mapping[str, Any]]], Mapping[str, Any]] | None = None
+    combined: Callable[[Sequence[Mapping[str, Any]]], Mapping[str, Any]] | None = None
 
     @property
     def channels(self) -> frozenset[str]:

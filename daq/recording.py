@@ -32,7 +32,7 @@ def open_rig(
         DeviceError: a device does not respond as configured.
     """
     loaded = rig if isinstance(rig, Rig) else load_rig(rig)
-    return Session(loaded, HostClock(clock_rate), say=notify).open()
+    return Session(loaded, HostClock(clock_rate), notify=notify).open()
 
 
 def record(session: Session, path: str | Path, seconds: float, metadata: Mapping[str, str] | None = None) -> Path:

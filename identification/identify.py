@@ -341,7 +341,7 @@ def _release(run: Run, work: _Work) -> tuple[Fit, Estimate]:
 
     def fitted(known: Knowledge) -> TransientFit:
         return fit_release(
-            run, known, zero_std, setting=work.setting, tell=notify, effort=work.effort, without=work.without
+            run, known, zero_std, setting=work.setting, notify=notify, effort=work.effort, without=work.without
         )
 
     dragged = work.dragged()

@@ -4,5 +4,6 @@
     log ────────────────────────────────────────────────────────▶ replayed.Replayed ┴▶ picture ─▶ server ─▶ browser
 
 The page displays a `PageSource` (live.source): signals up to an instant, further facts, and the commands that it
-accepts. `guard` checks every request. The recorder's process copies new samples into a pipe and does no other work for the page.
+accepts. `guard` checks every request. The recorder's process copies new samples into a pipe and does no other work for
+the page.
 """

@@ -92,9 +92,9 @@ class FedProcess(ABC):
         self._ending.set()
         if self._session is not None:
             with contextlib.suppress(ValueError):
-                self._session.observers.remove(self._on_session_event)
-                self._session.noted.remove(self._on_note)
-                self._session.reported.remove(self._on_health)
+                self._session.device_event_observers.remove(self._on_session_event)
+                self._session.host_event_observers.remove(self._on_note)
+                self._session.health_observers.remove(self._on_health)
         if self._feeding.is_alive():
             self._feeding.join(_FEED_END_S)
         if self._feeding.is_alive():  # it waits for a process that does not read any more
@@ -113,9 +113,9 @@ class FedProcess(ABC):
     def _feed_from(self, session: Session) -> None:
         """Feed the process from an open session from now on."""
         self._session = session
-        session.observers.append(self._on_session_event)
-        session.noted.append(self._on_note)
-        session.reported.append(self._on_health)
+        session.device_event_observers.append(self._on_session_event)
+        session.host_event_observers.append(self._on_note)
+        session.health_observers.append(self._on_health)
         self._feeding.start()
 
     def _on_session_event(self, event: DeviceEvent) -> None:

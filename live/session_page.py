@@ -158,7 +158,7 @@ class LivePage(FedProcess):
             "rates": session.rates.now(),
             "disk": None if disk is None else disk.facts(),
             "feed_dropped": self._newest.left_out,
-            "trouble": str(session.trouble or session.left or ""),
+            "trouble": str(session.trouble or session.rotor_warning or ""),
             "can": can,
             "stop": ""
             if self._stop is not None

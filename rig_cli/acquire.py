@@ -49,9 +49,9 @@ def check(
         look = look_at(session, seconds)
         devices = device_checks(loaded, look)
         rates = plain_rates(session, started)
-    if session.left:
-        warnings.append(session.left)
-        notify(f"warning: {session.left}")
+    if session.rotor_warning:
+        warnings.append(session.rotor_warning)
+        notify(f"warning: {session.rotor_warning}")
     factor = common_factor(look)
     if factor is not None:
         warnings.append(
@@ -81,7 +81,7 @@ def check(
         )
     else:
         print_checks(devices, session.identities, look.seconds)
-    return 3 if session.left else 0 if good else 1
+    return 3 if session.rotor_warning else 0 if good else 1
 
 
 @Parameter(name="*")

@@ -155,7 +155,7 @@ def _computed(
         if files.output is not None:
             np.savez_compressed(files.output, **_arrays(found))
         if place.is_dir():
-            TileFolder(place, study).forget()
+            TileFolder(place, study).remove()
     if files.plot is not None:
         _draw(files.plot, rig, what.speed_rad_s, found, list(what.settings))
     return _result(rig, found, took) | {"probabilities": chances}

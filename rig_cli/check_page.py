@@ -26,13 +26,13 @@ _STATUS_WAIT_S = 3.0  # devices that report their status do so each second; long
 def look_at(session: Session, seconds: float) -> RigObservation:
     """Observe an open rig for `seconds` of wall time, longer only for the devices' status reports, one each second."""
     events: list[DeviceEvent] = []
-    session.observers.append(events.append)
+    session.device_event_observers.append(events.append)
     before, started = session.losses(), session.clock.now_ns()
     time.sleep(seconds)
     wait = session.clock.now_ns() + int(_STATUS_WAIT_S * 1e9)
     while not session.all_identified() and session.clock.now_ns() < wait:
         session.clock.sleep(0.1)
-    session.observers.remove(events.append)
+    session.device_event_observers.remove(events.append)
     roles, plain = session.rig.roles, plain_rates(session, started)
     speed = roles.speed and ObservedSpeed(plain[roles.speed.topic], session.drive.actual_rpm)
     return RigObservation(

@@ -208,7 +208,7 @@ class _Campaign:
             radio = simulated.ask("state")
         result = self._conclude(plugged, truth, tests.parameters)
         result["radio"] = _radio_checks(self._logs, radio)
-        result["warnings"] += [session.left] if session.left else []
+        result["warnings"] += [session.rotor_warning] if session.rotor_warning else []
         return result
 
     def _record_all(self, tests: Procedures, plugged: Rig) -> None:

@@ -67,7 +67,7 @@ def campaign(rig: Rig, folder: Path) -> dict[str, Any]:
         tests.append(
             {
                 "test": name,
-                "line": kind.line,
+                "line": kind.summary,
                 "gives": given_on(kind, rig.roles),
                 "state": state,
                 "log": path,

@@ -203,7 +203,7 @@ def _run(wanted: GuidedTestRequest, options: TestRun, label: str, displays: _Dis
     done: TestDone | None = None
     with ExitStack() as stack:
         live_page, connection = stack.enter_context(displays.page), stack.enter_context(displays.foxglove)
-        session = stack.enter_context(Session(wanted.rig, HostClock(options.time_scale), say=notify))
+        session = stack.enter_context(Session(wanted.rig, HostClock(options.time_scale), notify=notify))
         following = stack.enter_context(displays.tracking(session)) if displays.tracking is not None else None
         keyboard = stack.enter_context(Keyboard(keys))
         words = following.words if following is not None else str

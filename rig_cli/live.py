@@ -150,7 +150,7 @@ def _rig(
     with (
         page_of_session(place, rig, parameters, settings, clock.rate, as_json) as page,
         foxglove_of_session(foxglove, rig, clock.rate, as_json) as given,
-        Session(rig, clock, say=notify) as session,
+        Session(rig, clock, notify=notify) as session,
     ):
         follow(page, session, session.stop, {"words": "watched, not recorded"})
         follow_session(given, session)

@@ -46,7 +46,7 @@ def map_motions(
         result = _json(found, seconds) | {"borders": None if borders is None else borders_json(borders)}
         written = [] if output is None else write_map(output, motion_record(found, borders, plain(result)))
         for study in studies:
-            TileFolder(place, study).forget()
+            TileFolder(place, study).remove()
     if plot is not None:
         draw = draw_states(found, borders) if isinstance(found, StateMap) else draw_coexistence(found, borders)
         write_figure(plot, draw[0], f"Motions of {question.loaded().name}", draw[1])

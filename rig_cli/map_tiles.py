@@ -44,4 +44,4 @@ def in_tiles(
     with tempfile.TemporaryDirectory(prefix="rig-map-") as passing:
         place = Path(passing) if output is None else Path(f"{output}.tiles")
         yield lambda: assembled(worked_out(study, place, scheduler, "tiles"))[1]
-        TileFolder(place, study).forget()
+        TileFolder(place, study).remove()

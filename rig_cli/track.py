@@ -155,7 +155,7 @@ def _tracked(
             imbalance_std=imbalance_std(parameters, settings),
             batch_s=1e-3 * every_ms,
             setting=setting,
-            tell=progress,
+            progress=progress,
         )
     result = Tracking(run, rig, found, setting, against, parameters, warnings)
     for text in result.warnings:

@@ -245,7 +245,7 @@ class Roles:
         """Return the measuring sensor along an axis."""
         return next((d for d in self.displacements if d.axis == axis), None)
 
-    def beside(self, witness: DisplacementSensor) -> DisplacementSensor | None:
+    def measuring_sensor(self, witness: DisplacementSensor) -> DisplacementSensor | None:
         """Return the measuring sensor that a witness is compared with; None if no sensor has its direction."""
         main = self.along(witness.axis)
         if main is None or abs(math.remainder(main.off_axis_deg - witness.off_axis_deg, 360.0)) > SQUARE_TOLERANCE_DEG:
@@ -269,7 +269,7 @@ class Roles:
         """Measured quantity of each displacement sensor, in words, by device."""
         words = {d.device: f"{d.axis}{_direction(d)}" for d in self.displacements}
         for witness in self.witnesses:
-            main = self.beside(witness)
+            main = self.measuring_sensor(witness)
             against = f", compared with {main.device}" if main else ", compared with no other: none has its direction"
             words[witness.device] = f"witness of {witness.axis}{_direction(witness)}{against}"
         return words

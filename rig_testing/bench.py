@@ -134,7 +134,7 @@ class DriverBench:
         self._bytes_in = 0
         self._stretches: list[tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]] = []
         self._actions: list[tuple[float, Callable[[], object]]] = []
-        self.begin_anew()
+        self.restart_decoding()
 
     # --- Talk --------------------------------------------------------------------------------------------------
 
@@ -150,7 +150,7 @@ class DriverBench:
         self._feed(TX, data)
         self._came(self.far.receive(data, self.motion.time_s))
 
-    def begin_anew(self) -> None:
+    def restart_decoding(self) -> None:
         """See Talk."""
         self.pipeline: Pipeline = self.driver.pipeline(NAME, self.settings, self.identity)
         self.items: Items = []
@@ -205,7 +205,7 @@ class DriverBench:
             self.control.start()
         if isinstance(self.driver, MovesLocks):
             self.locks = self.driver.locks(self.settings, self.send, self.clock)
-        self.begin_anew()
+        self.restart_decoding()
 
     @property
     def guard(self) -> RotorGuard:
@@ -228,7 +228,7 @@ class DriverBench:
         at = self.time.now_s + _HOLD_S
         self.motion.hold(*PLUCK_M)
         flicks = [lambda j=j: (self.motion.release(j), self.motion.flick(j, _FLICK_RAD_S)) for j in (0, 1)]
-        self._actions += [(at, self.motion.let_go), *((at, flick) for flick in flicks)]
+        self._actions += [(at, self.motion.release_column), *((at, flick) for flick in flicks)]
         if self.control is None:
             self.motion.target_rad_s, self.motion.ramp_rad_s2 = _TURN_RAD_S, _RAMP_RAD_S2
 
@@ -255,7 +255,7 @@ class PlayedTalk:
         self.replies: queue.Queue[str] = queue.Queue()
         self.bytes_in = 0
         self.control: SpeedControl | None = None
-        self.begin_anew()
+        self.restart_decoding()
 
     def send(self, data: bytes) -> None:
         """See Talk."""
@@ -272,7 +272,7 @@ class PlayedTalk:
         if self.control is not None:
             self.control.notice(self._pipeline)
 
-    def begin_anew(self) -> None:
+    def restart_decoding(self) -> None:
         """See Talk."""
         self._pipeline = self._bench.driver.pipeline(NAME, self._bench.settings, {})
 

@@ -99,7 +99,7 @@ class TileFolder:
                 "again: only this tile is computed again"
             ) from fault
 
-    def forget(self) -> None:
+    def remove(self) -> None:
         """Remove the tiles, and the folder if it is empty then."""
         with self._faults():
             for tile in self.finished():

@@ -305,7 +305,7 @@ class Core:
                 self.trouble = error
         if self._rig.roles.speed is not None:
             yield StopRotor()
-            self.interlocks.told(0.0)
+            self.interlocks.commanded(0.0)
         elif first and self.commanding and self.interlocks.turning(now_ns):
             yield Warn(f"STOP THE ROTOR: {error}")
         if first:
@@ -360,7 +360,7 @@ class Core:
         if rpm != 0 and (obstacles := self.interlocks.obstacles(now_ns)):
             raise DeviceError(f"the rotor is not turned: {'; '.join(obstacles)}")
         if rpm is not None:
-            self.interlocks.told(rpm)
+            self.interlocks.commanded(rpm)
 
     # --- ticks ---------------------------------------------------------------------------------------------------
 

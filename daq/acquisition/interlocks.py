@@ -190,7 +190,7 @@ class Interlocks:
         with self._lock:
             self._needed = frozenset(topics)
 
-    def told(self, rpm: float) -> None:
+    def commanded(self, rpm: float) -> None:
         """Register a commanded speed, of the drive or of the operator's hand."""
         with self._lock:
             self._commanded = self._commanded or rpm != 0

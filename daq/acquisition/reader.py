@@ -248,12 +248,12 @@ class OpenDevice:
     Attributes:
         reader: reader of the device.
         clock: host clock for the waits of dialogues.
-        begin_anew: gives the device a new pipeline.
+        restart_decoding: gives the device a new pipeline.
     """
 
     reader: DeviceReader
     clock: HostClock
-    begin_anew: Callable[[], None]
+    restart_decoding: Callable[[], None]
 
     @property
     def replies(self) -> queue.Queue[str]:

@@ -53,7 +53,7 @@ class Session:
         rig: the rig file.
         clock: the host clock.
         identities: identities of the devices. Used by sessions that only receive. `open` queries the devices itself.
-        say: called with one line of text for the operator.
+        notify: called with one line of text for the operator.
         edge: ports and disk; those of the machine if None.
     Raises:
         RigFileError: two devices use the same port.
@@ -62,10 +62,10 @@ class Session:
             error ended it: the rotor still turns.
 
     Attributes:
-        observers: called with every event of a device.
-        noted: called with every event of the host and its time, ns.
-        reported: called with every health report and its time, ns.
-        left: after `close`, the warning that the rotor may turn or the drive may hold it; empty if neither.
+        device_event_observers: called with every event of a device.
+        host_event_observers: called with every event of the host and its time, ns.
+        health_observers: called with every health report and its time, ns.
+        rotor_warning: after `close`, the warning that the rotor may turn or the drive may hold it; empty if neither.
         log: path of the newest recording; None before the first.
     """
 
@@ -74,21 +74,21 @@ class Session:
         rig: Rig,
         clock: HostClock,
         identities: Mapping[str, Mapping[str, Any]] | None = None,
-        say: Callable[[str], None] = lambda text: None,
+        notify: Callable[[str], None] = lambda text: None,
         edge: Edge | None = None,
     ) -> None:
         self.rig, self.clock = rig, clock
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
-        self.observers: list[Callable[[DeviceEvent], None]] = []
-        self.noted: list[Callable[[DeviceEvent, int], None]] = []
-        self.reported: list[Callable[[Mapping[str, Any], int], None]] = []
-        self.left = ""
+        self.device_event_observers: list[Callable[[DeviceEvent], None]] = []
+        self.host_event_observers: list[Callable[[DeviceEvent, int], None]] = []
+        self.health_observers: list[Callable[[Mapping[str, Any], int], None]] = []
+        self.rotor_warning = ""
         self.log: Path | None = None
         self._edge = edge or real_edge()
         self._channels = tuple(channels_of(rig.devices).values())
         self._known = devices_of(rig.devices)
         refuse_shared_ports(rig.devices)  # the rig may come from a log and not from a checked file
-        self._notify = say
+        self._notify = notify
         self._core = Core(rig, clock.patience, driving=True)
         self._links: Links | None = None
         self._recorder: Recorder | None = None
@@ -110,7 +110,7 @@ class Session:
             if self._command.drive is not None:
                 self._command.drive.start()
             self._wait_alive("every device to send samples")
-            self._begin_anew(None)  # bytes from the port buffers were delayed and would disturb the clock maps
+            self._renew_pipelines(None)  # bytes from the port buffers were delayed and would disturb the clock maps
             self._wait_alive("every device to continue to send samples")
             self._start_watching()
         except BaseException as error:
@@ -143,7 +143,9 @@ class Session:
         keep_heap_whole()
         compile_look()
         compile_line()
-        links = Links(self._known, self.clock, self._edge, self._core, self.identities, self._take, self._lost)
+        links = Links(
+            self._known, self.clock, self._edge, self._core, self.identities, self._on_bytes, self._on_link_lost
+        )
         self._links = links  # before `open`, so that `close` closes the links if one of them fails
         links.open()
         return links
@@ -177,15 +179,15 @@ class Session:
         if self._core.closing:
             return
         self._core.guarding = False  # streams that end from here on were ended by the session
-        self.left = "the wait for the rotor to stop was interrupted"
+        self.rotor_warning = "the wait for the rotor to stop was interrupted"
         at_rest: bool | None = False
         try:
-            at_rest, self.left = self._stop_devices()
+            at_rest, self.rotor_warning = self._stop_devices()
         finally:
             try:
                 if self._recorder is not None:
                     ended = self._ended(because) or "session closed"
-                    self.stop_recording({"ended": f"{ended}; {self.left}" if self.left else ended})
+                    self.stop_recording({"ended": f"{ended}; {self.rotor_warning}" if self.rotor_warning else ended})
             finally:
                 self._core.closing = True
                 if self._ticking is not None:
@@ -193,7 +195,7 @@ class Session:
                 if self._links is not None:
                     self._links.close()
         if not at_rest and because is None:
-            raise DeviceError(self.left)
+            raise DeviceError(self.rotor_warning)
 
     @property
     def closed(self) -> bool:
@@ -218,7 +220,7 @@ class Session:
         name = command.drive_name
         if name not in self._core.gone:
             return False
-        self._carry_out(links.reopened(name, command))
+        self._execute(links.reopened(name, command))
         return name not in self._core.gone
 
     def _stop_devices(self) -> tuple[bool, str]:
@@ -240,7 +242,7 @@ class Session:
             text = f"{drive}: the rotor is at rest, but the drive may not have released it; check its power and cable"
         else:
             text = f"{_not_at_rest(at_rest)} ({self.rotor_words()}); keep away from it"
-        self._carry_out(self._core.warn(text))
+        self._execute(self._core.warn(text))
         return bool(at_rest), text
 
     def _wait_alive(self, what: str) -> None:
@@ -266,7 +268,7 @@ class Session:
         bytes_in, losses = self._core.bytes_in[name], self._core.pipelines[name].losses
         lost = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in losses.items() if n)
         received = f"{bytes_in} bytes received, none of them a sample" if bytes_in else "silent"
-        why = self.told(name)[1] or "Look at its power, its settings and the rig file"
+        why = self.identification_of(name)[1] or "Look at its power, its settings and the rig file"
         return f"{name}: {received}{f' ({lost})' if lost else ''}. {why[:1].upper()}{why[1:]}"
 
     # --- bytes, and the orders of the core -----------------------------------------------------------------------
@@ -279,23 +281,23 @@ class Session:
         """
         self._open.send(name, data)
 
-    def _take(self, name: str, sent: Sequence[tuple[bytes, int]], data: bytes, host_ns: int) -> None:
+    def _on_bytes(self, name: str, sent: Sequence[tuple[bytes, int]], data: bytes, host_ns: int) -> None:
         """Pass the bytes sent to a device, and then the bytes received from it, to the core."""
         for written, written_ns in sent:
-            self._carry_out(self._core.feed(name, TX, written, written_ns))
+            self._execute(self._core.feed(name, TX, written, written_ns))
         if data:
-            self._carry_out(self._core.feed(name, RX, data, host_ns))
+            self._execute(self._core.feed(name, RX, data, host_ns))
 
-    def _lost(self, name: str, error: Exception) -> None:
-        self._carry_out(self._core.lost(name, error, self.clock.now_ns()))
+    def _on_link_lost(self, name: str, error: Exception) -> None:
+        self._execute(self._core.lost(name, error, self.clock.now_ns()))
 
     def _fail(self, error: Exception) -> None:
-        self._carry_out(self._core.fail(error, self.clock.now_ns()))
+        self._execute(self._core.fail(error, self.clock.now_ns()))
 
     def _tick(self) -> None:
         with self._log_changes:
             recorder, command = self._recorder, self._command
-            self._carry_out(
+            self._execute(
                 self._core.tick(
                     self.clock.now_ns(),
                     command.drive_state() if command is not None else None,
@@ -304,7 +306,7 @@ class Session:
                 )
             )
 
-    def _carry_out(self, orders: Iterable[Order]) -> None:
+    def _execute(self, orders: Iterable[Order]) -> None:
         for order in orders:
             recorder = self._recorder
             match order:
@@ -314,13 +316,13 @@ class Session:
                     if self._command is not None and order.direction == RX:
                         self._command.notice(order.device, self._core.pipelines[order.device])
                 case Happened(event):
-                    self._happened(event)
+                    self._on_device_event(event)
                 case Note(event, host_ns):
                     self._note(event, host_ns)
                 case WriteHealth(facts):
                     if recorder is not None:
                         recorder.health(facts)
-                    for reported in self.reported:
+                    for reported in self.health_observers:
                         reported(facts, self.clock.now_ns())
                 case Warn(text):
                     self._notify(text)
@@ -328,8 +330,8 @@ class Session:
                     if self._command is not None:
                         self._command.quick_stop()
 
-    def _happened(self, event: DeviceEvent) -> None:
-        for observe in self.observers:
+    def _on_device_event(self, event: DeviceEvent) -> None:
+        for observe in self.device_event_observers:
             observe(event)
         if event.kind == "reply":
             self._open.answered(event.device, event.text)
@@ -414,18 +416,18 @@ class Session:
         new = time_ns > time_ns[-1] - int(seconds * 1e9)
         return time_ns[new], [column[new] for column in columns]
 
-    def told(self, name: str) -> tuple[bool, str]:
+    def identification_of(self, name: str) -> tuple[bool, str]:
         """Return whether a device has described itself, and its deviation from the rig file (empty if there is none).
 
         Devices that never describe themselves return (True, "").
         """
         with self._open.unread(name):
             pipeline = self._core.pipelines[name]
-            return (pipeline.told, pipeline.complaint) if isinstance(pipeline, DescribesItself) else (True, "")
+            return (pipeline.has_reported, pipeline.complaint) if isinstance(pipeline, DescribesItself) else (True, "")
 
     def all_identified(self) -> bool:
         """Return whether every device has described itself."""
-        return all(self.told(name)[0] for name in self._known)
+        return all(self.identification_of(name)[0] for name in self._known)
 
     def own_checks(self, events: Iterable[DeviceEvent]) -> dict[str, Checks]:
         """Return the checks that the drivers make on their open devices, by device.
@@ -479,7 +481,7 @@ class Session:
         recorder = self._recorder
         if recorder is not None:
             recorder.event(event, host_ns)
-        for notify in self.noted:
+        for notify in self.host_event_observers:
             notify(event, host_ns)
 
     def start_recording(self, path: Path | ReservedName, metadata: Mapping[str, str], before_s: float = 0.0) -> None:
@@ -492,7 +494,7 @@ class Session:
         """
         if self._recorder is not None:
             self.stop_recording({"ended": self._ended(None) or "another recording began"})
-        self._learn()
+        self._store_identities()
         facts = {
             "rig": self.rig.name,
             "software": software_version(),
@@ -512,9 +514,9 @@ class Session:
         devices = tuple(self._known)
         self.log = path if isinstance(path, Path) else path.path
         recorder = Recorder(path, self.clock, facts, attachments, devices, self._channels, self._edge.disk)
-        self._begin_anew(recorder, before_s, seeds)
+        self._renew_pipelines(recorder, before_s, seeds)
 
-    def _learn(self) -> None:
+    def _store_identities(self) -> None:
         """Add to the identities what the pipelines have learnt from the bytes, for the next log."""
         for name, pipeline in self._core.pipelines.items():
             if isinstance(pipeline, ObservesIdentity):
@@ -531,7 +533,7 @@ class Session:
                 seeds[name] = asdict(seed)
         return seeds
 
-    def _begin_anew(
+    def _renew_pipelines(
         self, recorder: Recorder | None, before_s: float = 0.0, seeds: Mapping[str, Mapping[str, Any]] | None = None
     ) -> None:
         """Give every device a new pipeline, at a boundary between two reads."""
@@ -574,7 +576,7 @@ class Session:
         if core.trouble is not None:
             raise core.trouble
         if self._opened:
-            self._carry_out(self._open.attend(command))
+            self._execute(self._open.attend(command))
 
     def wait_for(self, condition: Callable[[], bool], wall_s: float, what: str) -> None:
         """Wait until a condition is true.
@@ -630,7 +632,7 @@ class Session:
 
     def stop(self, reason: str) -> None:
         """End the run for the operator. The drive gets the stop immediately, in the caller's thread."""
-        self._carry_out(self._core.fail(OperatorStop(reason), self.clock.now_ns()))
+        self._execute(self._core.fail(OperatorStop(reason), self.clock.now_ns()))
 
     def command_node(self, action: str) -> None:
         """Send a command for the pendulum locks and wait for its acknowledgement.

@@ -97,12 +97,12 @@ class DescribesItself(Protocol):
     """A pipeline of a device that reports its own configuration from time to time without a request.
 
     Attributes:
-        told: whether the device has reported it.
+        has_reported: whether the device has reported it.
         complaint: the contradiction between this report and the rig file that makes the samples invalid; empty
             without a contradiction.
     """
 
-    told: bool
+    has_reported: bool
     complaint: str
 
 
@@ -163,7 +163,7 @@ class Talk(Protocol):
         """
         ...
 
-    def begin_anew(self) -> None:
+    def restart_decoding(self) -> None:
         """Discard the state of decoding: a new pipeline decodes the bytes from here on."""
         ...
 

@@ -35,7 +35,7 @@ class Measures:
     def angles_described(self) -> bool:
         """Return whether the device of the pendulum angles has described itself; True if the rig has none."""
         role = self._s.rig.roles.angles
-        return role is None or self._s.told(role.device)[0]
+        return role is None or self._s.identification_of(role.device)[0]
 
     def rest_m(self, topic: str, seconds: float) -> float:
         """Return the median of a laser's newest samples, m; NaN without valid samples."""

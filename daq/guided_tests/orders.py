@@ -220,7 +220,9 @@ class RigOrders:
             ProcedureError: the counters are wrong and the test needs the angles.
         """
         device = self.angles.device
-        if complaint := self.session.told(device)[1]:  # it stopped nothing while the session was being opened
+        if complaint := self.session.identification_of(device)[
+            1
+        ]:  # it stopped nothing while the session was being opened
             raise DeviceError(f"{device}: {complaint}")
         _, (a, b, flags) = self.session.newest(self.angles.topic, (*ANGLE_FIELDS, "flags"), span_s)
         wrong = [*flagged(flags), misplaced(lock_positions(np.column_stack([a, b]), flags, self.angles.zero_std_deg))]

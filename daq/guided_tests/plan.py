@@ -93,11 +93,11 @@ def plan(request: GuidedTestRequest) -> GuidedTestPlan:
         _planned(row, rig.roles, leads[row.name, StateOutcome.DONE], leads[row.name, StateOutcome.LATE])
         for row in table.rows
     )
-    repeats = int(request.numbers.get("count", 1)) if kind.summed else 1
+    repeats = int(request.numbers.get("count", 1)) if kind.combined else 1
     device_of = rig.roles.device_of
     return GuidedTestPlan(
         test=request.test,
-        line=kind.line,
+        line=kind.summary,
         needs={SIGNALS[signal]: device_of[CHANNELS[signal]] for signal in kind.needs},
         gives=given_on(kind, rig.roles),
         numbers=dict(request.numbers),

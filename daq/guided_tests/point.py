@@ -100,7 +100,7 @@ def settle_state(
         over = (again and last.settled) or (not last.settled and ends(view, last))
         seen: dict[str, Any] = {"last": last, "steady_ns": view.now_ns if last.settled and not again else None}
         facts = {"settled": over and last.settled, "why": last.why}
-        return StateObservation(over, f"{since:.0f} s {begun}, {last.why}", remember=seen, facts=facts)
+        return StateObservation(over, f"{since:.0f} s {begun}, {last.why}", store=seen, facts=facts)
 
     return State(
         "settle",

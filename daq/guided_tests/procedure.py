@@ -75,7 +75,7 @@ class Procedures:
 
     def carry_out(self, wanted: GuidedTestRequest) -> TestDone:
         """Run a requested test; see `run`."""
-        if wanted.kind.summed is None:
+        if wanted.kind.combined is None:
             return self._once(wanted, "")
         count, runs = int(wanted.numbers["count"]), list[TestDone]()
         for number in range(1, count + 1):
@@ -117,8 +117,8 @@ class Procedures:
 
 def _whole(wanted: GuidedTestRequest, runs: list[TestDone], missed: str, aborted: bool) -> TestDone:
     """Combine the runs of a repeated test."""
-    assert wanted.kind.summed is not None
-    summary = dict(wanted.kind.summed([run.summary for run in runs]))
+    assert wanted.kind.combined is not None
+    summary = dict(wanted.kind.combined([run.summary for run in runs]))
     warnings = tuple(f"{run.log.name}: {warning}" for run in runs for warning in run.warnings)
     return TestDone(wanted.test, runs[-1].log, summary, missed, warnings, aborted, tuple(runs))
 

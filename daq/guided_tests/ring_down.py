@@ -52,7 +52,7 @@ class _RingDown:
         """Measure the column at rest."""
         done = view.in_state_s >= _BEFORE_S and view.measures.valid(self.topic, 0.5) > 0.4
         return StateObservation(
-            done, "measuring the column at rest", remember={"rest_m": view.measures.rest_m(self.topic, 0.5)}
+            done, "measuring the column at rest", store={"rest_m": view.measures.rest_m(self.topic, 0.5)}
         )
 
     def plucked(self, view: StateView) -> StateObservation:
@@ -82,8 +82,8 @@ class _RingDown:
             words = f"release the column: it is held {offset * 1e3:+.2f} mm from rest"
         elif is_still and not has_swung:
             words = f"the column returned without a swing: pluck along {self.axis} again, release at once"
-        remember = {"peak_m": peak, "low_m": least, "high_m": most}
-        return StateObservation(is_still and is_back and has_swung, words, share, remember)
+        store = {"peak_m": peak, "low_m": least, "high_m": most}
+        return StateObservation(is_still and is_back and has_swung, words, share, store)
 
     # --- texts after the time limit ----------------------------------------------------------------------------
 

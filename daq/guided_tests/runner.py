@@ -133,7 +133,7 @@ class Runner:
                 orders.check()
                 end_ns += self._take_requests(state)
                 look = state.look(self._view(entry_began_ns, entered_ns))
-                orders.memory |= look.remember
+                orders.memory |= look.store
                 orders.facts |= look.facts
                 self._show(state, look)
                 if look.done:

@@ -23,9 +23,7 @@ def _flicked(view: StateView) -> StateObservation:
     since = max(view.entry_began_ns, view.measures.since(_MAX_FLICK_AGE_S))
     turned = view.measures.turned_since(since)[0]
     words = "flick both pendulums, slower than two turns a second"
-    return StateObservation(
-        bool(np.all(turned > _FLICKED_RAD)), words, remember={"flick_since_ns": view.entry_began_ns}
-    )
+    return StateObservation(bool(np.all(turned > _FLICKED_RAD)), words, store={"flick_since_ns": view.entry_began_ns})
 
 
 def _slowed(view: StateView) -> StateObservation:

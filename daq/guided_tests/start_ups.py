@@ -147,5 +147,5 @@ KIND = TestKind(
         "from_rest": Number("1: pendulums free before the rotor turns, 0: released at speed", 0, 0, 1, whole=True),
     },
     refusal=refusal,
-    summed=summed,
+    combined=summed,
 )

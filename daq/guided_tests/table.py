@@ -74,14 +74,14 @@ class StateObservation:
         done: whether the condition of the state is met.
         words: description of the progress for the operator.
         share: completed share of the state, 0 … 1; None if it cannot be estimated.
-        remember: values to store in the memory for later looks and states.
+        store: values to store in the memory for later looks and states.
         facts: facts for the summary of the log.
     """
 
     done: bool
     words: str = ""
     share: float | None = None
-    remember: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    store: Mapping[str, Any] = field(default_factory=dict[str, Any])
     facts: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 

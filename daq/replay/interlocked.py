@@ -141,9 +141,9 @@ class _Run:
         self._locks.need(needed_at_rest(self._facts.get("test", ""), self._roles))
         standing = standing_order(self._facts)
         if self._roles.speed is None:
-            report_hand_orders(self._locks.told, self._facts, self._rig.limits.speed_rpm)
+            report_hand_orders(self._locks.commanded, self._facts, self._rig.limits.speed_rpm)
         self._orders = LoggedOrders(
-            self._locks.told, whole=whole, standing=standing if whole else None, rest_rpm=self._roles.rest_rpm
+            self._locks.commanded, whole=whole, standing=standing if whole else None, rest_rpm=self._roles.rest_rpm
         )
         self._tick_ns, self._stood = now_ns + self._period_ns, False
         self.now_ns = max(self.now_ns, now_ns)

@@ -33,7 +33,7 @@ class LoggedOrders:
     """Follows the orders of a log.
 
     Args:
-        notify: called with every speed, rpm, before the following samples are judged (`Interlocks.told`).
+        notify: called with every speed, rpm, before the following samples are judged (`Interlocks.commanded`).
         whole: True if nothing is missing before: a device at rest that is sent bytes has no unseen order.
         standing: order that was valid before the log began, rpm; None if unknown.
         rest_rpm: largest reported speed of a rotor at rest, rpm.

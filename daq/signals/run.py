@@ -186,7 +186,7 @@ def _witnesses(log: Log, roles: Roles, start_s: float) -> tuple[Witness, ...]:
     found: list[Witness] = []
     for role in roles.witnesses:
         (time_s, value_m), _ = laser_signal(log, role.topic, role, start_s, NO_DEVICE)
-        main = roles.beside(role)
+        main = roles.measuring_sensor(role)
         if len(time_s):
             gain_std = math.hypot(role.gain_std, main.gain_std if main else 0.0)
             times, values = np.asarray(time_s, np.float64), np.asarray(value_m, np.float64)

@@ -232,7 +232,7 @@ class SimulatedMotion:
         """Hold the column at a displacement."""
         self._held, self._held_at[:] = True, (x_m, y_m)
 
-    def let_go(self) -> None:
+    def release_column(self) -> None:
         """Release the column."""
         self._held = False
 

@@ -68,7 +68,7 @@ class SimulatedRig:
             for name, far_end in self.far_ends.items()
         }
         if self._hold_ends_s is not None and now_s >= self._hold_ends_s:
-            motion.let_go()
+            motion.release_column()
             self._hold_ends_s = None
         for name, far_end in self.far_ends.items():
             sent[name] += far_end.step(before_s)

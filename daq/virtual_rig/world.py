@@ -31,7 +31,7 @@ class DeviceClock:
         """Return the rig time at which the device clock has a value, s."""
         return (device_s - self.offset_s) / (1 + self.drift)
 
-    def begin_anew(self, now_s: float) -> None:
+    def reset(self, now_s: float) -> None:
         """Reset the clock to 0 at a rig time, as after a loss of the device's supply."""
         self.offset_s = -(1 + self.drift) * now_s
 

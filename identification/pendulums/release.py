@@ -63,7 +63,7 @@ def fit_release(
     zero_std_rad: float,
     *,
     setting: Setting = "balanced",
-    tell: Notify | None = None,
+    notify: Notify | None = None,
     effort: Effort | None = None,
     without: Collection[str] = (),
 ) -> TransientFit:
@@ -76,7 +76,7 @@ def fit_release(
         zero_std_rad: standard uncertainty of each encoder's zero, rad.
         setting: fast uses the first part of the transient and assumes white rounding noise. balanced uses the whole
             transient and the actual effect of rounding. reference uses 1 ms blocks instead of 4 ms blocks.
-        tell: called with one line of text before each attempt.
+        notify: called with one line of text before each attempt.
         effort: common budget of the releases of a campaign.
         without: rungs of the ladder that are left out (identification.rungs.RUNGS).
     Raises:
@@ -91,7 +91,7 @@ def fit_release(
     if max(release.moved_rad) < _MIN_MOVED_RAD:
         a, b = np.degrees(release.moved_rad)
         raise NotIdentifiable(f"{run.source}: after the release A moves by {a:.2g}° and B by {b:.2g}°; {_HELD}")
-    horizons, effort, notify = release.horizons(setting), effort or Effort(), tell or _ignore
+    horizons, effort, notify = release.horizons(setting), effort or Effort(), notify or _ignore
     end = horizons[-1]
     with_friction = "friction" not in held_back(without)
     release, answers, shape, other = _searched(release, horizons, effort, notify, with_friction)

@@ -83,7 +83,7 @@ def track(
     lasers: bool = False,
     run_out_m: tuple[complex, complex] = (0j, 0j),
     setting: TrackingSetting = "fast",
-    tell: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> TrackedRun:
     """Run the online tracker over a recorded run.
 
@@ -97,7 +97,7 @@ def track(
             encoders' clock to a fraction of a millisecond: 2 ms turn the orbit by six degrees and bias the damping.
         run_out_m: run-out of the surfaces that the lasers measure, as in `Tracker`.
         setting: "reference" adds smoothed estimates and computes the rows by filterpy.
-        tell: called with the completed share, 0 … 1.
+        progress: called with the completed share, 0 … 1.
     Raises:
         NotIdentifiable: the run has no angles of both pendulums, or is too short.
         FitFailed: the covariance of the reference filter is not positive definite, or the run has too many steps.
@@ -125,14 +125,14 @@ def track(
     for start in np.arange(begin, end, batch_s):
         _hand_over(tracker, run, (float(start), float(start + batch_s)), lasers)
         added = batches.add(tracker, reference.steps if reference else 0)
-        if added and tell is not None:
-            tell((_FILTERING if reference else 1.0) * (start - begin) / (end - begin))
+        if added and progress is not None:
+            progress((_FILTERING if reference else 1.0) * (start - begin) / (end - begin))
     if not batches.rows:
         raise NotIdentifiable(f"{run.source}: {end - begin:.2g} s of angles are too short to track; record longer")
     forward = _rows(batches.rows, batches.phases)
     if reference is None:
         return forward
-    return _smoothed(forward, reference, np.array(batches.steps), tell)
+    return _smoothed(forward, reference, np.array(batches.steps), progress)
 
 
 @dataclass

@@ -206,6 +206,6 @@ def plays(script: Iterable[str], controls: Controls, bench: Bench) -> Callable[[
         elif step == "pause":
             controls.pause()
             controls.resume()  # a pause that nobody ends does not end
-        return StateObservation(step.endswith("done"), remember={"released_ns": view.memory.get("released_ns", 1)})
+        return StateObservation(step.endswith("done"), store={"released_ns": view.memory.get("released_ns", 1)})
 
     return look

@@ -90,7 +90,7 @@ class Bench:
     def turn(self, rpm: int, seconds: float | None = None) -> None:
         """Enable the drive, ramp to a speed and wait until it is there."""
         node = self.rig.devices["drive"].node_id
-        self.interlocks.told(float(rpm))
+        self.interlocks.commanded(float(rpm))
         for word in (cia402.SHUTDOWN, cia402.SWITCH_ON, cia402.ENABLE_OPERATION):
             self._to_drive(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(word, rpm))
         for sub, value in ((0x6048, 400), (0x6049, 400)):
@@ -100,7 +100,7 @@ class Bench:
 
     def quick_stop(self) -> None:
         """Stop the rotor as the session does."""
-        self.interlocks.told(0.0)
+        self.interlocks.commanded(0.0)
         node = self.rig.devices["drive"].node_id
         self._to_drive(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(cia402.QUICK_STOP, 0))
 

@@ -48,7 +48,7 @@ class HandMadeLaser:
             for line in self._decoder.feed(answer).text:
                 self.replies.put(line)
 
-    def begin_anew(self) -> None:
+    def restart_decoding(self) -> None:
         pass
 
     def set_up(self, **settings: Any) -> dict[str, Any]:

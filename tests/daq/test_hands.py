@@ -84,7 +84,7 @@ def test_the_rotor_is_turned_and_the_pendulums_released_by_hand(
 ) -> None:
     process, rig = hand
     messages: list[str] = []
-    with Session(rig, process.clock, say=messages.append) as session:
+    with Session(rig, process.clock, notify=messages.append) as session:
         tests = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet)
         done = tests.point("B", rig.physics.speed_rad_s(1.6))
     run = load_run(done.log)
@@ -109,7 +109,7 @@ def test_an_operator_who_turns_too_fast_is_instructed_to_stop(
             super().turn(2.5 * rpm, 400.0)
 
     words = r"index marks come at .* rpm, limits.speed_rpm is 1200; stop the rotor"
-    session = Session(rig, process.clock, say=messages.append)
+    session = Session(rig, process.clock, notify=messages.append)
     with pytest.raises(ProcedureError, match=words), session:
         Procedures(session, Hasty(process.line), tmp_path, quiet).run_up(900.0, 40.0)
     assert any("STOP THE ROTOR: the index marks" in text for text in messages)
@@ -131,7 +131,7 @@ def test_a_failed_index_sensor_is_not_taken_for_rest(hand: tuple[VirtualRigProce
             if rpm > 0:
                 threading.Thread(target=later).start()
 
-    session = Session(rig, process.clock, say=messages.append)
+    session = Session(rig, process.clock, notify=messages.append)
     with pytest.raises(DeviceError, match=r"tacho: no index mark for .* no other device measures"), session:
         Procedures(session, Unlucky(process.line), tmp_path, quiet).run_up(900.0, 40.0)
     assert any("STOP THE ROTOR: tacho" in text for text in messages)
@@ -144,7 +144,7 @@ def test_a_covered_laser_does_not_end_a_recording_without_a_commanded_speed() ->
     interlocks.begin(START_NS)
     assert interlocks.at_rest(START_NS) is None
     assert not interlocks.turning(START_NS)
-    interlocks.told(100.0)  # a test asks the operator to turn it
+    interlocks.commanded(100.0)  # a test asks the operator to turn it
     assert interlocks.turning(START_NS)
 
 

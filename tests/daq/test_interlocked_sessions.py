@@ -126,7 +126,7 @@ def test_a_drive_that_restarts_is_named_at_once(far_end: VirtualRigProcess, rig:
 
 def test_a_lone_emergency_is_said_and_kept(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
     messages: list[str] = []
-    with Session(rig, far_end.clock, say=messages.append) as session:
+    with Session(rig, far_end.clock, notify=messages.append) as session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         far_end.line.ask("fail", device="drive", what="emergency", value=0x3220)
         session.wait_for(lambda: any("0x3220" in notice for notice in session.notices), 5.0, "the emergency")
@@ -160,7 +160,7 @@ def test_a_rotor_that_still_turns_at_the_end_is_said(
     monkeypatch.setattr("daq.drivers.run_down._MAX_RUN_DOWN_S", 1.0)
     messages: list[str] = []
     still = "the rotor still turns"
-    with pytest.raises(DeviceError, match=still), Session(rig, far_end.clock, say=messages.append) as session:  # noqa: PT012
+    with pytest.raises(DeviceError, match=still), Session(rig, far_end.clock, notify=messages.append) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 300)
         far_end.line.ask("fail", device="drive", what="fault", value=0x3220)  # without torque the rotor coasts

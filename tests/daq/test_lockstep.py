@@ -354,10 +354,10 @@ def test_a_silent_drive_at_rest_is_reported_as_not_released_and_the_others_are_s
         stop_streams = session._open.stop_streams
         session._open.stop_streams = lambda: (stopped.append("streams"), stop_streams())  # type: ignore[method-assign]
     assert stopped == ["streams"]
-    assert session.left == (
+    assert session.rotor_warning == (
         f"{drive}: the rotor is at rest, but the drive may not have released it; check its power and cable"
     )
-    assert session.left in session.notices
+    assert session.rotor_warning in session.notices
     with open_log(tmp_path / "a.mcap") as log:
         assert "the drive may not have released it" in json.dumps(log.metadata)
 

@@ -62,7 +62,7 @@ class Asking:
         for text in self._decoder.feed(answer).text:
             self.replies.put(text)
 
-    def begin_anew(self) -> None:
+    def restart_decoding(self) -> None:
         pass
 
 

@@ -66,7 +66,7 @@ class Bench:
         self.damage: set[int] = set()  # places of answer bytes that get a bit flipped
         self._answered = 0
 
-    def begin_anew(self) -> None:
+    def restart_decoding(self) -> None:
         self.pipeline = DRIVER.pipeline("laser_y", self.config, {})
         self.batches.clear()
         self.events.clear()

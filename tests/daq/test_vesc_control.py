@@ -639,7 +639,7 @@ class Talk:
         if self._answers:
             self.replies.put(self._answers.pop(0).hex())
 
-    def begin_anew(self) -> None: ...
+    def restart_decoding(self) -> None: ...
 
 
 def test_it_is_identified() -> None:

@@ -55,7 +55,7 @@ class Bench:
             config, self.motion, np.zeros(2), 0.3, 0.0, DeviceClock(5.0, 2e-5), self.air, np.random.default_rng(4)
         )
         self.identity: dict[str, Any] = {}
-        self.begin_anew()
+        self.restart_decoding()
         self.clock = HostClock()
         self.locks = DRIVER.locks(self.config, self.send, self.clock)
         self.raw: list[tuple[int, bytes, int]] = []
@@ -64,7 +64,7 @@ class Bench:
         self.bytes_in = 0
         self.deaf = False
 
-    def begin_anew(self) -> None:
+    def restart_decoding(self) -> None:
         self.pipeline = DRIVER.pipeline("encoder", self.config, self.identity)
 
     def send(self, data: bytes) -> None:

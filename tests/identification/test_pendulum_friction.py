@@ -220,7 +220,7 @@ def test_a_wrong_mass_is_found_out_and_not_tried_for_ever() -> None:
     )
     knowledge = Knowledge.nominal(campaign.rig.physics).with_found(found, {n: 1e-3 * v for n, v in found.items()})
     with pytest.raises(ReleaseLeftOut) as refused:
-        fit_release(campaign.point("E"), knowledge, np.radians(0.05), tell=messages.append)
+        fit_release(campaign.point("E"), knowledge, np.radians(0.05), notify=messages.append)
     assert re.match(r"pendulum A's mass -0\.[789]", refused.value.causes[0])
     assert len(messages) < 10
 

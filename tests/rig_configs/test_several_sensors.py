@@ -22,7 +22,7 @@ def test_a_witness_leaves_the_axis_to_its_sensor() -> None:
     assert roles.along("x") is LOW
     assert roles.displacements == (LOW, NORTH)
     assert roles.witnesses == (TOP,)
-    assert roles.beside(TOP) is LOW
+    assert roles.measuring_sensor(TOP) is LOW
     assert roles.gain_stds == (0.001, 0.001)
     assert roles.device_of == {"laser/x": "low", "laser/y": "north", "laser/top": "top"}
     assert roles.duties == {"low": "x", "north": "y", "top": "witness of x, compared with low"}
@@ -39,9 +39,12 @@ def test_two_sensors_of_an_axis_need_a_choice() -> None:
 def test_a_witness_that_looks_elsewhere_is_held_against_nothing() -> None:
     askew = replace(TOP, direction_deg=30.0)
     roles = Roles.of([LOW, NORTH, askew])
-    assert roles.beside(askew) is None
+    assert roles.measuring_sensor(askew) is None
     assert "compared with no other" in roles.duties["top"]
-    assert Roles.of([replace(LOW, direction_deg=30.0), replace(NORTH, direction_deg=120.0)]).beside(askew) is not None
+    assert (
+        Roles.of([replace(LOW, direction_deg=30.0), replace(NORTH, direction_deg=120.0)]).measuring_sensor(askew)
+        is not None
+    )
 
 
 @pytest.mark.parametrize(

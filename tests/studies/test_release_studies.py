@@ -113,7 +113,7 @@ def test_a_refined_map_goes_on_from_its_tiles_and_others_give_the_same(tmp_path:
     for name in ARRAYS:
         np.testing.assert_array_equal(found.arrays[name], same.arrays[name])
     for study in studies:
-        TileFolder(tmp_path / "tiles", study).forget()
+        TileFolder(tmp_path / "tiles", study).remove()
     assert not (tmp_path / "tiles").exists()
 
 

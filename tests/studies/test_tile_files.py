@@ -108,8 +108,8 @@ def test_a_folder_is_removed_with_its_tiles_unless_something_else_is_in_it(folde
     folder.keep(0, packed({"a": np.ones(3)}))
     stranger = folder.path / "notes.txt"
     stranger.write_text("mine")
-    folder.forget()
+    folder.remove()
     assert [path.name for path in folder.path.iterdir()] == ["notes.txt"]
     stranger.unlink()
-    folder.forget()
+    folder.remove()
     assert not folder.path.exists()

@@ -27,10 +27,10 @@ class DrivePipeline:
         losses: see Pipeline.
         frames: frames of the last `feed`, for the host's own CANopen client.
         host_beats: heartbeats under the host's number.
-        told, complaint: see TellsItself; the length of the reports shows the drive's mapping.
+        has_reported, complaint: see DescribesItself; the length of the reports shows the drive's mapping.
     """
 
-    told = True
+    has_reported = True
 
     def __init__(self, device: str, config: MotorDrive) -> None:
         self.losses = {"damaged_lines": 0, "refused_lines": 0}

@@ -35,7 +35,7 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
             "commands too (both wire pairs of RS422), and does another program or master command it? Switch it off "
             "and on"
         )
-    talk.begin_anew()
+    talk.restart_decoding()
     dialogue = _Dialogue(device, config, talk)
     dialogue.command("OUTPUT NONE")  # the answer to the first one may have been lost in the stream
     dialogue.command("ECHO ON")

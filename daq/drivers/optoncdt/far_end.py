@@ -127,7 +127,7 @@ class SimulatedLaser(FarEnd):
         """See FarEnd. After power-up the sensor answers commands, does not stream, and counts from 0."""
         super().power(on, now_s)
         if on:
-            self._clock.begin_anew(now_s)
+            self._clock.reset(now_s)
             self._next = self._counter = 0
             self._commands = self._fresh_commands()
 

@@ -36,7 +36,7 @@ def configure(device: str, settings: RiftekLaser, talk: Talk) -> dict[str, Any]:
             "carry commands too (both wire pairs of RS422), and does another program command it? Switch it "
             "off and on"
         )
-    talk.begin_anew()
+    talk.restart_decoding()
     dialogue = _Dialogue(device, settings, talk)
     info = dialogue.identify()
     if abs(info.range_m - settings.range_m) > 1e-6:

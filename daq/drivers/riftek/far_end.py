@@ -212,7 +212,7 @@ class SimulatedRiftek(FarEnd):
         """See FarEnd. After power-up the sensor has its stored parameters, does not stream, and counts from 0."""
         super().power(on, now_s)
         if on:
-            self._clock.begin_anew(now_s)
+            self._clock.reset(now_s)
             self.streaming, self._next, self._number = False, None, 0
             self.parameters = dict(self._stored)
             self._request.clear()

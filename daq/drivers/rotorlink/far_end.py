@@ -282,7 +282,7 @@ class SimulatedNode(FarEnd):
         """
         self._without_supply = not on
         if on:
-            self._clock.begin_anew(now_s)
+            self._clock.reset(now_s)
             self._next = self._index = self._seq = 0
             self._pending = []
             self._acted.clear()

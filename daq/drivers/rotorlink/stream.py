@@ -87,7 +87,7 @@ class NodePipeline:
         self._last_us: int | None = None
 
     @property
-    def told(self) -> bool:
+    def has_reported(self) -> bool:
         """See TellsItself."""
         return self.status is not None
 

@@ -131,7 +131,7 @@ class TiltDriver(PlainDriver):
             raise DeviceError(
                 f"{device} on {settings.port}: no answer to ID?. Is it powered, its line at {settings.baud} baud?"
             ) from error
-        talk.begin_anew()
+        talk.restart_decoding()
         talk.send(b"START\n")
         return {"model": model, "serial": serial}
 
