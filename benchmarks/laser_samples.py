@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import channels
-from daq.drivers.optoncdt import distance_words
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.items import RX, Batch
 from rig_configs import load_rig

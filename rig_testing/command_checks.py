@@ -7,8 +7,7 @@ from daq.channels import LOCKS_CLOSED
 from daq.drivers.contract import MovesLocks, SpeedControl, TurnsRotor
 from daq.errors import DeviceError, LinkLost, ProcedureError
 from rig_basics.units import TO_RPM
-from rig_configs.roles import PendulumAngles, PendulumLocks
-from rig_configs.roles import SpeedSource as SpeedRole
+from rig_configs.roles import PendulumAngles, PendulumLocks, SpeedSource as SpeedRole
 from rig_testing.bench import DriverBench
 from rig_testing.report import Failed, NotTried, need
 from rig_testing.subject import RAMP_RPM_S, SPEED_RPM, Subject, together, turn

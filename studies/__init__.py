@@ -4,3 +4,7 @@ A `Study` is a question with a number of tiles. A `TileFolder` contains one fini
 tiles, in this process, in processes of its own or on dask's workers. `run_study` joins the three: tiles in the folder
 are not computed again, so that the same command continues after an interruption.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

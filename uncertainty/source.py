@@ -105,7 +105,7 @@ class ErrorSource:
 
     @property
     def width(self) -> int:
-        """Number of columns of this source in a table of errors: 1."""
+        """Number of columns of this source in a table of errors, which is 1."""
         return 1
 
     @property

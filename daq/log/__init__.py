@@ -4,19 +4,6 @@ The reader is imported at its first use: it takes a third of a second to load, a
 need it.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from daq.log.opened import Log, open_log
-
-__all__ = ["Log", "open_log"]
-
-
-def __getattr__(name: str) -> Any:
-    if name in __all__:
-        from daq.log import opened  # noqa: PLC0415 (a third of a second, only for readers)
-
-        return getattr(opened, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -20,8 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, cast
 
-from mcap.records import Channel as ChannelRecord
-from mcap.records import Schema
+from mcap.records import Channel as ChannelRecord, Schema
 
 from daq.channels import EVENTS_TOPIC, HEALTH_TOPIC, RAW_PREFIX, RAW_SCHEMA_NAME, Channel, unpack_raw
 from daq.errors import ChannelMissing, LogError

@@ -4,22 +4,6 @@ They verify the compiled kernel (tests/dynamics/test_derivation.py). `dynamics` 
 Text: docs/theory/equations_of_motion.md, docs/theory/misprints.md.
 """
 
-from dynamics.derivation.lagrange import LagrangeEquations, lagrange_equations, rotating_frame_equations
-from dynamics.derivation.linearised import (
-    ISOTROPIC,
-    LinearMotion,
-    linearised,
-    singular_point_equations,
-    singular_point_matrices,
-)
+import lazy_loader
 
-__all__ = [
-    "ISOTROPIC",
-    "LagrangeEquations",
-    "LinearMotion",
-    "lagrange_equations",
-    "linearised",
-    "rotating_frame_equations",
-    "singular_point_equations",
-    "singular_point_matrices",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 
-from dynamics.derivation import source_equations as source
-from dynamics.derivation import symbols as s
+from dynamics.derivation import source_equations as source, symbols as s
 from dynamics.derivation.lagrange import energies, lagrange_equations, rotating_frame_equations
 from dynamics.derivation.linearised import ISOTROPIC, singular_point_equations, singular_point_matrices
 from dynamics.derivation.symbols import Expr, Matrix, sp

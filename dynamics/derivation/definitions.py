@@ -17,8 +17,7 @@ import scipy.integrate
 import scipy.linalg
 
 from dynamics.arrays import Array
-from dynamics.derivation import source_equations as source
-from dynamics.derivation import symbols as s
+from dynamics.derivation import source_equations as source, symbols as s
 from dynamics.derivation.comparison import compare
 from dynamics.derivation.effects import POINTS, NumericMotion, rig, variants
 from dynamics.derivation.lagrange import lagrange_equations, rotating_frame_equations

@@ -11,8 +11,7 @@ import numpy as np
 import scipy.linalg
 
 from dynamics.arrays import Array, Complex
-from dynamics.derivation import source_equations as source
-from dynamics.derivation import symbols as s
+from dynamics.derivation import source_equations as source, symbols as s
 from dynamics.derivation.comparison import comparison
 from dynamics.derivation.lagrange import rotating_frame_equations
 from dynamics.derivation.linearised import ISOTROPIC, LinearMotion, at_rest, linearised, singular_point_matrices

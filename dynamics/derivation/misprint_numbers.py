@@ -17,8 +17,7 @@ from dynamics.derivation.effects import (
     states_at_rest,
     variants,
 )
-from dynamics.derivation.run_up_faults import PrintedFaults, ReleaseMotion, release
-from dynamics.equations.parameters import Pendulum, RotorParameters
+from dynamics.derivation.run_up_faults import SCRIPT_SPEED_RAD_S, PrintedFaults, ReleaseMotion, release, script_rig
 from dynamics.steady.singular_points import dynamic_stiffness
 
 _solvers: Any = scipy.optimize  # scipy has no annotations
@@ -129,17 +128,6 @@ def border_shift(slack: float = 1e-5) -> tuple[float, float]:
 
     right = border(1.0)
     return right, border(1.0 + slack) - right
-
-
-def script_rig() -> RotorParameters:
-    """The run-up script's values: 500 N/m, 10 N s/m, 0.0005 N m s/rad, M_P twice 0.1209 kg."""
-    mass, k, c = 7.0 + 0.2418 + 0.15, 500.0, 10.0
-    pendulum = Pendulum(0.075, 0.054, 0.0005)
-    zeta = c / (2 * math.sqrt(k * mass))
-    return RotorParameters(7.0, 0.2418, 40 * 25.4e-3 / 48, pendulum, pendulum, k, k, zeta, zeta)
-
-
-SCRIPT_SPEED_RAD_S = 2 * math.pi * 20
 
 
 @functools.cache

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from dynamics.derivation import misprint_numbers as numbers
-from dynamics.derivation.run_up_faults import ReleaseMotion
+from dynamics.derivation.run_up_faults import SCRIPT_SPEED_RAD_S, ReleaseMotion, script_rig
 
 
 def program_section() -> list[str]:
@@ -15,8 +15,8 @@ def program_section() -> list[str]:
     error, sampling = numbers.piecewise_errors(100)
     fine, _ = numbers.piecewise_errors(400)
     border, shift = numbers.border_shift()
-    rig = numbers.script_rig()
-    ratio = numbers.SCRIPT_SPEED_RAD_S / rig.natural_frequencies_rad_s[0]
+    rig = script_rig()
+    ratio = SCRIPT_SPEED_RAD_S / rig.natural_frequencies_rad_s[0]
     same = "to 1e-12" if sampling < 1e-12 else f"to {sampling:.0e}"
     rows = [
         (

@@ -17,7 +17,9 @@ import numpy as np
 from dynamics.arrays import Array
 from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import C1, C2, CA, CB, JA, JB, K1, K2, MASS, SA, SB, SP
-from dynamics.equations.parameters import RotorParameters
+from dynamics.equations.parameters import Pendulum, RotorParameters
+
+SCRIPT_SPEED_RAD_S = 2 * math.pi * 20
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,14 @@ class ReleaseMotion:
         return 0.0 if len(outside) == 0 else max(0.0, float(self.time_s[outside[-1]] - self.time_s[self.released]))
 
 
+def script_rig() -> RotorParameters:
+    """The run-up script's values: 500 N/m, 10 N s/m, 0.0005 N m s/rad, M_P twice 0.1209 kg."""
+    mass, k, c = 7.0 + 0.2418 + 0.15, 500.0, 10.0
+    pendulum = Pendulum(0.075, 0.054, 0.0005)
+    zeta = c / (2 * math.sqrt(k * mass))
+    return RotorParameters(7.0, 0.2418, 40 * 25.4e-3 / 48, pendulum, pendulum, k, k, zeta, zeta)
+
+
 @compiled
 def script_rates(
     y: Array,
@@ -87,7 +97,7 @@ def script_rates(
         psi, omega: rotor phase (rad) and speed (rad/s).
         p: RotorParameters.packed().
         locked: whether both pendulums are locked.
-        no_push_back, speed_runs_on: the faults.
+        without_reaction, integrates_locked_speed: the faults.
     """
     turning = not locked or integrates_locked_speed
     coupled = turning and not without_reaction

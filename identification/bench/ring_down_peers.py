@@ -7,8 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize
-from scipy import signal as scipy_signal
+from scipy import linalg, optimize, signal as scipy_signal
 
 from identification.bench.decays import DecayTrial
 from identification.bench.trials import MethodResult

@@ -112,7 +112,7 @@ class Tracker:
     tick_s: float = 1e-3
     imbalance_std: float = 0.05
     run_out_m: tuple[complex, complex] = (0j, 0j)
-    filtering: Callable[..., None] = filter_readings
+    filtering: Callable[..., None] = field(default_factory=lambda: filter_readings)
 
     def __post_init__(self) -> None:
         self._origin_ns: int | None = None

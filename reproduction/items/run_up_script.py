@@ -10,8 +10,7 @@ from matplotlib.axes import Axes
 
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.style import MEASURED, MODEL, label
-from dynamics.derivation.misprint_numbers import SCRIPT_SPEED_RAD_S, script_rig
-from dynamics.derivation.run_up_faults import PrintedFaults, ReleaseMotion, release
+from dynamics.derivation.run_up_faults import SCRIPT_SPEED_RAD_S, PrintedFaults, ReleaseMotion, release, script_rig
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import Workspace, numbers_of
 

@@ -9,8 +9,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -20,8 +19,7 @@ from analysis.figures.log_marks import Marks
 from analysis.figures.log_overview import COLUMNS, Trace, draw_log_overview
 from daq.channels import LASER_X, PENDULUMS, TACHO, Channel
 from daq.items import Batch, DeviceEvent
-from daq.log import content as log_content
-from daq.log import open_log
+from daq.log import content as log_content, open_log
 from daq.log.file import LogFile
 from tests.daq.small_log import write_small_log
 

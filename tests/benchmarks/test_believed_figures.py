@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.stats import binom
 
 from benchmarks import believed_figures as figures
-from benchmarks.worlds import Effects, Spread
-from benchmarks.worlds import campaign as laboratory
+from benchmarks.worlds import Effects, Spread, campaign as laboratory
 from benchmarks.worlds.campaign import Plan, campaign, is_routine, names_effect
 from uncertainty.binomial import binomial_interval
 

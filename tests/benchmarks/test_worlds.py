@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from benchmarks.worlds import Effects, Spread, World, campaign_tests, draw_world, record, with_effect
 from benchmarks.worlds.motion import STEP_S, Mechanics, SwingingMass, Turning, moved

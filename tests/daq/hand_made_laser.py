@@ -6,8 +6,7 @@ import queue
 from collections.abc import Mapping
 from typing import Any
 
-from daq.drivers.optoncdt import dialogue
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import dialogue, wire as optoncdt
 from daq.drivers.optoncdt.settings import Laser
 from daq.transports import HostClock
 

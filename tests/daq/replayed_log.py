@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from daq.channels import HEALTH_TOPIC
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.devices import make_pipelines
-from daq.drivers.optoncdt import distance_words
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.log.file import LogFile

@@ -10,8 +10,7 @@ import numpy as np
 from daq.acquisition.recorder import Recorder
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.devices import make_pipelines
-from daq.drivers.optoncdt import distance_words
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.items import RX, Batch
 from daq.transports import HostClock, slcan

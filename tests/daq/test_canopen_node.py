@@ -7,8 +7,7 @@ import struct
 import canopen
 import pytest
 from canopen.sdo.exceptions import SdoAbortedError
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import Adapter, NmtState, SdoServer, drive_objects

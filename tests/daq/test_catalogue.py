@@ -17,8 +17,7 @@ from unittest.mock import patch
 import mcap.writer
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from daq.catalogue import Catalogue, Entry, Query, cache, facts, parse_instant, search
 from daq.catalogue.cache import NAME, CachedFacts, Stamp

@@ -1,8 +1,7 @@
 """CiA 402 and CiA 301 pieces against the standard's tables."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.drivers.cia402 import wire as cia
 

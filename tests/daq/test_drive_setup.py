@@ -7,8 +7,7 @@ from collections.abc import Callable
 from typing import cast
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START, Objects, SdoServer, drive_objects

@@ -1,8 +1,7 @@
 """The amplitude interlock: a single sample beyond the limit does not trip it, a motion beyond the limit does."""
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.acquisition.exceedance import Exceedance
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from daq import channels
-from daq.drivers.optoncdt import distance_words
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.optoncdt.blocks import measure
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.items import RX, Batch, DeviceEvent

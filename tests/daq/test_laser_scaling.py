@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from daq import channels
-from daq.drivers.optoncdt import distance_words, sensor_answers
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.blocks import measure
 from daq.drivers.optoncdt.far_end import SimulatedLaser
 from daq.drivers.optoncdt.played import PlayedLaser

@@ -7,14 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from daq import channels
 from daq.channels import suspects
-from daq.drivers.optoncdt import distance_words
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.spikes import LOOK_AHEAD, SpikeWatch
 from daq.items import RX, Batch, DeviceEvent

@@ -6,12 +6,10 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from daq import channels
-from daq.drivers.optoncdt import sensor_answers
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.stream import DEFAULT_WORDS, LaserPipeline
 from daq.errors import DeviceError
 from daq.items import RX, Batch, DeviceEvent

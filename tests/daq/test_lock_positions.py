@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.acquisition.lock_positions import battery_low, flagged, lock_positions, lock_tolerance_deg, misplaced
 from daq.drivers.rotorlink import wire as rotorlink

@@ -7,8 +7,7 @@ import mcap.writer
 import numpy as np
 import pytest
 import zstandard
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from mcap.reader import make_reader
 
 from daq import channels as ch

@@ -7,13 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.channels import HEALTH_TOPIC, LASER_X, RX, TX
 from daq.items import Batch, DeviceEvent
-from daq.log import Log, open_log
-from daq.log import content as log_content
+from daq.log import Log, content as log_content, open_log
 from daq.log.content import (
     RawContent,
     channel_content,

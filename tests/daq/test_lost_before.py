@@ -13,8 +13,7 @@ from benchmarks.damaged_logs import chunk_spans, make_shape
 from daq.catalogue import Catalogue
 from daq.drivers.devices import make_pipelines
 from daq.items import RX, Batch
-from daq.log import lost_before as module
-from daq.log import open_log, opened, recover
+from daq.log import lost_before as module, open_log, opened, recover
 from daq.log.file import LogFile
 from daq.log.losses import losses_of
 from daq.log.lost_before import lost_metadata, read_lost

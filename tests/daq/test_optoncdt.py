@@ -4,12 +4,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 from hypothesis.extra.numpy import arrays
 
-from daq.drivers.optoncdt import distance_words, sensor_answers
-from daq.drivers.optoncdt import wire as nc
+from daq.drivers.optoncdt import distance_words, sensor_answers, wire as nc
 from daq.errors import DeviceError
 
 WORDS = ("DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.drivers.optoncdt import sensor_answers
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines, outputs_of

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from daq.signals.order_noise import OrderNoise
 from daq.signals.window_means import WindowMeans, amplitude_means, orbit_means, whole_revolutions

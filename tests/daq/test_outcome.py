@@ -6,8 +6,7 @@ import threading
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.log.numbering import next_number, one_at_a_time
 from daq.log.outcome import ending, not_reached, tripping

@@ -11,8 +11,7 @@ from contextlib import contextmanager
 from unittest.mock import patch
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.acquisition.session import Session
 from daq.transports import open_link, paced_clock, wires

@@ -10,15 +10,12 @@ from pathlib import Path
 import canopen
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.played import PlayedDrive
-from daq.drivers.optoncdt import dialogue as lasers
-from daq.drivers.optoncdt import sensor_answers
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import dialogue as lasers, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.played import PlayedLaser, WholeBlocks
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.played import PlayedNode

@@ -1,8 +1,7 @@
 """The newest samples of a channel: the requested stretch is returned, and the memory is bounded."""
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.acquisition.recent import Recent
 from daq.channels import TACHO

@@ -12,8 +12,7 @@ from mcap.reader import make_reader
 from benchmarks.damaged_logs import ATTACHMENTS, METADATA, chunk_spans, make_shape
 from daq import channels as ch
 from daq.errors import LogError, RecordingError
-from daq.log import open_log
-from daq.log import recover as module
+from daq.log import open_log, recover as module
 from daq.log.file import LogFile
 from daq.log.recover import recover
 from daq.mcap.writer import BlockWriter

@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from daq import channels
 from daq.channels import suspects
-from daq.drivers.riftek import stream as riftek
-from daq.drivers.riftek import wire
+from daq.drivers.riftek import stream as riftek, wire
 from daq.drivers.riftek.driver import DRIVER
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.riftek.stream import RiftekPipeline

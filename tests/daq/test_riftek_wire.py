@@ -6,8 +6,7 @@ import random
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.decoder import DecodedResults, ResultDecoder

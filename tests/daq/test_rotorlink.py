@@ -5,8 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from cobs import cobs
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.drivers.rotorlink import wire as rl
 from daq.drivers.rotorlink.line import FrameDecoder

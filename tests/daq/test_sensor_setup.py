@@ -13,9 +13,7 @@ import pytest
 from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.drivers.contract import Pipeline
 from daq.drivers.devices import make_pipelines
-from daq.drivers.optoncdt import dialogue as lasers
-from daq.drivers.optoncdt import sensor_answers
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import dialogue as lasers, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.errors import DeviceError
 from daq.items import RX, DeviceEvent

@@ -1,8 +1,7 @@
 """LAWICEL text: round trips, any chunking, damage."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.transports.slcan import BEL, CanFrame, DecodedLines, LineDecoder, encode
 

@@ -8,16 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from daq import channels
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
-from daq.drivers.optoncdt import distance_words
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, wire as optoncdt
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.line import FrameDecoder

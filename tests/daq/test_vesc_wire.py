@@ -6,8 +6,7 @@ import random
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.ramp import SetpointRamp

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from dynamics import RotorParameters, Scene, SpeedHistory, multipliers, release_outcome, simulate, steady_states
 from dynamics.equations.parameters import imbalance_radius

@@ -7,8 +7,7 @@ import math
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from dynamics.equations.balancing import balanced_angles, balancing_region, closing_angles, gravity_disk
 from dynamics.equations.parameters import Pendulum, RotorParameters

@@ -9,8 +9,7 @@ import mpmath
 import numpy as np
 import pytest
 import sympy as sp
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from dynamics import Pendulum, RotorParameters
 from dynamics.derivation import (
@@ -19,8 +18,8 @@ from dynamics.derivation import (
     rotating_frame_equations,
     singular_point_equations,
     singular_point_matrices,
+    symbols as s,
 )
-from dynamics.derivation import symbols as s
 from dynamics.derivation.lagrange import energies
 from dynamics.derivation.scenes import compiled, moving_rows, rig_values, scene_arguments
 from dynamics.equations.balancing import balanced_angles

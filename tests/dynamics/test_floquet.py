@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.linearised import PeriodicMatrix, along, rotating_frame, type_one

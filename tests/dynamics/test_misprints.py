@@ -9,9 +9,14 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from dynamics.derivation import misprint_numbers, misprints, rotating_frame_equations, source_listing
-from dynamics.derivation import source_equations as source
-from dynamics.derivation import symbols as s
+from dynamics.derivation import (
+    misprint_numbers,
+    misprints,
+    rotating_frame_equations,
+    source_equations as source,
+    source_listing,
+    symbols as s,
+)
 from dynamics.derivation.comparison import compare, comparison, comparisons
 from dynamics.derivation.definitions import definitions, lagrange_rows
 from dynamics.derivation.effects import POINTS, rig, variants

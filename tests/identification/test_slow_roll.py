@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from test_run_up_passages import Passage, assert_covers, ramp
 
 from dynamics.equations.speed_history import SpeedHistory

@@ -7,8 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from synthetic import Campaign
 
 from dynamics.equations.kernels import rk4_step

@@ -5,8 +5,7 @@ from __future__ import annotations
 from multiprocessing import Pipe
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from live.angles import FIRST_DEG, shown_deg, within_a_turn

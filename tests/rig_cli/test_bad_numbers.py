@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from cyclopts import App
 
-from rig_cli.main import commands as command_line
-from rig_cli.main import run
+from rig_cli.main import commands as command_line, run
 
 ABSENT = "/nowhere/absent"
 NEEDED = {  # what else a command needs to come as far as its numbers; nothing of it is there

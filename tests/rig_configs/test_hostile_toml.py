@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from daq.replay.calibration import Calibration
 from rig_configs import IdentifiedParameters, ParametersFileError, RigFileError, load_rig

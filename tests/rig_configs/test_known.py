@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from rig_configs import RigFileError, load_rig
 from rig_configs.known import INDEX, PHYSICAL, ZERO_A, ZERO_B, physical_numbers, with_number

@@ -8,8 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drivers.optoncdt import distance_words, sensor_answers
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules, steps_from
-from daq.drivers.optoncdt import distance_words, sensor_answers
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncdt
 from daq.drivers.optoncdt.blocks import CleanBlocks, may_begin_block, measure, take_clean_blocks
 from daq.drivers.optoncdt.rows import RowOrder
 from daq.drivers.optoncdt.settings import Laser

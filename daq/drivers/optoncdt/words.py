@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drivers.optoncdt import sensor_answers
-from daq.drivers.optoncdt import wire as optoncdt
+from daq.drivers.optoncdt import sensor_answers, wire as optoncdt
 
 _MIN_BLOCKS = 3  # consecutive blocks that decide
 _MAX_BYTES = 4096  # undecided after this many bytes, the old words are kept
