@@ -21,6 +21,7 @@ from live.model import LiveModel
 from live.serving import Serving
 from live.signals import Signals
 from live.source import Facts
+from rig_basics.log_output import show_log_as_parent
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
@@ -174,6 +175,7 @@ def run_page(
     port: int,
 ) -> None:
     """Run the page's process: serve until the other side closes the pipe."""
+    show_log_as_parent()
     for name in ("SIGINT", "SIGHUP"):  # a terminal sends them to both processes; the session decides when to end
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from contextlib import nullcontext
 from errno import EDQUOT, EFBIG, ENOSPC
 from io import TextIOWrapper
@@ -23,6 +23,7 @@ from dynamics.compiled_code import keep_compiled_code
 from live.errors import LiveError
 from reproduction.errors import ReproductionError, UnknownItem
 from rig_basics.errors import RigError
+from rig_basics.log_output import show_log
 from rig_cli import answer, crash
 from rig_cli.console import notify, wait_for_compilation
 from rig_cli.misused import error_panel, error_words
@@ -92,6 +93,7 @@ _VERBS = {  # modules are imported when their verb is called: `rig --help` and `
 _FULL = (ENOSPC, EDQUOT, EFBIG)  # disk full, quota of the user exceeded, file larger than the file system allows
 _PARAMETERS = "Show identified parameters, compare them, follow them over time."
 _DRIVER = "List the installed drivers, check one against what every driver must do."
+_LOG_LEVEL = "--log-level"
 _STUDY = "Run whole campaigns by the hundred, or identify an archive again; on one machine or many."
 _VIRTUAL = "Start a virtual rig; operate it from another terminal."
 _USE_COMPILED = {
@@ -124,7 +126,9 @@ def commands(loaded: Collection[str] = ()) -> App:
         suppress_keyboard_interrupt=False,
         default_parameter=NUMBERS_ARE_FINITE,
         version=software_version,
-        help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.",
+        help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.\n\n"
+        "Every command takes --log-level LEVEL (debug, info, warning or error): lines about what the software does and "
+        "which errors it ignores, on standard error.",
     )
     for module, verbs in _VERBS.items():
         for verb, line in verbs.items():
@@ -140,7 +144,35 @@ def commands(loaded: Collection[str] = ()) -> App:
 def run(arguments: list[str]) -> int:
     """Carry out one command and return the exit code."""
     answer.begin(arguments)
-    return answer.ended(_carried_out(arguments))
+    try:
+        rest, level = split_log_level(arguments)
+        if level is not None:
+            show_log(level)
+    except RigError as error:
+        notify(f"rig: {error}")
+        answer.give_error(str(error), 2)
+        return answer.ended(2)
+    return answer.ended(_carried_out(rest))
+
+
+def split_log_level(arguments: Sequence[str]) -> tuple[list[str], str | None]:
+    """Return the command line without `--log-level LEVEL`, and the level.
+
+    Raises:
+        UnknownLevel: no level follows.
+    """
+    rest, level = list[str](), None
+    words = iter(arguments)
+    for word in words:
+        if word == "--":
+            return [*rest, word, *words], level
+        if word == _LOG_LEVEL:
+            level = next(words, "")
+        elif word.startswith(f"{_LOG_LEVEL}="):
+            level = word.removeprefix(f"{_LOG_LEVEL}=")
+        else:
+            rest.append(word)
+    return rest, level
 
 
 def _carried_out(arguments: list[str]) -> int:

@@ -20,6 +20,7 @@ from live.foxglove.client import Turn
 from live.foxglove.protocol import ChannelMessages, Offered, offered
 from live.foxglove.server import FoxgloveServer
 from live.newest import Rows
+from rig_basics.log_output import show_log_as_parent
 from rig_configs.schema import Rig
 
 NoteRow = tuple[str, int, Mapping[str, Any]]
@@ -99,6 +100,7 @@ def facts_of(rig: Rig) -> dict[str, str]:
 
 def run_foxglove(pipe: Connection, rig: Rig, port: int, origins: tuple[str, ...]) -> None:
     """Serve until the other side closes the pipe."""
+    show_log_as_parent()
     for name in ("SIGINT", "SIGHUP"):  # a terminal sends them to both processes; the session decides when to end
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

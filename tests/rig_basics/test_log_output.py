@@ -1,0 +1,101 @@
+"""The log is silent until it is shown; `--log-level` shows it, also in child processes; ignored errors leave a line."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rig_basics.ignoring import ignoring
+from rig_basics.log_output import LEVELS, PACKAGES, VARIABLE, UnknownLevel, show_log, show_log_as_parent
+from rig_cli.main import split_log_level
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(autouse=True)
+def _restored(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv(VARIABLE, "")
+    before = {name: (log.handlers, log.level, log.propagate) for name in PACKAGES if (log := logging.getLogger(name))}
+    yield
+    for name, (handlers, level, propagate) in before.items():
+        log = logging.getLogger(name)
+        log.handlers, log.level, log.propagate = handlers, level, propagate
+
+
+def test_every_package_with_code_is_shown() -> None:
+    found = {path.parent.name for path in ROOT.glob("*/py.typed")}
+    assert set(PACKAGES) == found - {"rig_basics"}
+
+
+def test_without_a_call_nothing_is_written(capfd: pytest.CaptureFixture[str]) -> None:
+    logging.getLogger("daq.x").info("hidden")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_level_shows_lines_from_it_on(capfd: pytest.CaptureFixture[str]) -> None:
+    show_log("INFO")
+    logging.getLogger("daq.x").debug("too detailed")
+    logging.getLogger("daq.x").info("shown")
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert "daq.x: shown" in err
+    assert "too detailed" not in err
+
+
+def test_a_child_process_shows_its_lines_too() -> None:
+    program = (
+        "import logging; from rig_basics.log_output import show_log_as_parent; show_log_as_parent();"
+        "logging.getLogger('live.y').warning('from the child')"
+    )
+    show_log("warning")
+    child = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "live.y: from the child" in child.stderr
+
+
+def test_a_child_process_without_level_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    show_log_as_parent()
+    assert logging.getLogger("daq").handlers == []
+
+
+def test_an_unknown_level_is_refused() -> None:
+    with pytest.raises(UnknownLevel, match="'loud': expected one of debug"):
+        show_log("loud")
+    assert not os.environ[VARIABLE]
+
+
+@pytest.mark.parametrize("words", [["--log-level", "debug", "log", "x"], ["log", "x", "--log-level=debug"]])
+def test_the_option_is_taken_from_any_place(words: list[str]) -> None:
+    assert split_log_level(words) == (["log", "x"], "debug")
+
+
+def test_words_after_two_dashes_are_not_options() -> None:
+    assert split_log_level(["log", "--", "--log-level", "x"]) == (["log", "--", "--log-level", "x"], None)
+
+
+def test_a_missing_level_is_refused_by_the_command() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "rig_cli.entry", "log", "--log-level"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert f"expected one of {', '.join(LEVELS)}" in done.stderr
+
+
+def test_an_ignored_error_leaves_a_line(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.DEBUG), ignoring(logging.getLogger("daq.z"), "closing the port", OSError, KeyError):
+        raise FileNotFoundError("gone")
+    assert caplog.messages == ["closing the port: ignored FileNotFoundError: gone"]
+
+
+def test_another_error_is_not_ignored() -> None:
+    with pytest.raises(ValueError, match="wrong"), ignoring(logging.getLogger("daq.z"), "reading", OSError):
+        raise ValueError("wrong")
