@@ -12,6 +12,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import Connection
 from typing import Any, Self
 
+from rig_basics.log_output import show_log_as_parent
 from studies.engines.lifeline import end_with_parent
 from studies.errors import TileFailed
 from studies.study import Study
@@ -83,5 +84,6 @@ class Processes:
 
 def _begin(lifeline: Connection) -> None:
     """Prepare a process before its first tile: it ignores Ctrl-C and ends with its parent."""
+    show_log_as_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent(lifeline)
