@@ -23,8 +23,9 @@ def exists(name: str) -> bool:
         place = ROOT.joinpath(*parts[:count])
         module = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
         if module.is_file():
-            rest = parts[count:]
-            return not rest or re.search(rf"\b{rest[0]}\b", module.read_text(encoding="utf-8")) is not None
+            rest, stub = parts[count:], module.with_suffix(".pyi")
+            text = module.read_text(encoding="utf-8") + (stub.read_text(encoding="utf-8") if stub.is_file() else "")
+            return not rest or re.search(rf"\b{rest[0]}\b", text) is not None
     return False
 
 
