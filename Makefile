@@ -46,6 +46,11 @@ lint: setup
 	$(UV) run --no-sync ruff format --check .
 	$(UV) run --no-sync pyright
 	$(UV) run --no-sync lint-imports
+	mkdir -p out
+	for package in */py.typed; do \
+		$(UV) run --no-sync pyright --ignoreexternal --verifytypes $${package%/*} >out/types.txt \
+			|| { cat out/types.txt; exit 1; }; \
+	done
 
 setup: | $(UV_FILE)
 	$(UV) sync --frozen --inexact --quiet --compile-bytecode
