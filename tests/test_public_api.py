@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 import subprocess
 import sys
+import tomllib
 from inspect import isclass, isroutine
 from pathlib import Path
 
 import pytest
+
+from daq.version import software_version
 
 ROOT = Path(__file__).parents[1]
 STUBS = sorted(path for path in ROOT.glob("*/**/__init__.pyi") if "site-packages" not in path.parts)
@@ -55,3 +59,12 @@ def test_importing_the_packages_loads_no_large_library_and_writes_no_file(tmp_pa
 def test_a_name_that_is_not_listed_is_refused() -> None:
     with pytest.raises(AttributeError):
         importlib.import_module("identification").no_such_name  # noqa: B018
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    cited = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)
+    changes = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    assert cited is not None
+    assert changes is not None
+    assert project["version"] == cited[1] == changes[1] == software_version()
