@@ -166,12 +166,38 @@ def phase_noise_covariance(
         for k in range(len(effect)):
             effect[k] += own[k] if axis == 0 else np.interp(x.time_s, channel.time_s, own[k])
     width = np.gradient(x.time_s)
-    variance = np.interp(x.time_s, phase.noise_time_s, phase.noise_density) / width
     # a step of a random walk moves everything after it
     later = np.cumsum(effect[:, ::-1], axis=1)[:, ::-1]
-    random = (effect * variance) @ effect.T + (later * (phase.wander_density * width)) @ later.T
+    random = white_phase_covariance(phase, x.time_s, effect) + (later * (phase.wander_density * width)) @ later.T
     moved = effect @ rounding_errors(phase, x)
     return random + moved @ moved.T / _OFFSETS
+
+
+def white_phase_covariance(phase: PhaseHistory, time_s: Array, effect: Array) -> Array:
+    """Covariance due to the white noise of the phase's readings, shape (k, k).
+
+    Between marks the phase is interpolated: the error of a mark acts like a triangle that ends at its neighbours.
+    Besides its slow part, a row of `effect` oscillates at twice the speed of the rotor. White noise at all instants
+    would count this oscillation too, although a phase from one mark a turn has no error that changes so fast.
+
+    Args:
+        time_s: shape (n,).
+        effect: change of each result by the phase's error at each instant, shape (k, n).
+    """
+    if phase.marks_s is None:
+        variance = np.interp(time_s, phase.noise_time_s, phase.noise_density) / np.gradient(time_s)
+        return (effect * variance) @ effect.T
+    marks = phase.marks_s
+    before = np.clip(np.searchsorted(marks, time_s) - 1, 0, len(marks) - 2)
+    share = np.clip((time_s - marks[before]) / (marks[before + 1] - marks[before]), 0.0, 1.0)
+    by_mark = np.stack(
+        [
+            np.bincount(before, row * (1 - share), len(marks)) + np.bincount(before + 1, row * share, len(marks))
+            for row in effect
+        ]
+    )
+    variance = np.interp(marks, phase.noise_time_s, phase.noise_density) / np.gradient(marks)
+    return (by_mark * variance) @ by_mark.T
 
 
 def excess_covariance(record: RunUpRecord, design: Design, jacobian: np.ndarray) -> np.ndarray:

@@ -60,6 +60,8 @@ class PhaseHistory:
             it is known at all angles.
         wander_density: density of a random walk of the phase, rad²/s, such as the integral of a noisy speed.
         rounding: rounding of an encoder, if its steps are most of the noise. noise_density is then the remainder.
+        marks_s: instants of the marks, shape (k,), s, if the phase is interpolated between marks: each mark has an
+            error of its own, and the phase has no noise that changes faster. None if it is read all the time.
     """
 
     history: SpeedHistory
@@ -70,6 +72,7 @@ class PhaseHistory:
     mark_rad: float = float("nan")
     wander_density: float = 0.0
     rounding: Rounding | None = None
+    marks_s: Array | None = None
 
     @classmethod
     def from_samples(cls, time_s: np.ndarray, phase_rad: np.ndarray) -> PhaseHistory:
@@ -154,7 +157,7 @@ class PhaseHistory:
         start, end = float(time_s[_SKIPPED_MARKS]), float(time_s[-_SKIPPED_MARKS])
         once = float(np.median(np.abs(np.diff(phase_rad)))) > np.pi
         mark = float(phase_rad[0] % (2 * np.pi)) if once else float("nan")
-        return cls(history, start, end, middle, density, mark, wander)
+        return cls(history, start, end, middle, density, mark, wander, marks_s=time_s)
 
 
 def _sparse(time_s: np.ndarray, phase_rad: np.ndarray) -> SpeedHistory:

@@ -14,10 +14,12 @@ from daq.signals.run import Run
 from dynamics.equations.speed_history import SpeedHistory
 from identification import FitFailed, NotIdentifiable, RunUpFit, fit_run_up, fit_run_up_run
 from identification.run_up import fit as run_up_fit
+from identification.run_up.design import white_phase_covariance
 from identification.run_up.forced_oscillator import Excitation, responses_at
 from identification.run_up.rotor_phase import PhaseHistory
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
+TURN = 2 * np.pi
 Speed = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
 
@@ -317,6 +319,34 @@ def test_an_integrated_noisy_speed_lengthens_intervals(by_marks: bool) -> None:
     assert np.median(longer) > 2.0
     assert np.mean(np.abs(z) < 1.96) > 0.8
     assert np.max(np.abs(z)) < 5
+
+
+def test_errors_of_marks_act_through_the_interpolation_between_them() -> None:
+    """Each mark is moved alone; the phase between marks follows the spline that a passage is fitted with."""
+    turns = 60
+    marks = np.cumsum(0.1 - 0.0005 * np.arange(turns))
+    phase = PhaseHistory.from_marks(
+        marks + 1e-6 * np.random.default_rng(5).standard_normal(turns), TURN * np.arange(turns)
+    )
+    time = np.arange(marks[2], marks[-3], 1e-3)
+    turned = np.interp(time, marks, TURN * np.arange(turns))
+    slow = np.exp(-(((time - 2.0) / 0.6) ** 2))
+    effect = np.stack([slow * np.cos(turned) ** 2, slow * np.sin(turned) * np.cos(turned), slow * time])
+    moved = np.zeros((3, turns))
+    for j in range(turns):
+        error = np.zeros(turns)
+        error[j] = 1e-6
+        shown = SpeedHistory.from_phases(marks, TURN * np.arange(turns) + error).phase(time)[:, 0]
+        moved[:, j] = (
+            effect @ (shown - SpeedHistory.from_phases(marks, TURN * np.arange(turns)).phase(time)[:, 0]) / 1e-6
+        )
+    std = np.interp(marks, phase.noise_time_s, np.sqrt(phase.noise_density / np.diff(marks)))
+    expected = (moved * std**2) @ moved.T
+    found = white_phase_covariance(phase, time, effect)
+    assert np.diag(found)[[0, 2]] == pytest.approx(np.diag(expected)[[0, 2]], rel=0.06)
+    assert np.sqrt(found[1, 1]) < 0.05 * np.sqrt(found[0, 0]), "what oscillates within a turn averages out"
+    at_all_instants = white_phase_covariance(replace(phase, marks_s=None), time, effect)
+    assert at_all_instants[0, 0] > 1.4 * found[0, 0]
 
 
 def test_uneven_times_are_no_wander_of_the_phase() -> None:
