@@ -168,7 +168,7 @@ def _whitened(change: np.ndarray, covariance: np.ndarray, own: np.ndarray, blur:
         blur: variance of a change, over that of `own` in the same direction, below which it is rounding.
     """
     size, vectors = np.linalg.eigh(0.5 * (own + own.T))
-    kept = size > max(_MIN_EIGENVALUE, 1e-15 * float(size[-1]))
+    kept = size > _MIN_EIGENVALUE
     white = vectors[:, kept] / np.sqrt(size[kept])  # whiteᵀ own white = 1
     inner = white.T @ covariance @ white
     share, directions = np.linalg.eigh(0.5 * (inner + inner.T))
