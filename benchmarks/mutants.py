@@ -42,6 +42,8 @@ from cosmic_ray.operators.provider import OperatorProvider
 ROOT = Path(__file__).resolve().parents[1]
 LEFT_OUT = ("VariableReplacer", "VariableInserter")  # they need the names of variables
 LEAST_TIMEOUT_S = 120.0
+PROTECTIONS = ("strict", "frozen")  # of zip and dataclass: no caller depends on them
+FOR_SPEED = ("njit", "lru_cache")
 POLL_S = 0.02
 BROKEN = 70  # exit code of a process that did not run the tests
 PYTEST = ("-x", "-q", "--no-header", "-p", "no:cacheprovider", "--hypothesis-seed=0")
@@ -142,7 +144,7 @@ def sample(room: str, patterns: list[str], count: int, seed: int) -> list[Mutant
 
 
 def mutations(path: Path) -> Iterator[tuple[str, int, int, int]]:
-    """Every mutation of a module outside annotations and imports for type checking: operator, occurrence, position."""
+    """Every mutation of a module outside of `_not_executed` code: operator, occurrence, line, column."""
 
     source = path.read_text(encoding="utf-8")
     skipped = _not_executed(ast.parse(source))
@@ -166,16 +168,29 @@ def mutations(path: Path) -> Iterator[tuple[str, int, int, int]]:
 
 
 def _not_executed(tree: ast.Module) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Spans of annotations and of blocks for type checkers."""
+    """Spans of annotations, of blocks for type checkers, and of code for speed or against programming errors alone.
+
+    Annotations with calls are executed: pydantic's limits of a number.
+    """
     nodes: list[ast.expr | ast.If] = []
     for node in ast.walk(tree):
+        for decorator in getattr(node, "decorator_list", ()):
+            if ast.unparse(decorator).startswith(FOR_SPEED):
+                nodes.append(decorator)
+        if isinstance(node, ast.keyword) and node.arg in PROTECTIONS:
+            nodes.append(node.value)
         if isinstance(node, ast.arg | ast.AnnAssign) and node.annotation:
             nodes.append(node.annotation)
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.returns:
             nodes.append(node.returns)
         elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             nodes.append(node)
+    nodes = [node for node in nodes if isinstance(node, ast.If) or not _is_limit(node)]
     return [((n.lineno, n.col_offset), (n.end_lineno or 0, n.end_col_offset or 0)) for n in nodes]
+
+
+def _is_limit(node: ast.expr) -> bool:
+    return ast.unparse(node).startswith("Annotated") and any(isinstance(part, ast.Call) for part in ast.walk(node))
 
 
 def _mutant(room: str, module: str, line: int, operator: str, occurrence: int) -> Mutant | None:
@@ -211,22 +226,28 @@ def run(mutants: list[Mutant], tests: list[str], jobs: int) -> Iterator[Verdict]
                 warnings.simplefilter("ignore")
                 importlib.import_module(module)  # inherited by the processes of the mutants, which start faster so
         limits = (max(LEAST_TIMEOUT_S, 4 * process.cpu_s), max(LEAST_TIMEOUT_S, 10 * process.seconds))
-        waiting, running = list(reversed(mutants)), list[tuple[Mutant, Path, str, _Process]]()
+        waiting = list(reversed(mutants))
+        running = list[tuple[Mutant, Path, str, tuple[int, int], _Process]]()
+        for copy in free[1:]:
+            shutil.copytree(free[0], copy, dirs_exist_ok=True)
         while waiting or running:
             while waiting and free:
                 mutant, copy = waiting.pop(), free.pop()
                 path = copy / mutant.module
-                source = path.read_text(encoding="utf-8")
+                source, status = path.read_text(encoding="utf-8"), path.stat()
+                times = (status.st_atime_ns, status.st_mtime_ns)
                 path.write_text(_mutated(source, mutant.operator, mutant.occurrence), encoding="utf-8")
-                running.append((mutant, copy, source, _start(copy, tests, limits, compiled="njit" in source)))
+                process = _start(copy, tests, limits, compiled="njit" in source)
+                running.append((mutant, copy, source, times, process))
             time.sleep(POLL_S)
             for entry in list(running):
-                mutant, copy, source, process = entry
+                mutant, copy, source, times, process = entry
                 if (code := process.code()) is None:
                     continue
                 running.remove(entry)
                 free.append(copy)
                 (copy / mutant.module).write_text(source, encoding="utf-8")
+                os.utime(copy / mutant.module, ns=times)  # its bytecode is valid again
                 if code == BROKEN:
                     raise SystemExit(f"the tests did not run:\n{process.words()}")
                 outcome = "timeout" if code < 0 else "survived" if code == 0 else "killed"
@@ -291,8 +312,10 @@ def _start(copy: Path, tests: list[str], limits: tuple[float, float] | None, com
         cache = copy / (".numba_mutant" if compiled else ".numba")
         if compiled:
             shutil.rmtree(cache, ignore_errors=True)
-        os.environ.update(PYTHONPATH=str(copy), PYTHONDONTWRITEBYTECODE="1", NUMBA_CACHE_DIR=str(cache))
-        sys.dont_write_bytecode = True
+        os.environ.update(PYTHONPATH=str(copy), NUMBA_CACHE_DIR=str(cache))
+        if limits:  # only the run without a mutation stores bytecode
+            os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+            sys.dont_write_bytecode = True
         sys.path[:] = [str(copy), *(p for p in sys.path if Path(p).resolve() != ROOT)]
         for name in [n for n, module in list(sys.modules.items()) if _is_project(module, ROOT)]:
             del sys.modules[name]
