@@ -138,9 +138,11 @@ def sample(room: str, patterns: list[str], count: int, seed: int) -> list[Mutant
             for operator, occurrence, line, column in mutations(path):
                 family = operator.split("_")[0]
                 places[(path.relative_to(ROOT).as_posix(), line, column, family)].append((operator, occurrence))
-    draw = random.Random(f"{room} {seed}")
-    chosen = draw.sample(sorted(places), min(count, len(places)))
-    return [found for place in chosen if (found := _mutant(room, place[0], place[1], *draw.choice(places[place])))]
+    # each place has its own random numbers: a larger count continues a smaller one
+    drawn = sorted(places, key=lambda place: random.Random(f"{room} {seed} {place}").random())[:count]
+    variants = [random.Random(f"{seed} {place}").choice(places[place]) for place in drawn]
+    mutants = (_mutant(room, place[0], place[1], *variant) for place, variant in zip(drawn, variants, strict=True))
+    return [found for found in mutants if found is not None]
 
 
 def mutations(path: Path) -> Iterator[tuple[str, int, int, int]]:

@@ -110,6 +110,12 @@ def test_independent_changes_have_the_chi_square_of_their_z() -> None:
     assert found.p == pytest.approx(math.exp(-12.5))
 
 
+def test_small_changes_have_shares_too() -> None:
+    found = compared({"k1_N_per_m": K1, "k2_N_per_m": K2}, {"k1_N_per_m": K1 + 0.3, "k2_N_per_m": K2 - 0.4}, [0.5, 0.5])
+    assert found.chi2 == pytest.approx(0.25)
+    assert [c.share for c in found.changes] == pytest.approx([9 / 25, 16 / 25])
+
+
 def test_parameters_of_one_set_only_are_named() -> None:
     old = IdentifiedParameters({"zeta2": ZETA1, "k1_N_per_m": K1, "zeta1": ZETA1}, np.diag([1e-10, 0.5, 1e-10]))
     new = IdentifiedParameters({"SP_kg_m": ZETA1, "k2_N_per_m": K2, "k1_N_per_m": K1 + 2.0}, np.diag([1.0, 1.0, 0.5]))
