@@ -102,7 +102,7 @@ def main() -> None:
         ]
         to_run = [m for m in drawn if m.key not in done]
         with options.out.open("a", encoding="utf-8") as kept:
-            for verdict in run(to_run, rooms[room]["tests"], options.jobs):
+            for verdict in run(to_run, rooms[room]["tests"], rooms[room].get("nearest", {}), options.jobs):
                 kept.write(json.dumps({"key": verdict.mutant.key, **asdict(verdict)}, ensure_ascii=False) + "\n")
                 kept.flush()
                 if verdict.outcome == "survived":
@@ -212,13 +212,21 @@ def _mutated(source: str, operator: str, occurrence: int) -> str:
     return mutate_code(source, OperatorProvider()[operator](), occurrence) or source
 
 
-def run(mutants: list[Mutant], tests: list[str], jobs: int) -> Iterator[Verdict]:
-    """Run the tests against each mutant, `jobs` at a time, each in a private copy of the project."""
+def run(mutants: list[Mutant], tests: list[str], nearest: dict[str, list[str]], jobs: int) -> Iterator[Verdict]:
+    """Run the tests against each mutant, `jobs` at a time, each in a private copy of the project.
+
+    Args:
+        mutants: the mutants.
+        tests: the room's tests.
+        nearest: module → tests that are run against its mutants in place of all of the room.
+        jobs: number of processes.
+    """
     if not mutants:
         return
     with contextlib.ExitStack() as stack:
         free = [_copy(stack) for _ in range(jobs)]
-        process = _start(free[0], tests, None)
+        needed = dict.fromkeys(test for m in mutants for test in nearest.get(m.module, tests))
+        process = _start(free[0], list(needed), None)
         while (code := process.code()) is None:
             time.sleep(POLL_S)
         if code != 0:
@@ -239,7 +247,8 @@ def run(mutants: list[Mutant], tests: list[str], jobs: int) -> Iterator[Verdict]
                 source, status = path.read_text(encoding="utf-8"), path.stat()
                 times = (status.st_atime_ns, status.st_mtime_ns)
                 path.write_text(_mutated(source, mutant.operator, mutant.occurrence), encoding="utf-8")
-                process = _start(copy, tests, limits, compiled="njit" in source)
+                own = nearest.get(mutant.module, tests)
+                process = _start(copy, own, limits, compiled="njit" in source)
                 running.append((mutant, copy, source, times, process))
             time.sleep(POLL_S)
             for entry in list(running):

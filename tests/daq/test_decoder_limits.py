@@ -115,6 +115,14 @@ def test_three_blocks_that_follow_one_another_decide_for_the_words() -> None:
     assert rest == short[9:]
 
 
+def test_blocks_before_damage_do_not_count_for_the_decision() -> None:
+    blocks = [optoncdt.encode_block([[5, i, 25 * i, 0]]) for i in range(5)]
+    damaged = b"".join([*blocks[:2], b"\xff", *blocks[2:4]])
+    undecided = trial(("DIST", "COUNTER", "TIMESTAMP_LO"))
+    assert undecided.feed(damaged)[0] is None
+    assert undecided.feed(blocks[4])[0] is False
+
+
 @pytest.mark.parametrize(("count", "decision"), [(4095, None), (4096, False)])
 def test_undecided_bytes_are_4096_at_most(count: int, decision: bool | None) -> None:
     undecided = trial()
