@@ -230,6 +230,31 @@ def test_the_period_is_compared_after_64_and_4096_samples() -> None:
     assert found.period_ticks == pytest.approx(25.25, abs=0.02)
 
 
+def test_rows_in_the_wrong_order_are_dropped() -> None:
+    found = order((1, 25), (2, 50))
+    assert sort(found, [(3, 75), (5, 125), (4, 100), (6, 150)]) == ([(False, [3, 5, 6])], 1)
+    assert sort(found, [(7, 175), (9, 225), (8, 200)]) == ([(False, [7, 9])], 0)
+    assert sort(found, [(10, 250)]) == ([(False, [10])], 1)
+
+
+@pytest.mark.parametrize(
+    ("period", "samples", "measured"),
+    [
+        (25.03, 66, 25.0),  # 64 samples show a period to 2/64 tick, and a clock may deviate by 2e-4
+        (25.05, 66, 1603 / 64),
+        (25.004, 4100, 25.0),  # 4096 samples to 2/4096 tick
+        (25.0075, 4100, 25.0075),
+    ],
+)
+def test_a_period_is_replaced_if_rounding_and_the_clock_do_not_explain_it(
+    period: float, samples: int, measured: float
+) -> None:
+    found = RowOrder(PERIOD)
+    for first in range(0, samples, 2):
+        sort(found, [(k, round(period * k)) for k in (first, first + 1)])
+    assert found.period_ticks == pytest.approx(measured, abs=2e-4)
+
+
 # --- RIFTEK ----------------------------------------------------------------------------------------------------
 
 
