@@ -168,7 +168,7 @@ def _whitened(change: np.ndarray, covariance: np.ndarray, own: np.ndarray, blur:
         blur: variance of a change, over that of `own` in the same direction, below which it is rounding.
     """
     size, vectors = np.linalg.eigh(0.5 * (own + own.T))
-    kept = size > max(_MIN_EIGENVALUE, 1e-15 * float(size[-1]))
+    kept = size > _MIN_EIGENVALUE
     white = vectors[:, kept] / np.sqrt(size[kept])  # whiteᵀ own white = 1
     inner = white.T @ covariance @ white
     share, directions = np.linalg.eigh(0.5 * (inner + inner.T))
@@ -181,7 +181,7 @@ def _whitened(change: np.ndarray, covariance: np.ndarray, own: np.ndarray, blur:
 
 def _rounding(parameters: IdentifiedParameters, names: Sequence[str]) -> np.ndarray:
     """Standard deviation of the rounding of a file's values, shape (n,); 0 if the values have all their digits."""
-    digits = max((_digits(v) for v in parameters.values.values()), default=17)
+    digits = max(_digits(v) for v in parameters.values.values())
     if digits >= _MIN_DIGITS or len(parameters.values) < 2:  # a single number may be round by chance
         return np.zeros(len(names))
     size = np.array([abs(parameters.values[n]) or 1.0 for n in names])

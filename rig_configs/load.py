@@ -126,7 +126,7 @@ def refusal(rig: Rig, name: str, value: float) -> str | None:
         name: name as in parameters.toml.
         value: value of the parameter, SI.
     """
-    raw = rig.model_dump(exclude_none=True)
+    raw = rig.model_dump()
     if name == "SP_kg_m" and not raw["imbalance"]["mass_kg"]:
         return None if value >= 0 else f"expected at least 0, got {value:g}"
     try:

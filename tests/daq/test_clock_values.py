@@ -1,0 +1,276 @@
+"""Clock maps and lines with values that follow from their definitions: time constants, limits, windows, seeds."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.clock import ClockMap, ClockSeed, Unwrap, clock_rules, fit_line, lower_line, steps_from
+from daq.errors import DeviceError
+
+MS = 1_000_000
+START_NS = 1_700_000_000_000_000_000
+DEVICE0_NS = 77_000 * MS
+
+
+def mapped(clock: ClockMap, device_ms: float, late_ms: float = 0.0) -> float:
+    """How much later than without delay the map places a sample at a device time, ms."""
+    device_ns = DEVICE0_NS + round(device_ms * MS)
+    host_ns = START_NS + round((device_ms + late_ms) * MS)
+    return (int(clock.map(np.array([device_ns]), host_ns)[0]) - START_NS) / MS - device_ms
+
+
+def rate_after(clock: ClockMap) -> float:
+    seed = clock.seed(2**40)
+    assert seed is not None
+    return seed.rate
+
+
+def test_an_error_of_the_first_read_decays_with_a_time_constant_of_300_ms() -> None:
+    """Reads every 10 ms: a thirtieth of the error is corrected between two reads."""
+    clock = ClockMap(50.0)
+    assert mapped(clock, 0.0, 50.0) == pytest.approx(50.0, abs=1e-6)
+    found = [mapped(clock, 10.0 * k) for k in range(1, 40)]
+    assert found == pytest.approx([50.0 * (29 / 30) ** k for k in range(39)], abs=1e-4)
+
+
+def test_a_large_error_is_corrected_with_half_the_clock_s_rate_at_most() -> None:
+    clock = ClockMap(50.0)
+    mapped(clock, 0.0, 400.0)
+    found = [mapped(clock, 10.0 * k) for k in range(1, 51)]
+    assert found == pytest.approx([400.0 - 5.0 * k for k in range(50)], abs=1e-4)
+
+
+def test_an_early_map_is_delayed_with_half_the_clock_s_rate_at_most() -> None:
+    """The seed of a clock that has been set back since: its first reads come up to 1 s late, and all others too."""
+    clock = ClockMap(50.0, seed=ClockSeed(DEVICE0_NS, START_NS, 0.0, 2**50))
+    late = [mapped(clock, 10.0 * k, 900.0) for k in range(4)]
+    assert late == pytest.approx([0.0] * 4, abs=1e-6)  # the seed's time counts as a read without delay
+    for k in range(1, 122):
+        mapped(clock, 40.0 + 250.0 * k, 900.0)
+    assert mapped(clock, 40.0 + 250.0 * 122, 900.0) > 100.0
+
+
+@pytest.mark.parametrize(("rules", "expected"), [(1, 50.0 - 1000.0 / 6), (2, 0.0), (3, 0.0)])
+def test_a_correction_ends_after_its_time_constant_from_the_second_rules_on(rules: int, expected: float) -> None:
+    clock = ClockMap(50.0, rules)
+    mapped(clock, 0.0, 50.0)
+    mapped(clock, 10.0)
+    assert mapped(clock, 1010.0) == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize(("rules", "same"), [(1, False), (2, False), (3, True)])
+def test_older_samples_change_the_map_before_the_third_rules(rules: int, same: bool) -> None:
+    plain, disturbed = ClockMap(50.0, rules), ClockMap(50.0, rules)
+    for k in range(3):
+        mapped(plain, 10.0 * k)
+        mapped(disturbed, 10.0 * k)
+    mapped(disturbed, 5.0, -20.0)
+    assert (mapped(plain, 40.0) == mapped(disturbed, 40.0)) is same
+
+
+def test_the_rules_of_a_log_are_those_of_its_identity_or_the_newest() -> None:
+    assert [clock_rules({}), clock_rules({"clock_rules": 1}), clock_rules({"clock_rules": 2})] == [3, 1, 2]
+
+
+@pytest.mark.parametrize(("drift", "rate"), [(1e-4, 1e-4), (-1e-4, -1e-4), (1e-3, 2.5e-4), (-1e-3, -2.5e-4)])
+def test_the_rate_is_fitted_after_two_seconds_and_limited_to_five_tolerances(drift: float, rate: float) -> None:
+    """A line needs eight complete bins of 0.25 s."""
+    clock = ClockMap(50.0)
+    for k in range(40):
+        mapped(clock, 50.0 * k, drift * 50.0 * k)
+    assert rate_after(clock) == 0.0
+    mapped(clock, 2000.0, drift * 2000.0)
+    assert rate_after(clock) == pytest.approx(rate, rel=1e-3)
+
+
+def test_the_line_at_the_limit_of_the_rate_lies_below_all_reads() -> None:
+    """The clock drifts by 1000 ppm and the limit is 250 ppm: the line starts at the first read."""
+    clock = ClockMap(50.0)
+    for k in range(41):
+        mapped(clock, 50.0 * k, 0.05 * k)
+    seed = clock.seed(2**50)
+    assert seed is not None
+    assert (seed.host_ns - START_NS) - (seed.device_ns - DEVICE0_NS) == pytest.approx(2.5e-4 * 2000 * MS, abs=100)
+
+
+@pytest.mark.parametrize(("bins", "seen"), [(120, True), (121, False)])
+def test_a_read_counts_for_thirty_seconds(bins: int, seen: bool) -> None:
+    """One read without delay among late ones determines the line until its bin is the 121st."""
+    clock = ClockMap(50.0)
+    for k in range(bins + 1):
+        mapped(clock, 250.0 * k, 0.0 if k == 0 else 4.0)
+    assert (rate_after(clock) != 0.0) is seen
+
+
+def test_the_least_delayed_read_of_a_bin_counts() -> None:
+    first, second = ClockMap(50.0), ClockMap(50.0)
+    for k in range(12):
+        for at, late in ((0.0, 5.0), (10.0, 1.0), (20.0, 3.0)):
+            mapped(first, 250.0 * k + at, late)
+        mapped(second, 250.0 * k + 10, 1.0)
+    a, b = first.seed(2**50), second.seed(2**50)
+    assert a is not None
+    assert b is not None
+    assert a.rate == pytest.approx(b.rate, abs=1e-9) == 0.0
+    assert a.host_ns - a.device_ns == b.host_ns - b.device_ns == START_NS - DEVICE0_NS + MS
+
+
+def seeded(early_ms: float, rate: float = 1e-4) -> tuple[float, float]:
+    """Lateness of the first sample, ms, and the mapped rate minus 1, of a map with a seed at the first read."""
+    clock = ClockMap(50.0, seed=ClockSeed(DEVICE0_NS, START_NS, rate, 2**50))
+    device_ns = np.array([DEVICE0_NS - 1000 * MS, DEVICE0_NS])
+    before, at = clock.map(device_ns, START_NS + round(early_ms * MS)).tolist()
+    return (at - START_NS) / MS, (at - before) / (1000 * MS) - 1
+
+
+@pytest.mark.parametrize(
+    ("early_ms", "lateness", "used"),
+    [
+        (0.0, 0.0, True),
+        (999.0, 0.0, True),
+        (1000.0, 1000.0, False),
+        (-4.9, -4.9, True),
+        (-5.0, -5.0, False),
+        (20.0, 0.0, True),
+    ],
+)
+def test_a_seed_holds_for_a_read_up_to_5_ms_early_and_1_s_late(early_ms: float, lateness: float, used: bool) -> None:
+    found, rate = seeded(early_ms)
+    assert found == pytest.approx(lateness, abs=1e-6)
+    assert rate == pytest.approx(1e-4 if used else 0.0, abs=1e-9)
+
+
+def test_a_seed_is_the_time_without_delay_and_its_rate_that_of_the_line() -> None:
+    clock = ClockMap(50.0)
+    assert clock.seed(5) is None
+    for k in range(200):
+        mapped(clock, 50.0 * k, 7.0 + 0.005 * k)
+    seed = clock.seed(123_456)
+    assert seed is not None
+    assert (seed.device_ns, seed.wrap_ns) == (DEVICE0_NS + 9950 * MS, 123_456)
+    assert seed.host_ns == pytest.approx(START_NS + 9950 * MS + 7.995 * MS, abs=200)
+    assert seed.rate == pytest.approx(1e-4, rel=1e-6)
+
+
+def test_a_seed_s_time_continues_over_wraps_with_its_rate() -> None:
+    seed = ClockSeed(1000, 5_000_000, 0.25, 4000)  # a wrap takes 5000 ns of the common clock
+    for wraps in (-2, -1, 0, 1, 7):
+        for device_ns, at_ns in ((1000, 5_000_000), (1400, 5_000_500), (200, 4_999_000)):
+            expected = at_ns + 5000 * wraps
+            for near in (expected - 2400, expected, expected + 2400):
+                assert seed.host_at(device_ns, near) == expected
+
+
+@pytest.mark.parametrize(
+    ("change", "accepted"),
+    [
+        ({}, True),
+        ({"rate": 0.49999}, True),
+        ({"rate": -0.49999}, True),
+        ({"rate": 0.5}, False),
+        ({"rate": -0.5}, False),
+        ({"rate": 0}, False),
+        ({"wrap_ns": 1}, True),
+        ({"wrap_ns": -1}, False),
+        ({"device_ns": 2**63 - 1}, True),
+        ({"device_ns": 2**63}, False),
+        ({"host_ns": -(2**63)}, False),
+        ({"host_ns": True}, False),
+        ({"wrap_ns": 2**63}, False),
+        ({"other": 1}, False),
+    ],
+)
+def test_numbers_of_a_seed(change: dict[str, Any], accepted: bool) -> None:
+    values = {"device_ns": 1, "host_ns": 2, "rate": 0.0, "wrap_ns": 3} | change
+    if accepted:
+        assert ClockSeed.of({"clock_seed": values}) == ClockSeed(**values)
+    else:
+        with pytest.raises(DeviceError, match=r"clocks\.json"):
+            ClockSeed.of({"clock_seed": values})
+    assert ClockSeed.of({}) is None
+
+
+@pytest.mark.parametrize(
+    ("device", "lag", "line"),
+    [
+        ([3.0], [7.0], (7.0, 0.0)),
+        ([1.0, 3.0], [5.0, 9.0], (3.0, 2.0)),
+        ([0.0, 1.0, 2.0], [0.0, 5.0, 1.0], (0.0, 0.5)),
+        ([0.0, 1.0, 2.0, 3.0, 4.0], [4.0, 1.0, 0.0, 1.0, 4.0], (2.0, -1.0)),
+        ([0.0, 1.0, 2.0, 3.0, 10.0], [4.0, 1.0, 0.0, 1.0, 15.0], (-5.0, 2.0)),
+        ([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 2.0, 3.0], (0.0, 1.0)),
+    ],
+)
+def test_the_line_below_all_points_is_the_edge_at_their_mean_time(
+    device: list[float], lag: list[float], line: tuple[float, float]
+) -> None:
+    assert lower_line(np.array(device), np.array(lag)) == pytest.approx(line)
+
+
+def record(seconds: float, rate: float, jitter_s: float = 0.0, step_s: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
+    """Device and host times of reads every 50 ms, every second one late by twice the jitter."""
+    device_s = 100.0 + np.arange(0.0, seconds + step_s / 2, step_s)
+    late = 2 * jitter_s * (np.arange(len(device_s)) % 2)
+    return device_s, 3.0 + device_s * (1 + rate) + late
+
+
+def test_a_line_without_jitter_has_the_rate_and_the_offset_of_the_record() -> None:
+    device_s, host_s = record(100.0, 2e-5)
+    line = fit_line(device_s, host_s, 50.0)
+    assert line.rate == pytest.approx(2e-5, rel=1e-4)
+    assert line.host_s(device_s) == pytest.approx(host_s, abs=1e-8)
+    assert line.jitter_s == pytest.approx(0.0, abs=1e-12)
+    # 21 bins of 5 s and a least jitter of 1 µs: the slope of evenly spaced points has the deviation σ √(12/n)/span
+    assert line.rate_std == pytest.approx(1e-6 * math.sqrt(12 / 21) / 100, rel=1e-3)
+    assert line.shared_std == pytest.approx(line.rate_std**2 / 50e-6, rel=1e-2)
+
+
+def test_a_record_within_one_sample_period_tells_the_rate_to_that_period() -> None:
+    """A period of 10 ms over 100 s is 100 ppm; uniformly distributed, its deviation is 100/√3 ppm."""
+    device_s, host_s = record(100.0, 2e-5)
+    own, prior = 1e-4 / math.sqrt(3), 5e-5
+    line = fit_line(device_s, host_s, 50.0, step_s=0.01)
+    weight = prior**2 / (prior**2 + own**2)
+    assert line.rate_std == pytest.approx((prior**-2 + own**-2) ** -0.5, rel=1e-4)
+    assert line.rate == pytest.approx(2e-5 * weight, rel=1e-3)
+    assert line.shared_std == pytest.approx(prior * own**2 / (prior**2 + own**2), rel=1e-4)
+    exact = fit_line(device_s, host_s, 50.0, step_s=0.0019)  # the lags move by 2 ms, more than a period
+    assert exact.rate_std < 1e-8
+
+
+def test_lags_in_steps_do_not_count_as_a_straight_line() -> None:
+    """Distances of 0.14 and 0.16 sample periods from the line, on the average."""
+    device_s = np.arange(0.0, 100.25, 0.25)
+    points = np.arange(len(device_s)) // 20  # one for each bin of 5 s
+    for share, straight in ((0.14, True), (0.16, False)):
+        late = 2 * share * 0.01 * (points % 2)
+        line = fit_line(device_s, device_s * (1 + 3e-4) + late, 100.0, step_s=0.01)
+        assert (line.rate_std < 4e-5) is straight
+
+
+@pytest.mark.parametrize(("seconds", "fitted"), [(1.7, False), (1.8, True), (1.45, False)])
+def test_a_record_needs_eight_bins_to_show_a_rate(seconds: float, fitted: bool) -> None:
+    """Bins of a quarter of a second."""
+    device_s, host_s = record(seconds, 1e-3, step_s=0.01)
+    line = fit_line(device_s, host_s, 50.0)
+    if fitted:
+        assert line.rate > 0
+        assert line.rate_std < 50e-6
+    else:
+        assert (line.rate, line.rate_std, line.shared_std) == pytest.approx((0.0, 50e-6, 50e-6))
+        assert line.offset_s == pytest.approx(float(np.min(host_s - device_s)))
+        assert line.jitter_s >= 0
+
+
+def test_steps_and_unwrapping() -> None:
+    assert steps_from(5, np.array([7, 6, 10])).tolist() == [2, -1, 4]
+    unwrap = Unwrap(100)
+    assert unwrap.feed(np.array([], np.uint8)).tolist() == []
+    assert unwrap.feed(np.array([90, 20], np.uint8)).tolist() == [90, 120]
+    assert unwrap.feed(np.array([69], np.uint8)).tolist() == [169]
+    assert unwrap.feed(np.array([19], np.uint8)).tolist() == [119]  # half a turn: backwards
+    assert unwrap.feed(np.array([68, 18], np.uint8)).tolist() == [168, 118]

@@ -1,0 +1,356 @@
+"""Hand-made MCAP files with one fault each: where the walk and the summary's reader find it, and what they keep."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from daq.mcap.checksum import crc32
+from daq.mcap.contents import Contents
+from daq.mcap.file_bytes import FileBytes
+from daq.mcap.reader import walk
+from daq.mcap.records import DamageError, Header
+from daq.mcap.summary_reader import FileSummary, read_summary
+from daq.mcap.writer import LIBRARY, MAGIC, METADATA_CRC, metadata_crc
+
+THEIRS = Header("another program", False)
+OURS = Header(LIBRARY, True)
+
+
+def record(kind: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", kind, len(body)) + body
+
+
+def text(data: str) -> bytes:
+    return struct.pack("<I", len(data)) + data.encode()
+
+
+def table(texts: dict[str, str]) -> bytes:
+    pairs = b"".join(text(key) + text(value) for key, value in texts.items())
+    return struct.pack("<I", len(pairs)) + pairs
+
+
+def header(library: str = THEIRS.library) -> bytes:
+    return record(1, text("") + text(library))
+
+
+def channel(number: int, topic: str) -> bytes:
+    return record(4, struct.pack("<HH", number, 0) + text(topic) + text("") + struct.pack("<I", 0))
+
+
+def message(number: int, time_ns: int, data: bytes = b"1234") -> bytes:
+    return record(5, struct.pack("<HIQQ", number, 0, time_ns, time_ns) + data)
+
+
+def chunk(records: bytes, first: int, last: int, crc: int | None = None) -> bytes:
+    body = struct.pack("<QQQI", first, last, len(records), crc32(records) if crc is None else crc)
+    return record(6, body + text("") + struct.pack("<Q", len(records)) + records)
+
+
+def indexes(**listed: list[tuple[int, int]]) -> bytes:
+    out = b""
+    for name, entries in listed.items():
+        pairs = b"".join(struct.pack("<QQ", *entry) for entry in entries)
+        out += record(7, struct.pack("<HI", int(name[1:]), len(pairs)) + pairs)
+    return out
+
+
+def metadata(name: str, texts: dict[str, str], ours: bool = False) -> bytes:
+    return record(12, text(name) + table(texts | ({METADATA_CRC: metadata_crc(name, texts)} if ours else {})))
+
+
+def data_end(crc: int = 0) -> bytes:
+    return record(15, struct.pack("<I", crc))
+
+
+def statistics(messages: int, channels: dict[int, int], chunks: int = 0, facts: int = 0, attachments: int = 0) -> bytes:
+    counts = b"".join(struct.pack("<HQ", *pair) for pair in channels.items())
+    numbers = struct.pack("<QHIIIIQQ", messages, 0, len(channels), attachments, facts, chunks, 0, 0)
+    return record(11, numbers + struct.pack("<I", len(counts)) + counts)
+
+
+def ending(before: bytes, summary: bytes, crc: int | None = 0) -> bytes:
+    """Footer and end of a file; `crc` None for the right one."""
+    start = len(before) if summary else 0
+    head = struct.pack("<BQQQ", 2, 20, start, 0)
+    return summary + head + struct.pack("<I", crc32(summary + head) if crc is None else crc) + MAGIC
+
+
+def walked(folder: Path, data: bytes) -> Contents:
+    path = folder / "a.mcap"
+    path.write_bytes(data)
+    return walk(FileBytes(path))
+
+
+def faults(contents: Contents) -> list[tuple[str, int | None, int | None, int | None]]:
+    return [(place.text, place.byte_start, place.byte_end, place.messages) for place in contents.missing]
+
+
+FRONT = MAGIC + header() + channel(1, "a") + channel(2, "b")
+LOOSE = message(1, 10) + message(2, 20) + message(1, 30)
+INNER = message(1, 10) + message(2, 20) + message(1, 30)
+
+
+def test_messages_outside_of_chunks_are_kept_where_there_is_no_chunk(tmp_path: Path) -> None:
+    data = FRONT + LOOSE + data_end()
+    found = walked(tmp_path, data + ending(data, b""))
+    assert (found.counts, found.missing) == ({1: 2, 2: 1}, [])
+    assert found.table.span() == (10, 30)
+    assert (found.table.start.tolist(), found.table.length.tolist()) == ([len(FRONT)], [len(LOOSE)])
+    unchecked = [place.text.partition(" without")[0] for place in found.unchecked]
+    assert sorted(unchecked) == ["1 data sections", "1 series of messages", "1 summaries"]
+
+
+def test_messages_outside_of_chunks_are_left_out_where_there_are_chunks(tmp_path: Path) -> None:
+    inner = message(1, 40) + message(1, 50)
+    data = FRONT + LOOSE + chunk(inner, 40, 50) + data_end()
+    found = walked(tmp_path, data + ending(data, b""))
+    assert found.counts == {1: 2}
+    (fault,) = faults(found)
+    assert fault[:3] == ("messages outside of chunks, left out", len(FRONT), len(FRONT) + len(LOOSE))
+
+
+def test_a_message_that_is_shorter_than_its_head_is_damage_up_to_the_next_record_with_a_crc(tmp_path: Path) -> None:
+    short = record(5, bytes(21))
+    facts = metadata("facts", {"a": "b"})
+    data = FRONT + LOOSE + short + facts + data_end()
+    found = walked(tmp_path, data + ending(data, b""))
+    assert (found.counts, found.metadata) == ({1: 2, 2: 1}, {"facts": {"a": "b"}})
+    place = found.missing[0]
+    assert (place.byte_start, place.byte_end) == (len(FRONT) + len(LOOSE), len(FRONT) + len(LOOSE) + len(short))
+    assert place.text == "a message shorter than its own head"
+
+
+@pytest.mark.parametrize(
+    ("crc", "wrong"), [(lambda data: 0, False), (crc32, False), (lambda data: crc32(data) ^ 1, True)]
+)
+def test_the_crc_of_the_data_section(tmp_path: Path, crc: Callable[[bytes], int], wrong: bool) -> None:
+    front = FRONT + LOOSE
+    data = front + data_end(crc(front))
+    found = walked(tmp_path, data + ending(data, b""))
+    assert found.counts == {1: 2, 2: 1}
+    expected = ("the CRC of the whole data section is wrong, though every chunk in it is right", 0, len(front), 0)
+    assert faults(found) == ([expected] if wrong else [])
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_an_end_of_the_data_has_four_bytes(tmp_path: Path, count: int) -> None:
+    data = FRONT + LOOSE + record(15, bytes(count))
+    found = walked(tmp_path, data + ending(data, b""))
+    assert "an end of the data of the wrong length" in found.missing[0].text
+    assert found.missing[0].byte_start == len(FRONT + LOOSE)
+
+
+def test_a_footer_without_an_end_of_the_data_or_without_magic_is_damage(tmp_path: Path) -> None:
+    data = FRONT + LOOSE
+    found = walked(tmp_path, data + ending(data, b""))
+    assert found.missing[0].text.endswith("a footer of another length than 20 bytes, or before the end of the data")
+    data += data_end()
+    cut = (data + ending(data, b""))[:-1]
+    found = walked(tmp_path, cut)
+    assert "after the footer" in found.missing[0].text
+    assert found.missing[0].text.startswith("the file was not finished or is cut")
+    assert found.counts == {1: 2, 2: 1}
+    long = data + record(2, bytes(21)) + MAGIC
+    assert "a footer of another length" in walked(tmp_path, long).missing[0].text
+
+
+def test_bytes_after_the_end_do_not_belong_to_the_log(tmp_path: Path) -> None:
+    data = FRONT + LOOSE + data_end()
+    whole = data + ending(data, b"")
+    found = walked(tmp_path, whole + b"x")
+    assert faults(found) == [
+        ("bytes after the end of the log, which do not belong to it", len(whole), len(whole) + 1, 0)
+    ]
+
+
+@pytest.mark.parametrize(("crc", "usable"), [(0, True), (None, True), (1, False)])
+def test_a_summary_with_another_crc_cannot_be_used(tmp_path: Path, crc: int | None, usable: bool) -> None:
+    data = FRONT + LOOSE + data_end()
+    summary = channel(1, "a") + statistics(3, {1: 2, 2: 1})
+    found = walked(tmp_path, data + ending(data, summary, crc))
+    texts = [place.text for place in found.missing]
+    assert texts == ([] if usable else ["the summary cannot be used: a summary whose CRC is wrong or missing"])
+    assert not any(place.messages for place in found.missing)
+
+
+def test_records_of_a_summary_are_not_allowed_before_the_end_of_the_data(tmp_path: Path) -> None:
+    early = statistics(0, {})
+    data = FRONT + early + chunk(INNER, 10, 30) + data_end()
+    found = walked(tmp_path, data + ending(data, b""))
+    assert found.missing[0].text == "a record of kind 0x0b, which is not allowed here"
+    assert (found.missing[0].byte_start, found.missing[0].byte_end) == (len(FRONT), len(FRONT + early))
+    assert found.counts == {1: 2, 2: 1}
+
+
+@pytest.mark.parametrize(("kind", "accepted"), [(0, False), (0x10, True), (0x80, True), (0xFF, True)])
+def test_unknown_records_of_other_writers_are_skipped(tmp_path: Path, kind: int, accepted: bool) -> None:
+    data = FRONT + record(kind, b"abc") + chunk(INNER, 10, 30) + data_end()
+    found = walked(tmp_path, data + ending(data, b""))
+    assert bool(found.missing) is not accepted
+    assert found.counts == {1: 2, 2: 1}
+
+
+def test_metadata_are_kept_by_name(tmp_path: Path) -> None:
+    data = FRONT + metadata("one", {"a": "b"}) + LOOSE + metadata("two", {"c": "d"}, ours=True) + data_end()
+    found = walked(tmp_path, data + ending(data, b""))
+    assert found.metadata == {"one": {"a": "b"}, "two": {"c": "d"}}
+    assert "1 metadata records" in [place.text.partition(" without")[0] for place in found.unchecked]
+
+
+@pytest.mark.parametrize(
+    ("listed", "fault"),
+    [
+        ({"c1": [(10, 0), (30, 70)], "c2": [(20, 35)]}, None),
+        ({}, None),  # other writers need none
+        ({"c1": [(10, 0), (30, 70)]}, "message indexes before this place do not list every message of their chunk"),
+        ({"c1": [(10, 0), (31, 70)], "c2": [(20, 35)]}, "message indexes that do not fit their chunk"),
+        (
+            {"c1": [(10, 0), (30, 70)], "c2": [(20, 35)], "c3": [(30, 70)]},
+            "message indexes that do not fit their chunk",
+        ),
+        ({"c1": [(10, 0)], "c2": [(20, 35)]}, "message indexes that do not fit their chunk"),
+    ],
+)
+def test_message_indexes_list_the_messages_of_their_chunk(
+    tmp_path: Path, listed: dict[str, list[tuple[int, int]]], fault: str | None
+) -> None:
+    whole = chunk(INNER, 10, 30)
+    data = FRONT + whole + indexes(**listed) + data_end()
+    found = walked(tmp_path, data + ending(data, b""))
+    assert found.counts == {1: 2, 2: 1}
+    assert [place.text for place in found.missing][:1] == ([] if fault is None else [fault])
+
+
+def test_a_chunk_with_a_wrong_crc_is_left_out_and_its_indexes_state_what_it_held(tmp_path: Path) -> None:
+    bad = chunk(INNER, 10, 30, crc=5)
+    good = chunk(message(2, 99), 99, 99)
+    listed = indexes(c1=[(10, 0), (30, 70)], c2=[(20, 35)])
+    data = FRONT + bad + listed + good + data_end()
+    found = walked(tmp_path, data + ending(data, b""))
+    assert found.counts == {2: 1}
+    (place,) = found.missing
+    assert place.text == "a chunk whose CRC is wrong, left out"
+    assert (place.byte_start, place.byte_end) == (len(FRONT), len(FRONT + bad + listed))
+    assert (place.messages, place.topics) == (3, ("a", "b"))
+
+
+def test_the_walk_reports_its_share(tmp_path: Path) -> None:
+    data = FRONT + LOOSE + data_end()
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data + ending(data, b""))
+    shares: list[float] = []
+    walk(FileBytes(path), shares.append)
+    assert shares == sorted(shares)
+    assert shares[0] == pytest.approx(len(MAGIC) / path.stat().st_size)
+    assert shares[-1] <= 1.0
+
+
+# --- summary ---------------------------------------------------------------------------------------------------
+
+
+def index(start: int, length: int, count: int, unpacked: int) -> bytes:
+    """Index of a chunk with messages of channel 1 only, whose message index follows it."""
+    entries = struct.pack("<HQ", 1, start + length)
+    behind = 15 + 16 * count
+    body = struct.pack("<QQQQI", 10, 30, start, length, len(entries)) + entries
+    return record(8, body + struct.pack("<Q", behind) + text("") + struct.pack("<QQ", unpacked, unpacked))
+
+
+RECORDS = message(1, 10) + message(1, 30)
+CHUNK = chunk(RECORDS, 10, 30)
+BODY = FRONT + CHUNK + indexes(c1=[(10, 0), (30, 35)]) + data_end(77)
+INDEX = index(len(FRONT), len(CHUNK), 2, len(RECORDS))
+
+
+def summarised(folder: Path, summary: bytes, of: Header = THEIRS, body: bytes = BODY, **end: int | None) -> FileSummary:
+    path = folder / "a.mcap"
+    path.write_bytes(body + ending(body, summary, end.get("crc")))
+    return read_summary(FileBytes(path), of)
+
+
+def test_a_summary_has_the_places_and_numbers_of_its_records(tmp_path: Path) -> None:
+    summary = channel(1, "a") + INDEX + statistics(2, {1: 2, 2: 0}, chunks=1)
+    for of in (OURS, THEIRS):
+        found = summarised(tmp_path, summary, of)
+        assert (found.data_end, found.data_crc) == (len(BODY) - 13, 77)
+        assert (found.table.start.tolist(), found.table.length.tolist()) == ([len(FRONT)], [len(CHUNK)])
+        assert (found.table.packed.tolist(), found.table.unpacked.tolist()) == ([len(RECORDS)], [len(RECORDS)])
+        assert (found.table.start_ns.tolist(), found.table.end_ns.tolist()) == ([10], [30])
+        assert (found.table.channel.tolist(), found.table.count.tolist()) == ([1], [2])
+        assert list(found.definitions.channels) == [1]
+        assert found.statistics is not None
+        assert (found.attachments, found.metadata) == ([], [])
+    without = summarised(tmp_path, channel(1, "a") + INDEX)
+    assert without.statistics is None
+    assert without.table.crc is None
+
+
+PLACES = record(13, struct.pack("<QQ", 5, 6) + text("facts"))
+KEPT = record(10, struct.pack("<QQQQQ", 5, 6, 0, 0, 0) + text("a.json") + text(""))
+
+
+def test_a_summary_may_be_longer_than_one_read(tmp_path: Path) -> None:
+    many = PLACES * 9000 + KEPT * 4000
+    long = record(13, struct.pack("<QQ", 5, 6) + text("f" * 300_000))
+    found = summarised(tmp_path, channel(1, "a") + many + long + INDEX + statistics(2, {1: 2}, 1, 9001, 4000))
+    assert (len(found.metadata), len(found.attachments)) == (9001, 4000)
+    assert (found.metadata[0].offset, found.metadata[0].length, found.metadata[-1].name) == (5, 6, "f" * 300_000)
+
+
+@pytest.mark.parametrize(
+    ("summary", "fault"),
+    [
+        (INDEX + statistics(2, {1: 2}, 1), "lacks channels"),
+        (channel(1, "a") + INDEX + statistics(3, {1: 2}, 1), "index everything"),
+        (channel(1, "a") + INDEX + statistics(2, {1: 1}, 1), "index everything"),
+        (channel(1, "a") + INDEX + statistics(2, {1: 2, 2: 1}, 1), "index everything"),
+        (channel(1, "a") + INDEX + statistics(2, {1: 2}, 2), "index everything"),
+        (channel(1, "a") + INDEX + PLACES + statistics(2, {1: 2}, 1), "index everything"),
+        (channel(1, "a") + INDEX + KEPT + statistics(2, {1: 2}, 1), "index everything"),
+        (channel(1, "a"), "without statistics"),
+        (channel(1, "a") + INDEX + INDEX + statistics(4, {1: 4}, 2), "contradicts itself"),
+        (channel(1, "a") + index(len(BODY) - 13 - 47, 1, 2, 99) + statistics(2, {1: 2}, 1), "points beyond the data"),
+        (channel(1, "a") + record(8, bytes(70))[:-1], "ends inside a record"),
+        (b"\x04\x05", "ends inside a record"),
+    ],
+)
+def test_a_summary_that_is_inconsistent_is_refused(tmp_path: Path, summary: bytes, fault: str) -> None:
+    with pytest.raises(DamageError, match=fault):
+        summarised(tmp_path, summary)
+
+
+def test_a_summary_that_ends_at_the_end_of_the_data_is_accepted(tmp_path: Path) -> None:
+    last = index(len(BODY) - 13 - 47 - 1, 1, 2, 99)
+    assert summarised(tmp_path, channel(1, "a") + last + statistics(2, {1: 2}, 1)).table.start.tolist() == [
+        len(BODY) - 61
+    ]
+
+
+def test_a_summary_of_ours_has_statistics_and_every_summary_has_its_crc(tmp_path: Path) -> None:
+    with pytest.raises(DamageError, match="without statistics"):
+        summarised(tmp_path, channel(1, "a") + INDEX, OURS)
+    for crc in (0, 5):
+        with pytest.raises(DamageError, match="CRC is wrong or missing"):
+            summarised(tmp_path, channel(1, "a") + INDEX, crc=crc)
+
+
+def test_a_file_without_a_summary_or_without_an_end_of_the_data_is_refused(tmp_path: Path) -> None:
+    summary = channel(1, "a") + INDEX
+    with pytest.raises(DamageError, match="no summary"):
+        summarised(tmp_path, b"")
+    for body in (BODY[:-13] + record(15, bytes(5)), BODY[:-13] + record(14, bytes(4)), BODY[:-13]):
+        with pytest.raises(DamageError, match="no end of the data before the summary"):
+            summarised(tmp_path, summary, body=body)
+    path = tmp_path / "a.mcap"
+    whole = BODY + ending(BODY, summary, None)
+    for data in (whole[:-1], whole[:-1] + b"\0", whole + b"\0", whole[: -len(MAGIC) - 29] + bytes(29) + MAGIC):
+        path.write_bytes(data)
+        with pytest.raises(DamageError, match="no footer at the end"):
+            read_summary(FileBytes(path), THEIRS)
+    path.write_bytes(MAGIC)
+    with pytest.raises(DamageError):
+        read_summary(FileBytes(path), THEIRS)
