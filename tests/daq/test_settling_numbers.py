@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.signals.approach import SLOWEST_PER_S, Approach, _slowest, bound
+from daq.signals.approach import SLOWEST_PER_S, Approach, _slowest, _unexplained, bound
 from daq.signals.settling import _more, _slipping, _visible, _worst, locked_settled, settled
 from daq.signals.window_means import WindowMeans
 
@@ -124,6 +124,38 @@ def test_a_swing_that_does_not_decay_moves_to_both_sides() -> None:
     means = np.array([(math.sin(1.3 * b) - math.sin(1.3 * a)) / 1.3 for a, b in edges])
     found = bound(edges, means, 1e-3, 2.0)
     assert 1.7 < found.remaining < 3.0
+
+
+@pytest.mark.parametrize(
+    ("means", "width", "bounded"),
+    [
+        ([-1.0, 1.0, 2.0, 1.0, 3.0, 5.0, 7.0, 5.0, 3.0], 0.1, True),  # back to where the second half began
+        ([0.0, 1.0, 2.0, 1.0, 3.0, 5.0, 7.0, 7.0, 6.3], 0.1, False),  # 3.3 of 4
+        ([0.0, 1.0, 2.0, 1.0, 3.0, 5.0, 7.0, 7.0, 6.1], 0.1, True),  # 3.1 of 4
+        ([0.0, -1.0, -2.0, -1.0, -3.0, -5.0, -7.0, -7.0, -6.3], 0.1, False),
+        ([0.0, 1.0, 2.0, 1.0, 3.0, 5.0, 7.0, 7.0, 6.3], 0.82, False),  # 4.02 widths
+        ([0.0, 1.0, 2.0, 1.0, 3.0, 5.0, 7.0, 7.0, 6.3], 0.83, True),  # 3.98 widths
+        ([-1.1, 1.0, 2.0, 1.0, 3.0, 5.0, 7.0, 7.0, 7.0], 0.1, True),  # 4.1 in the first half, 4 in the second
+        ([-0.9, 1.0, 2.0, 1.0, 3.0, 5.0, 7.0, 7.0, 7.0], 0.1, False),
+    ],
+)
+def test_a_motion_in_one_direction_that_does_not_slow_down_has_no_bound(
+    means: list[float], width: float, bounded: bool
+) -> None:
+    found = _unexplained(windows(9), np.array(means), width, 2.0)
+    left = (max(means) - min(means) + 2 * width) / math.expm1(SLOWEST_PER_S * 8.0)
+    assert found.remaining == pytest.approx(left if bounded else math.inf)
+    assert found.mean_off == pytest.approx(left * average(SLOWEST_PER_S, -2.0, 0.0) if bounded else math.inf)
+    assert (found.rate_per_s, found.seen_s) == (SLOWEST_PER_S if bounded else 0.0, 9.0)
+
+
+def test_missing_signals_are_named() -> None:
+    data = clean(lambda t: 0 * t)
+    empty = np.full_like(data[1], np.nan)
+    assert settled(data[0], empty, *data[2:]).why == "too many samples of the pendulum angles are missing"
+    silent = np.full_like(data[7], np.nan)
+    assert settled(*data[:7], silent).why == "too many samples of the displacements are missing"
+    assert locked_settled(*data[2:7], silent).why == "too many samples of the displacements are missing"
 
 
 def test_slower_approaches_are_included_the_more_the_means_move() -> None:
