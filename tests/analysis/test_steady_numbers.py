@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 
 from analysis.errors import NotEnoughData
 from analysis.steady_state import (
+    Interval,
     SteadyMeasurement,
     _locked,
     _mean_off,
@@ -365,6 +366,8 @@ def test_the_sentence_has_what_clearly_exceeds_its_uncertainty() -> None:
     large = extrapolation([60.0 * DEG, 0.0, 0.0, 0.0, 0.0, 0.0], [20.0 * DEG, DEG, UM, UM, UM, UM])
     assert large.sentence == "extrapolated to where it ends: θ3 by 60 ± 20°"
     assert extrapolation([60.0 * DEG] * 6, std, UNEXPLAINED).sentence == ""
+    metres = extrapolation([0.0, 0.0, 5.0, 0.0, 0.0, 0.0], [DEG, DEG, 1.0, 1.0, 1.0, 1.0])
+    assert metres.sentence == "extrapolated to where it ends: x by 5000000 ± 1000000 µm"
 
 
 def test_the_extrapolation_in_json_has_degrees_and_micrometres() -> None:
@@ -380,10 +383,10 @@ def test_the_extrapolation_in_json_has_degrees_and_micrometres() -> None:
         "theta3_std_deg": pytest.approx(1.0),
         "theta4_shift_deg": pytest.approx(-1.0),
         "theta4_std_deg": pytest.approx(2.0),
-        "x_shift_um": pytest.approx(5.0),
-        "x_std_um": pytest.approx(5.0),
-        "y_shift_um": pytest.approx(13.0),
-        "y_std_um": pytest.approx(math.sqrt(2.0)),
+        "x_shift_um": pytest.approx(5.0, rel=1e-9),
+        "x_std_um": pytest.approx(5.0, rel=1e-9),
+        "y_shift_um": pytest.approx(13.0, rel=1e-9),
+        "y_std_um": pytest.approx(math.sqrt(2.0), rel=1e-9),
     }
     assert replace(found, rate_per_s=math.nan).to_json()["rate_per_s"] is None
 
@@ -446,3 +449,9 @@ def test_pendulums_that_leave_less_than_fifteen_per_cent_balance(share: float, k
 def test_pendulums_within_a_right_angle_are_together() -> None:
     for apart, kind in ((89.0, "III"), (91.0, "II"), (-89.0, "III"), (-91.0, "II"), (271.0, "III"), (360.0, "III")):
         assert state_type((0.3, 0.3 + math.radians(apart)), _Moments()) == kind
+
+
+@pytest.mark.parametrize("kind", [Interval, SteadyMeasurement, ToCome])
+def test_a_result_cannot_be_changed(kind: type) -> None:
+    with pytest.raises(FrozenInstanceError):
+        object.__new__(kind).name = 1

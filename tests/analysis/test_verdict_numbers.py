@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import FrozenInstanceError, dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,6 +15,7 @@ from analysis import validation
 from analysis.agreement import (
     CAUSES_LEVEL,
     Agreement,
+    CauseStatistics,
     Statistic,
     agreement,
     cause_statistics,
@@ -24,7 +25,7 @@ from analysis.agreement import (
 from analysis.causes import Cause
 from analysis.differences import Differences
 from analysis.errors import NoStableState, NotEnoughData
-from analysis.overall import _as_kept, _Case, overall
+from analysis.overall import Overall, _as_kept, _Case, overall
 from analysis.results import PointResult
 from analysis.scores import JSON_KEYS, Score, balanced_z, finite, scores_of, sentence
 from analysis.steady_state import Interval
@@ -837,3 +838,9 @@ def test_a_point_is_judged_by_its_log(rig: Rig, measured_as: Any) -> None:
     elsewhere = validate_point(log("point-Z", 0.0), rig, identified())
     assert elsewhere.expected is None
     assert elsewhere.because == ""
+
+
+@pytest.mark.parametrize("kind", [Validation, Score, Statistic, Agreement, CauseStatistics, Overall, _Case])
+def test_a_result_cannot_be_changed(kind: type) -> None:
+    with pytest.raises(FrozenInstanceError):
+        object.__new__(kind).name = 1

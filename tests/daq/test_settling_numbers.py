@@ -1,13 +1,13 @@
 """Numbers of the settling decision by formulas of their own: limits, signs, counts of windows, sentences."""
 
 import math
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 
 from daq.signals.approach import SLOWEST_PER_S, Approach, _slowest, _unexplained, bound
-from daq.signals.settling import _more, _slipping, _visible, _worst, locked_settled, settled
+from daq.signals.settling import Settling, _more, _slipping, _Tolerances, _visible, _worst, locked_settled, settled
 from daq.signals.window_means import WindowMeans
 
 SPEED = 49.0
@@ -399,3 +399,9 @@ def test_the_worse_quantity_counts_with_the_least_width() -> None:
     assert still == bound(windows(12), np.zeros(12), 0.05, 2.0)
     wide = _worst(seen(np.zeros((12, 2)), (0.2, 0.0)), 0.5, 0.1, 2.0)
     assert wide == bound(windows(12), np.zeros(12), 0.2, 2.0)
+
+
+@pytest.mark.parametrize("kind", [Settling, _Tolerances, Approach, WindowMeans])
+def test_a_result_cannot_be_changed(kind: type) -> None:
+    with pytest.raises(FrozenInstanceError):
+        object.__new__(kind).name = 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from datetime import UTC, datetime
 from types import SimpleNamespace
 
@@ -13,14 +13,14 @@ from scipy.stats import chi2
 
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
-from identification.joint.agreement import ALARM, covariance_of_all, verdict
-from identification.joint.budget import parameter_budgets
-from identification.joint.combine import joint_estimate, reduced
-from identification.joint.limits import SOURCES, limits
-from identification.joint.provenance import kept_tests, model_share, rebuilt, with_tests
-from identification.joint.rows import rows_of
+from identification.joint.agreement import ALARM, AgreementVerdict, covariance_of_all, verdict
+from identification.joint.budget import ParameterBudgets, parameter_budgets
+from identification.joint.combine import JointEstimate, joint_estimate, reduced
+from identification.joint.limits import SOURCES, ParameterLimit, limits
+from identification.joint.provenance import KeptTest, kept_tests, model_share, rebuilt, with_tests
+from identification.joint.rows import ConsistencyRow, rows_of
 from identification.joint.shared_friction import friction_messages, with_shared_friction
-from identification.joint.weighting import weighted
+from identification.joint.weighting import Weighted, weighted
 from identification.pendulums.open_friction import OpenFriction, Together
 from identification.pendulums.transient import TransientFit
 from rig_configs import IdentifiedParameters, load_rig
@@ -670,3 +670,11 @@ def test_sources_of_known_numbers_weigh_the_tests_together() -> None:
 
 def test_the_alarm_is_one_in_a_thousand() -> None:
     assert ALARM == 1e-3
+
+
+@pytest.mark.parametrize(
+    "kind", [AgreementVerdict, ParameterBudgets, JointEstimate, ParameterLimit, KeptTest, ConsistencyRow, Weighted]
+)
+def test_a_result_cannot_be_changed(kind: type) -> None:
+    with pytest.raises(FrozenInstanceError):
+        object.__new__(kind).name = 1
