@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import FrozenInstanceError, dataclass, field, replace
 
 import numpy as np
 import pytest
 
+from analysis import steady_state
 from analysis.errors import NotEnoughData
 from analysis.steady_state import (
     Interval,
     SteadyMeasurement,
+    _angles,
+    _between,
     _locked,
     _mean_off,
+    _orders,
     _own,
     _quantisation,
+    _settling,
+    _span,
     _speed,
+    _state,
     _stated,
     locked_radius_m,
     measure,
@@ -341,6 +348,160 @@ def test_without_a_bound_the_last_change_counts() -> None:
     assert _mean_off(known) == (6.0, 7.0)
     assert _mean_off(replace(known, mean_off_rad=math.inf)) == (1.0, 7.0)
     assert _mean_off(replace(known, mean_off_m=math.inf)) == (6.0, 3.0)
+
+
+@pytest.mark.parametrize(("mark_s", "stood"), [(1.45, True), (1.55, False), (3.9, False), (None, True)])
+def test_a_rotor_without_a_mark_for_two_and_a_half_seconds_stood(mark_s: float | None, stood: bool) -> None:
+    """The time then counts from the start of the plateau."""
+    ramp = RELEASE_S + np.cumsum([0.6, 0.4, 0.3, 0.2])
+    times = np.r_[[] if mark_s is None else [mark_s], ramp, ramp[-1] + 0.125 * np.arange(1, 100)]
+    phase = 2 * math.pi * np.arange(len(times))
+    run = replace(before_release(0.0, 180.0), mark_time_s=times, mark_phase_rad=phase)
+    run = replace(run, releases=(Release(0, RELEASE_S), Release(1, RELEASE_S)))
+    release, end, free = _span(run)
+    assert free == stood
+    assert release == pytest.approx(ramp[-1] + 0.125 if stood else RELEASE_S)
+    assert end == pytest.approx(times[-3])
+
+
+@dataclass
+class Judge:
+    """In place of the settling decision: settled at some ends of the marks, and with some slack."""
+
+    ends: tuple[float, ...] = ()
+    slack: float = math.inf
+    span_s: float = 12.0
+    calls: list[dict[str, float | None]] = field(default_factory=list)
+
+    def __call__(self, *signals: np.ndarray, **options: float | None) -> Settling:
+        end = float(signals[2][-1])
+        self.calls.append(options | {"end": end, "first": float(signals[2][0]), "angle": float(signals[0][0])})
+        self.calls[-1] |= {"x": float(signals[4][0]), "y": float(signals[6][0])}
+        assert [len(signals[k]) for k in (0, 2, 4, 6)] == [len(signals[k]) for k in (1, 3, 5, 7)]
+        ok = end in self.ends or float(options["slack"] or 0.0) >= self.slack
+        return Settling(
+            ok, False, "too short" if self.span_s == 0 else "moves", 0.0, 1.0, 0.0, 1.0, self.span_s, more_s=9.0
+        )
+
+
+def long_run() -> Run:
+    t = np.arange(0.0, 61.0, 0.25)
+    return Run("point-D", "", 0.0, t, t, t, 2 * t, t, np.stack([t, t], axis=1), t, t, (), STEP)
+
+
+def test_a_state_that_was_steady_a_moment_ago_is_steady(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half a second to two and a half before, and within three tolerances now."""
+    for ago, slack, expected in (
+        (0.5, 3.0, True),
+        (1.5, 3.0, True),
+        (2.5, 3.0, True),
+        (3.0, 3.0, False),
+        (0.75, 3.0, False),
+        (1.0, 3.5, False),
+        (0.0, 9.0, True),
+    ):
+        judge = Judge((60.0 - ago,), slack)
+        monkeypatch.setattr(steady_state, "settled", judge)
+        found = _settling(long_run(), 10.0, 60.0, False)
+        assert found.settled == expected, (ago, slack)
+        if ago == 0.0:
+            assert (found.why, found.more_s, len(judge.calls)) == ("moves", 9.0, 1)
+        elif expected:
+            assert (found.why, found.more_s) == ("steady a moment ago; moves", 0.0)
+            assert [call["end"] for call in judge.calls[:2]] == [60.0, 60.0]
+        else:
+            assert (found.why, found.more_s) == ("moves", 9.0)
+
+
+def test_the_decision_has_the_last_forty_seconds_and_the_release(monkeypatch: pytest.MonkeyPatch) -> None:
+    judge = Judge((60.0,))
+    monkeypatch.setattr(steady_state, "settled", judge)
+    for release, free, angle in ((10.0, False, 9.0), (35.0, True, 20.0)):
+        _settling(long_run(), release, 60.0, free)
+        call = judge.calls[-1]
+        assert (call["first"], call["angle"], call["x"], call["y"]) == (release, angle, 20.0, 20.0)
+        assert call["release_time_s"] == (None if free else release)
+        assert (call["slack"], call["average_s"], call["angle_step_rad"]) == (1.0, 6.0, STEP)
+    monkeypatch.setattr(steady_state, "settled", Judge((), span_s=0.0))
+    with pytest.raises(NotEnoughData, match="too short"):
+        _settling(long_run(), 10.0, 60.0, False)
+
+
+def test_samples_within_an_interval_and_finite() -> None:
+    t = np.arange(5.0)
+    one = _between(t, np.array([0.0, 1.0, np.nan, 3.0, 4.0]), 1.0, 3.0)
+    assert [part.tolist() for part in one] == [[1.0, 3.0], [1.0, 3.0]]
+    pair = np.array([[0.0, 0.0], [1.0, np.nan], [2.0, 2.0], [3.0, 3.0], [4.0, 4.0]])
+    assert _between(t, pair, 1.0, 4.0)[1].tolist() == [[2.0, 2.0], [3.0, 3.0], [4.0, 4.0]]
+
+
+def turning(count: int, seconds: float = 6.0, noise: float = 0.0) -> Run:
+    """Angles with orders 1 and 2, not over whole revolutions; the rotor turns once a second."""
+    t = np.linspace(0.0, seconds, count)
+    psi = 2 * math.pi * t
+    ripple = 0.1 * np.cos(psi + 0.3) + 0.05 * np.sin(2 * psi)
+    angle = np.stack([1.0 + ripple, 2.0 - ripple], axis=1) + noise * np.random.default_rng(6).standard_normal(
+        (count, 2)
+    )
+    none = np.empty(0)
+    marks = np.arange(0.0, 7.0)
+    return Run("", "", 0.0, none, none, none, none, t, angle, marks, 2 * math.pi * marks, (), 1e-4)
+
+
+def test_mean_angles_are_free_of_orders_one_and_two() -> None:
+    mean, std = _angles(turning(1001, 5.7), 0.0, 5.7)
+    assert mean == pytest.approx([1.0, 2.0], abs=1e-9)
+    assert std == pytest.approx([0.0, 0.0], abs=1e-9)
+    mean, std = _angles(turning(4001, 5.7, 1e-2), 0.0, 5.7)
+    assert std == pytest.approx([1e-2 / math.sqrt(4001 * 5 / 5.7)] * 2, rel=0.05)  # of the five whole revolutions
+    assert mean == pytest.approx([1.0, 2.0], abs=4 * std[0])
+    still = replace(turning(1001), angle_rad=np.full((1001, 2), 1.0))
+    assert _angles(still, 0.0, 6.0)[1] == pytest.approx([1e-4 / math.sqrt(12)] * 2, rel=1e-6)
+
+
+def test_two_hundred_samples_over_two_revolutions_are_enough() -> None:
+    assert _angles(turning(200), 0.0, 6.0)[0] == pytest.approx([1.0, 2.0])
+    with pytest.raises(NotEnoughData, match=r"only 199 pendulum samples in the last 6\.0 s"):
+        _angles(turning(199), 0.0, 6.0)
+    assert _angles(turning(600), 0.0, 2.005)[0] == pytest.approx([1.0, 2.0], abs=1e-6)
+    with pytest.raises(NotEnoughData, match=r"only \d+ pendulum samples in the last 1\.9 s"):
+        _angles(turning(600), 0.0, 1.94)
+
+
+def displaced(share: float, count: int = 6000) -> tuple[Run, np.ndarray, np.ndarray]:
+    t = np.linspace(0.0, 6.0, count)
+    psi = 2 * math.pi * 8.0 * t
+    wave = 1e-3 * np.cos(psi - 0.4) + 2e-4 * np.sin(2 * psi) + 1e-4 * np.cos(3 * psi)
+    wave = wave + 1e-6 * np.random.default_rng(8).standard_normal(count)
+    wave[np.random.default_rng(7).permutation(count)[round(share * count) :]] = np.nan
+    marks = np.arange(0.0, 6.2, 0.125)
+    return replace(turning(300), mark_time_s=marks, mark_phase_rad=16 * math.pi * marks), t, wave
+
+
+def test_orders_one_to_three_of_a_laser() -> None:
+    run, t, wave = displaced(1.0)
+    orders, std = _orders(run, t, wave, 0.0, 6.0, "x")
+    assert orders == pytest.approx([1e-3 * cmath.exp(-0.4j), -2e-4j, 1e-4], abs=1e-7)
+    assert std == pytest.approx(1e-6 * math.sqrt(2 / 6000), rel=0.6)
+
+
+@pytest.mark.parametrize(("share", "count", "enough"), [(0.31, 6000, True), (0.29, 6000, False), (1.0, 55, False)])
+def test_three_tenths_of_the_samples_are_enough(share: float, count: int, enough: bool) -> None:
+    run, t, wave = displaced(share, count)
+    if enough:
+        assert _orders(run, t, wave, 0.0, 6.0, "x")[0][0] == pytest.approx(1e-3 * cmath.exp(-0.4j), abs=1e-6)
+        return
+    with pytest.raises(NotEnoughData, match=r"laser x: too few valid samples in the last 6\.0 s"):
+        _orders(run, t, wave, 0.0, 6.0, "x")
+
+
+def test_a_state_has_a_type_if_it_is_settled_or_creeps(rig: Rig) -> None:
+    known = Settling(True, False, "", 0.0, 0.0, 0.0, 0.0, 5.0)
+    moves = replace(known, settled=False)
+    assert _state(known, (0.1, 0.2), rig.physics, 0j, creeps=False) == "III"
+    assert _state(moves, (0.1, 0.2), rig.physics, 0j, creeps=True) == "III"
+    assert _state(moves, (0.1, 0.2), rig.physics, 0j, creeps=False) == "not settled"
+    assert _state(replace(known, slipping=True), (0.1, 0.2), rig.physics, 0j, creeps=True) == "slipping"
 
 
 # extrapolation

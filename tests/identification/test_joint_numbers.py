@@ -137,6 +137,29 @@ def test_a_good_value_that_is_correlated_with_the_bad_one_is_not_named() -> None
     assert {n: z > 0 for n, z in zip(both.names, both.z, strict=True)} == {K1: True, K2: False}
 
 
+@pytest.mark.parametrize(("z", "named"), [(3.6, False), (4.3, True), (-4.3, True)])
+def test_a_second_value_is_named_if_chance_reaches_it_in_a_thousandth_of_all_comparisons(z: float, named: bool) -> None:
+    """Twelve comparisons of four tests with two values: p below 10⁻³/12, |z| above 3.94."""
+    assert chi2.sf(3.94**2, 1) == pytest.approx(1e-3 / 12, rel=0.03)
+    good = [Estimate(f"t{i}", f"{i}", (K1, K2), np.array([1000.0, 2000.0]), np.eye(2)) for i in range(4)]
+    off = z * math.sqrt(TOLERATED * 4 / 3)
+    found = verdict([*good[:2], replace(good[2], values=np.array([1012.0, 2000.0 + off])), good[3]])
+    assert (found.looks, found.suspects) == (12, (2,))
+    assert found.names == ((K1, K2) if named else (K1,))
+    assert found.z == pytest.approx((12.0 / math.sqrt(TOLERATED * 4 / 3), z)[: len(found.names)])
+
+
+def test_only_values_of_the_worst_test_are_named() -> None:
+    good = [Estimate(f"t{i}", f"{i}", (K1, K2), np.array([1000.0, 2000.0]), np.eye(2)) for i in range(4)]
+    for worst, other in ((0, 2), (2, 0), (1, 2)):
+        estimates = list(good)
+        estimates[worst] = replace(good[worst], values=np.array([1014.0, 2000.0]))
+        estimates[other] = replace(good[other], values=np.array([1000.0, 2009.0]))
+        found = verdict(estimates)
+        assert found.suspects[0] == worst
+        assert found.names == (K1,)
+
+
 def test_covariance_of_all_has_common_gains_and_clocks_of_each_log() -> None:
     a = one(0.0, 1.0, 0, {"gain x": 2.0, "clock laser_x": 3.0})
     b = one(0.0, 0.5, 1, {"gain x": -1.0, "clock laser_x": 4.0})
