@@ -9,11 +9,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
-from identification.joint.agreement import ALARM, AgreementVerdict, covariance_of_all, verdict
+from identification.joint.agreement import (
+    ALARM,
+    AgreementVerdict,
+    _log_chances_of_each,
+    _log_tail,
+    _mended,
+    covariance_of_all,
+    verdict,
+)
 from identification.joint.budget import ParameterBudgets, parameter_budgets
 from identification.joint.combine import JointEstimate, joint_estimate, reduced
 from identification.joint.limits import SOURCES, ParameterLimit, limits
@@ -147,6 +155,29 @@ def test_a_second_value_is_named_if_chance_reaches_it_in_a_thousandth_of_all_com
     assert (found.looks, found.suspects) == (12, (2,))
     assert found.names == ((K1, K2) if named else (K1,))
     assert found.z == pytest.approx((12.0 / math.sqrt(TOLERATED * 4 / 3), z)[: len(found.names)])
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 6])
+def test_the_tail_of_chi2_is_continuous_and_never_underflows(dof: int) -> None:
+    for statistic in (0.0, 3.0, 900.0, 999.0, 1001.0, 1300.0):
+        assert _log_tail(statistic, dof) == pytest.approx(chi2.logsf(statistic, dof), abs=0.01)
+    assert _log_tail(-1e-9, dof) == 0.0
+    assert -5.1e5 < _log_tail(1e6, dof) < -4.9e5
+    statistics = np.array([0.0, 3.0, 999.0, 1001.0, 5000.0])
+    logs, judged = _log_chances_of_each(np.sqrt(statistics), np.eye(5))
+    assert logs == pytest.approx(math.log(2) + norm.logsf(np.sqrt(statistics)), abs=0.01)
+    assert judged.all()
+
+
+def test_a_value_that_no_other_determines_is_not_judged() -> None:
+    logs, judged = _log_chances_of_each(np.array([6.0, 1.0, 1.0]), np.diag([4.0, 2e-9, 0.5e-9]))
+    assert judged.tolist() == [True, True, False]
+    assert logs[[0, 2]] == pytest.approx([chi2.logsf(9.0, 1), 0.0])
+    assert _mended(np.array([6.0, 1.0, 1.0]), np.diag([4.0, 2e-9, 0.5e-9]), np.array([1])) == (pytest.approx(5e8), 1)
+    assert _mended(np.array([6.0, 1.0, 1.0]), np.diag([4.0, 2e-9, 0.5e-9]), np.array([2]))[1] == 0
+    assert _mended(np.array([6.0, 8.0]), np.diag([4.0, 16.0]), np.array([0, 1])) == (pytest.approx(9.0 + 4.0), 2)
+    small = np.diag([4e3, 3e-6])  # relative to the largest
+    assert _mended(np.array([0.0, 1.0]), small, np.array([0, 1]))[1] == 1
 
 
 def test_only_values_of_the_worst_test_are_named() -> None:
