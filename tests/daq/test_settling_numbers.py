@@ -6,7 +6,7 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from daq.signals.approach import SLOWEST_PER_S, Approach, _slowest, _unexplained, bound
+from daq.signals.approach import SLOWEST_PER_S, Approach, _slowest, _two_terms, _unexplained, bound
 from daq.signals.settling import Settling, _more, _slipping, _Tolerances, _visible, _worst, locked_settled, settled
 from daq.signals.window_means import WindowMeans
 
@@ -14,10 +14,11 @@ SPEED = 49.0
 TURNS = 8  # revolutions in a window of at least 1 s at 49 rad/s
 WINDOW_S = TURNS * 2 * math.pi / SPEED
 DEGREE = math.radians(1.0)
+BEGIN_S = 7.0  # of the first window
 
 
 def windows(count: int, length: float = 1.0) -> np.ndarray:
-    edges = length * np.arange(count + 1)
+    edges = BEGIN_S + length * np.arange(count + 1)
     return np.stack([edges[:-1], edges[1:]], axis=1)
 
 
@@ -28,7 +29,7 @@ def average(rate: float, begin: float, end: float) -> float:
 
 def approach(rate: float, left: float, count: int, length: float = 1.0) -> np.ndarray:
     """Window means of an approach with `left` remaining at the end of the last window."""
-    at = windows(count, length) - count * length
+    at = windows(count, length) - BEGIN_S - count * length
     return np.array([left * average(rate, begin, end) for begin, end in at])
 
 
@@ -96,6 +97,65 @@ def test_two_rates_are_bounded_by_the_sum_of_what_both_leave() -> None:
     assert found.seen_s == pytest.approx(15.0)
 
 
+@pytest.mark.parametrize(("slow", "fast"), [(SLOWEST_PER_S, 0.25), (SLOWEST_PER_S, 4.0)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_terms_that_cancel_now_are_added_with_their_absolute_values(slow: float, fast: float, sign: float) -> None:
+    """The means contain nothing else."""
+    length = 1.0 if fast < 1.0 else 0.3
+    means = sign * (5.0 + approach(slow, 1.0, 9, length) - approach(fast, 0.8, 9, length))
+    found = _two_terms(windows(9, length), means, 1e-12, 1.0, 2.0)
+    assert found is not None
+    assert found.remaining == pytest.approx(1.8, rel=0.02)
+    assert found.mean_off == pytest.approx(average(slow, -2.0, 0.0) + 0.8 * average(fast, -2.0, 0.0), rel=0.02)
+    assert found.rate_per_s == pytest.approx(slow)
+    assert found.seen_s == pytest.approx(9 * length)
+
+
+def swinging(decay: float, turn: float, phase: float) -> np.ndarray:
+    """Twelve window means of e^{−decay t} cos(turn t + phase), with t = 0 at the end of the last window."""
+    at = windows(12) - BEGIN_S - 12.0
+    rate = complex(-decay, turn)
+    return np.array([(np.exp(1j * phase) * (np.exp(rate * b) - np.exp(rate * a)) / rate).real for a, b in at])
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.8, 2.0])
+@pytest.mark.parametrize(
+    ("decay", "turn", "sides"),
+    [
+        (SLOWEST_PER_S, 0.25, 1.0),
+        (SLOWEST_PER_S, 2.8, 1.0),
+        (0.03, 0.25, 1.0),
+        (1e-4, 2.8, 2.0),
+        (-0.1, 0.25, 2.0),
+        (-0.1, 2.8, 2.0),
+    ],
+)
+def test_an_oscillation_is_bounded_by_its_amplitude(decay: float, turn: float, sides: float, phase: float) -> None:
+    """One that does not decay moves to both sides."""
+    found = _two_terms(windows(12), 3.0 + swinging(decay, turn, phase), 1e-12, 1.0, 2.0)
+    assert found is not None
+    assert found.remaining == pytest.approx(sides, rel=0.03)
+    assert found.rate_per_s == pytest.approx(max(decay, 0.0))
+    assert found.mean_off >= found.remaining
+    if sides == 1.0:
+        parts = abs(math.cos(phase)) + abs(math.sin(phase))
+        assert found.mean_off == pytest.approx(max(1.0, parts * average(decay, -2.0, 0.0)), rel=0.03)
+
+
+def test_a_bound_of_two_terms_grows_with_the_width_and_needs_a_fit() -> None:
+    means = approach(SLOWEST_PER_S, 1.0, 9, 0.3) - approach(4.0, 0.8, 9, 0.3)
+    sizes = [_two_terms(windows(9, 0.3), means, width, 1e3, 2.0) for width in (1e-12, 1e-4, 1e-3, 1e-2)]
+    bounds = [each.remaining for each in sizes if each is not None]
+    assert len(bounds) == 4
+    assert bounds[1] > bounds[0] + 1e-4
+    assert bounds[2] > bounds[1] + 1e-3
+    assert bounds[3] > bounds[2] + 1e-2
+    rough = 0.1 * np.array([1, -1, -1, 1, 1, 1, -1, 1, -1])
+    assert _two_terms(windows(9), rough, 1e-12, 0.05, 2.0) is None
+    assert _two_terms(windows(9), rough, 1e-12, 0.2, 2.0) is not None
+    assert _two_terms(windows(9), rough, 0.21, 0.2, 2.0) is None
+
+
 def test_a_crude_bound_is_enough_for_what_moves_far() -> None:
     """Two rates are not tried: the whole range of the newest nine means, at the slowest rate."""
     change = float(np.ptp(TWO_RATES[-3:]))
@@ -156,6 +216,61 @@ def test_missing_signals_are_named() -> None:
     silent = np.full_like(data[7], np.nan)
     assert settled(*data[:7], silent).why == "too many samples of the displacements are missing"
     assert locked_settled(*data[2:7], silent).why == "too many samples of the displacements are missing"
+
+
+def test_a_motion_of_fewer_windows_is_compared_by_its_halves() -> None:
+    means = np.array([0.0, 1.0, 2.0, 5.0, 6.0, 7.0, 8.5])  # 5 up to the middle window, 3.5 from it on
+    assert _unexplained(windows(7), means, 0.1, 2.0).remaining == pytest.approx(8.7 / math.expm1(SLOWEST_PER_S * 6.0))
+    assert _unexplained(windows(7), means - [0, 0, 0, 1.6, 0, 0, 0], 0.1, 2.0).remaining == math.inf
+
+
+def test_a_bound_does_not_depend_on_a_constant_part() -> None:
+    for means in (approach(2.0, 1e-2, 12), TWO_RATES[-12:], approach(0.2, 1.0, 12), np.zeros(12)):
+        plain = bound(windows(12), means, 1e-6, 2.0)
+        for constant in (-3.0, 4.0):
+            assert bound(windows(12), means + constant, 1e-6, 2.0).remaining == pytest.approx(plain.remaining, rel=1e-5)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1e3])
+def test_a_bound_scales_with_means_and_width(scale: float) -> None:
+    moving = np.zeros(12)
+    moving[0] = 2.0001
+    rough = np.array([1.0, -1, -1, 1, 1, 1, -1, 1, -1])
+    for means, width in (
+        (moving, 1.0),
+        (np.zeros(12), 1.0),
+        (rough, 1e-4),
+        (TWO_RATES, 1e-4),
+        (approach(2.0, 1e-2, 12), 1e-9),
+        (approach(0.2, 1.0, 12), 1e-3),
+        (np.exp(0.3 * np.arange(12.0)), 1e-3),
+        (swinging(0.1, 1.3, 0.0), 1e-3),
+    ):
+        plain = bound(windows(len(means)), means, width, 2.0)
+        scaled = bound(windows(len(means)), scale * means, scale * width, 2.0)
+        assert scaled.remaining == pytest.approx(scale * plain.remaining, rel=1e-6)
+        assert scaled.mean_off == pytest.approx(scale * plain.mean_off, rel=1e-6)
+        assert (scaled.rate_per_s, scaled.seen_s) == pytest.approx((plain.rate_per_s, plain.seen_s))
+
+
+def test_what_no_model_explains_to_a_tenth_of_its_range_has_the_crude_bound() -> None:
+    rough = np.array([1.0, -1, -1, 1, 1, 1, -1, 1, -1])
+    assert bound(windows(9), rough, 1e-4, 2.0).remaining == math.inf
+    ended = np.array([1.0, -1, -1, 1, 1, 1, -1, 1, 0.9])
+    expected = 2.0 * 1.02 / math.expm1(SLOWEST_PER_S * 8.0)
+    assert bound(windows(9), ended, 1e-4, 2.0).remaining == pytest.approx(expected)
+
+
+def test_means_that_agree_to_twice_the_width_are_constant() -> None:
+    """They exclude approaches, and include none that are slower than the slowest rate."""
+    still = bound(windows(12), np.zeros(12), 1.0, 2.0)
+    noise = np.array([1, -1, -1, 1, -1, 1, 1, 1, -1, -1, 1, -1])
+    assert bound(windows(12), 0.95 * noise, 1.0, 2.0).remaining <= still.remaining
+    edge = np.zeros(12)
+    edge[0] = 2.0 * (1 + 1e-12)
+    assert bound(windows(12), edge, 1.0, 2.0).remaining <= 1.2 * still.remaining
+    edge[0] = 2.0001
+    assert bound(windows(12), edge, 1.0, 2.0).remaining > 1.5 * still.remaining
 
 
 def test_slower_approaches_are_included_the_more_the_means_move() -> None:
