@@ -77,6 +77,17 @@ def test_a_straight_line_and_growth_have_no_bound() -> None:
         assert 9.0 <= found.seen_s <= 12.0
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_exact_growth_at_any_rate_has_no_bound(sign: float) -> None:
+    for rate in np.geomspace(0.03, 0.6, 25):
+        means = [sign * average(-rate, a, b) for a, b in windows(20) - BEGIN_S - 20.0]
+        assert bound(windows(20), np.array(means), 1e-9, 2.0).remaining == math.inf
+
+
+def test_a_long_straight_line_is_seen_as_a_whole() -> None:
+    assert bound(windows(30), np.arange(30.0), 1e-9, 2.0).seen_s == pytest.approx(30.0)
+
+
 def test_an_early_disturbance_leaves_the_newer_windows() -> None:
     """Of 20 windows the 14 newest fit, then 9: the series is shortened by 0.7 at a time."""
     means = approach(0.2, 1.0, 20)
