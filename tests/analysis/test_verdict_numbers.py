@@ -707,6 +707,8 @@ def test_runs_are_compared_in_the_order_of_points_and_times(
         "point-B-1.mcap",
     ]
     ((compared, _, used, angle, releases),) = asked
+    twice = [log("point-Low", 2.0), log("point-Low", 1.0), log("point-Lower", 0.0)]
+    assert list(validate(twice, rig, identified()).points) == ["Low", "Low (2)", "Lower"]  # type: ignore[arg-type]
     assert [each.name for each in compared] == ["A", "A (2)", "A (3)", "B"]
     assert angle is None
     assert releases == [rows[0], rows[2], rows[3]]
@@ -821,6 +823,10 @@ def test_a_point_is_judged_by_its_log(rig: Rig, measured_as: Any) -> None:
     found = validate_point(run, rig, identified())
     assert (found.because, found.state) == ("", expected)
     assert set(found.scores) == {"theta3", "theta4", "amplitude_x", "amplitude_y", "amplitude"}
+    measured_as(measurement(state=expected, amplitude_x_m=Interval(9e-3, 1e-6)), stable)
+    large = validate_point(run, rig, identified())
+    assert (large.verdict, large.because) == ("fail", "")
+    assert large.why.startswith("x amplitude")
     measured_as(settled, NoStableState("no stable state"))
     unstable = validate_point(run, rig, identified())
     assert (unstable.verdict, unstable.prediction, unstable.scores) == ("fail", None, {})

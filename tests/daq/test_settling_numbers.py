@@ -6,7 +6,7 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from daq.signals.approach import SLOWEST_PER_S, Approach, _slowest, _two_terms, _unexplained, bound
+from daq.signals.approach import SLOWEST_PER_S, Approach, _hidden_slow, _slowest, _two_terms, _unexplained, bound
 from daq.signals.settling import Settling, _more, _slipping, _Tolerances, _visible, _worst, locked_settled, settled
 from daq.signals.window_means import WindowMeans
 
@@ -153,6 +153,14 @@ def test_an_oscillation_is_bounded_by_its_amplitude(decay: float, turn: float, s
         assert found.mean_off == pytest.approx(max(1.0, parts * average(decay, -2.0, 0.0)), rel=0.03)
 
 
+def test_trial_rates_of_two_terms_are_dense_enough() -> None:
+    """Pairs of rates between the trial rates leave less than a hundredth of their range."""
+    for slow, fast in ((0.1, 0.5), (0.13, 1.0), (0.3, 1.5), (0.6, 2.5)):
+        means = approach(slow, 1.0, 9, 0.5) + approach(fast, 1.0, 9, 0.5)
+        range_ = float(np.ptp(means))
+        assert _two_terms(windows(9, 0.5), means, 1e-12, 0.01 * range_, 2.0) is not None
+
+
 def test_a_bound_of_two_terms_grows_with_the_width_and_needs_a_fit() -> None:
     means = approach(SLOWEST_PER_S, 1.0, 9, 0.3) - approach(4.0, 0.8, 9, 0.3)
     sizes = [_two_terms(windows(9, 0.3), means, width, 1e3, 2.0) for width in (1e-12, 1e-4, 1e-3, 1e-2)]
@@ -178,7 +186,7 @@ def test_a_crude_bound_is_enough_for_what_moves_far() -> None:
     assert (crude.rate_per_s, crude.seen_s) == (SLOWEST_PER_S, pytest.approx(9.0))
 
 
-@pytest.mark.parametrize(("rate", "standing"), [(2.0, 7), (1.0, 5)])
+@pytest.mark.parametrize(("rate", "standing"), [(2.0, 7), (1.2, 5), (1.0, 5)])
 def test_a_fast_approach_hides_a_slow_one_until_the_means_stand(rate: float, standing: int) -> None:
     """Standing: windows whose means differ by less than 2 w, with w a hundredth of the newest nine's range."""
     means = approach(rate, 1e-2, 12)
@@ -188,6 +196,19 @@ def test_a_fast_approach_hides_a_slow_one_until_the_means_stand(rate: float, sta
     assert found.remaining == pytest.approx(2 * width / math.expm1(SLOWEST_PER_S * (standing - 1)))
     assert found.mean_off / found.remaining == pytest.approx(average(SLOWEST_PER_S, -2.0, 0.0))
     assert found.rate_per_s == SLOWEST_PER_S
+
+
+def test_a_hidden_slow_approach_is_limited_by_the_time_that_the_means_stood() -> None:
+    means = np.array([9.0, 7.0, 5.0, 3.0, 5.0, 3.0, 5.0, 3.0, 5.0])
+    crude = _unexplained(windows(9), means, 0.5, 2.0).remaining
+    assert crude == pytest.approx(7.0 / math.expm1(SLOWEST_PER_S * 8.0))
+    assert _hidden_slow(windows(9), means, 0.5) == crude  # the newest two differ by four widths
+    for standing in (2, 3, 5):
+        stood = np.r_[means[: 9 - standing], np.zeros(standing)]
+        expected = 1.0 / math.expm1(SLOWEST_PER_S * (standing - 1))
+        most = _unexplained(windows(9), stood, 0.5, 2.0).remaining
+        assert _hidden_slow(windows(9), stood, 0.5) == pytest.approx(min(most, expected))
+    assert _hidden_slow(windows(9), np.zeros(9), 0.5) == pytest.approx(1.0 / math.expm1(SLOWEST_PER_S * 8.0))
 
 
 def test_a_swing_that_does_not_decay_moves_to_both_sides() -> None:
