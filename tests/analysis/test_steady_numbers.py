@@ -169,6 +169,7 @@ def test_speed_has_the_scatter_of_the_marks_and_the_rate_of_the_clock(run: Run) 
     assert speed.value == pytest.approx(SPEED, abs=4 * expected)
     clock = _speed(replace(run, clock_rate_std={"phase": 3e-5}), 14.0, 20.0)
     assert clock.std == pytest.approx(3e-5 * SPEED, rel=1e-6)
+    assert _speed(replace(run, clock_rate_std={}), 14.0, 20.0).std < 1e-9  # a clock without a stated error
     assert _speed(run, 14.01, 14.51).value == pytest.approx(SPEED)  # four marks
     with pytest.raises(NotEnoughData, match=r"only 3 tachometer marks in the last 0\.4 s"):
         _speed(run, 14.01, 14.38)
