@@ -486,6 +486,15 @@ def test_orders_one_to_three_of_a_laser() -> None:
     assert std == pytest.approx(1e-6 * math.sqrt(2 / 6000), rel=0.6)
 
 
+def test_the_noise_of_a_laser_is_that_of_order_one() -> None:
+    """Its amplitude changes from row to row by some micrometres; the other orders do not."""
+    run, t, wave = displaced(1.0)
+    row = np.floor(t)
+    beat = 5e-6 * np.where(row % 2, 1.0, -1.0) * np.cos(2 * math.pi * 8.0 * t)
+    std = _orders(run, t, wave + beat, 0.0, 6.0, "x")[1]
+    assert std == pytest.approx(5e-6 * math.sqrt(0.5 * 6 / 5 / 6), rel=0.2)
+
+
 @pytest.mark.parametrize(("share", "count", "enough"), [(0.31, 6000, True), (0.29, 6000, False), (1.0, 55, False)])
 def test_three_tenths_of_the_samples_are_enough(share: float, count: int, enough: bool) -> None:
     run, t, wave = displaced(share, count)
