@@ -519,7 +519,8 @@ def test_slipping_is_a_steady_turn_by_more_than_half() -> None:
 
 def test_time_until_the_limit() -> None:
     assert _more(Approach(8.0, 8.0, 0.5, 10.0), 1.0) == pytest.approx(math.log(8.0) / 0.5)
-    assert _more(Approach(1.0, 1.0, 0.5, 10.0), 1.0) == 0.0
+    for left in (1.0, 0.5, 0.0):
+        assert _more(Approach(left, left, 0.5, 10.0), 1.0) == 0.0
     assert _more(Approach(8.0, 8.0, 0.0, 10.0), 1.0) == math.inf
     assert _more(Approach(math.inf, math.inf, 0.0, 10.0), 1.0) == math.inf
 
