@@ -142,7 +142,7 @@ def _log_chances_of_each(residual: Array, precision: Array) -> tuple[Array, NDAr
     own = np.diag(precision)
     judged = own > _MIN_EIGENVALUE
     mended = np.where(judged, residual**2 / np.where(judged, own, 1.0), 0.0)
-    near: Array = np.log(np.maximum(chdtrc(1, np.minimum(mended, _MAX_TABULATED_CHI2)), 1e-300))
+    near: Array = np.log(chdtrc(1, np.minimum(mended, _MAX_TABULATED_CHI2)))
     half = 0.5 * np.maximum(mended, 1.0)
     far: Array = -half - 0.5 * np.log(half) - gammaln(0.5)
     return np.where(mended > _MAX_TABULATED_CHI2, far, near), judged
