@@ -17,6 +17,9 @@ import serial
 from daq.errors import LinkLost
 from daq.transports import slcan
 
+if sys.platform != "win32":
+    import termios
+
 _READ_BYTES = 65536  # size of the one reused buffer: allocating this size for every read fragments the heap
 _POLL_S = 0.1
 _LOCKED_ERRNOS = (errno.EAGAIN, errno.EBUSY)  # another program holds the lock of the serial port
@@ -88,8 +91,6 @@ def _check_parity(port: Any) -> None:
     """Configure the port to drop received bytes with a wrong parity; pyserial only generates parity when sending."""
     if sys.platform == "win32":
         return
-    import termios  # noqa: PLC0415 (not on Windows)
-
     with contextlib.suppress(OSError, AttributeError, NotImplementedError, termios.error):
         settings = termios.tcgetattr(port.fileno())
         settings[0] |= termios.INPCK | termios.IGNPAR
@@ -153,7 +154,7 @@ class SocketLink:
     """A device behind a TCP port: a serial server, or a simulated rig on a system without ptys."""
 
     def __init__(self, host: str, port: int) -> None:
-        self.name = f"socket://{host}:{port}"
+        self.name: str = f"socket://{host}:{port}"
         self._socket = socket.create_connection((host, port), timeout=5.0)
         try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -204,7 +205,7 @@ class CanLink:
     """Any CAN adapter that python-can supports. Its bytes are slcan text, so all layers above handle one CAN format."""
 
     def __init__(self, interface: str, channel: str, bitrate: int) -> None:
-        self.name = f"can:{interface}:{channel}"
+        self.name: str = f"can:{interface}:{channel}"
         self._bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate)
         self._decoder = slcan.LineDecoder()
         self._lock = threading.Lock()

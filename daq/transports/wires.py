@@ -18,6 +18,11 @@ from typing import Protocol
 
 from daq.errors import LinkLost
 
+if sys.platform != "win32":
+    import fcntl
+    import termios
+    import tty
+
 KINDS = ("pty", "tcp")
 """Kinds of wire. Windows has no ptys."""
 
@@ -83,7 +88,7 @@ class _Outbox:
     """
 
     def __init__(self) -> None:
-        self.overrun_bytes = 0
+        self.overrun_bytes: int = 0
         self._parts: deque[tuple[float, bytes]] = deque()
         self._size = 0
         self._fetched_s = 0.0  # monotonic time at which no bytes waited
@@ -134,12 +139,10 @@ class PtyWire(_Outbox):
 
     def __init__(self, notice_host: bool = False) -> None:
         super().__init__()
-        import tty  # noqa: PLC0415 (POSIX only)
-
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)  # before a host opens it: a line in cooked mode would echo the sent bytes
         os.set_blocking(self._master, False)
-        self.port = os.ttyname(self._slave)
+        self.port: str = os.ttyname(self._slave)
         if notice_host:  # an own descriptor of the host's end would hide that no host has it open
             os.close(self._slave)
             self._slave = -1
@@ -147,9 +150,6 @@ class PtyWire(_Outbox):
     def _in_cable(self) -> int:
         if self._master < 0 or self._slave < 0:
             return 0
-        import fcntl  # noqa: PLC0415 (POSIX only)
-        import termios  # noqa: PLC0415
-
         return int.from_bytes(fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)), sys.byteorder)
 
     def descriptor(self) -> int | None:
@@ -211,7 +211,7 @@ class TcpWire(_Outbox):
         super().__init__()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.setblocking(False)
-        self.port = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
+        self.port: str = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
         self._peer: socket.socket | None = None
         self._unread = b""  # last bytes of a host that has disconnected
 

@@ -36,7 +36,7 @@ class ControlServer:
     def __init__(self, token: str) -> None:
         self._token = token
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port = self._listener.getsockname()[1]
+        self.port: int = self._listener.getsockname()[1]
         self.requests: queue.Queue[tuple[dict[str, Any], queue.Queue[dict[str, Any]]]] = queue.Queue(100)
         self._unfetched = 0
         self._peers: set[socket.socket] = set()

@@ -73,7 +73,7 @@ class DriveControl:
         self._reported_rpm = 0.0
         self._reported_ns = 0
         self.dropped_out: str | None = None
-        self.was_reset = ""
+        self.was_reset: str = ""
         self.emergencies: list[int] = []
         self._armed = False
         self._network_state: cia402.Heartbeat | None = None

@@ -62,7 +62,7 @@ class SimulatedXBeeNode(SimulatedNode):
         self._escaped = config.api_mode == 2
         self._line = framing.ApiDecoder(escaped=self._escaped)
         self._waiting: list[bytes] = []  # frame data on their way to the host
-        self.out_of_reach = False
+        self.out_of_reach: bool = False
         self.receive_type = 0x90 if self._address.bits == 64 else 0x81
         self._registers = {
             "AP": bytes((config.api_mode,)),
