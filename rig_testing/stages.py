@@ -229,7 +229,7 @@ class RealTimeStage:
             if abs(self._line.ask("state")["speed_rpm"]) < 1.0:
                 break
             self.clock.wait(0.1)
-        with contextlib.suppress(ConnectionError):
+        with contextlib.suppress(ConnectionError):  # usual: the rig may end before its answer is sent
             self._line.ask("quit")
         self._process.join(_GONE_S)
         with np.load(self._truth) as kept:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import logging
 import os
 import select
 import socket
@@ -16,9 +17,12 @@ import serial
 
 from daq.errors import LinkLost
 from daq.transports import slcan
+from rig_basics.ignoring import ignoring
 
 if sys.platform != "win32":
     import termios
+
+_log = logging.getLogger(__name__)
 
 _READ_BYTES = 65536  # size of the one reused buffer: allocating this size for every read fragments the heap
 _POLL_S = 0.1
@@ -91,7 +95,7 @@ def _check_parity(port: Any) -> None:
     """Configure the port to drop received bytes with a wrong parity; pyserial only generates parity when sending."""
     if sys.platform == "win32":
         return
-    with contextlib.suppress(OSError, AttributeError, NotImplementedError, termios.error):
+    with ignoring(_log, "parity check not configured", OSError, AttributeError, NotImplementedError, termios.error):
         settings = termios.tcgetattr(port.fileno())
         settings[0] |= termios.INPCK | termios.IGNPAR
         termios.tcsetattr(port.fileno(), termios.TCSANOW, settings)
@@ -106,17 +110,17 @@ class SerialLink:
             port, baudrate=baud, parity=parity, timeout=_POLL_S, write_timeout=1.0, exclusive=True, do_not_open=True
         )
         self._port.open()
-        with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):
+        with ignoring(_log, "setting low latency", ValueError, OSError, AttributeError, NotImplementedError):
             self._port.set_low_latency_mode(True)
         if sys.platform == "win32":  # default 4096: less than a fast sensor sends between two reads
-            with contextlib.suppress(AttributeError):  # a port behind a URL has no such buffer
+            with contextlib.suppress(AttributeError):  # usual: a port behind a URL has no such buffer
                 self._port.set_buffer_size(rx_size=_READ_BYTES)
         self._buffer = memoryview(bytearray(_READ_BYTES))
         self._descriptor = None
         if parity != "N":
             _check_parity(self._port)
         if sys.platform != "win32":
-            with contextlib.suppress(OSError, AttributeError, NotImplementedError):
+            with ignoring(_log, "getting the descriptor", OSError, AttributeError, NotImplementedError):
                 self._descriptor = self._port.fileno()
         self._lock = threading.Lock()
 
@@ -146,7 +150,7 @@ class SerialLink:
 
     def close(self) -> None:
         """See Link."""
-        with contextlib.suppress(OSError, serial.SerialException):
+        with ignoring(_log, "closing the port", OSError, serial.SerialException):
             self._port.close()
 
 
@@ -196,7 +200,7 @@ class SocketLink:
 
     def close(self) -> None:
         """See Link."""
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # usual: the other end has closed the connection
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 

@@ -123,7 +123,7 @@ class VirtualRig:
         while True:
             try:
                 request, answer = self.control.requests.get_nowait()
-            except queue.Empty:
+            except queue.Empty:  # usual: no request waits
                 return
             try:
                 answer.put(self._do(request, now_s))
@@ -195,7 +195,7 @@ def serve(
         ready(path)
         if until_eof:
             threading.Thread(target=virtual.quit_at_end_of_input, daemon=True).start()
-        with contextlib.suppress(KeyboardInterrupt):
+        with contextlib.suppress(KeyboardInterrupt):  # usual: the operator ends the rig
             virtual.run()
     finally:
         if path is not None:

@@ -8,8 +8,8 @@ identifies its note as outdated.
 
 from __future__ import annotations
 
-import contextlib
 import json
+import logging
 import os
 import sys
 import tempfile
@@ -20,7 +20,10 @@ from typing import Any
 
 from daq.errors import DeviceError
 from daq.virtual_rig.control import OperatorLine
+from rig_basics.ignoring import ignoring
 from rig_configs.errors import RigConfigError
+
+_log = logging.getLogger(__name__)
 
 _FOLDER = "pendulum-balancer-rig"
 _START_ONE = "start one in another terminal: rig virtual"
@@ -145,20 +148,24 @@ def _alive() -> list[tuple[Path, Running, OperatorLine]]:
     for path in sorted(notes_folder().glob("virtual-*.json")):
         try:
             running = read_note(path)
-        except (OSError, RigConfigError):
-            continue  # the file is being removed, or is not a note
+        except (OSError, RigConfigError) as error:  # the file is being removed, or is not a note
+            _log.debug("note skipped: %s", error)
+            continue
         try:
             line = OperatorLine(running.control_port, running.token)
         except ConnectionRefusedError:
+            _log.debug("note of a rig that does not run any more removed: %s", path)
             path.unlink(missing_ok=True)
             continue
-        except OSError:
+        except OSError as error:
+            _log.info("virtual rig of %s not reached: %s", path, error)
             continue
         try:
             line.ask("truth")
-        except (OSError, ValueError):  # another program uses the port now
+        except (OSError, ValueError) as error:  # another program uses the port now
+            _log.info("note removed, because another program answers on the port of %s: %s", path, error)
             line.close()
-            with contextlib.suppress(OSError):
+            with ignoring(_log, "removing a note", OSError):
                 path.unlink()
             continue
         found.append((path, running, line))

@@ -81,7 +81,7 @@ class _SdoClient(SdoClient):
 
     def request_response(self, sdo_request: bytes) -> bytes:
         """Send a request and wait for its answer; a late answer to an earlier request is dropped."""
-        with contextlib.suppress(queue.Empty):
+        with contextlib.suppress(queue.Empty):  # usual: no late answer is left
             while True:
                 self.responses.get_nowait()
         self._requested = bytes(sdo_request[1:4])
@@ -143,7 +143,7 @@ class NodeObjects:
     def _upload(self, index: int, sub: int) -> int | None:
         try:
             answer = self._sdo.request_response(_READ.pack(0x40, index, sub, 0))
-        except SdoAbortedError:
+        except SdoAbortedError:  # usual: the drive has no such object
             return None
         if answer[0] & 0xE2 != _EXPEDITED:  # the object has more than 4 bytes
             return None

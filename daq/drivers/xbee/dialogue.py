@@ -71,7 +71,7 @@ def _query(settings: XBeeNode, talk: Talk, command: str) -> bytes | None:
         while (left := deadline - talk.clock.wall_s()) > 0:
             try:
                 reply = talk.replies.get(timeout=left)
-            except queue.Empty:
+            except queue.Empty:  # usual: no answer in time, the query is repeated
                 break
             answered_id, answered_command, value, *status = reply.split(" ")
             if (answered_id, answered_command) == (str(frame_id), command):

@@ -146,8 +146,8 @@ class SimulatedXBeeNode(SimulatedNode):
             return unheard
         try:
             frame = rotorlink.parse(payload)
-        except rotorlink.BadFrame:
-            return wire.DELIVERED  # the radio does not check the content
+        except rotorlink.BadFrame:  # usual: the radio does not check the content
+            return wire.DELIVERED
         return wire.DELIVERED if self.hear(frame, now_s, _TRIES) else unheard
 
     def dongle(self, now_s: float) -> bytes:

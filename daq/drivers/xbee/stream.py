@@ -51,7 +51,7 @@ class XBeePipeline(NodePipeline):
                 continue
             try:
                 frame = wire.parse(found)
-            except ValueError:
+            except ValueError:  # usual: a damaged frame, which is counted and reported
                 out.append(self.damaged("length"))
                 continue
             out += self._api_frame(frame, host_ns)
