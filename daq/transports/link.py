@@ -95,10 +95,12 @@ def _check_parity(port: Any) -> None:
     """Configure the port to drop received bytes with a wrong parity; pyserial only generates parity when sending."""
     if sys.platform == "win32":
         return
-    with ignoring(_log, "parity check not configured", OSError, AttributeError, NotImplementedError, termios.error):
+    try:
         settings = termios.tcgetattr(port.fileno())
         settings[0] |= termios.INPCK | termios.IGNPAR
         termios.tcsetattr(port.fileno(), termios.TCSANOW, settings)
+    except (OSError, AttributeError, NotImplementedError, termios.error) as error:
+        _log.info("parity not checked, so bytes with a wrong parity are decoded: %s", error)
 
 
 class SerialLink:
