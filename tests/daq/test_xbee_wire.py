@@ -289,5 +289,5 @@ def test_the_text_of_an_answer_gives_the_answer_again(answer: wire.AtAnswer) -> 
 
 @pytest.mark.parametrize("text", ["", "1 AP 02", "x AP 02 ok", "1 AP 0 ok", "1 AP 02 status"])
 def test_another_text_is_not_an_answer(text: str) -> None:
-    with pytest.raises(ValueError, match="invalid literal|non-hexadecimal"):
+    with pytest.raises(ValueError, match=r"invalid literal|non-hexadecimal"):
         wire.AtAnswer.of_text(text)
