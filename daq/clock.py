@@ -119,7 +119,7 @@ class ClockSeed:
             whole = all(type(ns) is int and abs(ns) < 2**63 for ns in (seed.device_ns, seed.host_ns, seed.wrap_ns))
             if whole and seed.wrap_ns > 0 and type(seed.rate) is float and abs(seed.rate) < _MAX_SLEW:
                 return seed
-        except TypeError:
+        except TypeError:  # usual: other keys, the same error as wrong values
             pass
         raise DeviceError(f"clocks.json: expected device_ns, host_ns, rate and wrap_ns of a clock, got {values!r:.120}")
 

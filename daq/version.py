@@ -9,5 +9,5 @@ def software_version() -> str:
     """Return the version of the installed package, or "unknown" if it is not installed."""
     try:
         return version("pendulum-balancer-rig")
-    except PackageNotFoundError:
+    except PackageNotFoundError:  # usual: run from a folder of the source
         return "unknown"

@@ -100,12 +100,19 @@ def _operator(control: Path | None) -> Generator[Any]:
     """Yield the connection to the running rig. A rejected request is reported as bad use.
 
     Raises:
-        RigFileError: the rig rejected a request.
-        DeviceError: no rig runs.
+        RigFileError: the rig rejected a request, or several rigs run.
+        NoRigRuns: no rig runs.
     """
-    from daq.virtual_rig.running import reach
+    from daq.virtual_rig.running import NoRigRuns, SeveralRigsRun, reach
 
-    _, line = reach(control)
+    try:
+        _, line = reach(control)
+    except NoRigRuns as error:
+        chosen = f" --control {control}" if control else ""
+        raise NoRigRuns(f"{error}, in another terminal: rig virtual{chosen}") from error
+    except SeveralRigsRun as error:
+        rows = "".join(f"\n  --control {path}   ({rig})" for path, rig in error.choices)
+        raise RigFileError(f"{len(error.choices)} virtual rigs run; choose one:{rows}") from error
     try:
         yield line
     except ValueError as error:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from daq.drivers.contract import (
     Driver,
+    FarEnd,
     LockControl,
     MovesLocks,
     Pipeline,
@@ -68,7 +69,7 @@ class RigTime(HostClock):
 class SetClockWorld(World):
     """A world in which the device clocks start at a given time."""
 
-    clock_at_s = 0.0
+    clock_at_s: float = 0.0
 
     def clock(self, device: str) -> DeviceClock:
         """See World."""
@@ -115,17 +116,20 @@ class DriverBench:
     def __init__(self, driver: Driver, seed: int = 1, clock_at_s: float | None = None) -> None:
         sensors = SimulatedSensors(laser_noise_m=NOISE_M, axis_angle_deg=0.0, draw_calibration=False)
         virtual = Virtual(seed=seed, lock_play_deg=0.0, sensors=sensors, radio=Radio(burst_start=0.0))
-        self.driver, self.settings = driver, settings_for(driver)
-        self.time = SimulatedTime(self._moved)
-        self.clock = RigTime(self.time)
-        self.motion = SimulatedMotion(load_rig("virtual").true_physics, virtual.drive.slip, virtual.drive.lag_s)
+        self.driver: Driver = driver
+        self.settings: DeviceSettings = settings_for(driver)
+        self.time: SimulatedTime = SimulatedTime(self._moved)
+        self.clock: RigTime = RigTime(self.time)
+        physics = load_rig("virtual").true_physics
+        self.motion: SimulatedMotion = SimulatedMotion(physics, virtual.drive.slip, virtual.drive.lag_s)
         world = SetClockWorld if clock_at_s is not None else World
-        self.world = world(virtual, self.motion)
+        self.world: SetClockWorld | World = world(virtual, self.motion)
         if isinstance(self.world, SetClockWorld) and clock_at_s is not None:
             self.world.clock_at_s = clock_at_s
-        self.far = driver.far_end(NAME, self.settings, self.world)
+        self.far: FarEnd = driver.far_end(NAME, self.settings, self.world)
         self.replies: queue.Queue[str] = queue.Queue()
-        self.gone = self.closed = False
+        self.closed: bool = False
+        self.gone = False
         self.control: SpeedControl | None = None
         self.locks: LockControl | None = None
         self.permitted: list[float | None] = []
@@ -251,9 +255,9 @@ class PlayedTalk:
 
     def __init__(self, bench: DriverBench, played: PlayedDevice) -> None:
         self._bench, self._played = bench, played
-        self.clock = bench.clock
+        self.clock: RigTime = bench.clock
         self.replies: queue.Queue[str] = queue.Queue()
-        self.bytes_in = 0
+        self.bytes_in: int = 0
         self.control: SpeedControl | None = None
         self.restart_decoding()
 

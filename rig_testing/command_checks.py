@@ -31,7 +31,7 @@ def check_speed_source(subject: Subject) -> str:
         bench.refuse = ProcedureError("not permitted")
         try:
             control.set_speed(SPEED_RPM)
-        except ProcedureError:
+        except ProcedureError:  # usual: the check requires this error
             pass
         else:
             raise Failed("set_speed: expected what RotorGuard.permit raises, it raised nothing")
@@ -81,7 +81,7 @@ def _refuses(bench: DriverBench, control: SpeedControl) -> None:
     bench.refuse = ProcedureError("not permitted")
     try:
         control.enable()
-    except ProcedureError:
+    except ProcedureError:  # usual: the check requires this error
         pass
     else:
         raise Failed("enable: expected what RotorGuard.permit raises, it raised nothing")
@@ -98,7 +98,7 @@ def _rejects_silence(bench: DriverBench, control: SpeedControl) -> None:
     bench.far.receive = lambda data, now_s: receive(data, now_s)[:0]
     try:
         control.disable()
-    except (DeviceError, LinkLost):
+    except (DeviceError, LinkLost):  # usual: the check requires this error
         pass
     else:
         raise Failed("disable: the device does not answer, expected DeviceError, it raised nothing")
@@ -140,14 +140,14 @@ def check_locks(subject: Subject) -> str:
         try:
             bench.far.receive = lambda data, now_s: b""  # never answers
             bench.locks.command("release both", _give_up)
-        except ProcedureError:
+        except ProcedureError:  # usual: the check requires this error
             pass
         else:
             raise Failed("command: expected what `check` raises while it waits, it raised nothing")
         bench.gone = True
         try:
             bench.locks.command("release both", lambda: None)
-        except (LinkLost, DeviceError):
+        except (LinkLost, DeviceError):  # usual: the check requires this error
             return ""
         raise Failed("command to a disconnected device: expected LinkLost or DeviceError, it raised nothing")
 

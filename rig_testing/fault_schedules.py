@@ -9,9 +9,9 @@ device.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
+import logging
 import math
 import threading
 from collections.abc import Iterator, Mapping
@@ -33,10 +33,13 @@ from daq.replay import check
 from daq.virtual_rig.faults import LINE_FAULTS
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import DeviceClock, World
+from rig_basics.ignoring import ignoring
 from rig_basics.units import RPM
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from rig_testing.stages import AFTER_S, LockstepStage, RealTimeStage, Stage, TrueMotion
+
+_log = logging.getLogger(__name__)
 
 Array = NDArray[np.floating[Any]]
 Fields = list[tuple[str, int, float]]
@@ -208,7 +211,7 @@ def _begin(stage: Stage, fault: ScheduledFault, over: threading.Event) -> None:
             stage.after(fault.seconds, lambda: stage.ask("plug", device=fault.device))
         case _:
             lasts: dict[str, Any] = {"seconds": fault.seconds} if fault.seconds else {}
-            with contextlib.suppress(ValueError):  # the fault is already present
+            with ignoring(_log, "setting a fault that may be present already", ValueError):
                 stage.ask("fail", device=fault.device, what=fault.what, value=fault.value, **lasts)
 
 

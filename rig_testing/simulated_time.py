@@ -17,7 +17,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Generator
-from typing import Any, cast
+from typing import Any
 
 STEP_S = 0.01
 _LOOK_S = 1e-4  # simulated time of one reading of the clock, so that a loop around it ends
@@ -26,7 +26,7 @@ _WALL_S = 2.0  # longest wall time to the next wait of a thread
 
 _real_start, _real_join = threading.Thread.start, threading.Thread.join
 _real_wait = threading.Event.wait
-_real_get = cast("Callable[..., Any]", queue.Queue.get)  # pyright: ignore[reportUnknownMemberType]  # generic
+_real_get = queue.Queue[Any].get
 _real_sleep, _real_monotonic, _real_monotonic_ns = time.sleep, time.monotonic, time.monotonic_ns
 
 
@@ -45,7 +45,7 @@ class SimulatedTime:
     """
 
     def __init__(self, moved: Callable[[float], None]) -> None:
-        self.now_s = 0.0
+        self.now_s: float = 0.0
         self._moved = moved
         self._moving = False
         self._owner: threading.Thread | None = None

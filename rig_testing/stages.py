@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.edge import Edge, real_edge
+from daq.lockstep.clock import SimulatedClock
 from daq.lockstep.rig import LockstepRig
 from daq.transports import HostClock
 from daq.virtual_rig.control import OperatorLine
@@ -133,7 +134,8 @@ class LockstepStage:
         self._sim = LockstepRig(rig)
         self._kept = _Kept(self._sim.far.motion)
         self._sim.turn_s = turn_s
-        self.clock, self.edge = self._sim.clock, self._sim.edge
+        self.clock: SimulatedClock = self._sim.clock
+        self.edge: Edge = self._sim.edge
 
     def port_settings(self) -> list[str]:
         """See Stage."""
@@ -191,7 +193,8 @@ class RealTimeStage:
         self._ports, port, token = ours.recv()
         self._line = OperatorLine(port, token)
         self._timers: list[threading.Timer] = []
-        self.clock, self.edge = HostClock(), Edge(real_edge().connect, self._places, real_edge().disk)
+        self.clock: HostClock = HostClock()
+        self.edge: Edge = Edge(real_edge().connect, self._places, real_edge().disk)
 
     def _places(self, port: str) -> tuple[str, ...]:
         """Return the present port of a device by its first one, as an adapter's serial number does on real ports."""
@@ -226,7 +229,7 @@ class RealTimeStage:
             if abs(self._line.ask("state")["speed_rpm"]) < 1.0:
                 break
             self.clock.wait(0.1)
-        with contextlib.suppress(ConnectionError):
+        with contextlib.suppress(ConnectionError):  # usual: the rig may end before its answer is sent
             self._line.ask("quit")
         self._process.join(_GONE_S)
         with np.load(self._truth) as kept:

@@ -40,7 +40,8 @@ class Subject:
     """
 
     def __init__(self, driver: Driver, thorough: bool) -> None:
-        self.driver, self.thorough = driver, thorough
+        self.driver: Driver = driver
+        self.thorough: bool = thorough
 
     @cached_property
     def settings(self) -> DeviceSettings:

@@ -19,7 +19,7 @@ class PlainDriver:
     A subclass must define `name`, `settings` (with a field `baud`), `channels`, `pipeline` and `far_end`; see Driver.
     """
 
-    rest_s = 0.02
+    rest_s: float = 0.02
 
     def line(self, settings: Any) -> DeviceLine:
         """See Driver: `port` and `baud` of the settings."""

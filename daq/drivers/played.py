@@ -53,7 +53,8 @@ class PlayedDevice:
     expects = ""
 
     def __init__(self, source: BytesFromDevice | None = None) -> None:
-        self.commands = self.unfollowed = self.withheld_bytes = 0
+        self.commands = self.unfollowed = 0
+        self.withheld_bytes: int = 0
         self._source = source or OneWay()
 
     @property

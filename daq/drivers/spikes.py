@@ -141,7 +141,7 @@ class SpikeWatch:
         # far above any median: no sample is a spike until the running median has come down to that of the signal
         self._state = np.array([most << _FRACTION_BITS, 0, 0, 0], np.int64)
         self._before = np.zeros(_MIN_CONSECUTIVE, np.int64)
-        self.found = False
+        self.found: bool = False
 
     def feed(self, code: NDArray[np.integer], counter: NDArray[np.integer]) -> NDArray[np.uint32]:
         """Return the verdicts that become available with these samples.

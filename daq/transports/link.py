@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import logging
 import os
 import select
 import socket
@@ -16,6 +17,12 @@ import serial
 
 from daq.errors import LinkLost
 from daq.transports import slcan
+from rig_basics.ignoring import ignoring
+
+if sys.platform != "win32":
+    import termios
+
+_log = logging.getLogger(__name__)
 
 _READ_BYTES = 65536  # size of the one reused buffer: allocating this size for every read fragments the heap
 _POLL_S = 0.1
@@ -88,12 +95,12 @@ def _check_parity(port: Any) -> None:
     """Configure the port to drop received bytes with a wrong parity; pyserial only generates parity when sending."""
     if sys.platform == "win32":
         return
-    import termios  # noqa: PLC0415 (not on Windows)
-
-    with contextlib.suppress(OSError, AttributeError, NotImplementedError, termios.error):
+    try:
         settings = termios.tcgetattr(port.fileno())
         settings[0] |= termios.INPCK | termios.IGNPAR
         termios.tcsetattr(port.fileno(), termios.TCSANOW, settings)
+    except (OSError, AttributeError, NotImplementedError, termios.error) as error:
+        _log.info("parity not checked, so bytes with a wrong parity are decoded: %s", error)
 
 
 class SerialLink:
@@ -105,17 +112,17 @@ class SerialLink:
             port, baudrate=baud, parity=parity, timeout=_POLL_S, write_timeout=1.0, exclusive=True, do_not_open=True
         )
         self._port.open()
-        with contextlib.suppress(ValueError, OSError, AttributeError, NotImplementedError):
+        with ignoring(_log, "setting low latency", ValueError, OSError, AttributeError, NotImplementedError):
             self._port.set_low_latency_mode(True)
         if sys.platform == "win32":  # default 4096: less than a fast sensor sends between two reads
-            with contextlib.suppress(AttributeError):  # a port behind a URL has no such buffer
+            with contextlib.suppress(AttributeError):  # usual: a port behind a URL has no such buffer
                 self._port.set_buffer_size(rx_size=_READ_BYTES)
         self._buffer = memoryview(bytearray(_READ_BYTES))
         self._descriptor = None
         if parity != "N":
             _check_parity(self._port)
         if sys.platform != "win32":
-            with contextlib.suppress(OSError, AttributeError, NotImplementedError):
+            with ignoring(_log, "getting the descriptor", OSError, AttributeError, NotImplementedError):
                 self._descriptor = self._port.fileno()
         self._lock = threading.Lock()
 
@@ -145,7 +152,7 @@ class SerialLink:
 
     def close(self) -> None:
         """See Link."""
-        with contextlib.suppress(OSError, serial.SerialException):
+        with ignoring(_log, "closing the port", OSError, serial.SerialException):
             self._port.close()
 
 
@@ -153,7 +160,7 @@ class SocketLink:
     """A device behind a TCP port: a serial server, or a simulated rig on a system without ptys."""
 
     def __init__(self, host: str, port: int) -> None:
-        self.name = f"socket://{host}:{port}"
+        self.name: str = f"socket://{host}:{port}"
         self._socket = socket.create_connection((host, port), timeout=5.0)
         try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -195,7 +202,7 @@ class SocketLink:
 
     def close(self) -> None:
         """See Link."""
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # usual: the other end has closed the connection
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
 
@@ -204,7 +211,7 @@ class CanLink:
     """Any CAN adapter that python-can supports. Its bytes are slcan text, so all layers above handle one CAN format."""
 
     def __init__(self, interface: str, channel: str, bitrate: int) -> None:
-        self.name = f"can:{interface}:{channel}"
+        self.name: str = f"can:{interface}:{channel}"
         self._bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate)
         self._decoder = slcan.LineDecoder()
         self._lock = threading.Lock()

@@ -7,6 +7,7 @@ does. `offer` is used for data that can wait: it sends as many bytes as fit and 
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import select
 import socket
@@ -17,6 +18,14 @@ from collections.abc import Callable
 from typing import Protocol
 
 from daq.errors import LinkLost
+from rig_basics.ignoring import ignoring
+
+if sys.platform != "win32":
+    import fcntl
+    import termios
+    import tty
+
+_log = logging.getLogger(__name__)
 
 KINDS = ("pty", "tcp")
 """Kinds of wire. Windows has no ptys."""
@@ -83,7 +92,7 @@ class _Outbox:
     """
 
     def __init__(self) -> None:
-        self.overrun_bytes = 0
+        self.overrun_bytes: int = 0
         self._parts: deque[tuple[float, bytes]] = deque()
         self._size = 0
         self._fetched_s = 0.0  # monotonic time at which no bytes waited
@@ -115,7 +124,7 @@ class _Outbox:
             queued, data = self._parts[0]
             try:
                 written = write(data)
-            except BlockingIOError:
+            except BlockingIOError:  # usual: the cable is full
                 return
             self._size -= written
             if written < len(data):
@@ -134,12 +143,10 @@ class PtyWire(_Outbox):
 
     def __init__(self, notice_host: bool = False) -> None:
         super().__init__()
-        import tty  # noqa: PLC0415 (POSIX only)
-
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)  # before a host opens it: a line in cooked mode would echo the sent bytes
         os.set_blocking(self._master, False)
-        self.port = os.ttyname(self._slave)
+        self.port: str = os.ttyname(self._slave)
         if notice_host:  # an own descriptor of the host's end would hide that no host has it open
             os.close(self._slave)
             self._slave = -1
@@ -147,9 +154,6 @@ class PtyWire(_Outbox):
     def _in_cable(self) -> int:
         if self._master < 0 or self._slave < 0:
             return 0
-        import fcntl  # noqa: PLC0415 (POSIX only)
-        import termios  # noqa: PLC0415
-
         return int.from_bytes(fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)), sys.byteorder)
 
     def descriptor(self) -> int | None:
@@ -158,14 +162,14 @@ class PtyWire(_Outbox):
 
     def receive(self) -> bytes:
         """See Wire."""
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # usual: no bytes wait, or no host has the port open
             return os.read(self._master, 65536)
         return b""
 
     def send(self, data: bytes) -> None:
         """See Wire."""
         self._queue(data)
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # usual: no host has the port open, the bytes wait
             self._drain(lambda data: os.write(self._master, data))
 
     def offer(self, data: bytes) -> int:
@@ -174,7 +178,7 @@ class PtyWire(_Outbox):
             raise LinkLost(f"{self.port}: the program that had it open has closed it")
         try:
             return os.write(self._master, data)
-        except BlockingIOError:
+        except BlockingIOError:  # usual: the cable is full
             return 0
         except OSError as error:
             raise LinkLost(f"{self.port}: lost while writing ({error})") from error
@@ -199,7 +203,7 @@ class PtyWire(_Outbox):
 
 def _closed(descriptor: int) -> int:
     if descriptor >= 0:
-        with contextlib.suppress(OSError):
+        with ignoring(_log, "closing a pty", OSError):
             os.close(descriptor)
     return -1
 
@@ -211,13 +215,13 @@ class TcpWire(_Outbox):
         super().__init__()
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.setblocking(False)
-        self.port = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
+        self.port: str = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
         self._peer: socket.socket | None = None
         self._unread = b""  # last bytes of a host that has disconnected
 
     def _accept(self) -> None:
         """Accept a waiting host, or close its connection while another host is served: a line has one master."""
-        with contextlib.suppress(OSError):  # no host waits, or the cable is pulled
+        with contextlib.suppress(OSError):  # usual: no host waits, or the cable is pulled
             peer, _ = self._listener.accept()
             if self._still_served():
                 peer.close()
@@ -233,9 +237,9 @@ class TcpWire(_Outbox):
         while self._peer is not None:
             try:
                 data = self._peer.recv(65536)
-            except BlockingIOError:
+            except BlockingIOError:  # usual: connected, and no bytes wait
                 return True
-            except OSError:
+            except OSError:  # usual: a reset connection has ended like a closed one
                 data = b""
             if not data:
                 self._disconnect()
@@ -249,7 +253,7 @@ class TcpWire(_Outbox):
 
     def _keep_last_bytes(self) -> None:
         """Read the last bytes of a host whose connection failed on writing, and disconnect it."""
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # usual: the failed connection has no further bytes
             while self._peer is not None and (data := self._peer.recv(65536)):
                 self._unread += data
         self._disconnect()
@@ -268,9 +272,9 @@ class TcpWire(_Outbox):
             return kept
         try:
             data = self._peer.recv(65536)
-        except BlockingIOError:
+        except BlockingIOError:  # usual: no bytes wait
             return b""
-        except OSError:
+        except OSError:  # usual: a reset connection has ended like a closed one
             data = b""
         if not data:
             self._disconnect()
@@ -283,7 +287,7 @@ class TcpWire(_Outbox):
         self._queue(data)
         try:
             self._drain(self._peer.send)
-        except OSError:
+        except OSError:  # usual: the host has closed the connection
             self._keep_last_bytes()
 
     def offer(self, data: bytes) -> int:
@@ -292,7 +296,7 @@ class TcpWire(_Outbox):
             raise LinkLost(f"{self.port}: the program that was connected is gone")
         try:
             return self._peer.send(data)
-        except BlockingIOError:
+        except BlockingIOError:  # usual: the cable is full
             return 0
         except OSError as error:
             self._keep_last_bytes()

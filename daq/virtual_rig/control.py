@@ -14,10 +14,15 @@ from __future__ import annotations
 import contextlib
 import hmac
 import json
+import logging
 import queue
 import socket
 import threading
 from typing import Any, cast
+
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 _LINE_LIMIT = 65536
 
@@ -36,7 +41,7 @@ class ControlServer:
     def __init__(self, token: str) -> None:
         self._token = token
         self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port = self._listener.getsockname()[1]
+        self.port: int = self._listener.getsockname()[1]
         self.requests: queue.Queue[tuple[dict[str, Any], queue.Queue[dict[str, Any]]]] = queue.Queue(100)
         self._unfetched = 0
         self._peers: set[socket.socket] = set()
@@ -47,14 +52,14 @@ class ControlServer:
         while True:
             try:
                 peer, _ = self._listener.accept()
-            except OSError:
+            except OSError:  # usual: `close` has closed the port
                 return
             threading.Thread(target=self._serve, args=(peer,), name="operator", daemon=True).start()
 
     def _serve(self, peer: socket.socket) -> None:
         self._peers.add(peer)
         try:
-            with contextlib.suppress(OSError):  # the peer closed the connection
+            with ignoring(_log, "serving an operator", OSError):  # the peer closed the connection
                 self._converse(peer)
         finally:
             self._peers.discard(peer)
@@ -96,14 +101,14 @@ class ControlServer:
         with self._fetched:
             self._fetched.wait_for(lambda: self._unfetched == 0, patience_s)
         for peer in list(self._peers):
-            with contextlib.suppress(OSError):
+            with ignoring(_log, "closing an operator's connection", OSError):
                 peer.shutdown(socket.SHUT_RDWR)
 
 
 def _json_object(line: bytes) -> dict[str, Any] | None:
     try:
         value = json.loads(line)
-    except ValueError:
+    except ValueError:  # usual: not JSON, which the peer gets as an error
         return None
     return cast("dict[str, Any]", value) if isinstance(value, dict) else None
 
@@ -145,7 +150,7 @@ class OperatorLine:
         Raises:
             TimeoutError: the rig has not ended within ten seconds.
         """
-        with contextlib.suppress(ConnectionError):
+        with contextlib.suppress(ConnectionError):  # usual: the end of the rig may reset the connection
             while self._socket.recv(1):
                 pass
 

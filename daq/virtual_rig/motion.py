@@ -173,9 +173,9 @@ class SimulatedMotion:
 
     def __init__(self, physics: RotorParameters, slip: float, lag_s: float) -> None:
         self.physics = physics
-        self.time_s = 0.0
-        self.target_rad_s = 0.0
-        self.ramp_rad_s2 = 1.0
+        self.time_s: float = 0.0
+        self.target_rad_s: float = 0.0
+        self.ramp_rad_s2: float = 1.0
         self.braking = False
         self._slip, self._lag = slip, max(lag_s, 1e-3)
         self._steps = 0

@@ -42,7 +42,8 @@ class SimulatedRig:
         if rig.virtual is None:
             raise RigConfigError(f"rig {rig.name} has no [virtual] table, which the simulation needs")
         self._rig = rig
-        self.motion = SimulatedMotion(rig.true_physics, rig.virtual.drive.slip, rig.virtual.drive.lag_s)
+        drive = rig.virtual.drive
+        self.motion: SimulatedMotion = SimulatedMotion(rig.true_physics, drive.slip, drive.lag_s)
         world = World(rig.virtual, self.motion, patience)
         self.far_ends: dict[str, FarEnd] = {
             name: device.far_end(world) for name, device in devices_of(rig.devices).items()

@@ -50,12 +50,12 @@ class VirtualRig:
         self._name, self._link = rig.name, link
         self._clock = PacedClock(time_scale, pace) if pace is not None else HostClock(time_scale)
         self._t0_ns = self._clock.now_ns()
-        self.rig = SimulatedRig(rig, self._clock.patience)
+        self.rig: SimulatedRig = SimulatedRig(rig, self._clock.patience)
         self.rig.motion.advance(0.001)  # compile before the first connection
         self.wires: dict[str, Wire] = {name: make_wire(link) for name in self.rig.far_ends}
         self._pulled: set[str] = set()
-        self.token = secrets.token_urlsafe(16)
-        self.control = ControlServer(self.token)
+        self.token: str = secrets.token_urlsafe(16)
+        self.control: ControlServer = ControlServer(self.token)
         self.moved: Callable[[], object] = lambda: None
         self._running = True
 
@@ -123,7 +123,7 @@ class VirtualRig:
         while True:
             try:
                 request, answer = self.control.requests.get_nowait()
-            except queue.Empty:
+            except queue.Empty:  # usual: no request waits
                 return
             try:
                 answer.put(self._do(request, now_s))
@@ -195,7 +195,7 @@ def serve(
         ready(path)
         if until_eof:
             threading.Thread(target=virtual.quit_at_end_of_input, daemon=True).start()
-        with contextlib.suppress(KeyboardInterrupt):
+        with contextlib.suppress(KeyboardInterrupt):  # usual: the operator ends the rig
             virtual.run()
     finally:
         if path is not None:

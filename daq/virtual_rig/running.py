@@ -8,22 +8,41 @@ identifies its note as outdated.
 
 from __future__ import annotations
 
-import contextlib
 import json
+import logging
 import os
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from daq.errors import DeviceError
 from daq.virtual_rig.control import OperatorLine
+from rig_basics.ignoring import ignoring
 from rig_configs.errors import RigConfigError
 
+_log = logging.getLogger(__name__)
+
 _FOLDER = "pendulum-balancer-rig"
-_START_ONE = "start one in another terminal: rig virtual"
+
+
+class NoRigRuns(DeviceError):
+    """No virtual rig answers."""
+
+
+class SeveralRigsRun(RigConfigError):
+    """Several virtual rigs run and none was chosen.
+
+    Attributes:
+        choices: path of the note and name of each running rig.
+    """
+
+    def __init__(self, choices: Sequence[tuple[Path, str]]) -> None:
+        self.choices: tuple[tuple[Path, str], ...] = tuple(choices)
+        rows = "".join(f"\n  {path}   ({rig})" for path, rig in self.choices)
+        super().__init__(f"{len(self.choices)} virtual rigs run; choose one by its note:{rows}")
 
 
 @dataclass(frozen=True)
@@ -63,7 +82,7 @@ def notes_folder() -> Path:
     if folder.is_symlink() or found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise DeviceError(
             f"{folder}: expected a folder that only you can access, since it contains a token; "
-            "remove it, or choose another file with --control"
+            "remove it, or choose another file for the note"
         )
     return folder
 
@@ -108,7 +127,7 @@ def read_note(path: Path) -> Running:
             {str(name): str(port) for name, port in found["ports"].items()},
         )
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise RigConfigError(f"{path}: expected the note of a virtual rig (see rig virtual --control)") from error
+        raise RigConfigError(f"{path}: expected the note of a virtual rig, as the rig writes it") from error
 
 
 def reach(control: Path | None = None) -> tuple[Running, OperatorLine]:
@@ -118,23 +137,23 @@ def reach(control: Path | None = None) -> tuple[Running, OperatorLine]:
         control: path of its note; None for the only running rig of this user.
 
     Raises:
-        DeviceError: no virtual rig runs.
-        RigConfigError: several rigs run and `control` is None, or the file is not a note.
+        NoRigRuns: no virtual rig runs.
+        SeveralRigsRun: several rigs run and `control` is None.
+        RigConfigError: the file is not a note.
     """
     if control is not None:
         try:
             running = read_note(control)
             return running, OperatorLine(running.control_port, running.token)
         except (FileNotFoundError, ConnectionError) as error:
-            raise DeviceError(f"{control}: no virtual rig runs there; {_START_ONE} --control {control}") from error
+            raise NoRigRuns(f"{control}: no virtual rig runs there; start one with this note") from error
     alive = _alive()
     if not alive:
-        raise DeviceError(f"no virtual rig runs; {_START_ONE}")
+        raise NoRigRuns("no virtual rig runs; start one first")
     if len(alive) > 1:
         for _, _, line in alive:
             line.close()
-        choices = "".join(f"\n  --control {path}   ({running.rig})" for path, running, _ in alive)
-        raise RigConfigError(f"{len(alive)} virtual rigs run; choose one:{choices}")
+        raise SeveralRigsRun([(path, running.rig) for path, running, _ in alive])
     _, running, line = alive[0]
     return running, line
 
@@ -145,20 +164,24 @@ def _alive() -> list[tuple[Path, Running, OperatorLine]]:
     for path in sorted(notes_folder().glob("virtual-*.json")):
         try:
             running = read_note(path)
-        except (OSError, RigConfigError):
-            continue  # the file is being removed, or is not a note
+        except (OSError, RigConfigError) as error:  # the file is being removed, or is not a note
+            _log.debug("note skipped: %s", error)
+            continue
         try:
             line = OperatorLine(running.control_port, running.token)
         except ConnectionRefusedError:
+            _log.debug("note of a rig that does not run any more removed: %s", path)
             path.unlink(missing_ok=True)
             continue
-        except OSError:
+        except OSError as error:
+            _log.info("virtual rig of %s not reached: %s", path, error)
             continue
         try:
             line.ask("truth")
-        except (OSError, ValueError):  # another program uses the port now
+        except (OSError, ValueError) as error:  # another program uses the port now
+            _log.info("note removed, because another program answers on the port of %s: %s", path, error)
             line.close()
-            with contextlib.suppress(OSError):
+            with ignoring(_log, "removing a note", OSError):
                 path.unlink()
             continue
         found.append((path, running, line))

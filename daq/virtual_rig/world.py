@@ -21,7 +21,8 @@ class DeviceClock:
     """A device clock with an offset and a rate error: device = offset + (1 + drift) · rig time, s."""
 
     def __init__(self, offset_s: float, drift: float) -> None:
-        self.offset_s, self.drift = offset_s, drift
+        self.offset_s: float = offset_s
+        self.drift: float = drift
 
     def device_s(self, time_s: Array | float) -> Array | float:
         """Return the time of the device clock at a rig time, s."""
@@ -51,9 +52,11 @@ class World:
     """
 
     def __init__(self, virtual: Virtual, motion: SimulatedMotion, patience: Callable[[float], float] = float) -> None:
-        self.virtual, self.motion, self.patience = virtual, motion, patience
-        self.calibration = self.rng("calibration")
-        self.spread = 1.0 if virtual.sensors.draw_calibration else 0.0
+        self.virtual: Virtual = virtual
+        self.motion: SimulatedMotion = motion
+        self.patience: Callable[[float], float] = patience
+        self.calibration: np.random.Generator = self.rng("calibration")
+        self.spread: float = 1.0 if virtual.sensors.draw_calibration else 0.0
 
     def rng(self, name: str) -> np.random.Generator:
         """Return a random number stream for one purpose, which is independent of the draws of other purposes."""

@@ -271,3 +271,23 @@ def test_settings() -> None:
 def test_settings_that_cannot_be(wrong: dict[str, object], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         XBeeNode.model_validate({**SETTINGS, **wrong})
+
+
+AT_ANSWERS = st.builds(
+    wire.AtAnswer,
+    st.integers(0, 255),
+    st.binary(min_size=2, max_size=2).map(lambda command: command.decode("latin-1")),
+    st.integers(0, 255),
+    st.binary(max_size=20),
+)
+
+
+@given(AT_ANSWERS)
+def test_the_text_of_an_answer_gives_the_answer_again(answer: wire.AtAnswer) -> None:
+    assert wire.AtAnswer.of_text(answer.text) == answer
+
+
+@pytest.mark.parametrize("text", ["", "1 AP 02", "x AP 02 ok", "1 AP 0 ok", "1 AP 02 status"])
+def test_another_text_is_not_an_answer(text: str) -> None:
+    with pytest.raises(ValueError, match=r"invalid literal|non-hexadecimal"):
+        wire.AtAnswer.of_text(text)

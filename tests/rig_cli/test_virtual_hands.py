@@ -16,7 +16,7 @@ import pytest
 from daq.errors import DeviceError
 from daq.transports import open_link
 from daq.virtual_rig.run import VirtualRig, serve
-from daq.virtual_rig.running import Running, leave_note, notes_folder, reach, read_note
+from daq.virtual_rig.running import NoRigRuns, Running, SeveralRigsRun, leave_note, notes_folder, reach, read_note
 from rig_cli.main import run
 from rig_configs import RigConfigError, load_rig
 
@@ -174,7 +174,7 @@ def test_a_hand_stops_the_rig_and_its_note_goes_with_it(by_hand: Served, capsys:
     assert not by_hand.note.exists()
     code, err = refused(capsys, "pluck", "x")
     assert code == 3
-    assert "no virtual rig runs; start one in another terminal: rig virtual" in err
+    assert "no virtual rig runs; start one first, in another terminal: rig virtual" in err
 
 
 def test_of_several_rigs_one_is_chosen(by_hand: Served, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -185,13 +185,16 @@ def test_of_several_rigs_one_is_chosen(by_hand: Served, tmp_path: Path, capsys: 
         assert code == 2
         assert "2 virtual rigs run; choose one:" in err
         assert f"--control {other.note}   (one_laser)" in err
+        with pytest.raises(SeveralRigsRun, match="2 virtual rigs run") as several:
+            reach()
+        assert (other.note, "one_laser") in several.value.choices
         assert list(answer_of(capsys, "state", "--control", str(other.note))["devices"]) == ["probe"]
         assert list(answer_of(capsys, "state", "--control", str(chosen.note))["devices"]) == ["probe"]
     finally:
         other.end()
         chosen.end()
     code, err = refused(capsys, "state", "--control", str(tmp_path / "mine.json"))
-    assert (code, "no virtual rig runs there" in err) == (3, True)
+    assert (code, f"in another terminal: rig virtual --control {tmp_path / 'mine.json'}" in err) == (3, True)
 
 
 def test_access_needs_the_token(by_hand: Served, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -229,7 +232,7 @@ def test_notes_of_rigs_that_were_killed_are_removed(runtime: Path) -> None:
     taken = leave_note(Running("virtual", 2, other.getsockname()[1], "t", 1.0, {}))
     strange = notes_folder() / "virtual-3.json"
     strange.write_text("[]")
-    with pytest.raises(DeviceError, match="no virtual rig runs"):
+    with pytest.raises(NoRigRuns, match="no virtual rig runs"):
         reach()
     thread.join()
     other.close()

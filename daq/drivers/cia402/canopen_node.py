@@ -36,7 +36,7 @@ class Adapter:
     """
 
     def __init__(self) -> None:
-        self.open = False
+        self.open: bool = False
         self._lines = slcan.LineDecoder(of_host=True)
 
     def receive(self, data: bytes) -> tuple[list[slcan.CanFrame], bytes]:
@@ -67,7 +67,8 @@ class SdoServer:
         measured: Mapping[tuple[int, int], Callable[[], bytes | None]],
         written: Callable[[int, int, int], None] = lambda index, sub, value: None,
     ) -> None:
-        self.objects, self._measured, self._written = objects, measured, written
+        self.objects: Objects = objects
+        self._measured, self._written = measured, written
 
     def answer(self, request: bytes) -> bytes:
         """Return the 8 bytes of the answer to the 8 bytes of a request."""
@@ -107,7 +108,7 @@ class NmtState:
     """
 
     def __init__(self, node: int) -> None:
-        self.state = cia402.Heartbeat.PRE_OPERATIONAL
+        self.state: cia402.Heartbeat = cia402.Heartbeat.PRE_OPERATIONAL
         self._node = node
 
     def follow(self, frame: slcan.CanFrame) -> int | None:

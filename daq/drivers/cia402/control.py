@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import math
 from collections.abc import Callable
 
@@ -17,6 +17,9 @@ from daq.drivers.run_down import wait_for_rest
 from daq.errors import DeviceError, LinkLost
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock, Repeated
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 _RAMP_S = 10
 _MAX_RAMP_DEVIATION = 0.05  # relative deviation of the drive's ramp from the requested one
@@ -73,7 +76,7 @@ class DriveControl:
         self._reported_rpm = 0.0
         self._reported_ns = 0
         self.dropped_out: str | None = None
-        self.was_reset = ""
+        self.was_reset: str = ""
         self.emergencies: list[int] = []
         self._armed = False
         self._network_state: cia402.Heartbeat | None = None
@@ -254,10 +257,10 @@ class DriveControl:
         an error of the communication.
         """
         for index, sub in ((cia402.ERROR_CODE, 0), (cia402.PREDEFINED_ERROR_FIELD, 1)):
-            with contextlib.suppress(DeviceError):
+            with ignoring(_log, f"reading the error code {index:04X}h", DeviceError):
                 if code := (self._objects.read(index, sub) or 0) & 0xFFFF:
                     return code
-        with contextlib.suppress(DeviceError):
+        with ignoring(_log, "reading the error register", DeviceError):
             register = self._objects.read(cia402.ERROR_REGISTER, 0)
             if register is not None and register & 0xFE == cia402.REGISTER_COMMUNICATION:
                 return cia402.HEARTBEAT_ERROR
@@ -273,7 +276,7 @@ class DriveControl:
         """
         code = self.fault_code()
         register = None
-        with contextlib.suppress(DeviceError):
+        with ignoring(_log, "reading the error register", DeviceError):
             register = self._objects.read(cia402.ERROR_REGISTER, 0)
         others = (register or 0) & _OTHER_FAULTS or set(self.emergencies) - {cia402.HEARTBEAT_ERROR}
         if others or (code != cia402.HEARTBEAT_ERROR and not (reset and code is None)):
@@ -352,7 +355,8 @@ class DriveControl:
         """Whether the drive reports by 6041h that it has no torque."""
         try:
             word = self._objects.read(cia402.STATUSWORD, 0)
-        except DeviceError:
+        except DeviceError as error:
+            _log.info("statusword of the drive not read, so its torque is not confirmed as removed: %s", error)
             return False
         return word is not None and cia402.state(word & 0xFFFF) not in _TORQUE
 
@@ -406,8 +410,8 @@ class DriveControl:
         def beat() -> None:
             try:
                 self._objects.send(identifier, operational)
-            except (DeviceError, LinkLost):  # the link's reader reports the loss; the next beat may use a new link
-                return
+            except (DeviceError, LinkLost):  # usual: the link's reader reports the loss
+                return  # the next beat may use a new link
             self._beats, self._beat_s = self._beats + 1, self._clock.wall_s()
 
         beat()
@@ -446,7 +450,7 @@ class DriveControl:
             Whether torque and watch are removed; None if the end of the torque is not confirmed.
         """
         confirmed = False
-        with contextlib.suppress(DeviceError):  # also out of network operation
+        with ignoring(_log, "removing the torque through 6040h", DeviceError):  # also out of network operation
             self._objects.write(cia402.CONTROLWORD, 0, cia402.DISABLE_VOLTAGE, 2)
             confirmed = True
         if not self._leave_operation(cia402.DISABLE_VOLTAGE):
@@ -455,7 +459,8 @@ class DriveControl:
         if self._recent_state == cia402.UNKNOWN and not confirmed and not self._off_by_its_objects:
             notify(f"the drive was commanded to remove the torque, {_UNCONFIRMED}")
             return None  # the watch remains
-        with contextlib.suppress(DeviceError):  # the watch of a drive that is off has no effect
+        # the watch of a drive that is off has no effect
+        with ignoring(_log, "ending the drive's watch of the heartbeat", DeviceError):
             self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
         self._watched = False
         return True
@@ -480,6 +485,6 @@ class DriveControl:
         elif self._guarded.at_rest() and self.state != cia402.OPERATION_ENABLED:
             return True
         if self.state == cia402.OPERATION_ENABLED:  # also at rest: it may have a target speed
-            with contextlib.suppress(LinkLost):  # the command is repeated
+            with ignoring(_log, "commanding a quick stop", LinkLost):  # the command is repeated
                 self.quick_stop()
         return wait_for_rest(self._clock, self._guarded, self.quick_stop, notify)

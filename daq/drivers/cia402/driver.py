@@ -26,9 +26,9 @@ class Cia402:
 
     name = "cia402"
     settings = MotorDrive
-    rest_s = 0.01
+    rest_s: float = 0.01
     example: ClassVar[Mapping[str, Any]] = {"node_id": 5}
-    claims = frozenset({"falls silent"})
+    claims: frozenset[str] = frozenset({"falls silent"})
 
     def line(self, settings: MotorDrive) -> DeviceLine:
         """See Driver."""

@@ -72,14 +72,14 @@ class SimulatedDrive(FarEnd):
 
     def __init__(self, config: MotorDrive, motion: SimulatedMotion, report_s: float) -> None:
         self._config, self._motion, self._node, self._report_s = config, motion, config.node_id, report_s
-        self.frames_sent = 0
+        self.frames_sent: int = 0
         self.emergencies: list[int] = []
         self._reports = True
         self._reported_share = 1.0
         self._second_host, self._second_due_s = False, 0.0
         self._adapter = Adapter()
         self._nmt = NmtState(self._node)
-        self.state = cia402.SWITCH_ON_DISABLED
+        self.state: str = cia402.SWITCH_ON_DISABLED
         self._target_rpm = 0
         self._heard_s: float | None = None  # last host heartbeat; None until the first
         self._tpdo_due = self._heartbeat_due = 0.0

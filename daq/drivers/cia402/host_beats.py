@@ -37,7 +37,7 @@ class HostBeats:
     """
 
     def __init__(self, node_id: int, host_node_id: int) -> None:
-        self.foreign = 0
+        self.foreign: int = 0
         self._beat = cia402.cob_heartbeat(host_node_id)
         self._orders = (cia402.cob_sdo_request(node_id), cia402.cob_rpdo(1, node_id))
         self._sending = False  # a session that only receives gets the heartbeats of the bus's host

@@ -8,7 +8,7 @@ import logging
 import queue
 import struct
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import can
 import canopen
@@ -47,6 +47,16 @@ class _SendOnlyBus(can.BusABC):
         self._send_bytes(slcan.encode(frame))
 
 
+class _SdoExchange(Protocol):
+    """Methods of canopen's client, which has no annotations, with their types."""
+
+    def on_response(self, can_id: int, data: bytearray, timestamp: float, /) -> None: ...
+
+    def send_request(self, request: bytes, /) -> None: ...
+
+    def read_response(self) -> bytes | bytearray: ...
+
+
 class _SdoClient(SdoClient):
     """canopen's client of a node's objects, which waits for answers by the host clock."""
 
@@ -58,22 +68,26 @@ class _SdoClient(SdoClient):
         self.network = network
         self.responses: queue.Queue[bytes] = clock.queue()
         self._requested = b""  # index and sub-index as in the request; empty if no answer is expected
-        network.subscribe(answers, self.on_response)
+        network.subscribe(answers, self._take_answer)
 
-    def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
+    @property
+    def _exchange(self) -> _SdoExchange:
+        return self
+
+    def _take_answer(self, can_id: int, data: bytearray, timestamp: float) -> None:
         """Take an answer, unless it is a late answer about another object, or no answer is expected."""
         if bytes(data[1:4]) == self._requested:
-            super().on_response(can_id, data, timestamp)  # pyright: ignore[reportUnknownMemberType]  # untyped
+            self._exchange.on_response(can_id, data, timestamp)
 
     def request_response(self, sdo_request: bytes) -> bytes:
         """Send a request and wait for its answer; a late answer to an earlier request is dropped."""
-        with contextlib.suppress(queue.Empty):
+        with contextlib.suppress(queue.Empty):  # usual: no late answer is left
             while True:
                 self.responses.get_nowait()
         self._requested = bytes(sdo_request[1:4])
-        self.send_request(sdo_request)  # pyright: ignore[reportUnknownMemberType]  # untyped
+        self._exchange.send_request(sdo_request)
         try:
-            return bytes(self.read_response())  # pyright: ignore[reportUnknownArgumentType]  # untyped
+            return bytes(self._exchange.read_response())
         except SdoCommunicationError:
             self.abort(ABORT_TIMED_OUT)
             raise
@@ -91,7 +105,8 @@ class NodeObjects:
     """
 
     def __init__(self, node_id: int, send: Callable[[bytes], None], clock: HostClock) -> None:
-        self.node_id, self._clock = node_id, clock
+        self.node_id: int = node_id
+        self._clock = clock
         self._network = canopen.Network(bus=_SendOnlyBus(send))
         self._sdo = _SdoClient(node_id, self._network, clock)
 
@@ -128,7 +143,7 @@ class NodeObjects:
     def _upload(self, index: int, sub: int) -> int | None:
         try:
             answer = self._sdo.request_response(_READ.pack(0x40, index, sub, 0))
-        except SdoAbortedError:
+        except SdoAbortedError:  # usual: the drive has no such object
             return None
         if answer[0] & 0xE2 != _EXPEDITED:  # the object has more than 4 bytes
             return None

@@ -8,7 +8,7 @@ read is assumed to be set up by hand. Source: CiA 301, PDO communication and map
 
 from __future__ import annotations
 
-import contextlib
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +16,9 @@ from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL
 from daq.drivers.cia402.objects import NodeObjects
 from daq.errors import DeviceError, LinkLost
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 REPORT_MS = 10
 """Period, ms, that is set in a drive without a period or with a longer one than `_MAX_PERIOD_MS`."""
@@ -118,7 +121,8 @@ class _FoundPdo:
             return
         try:
             self._write_period(objects)
-        except DeviceError:
+        except DeviceError as error:
+            _log.info("period not accepted while the PDO is on, so it is set while the PDO is off: %s", error)
             self.wrong = True
 
     def _write_period(self, objects: NodeObjects) -> None:
@@ -137,7 +141,8 @@ class _FoundPdo:
         if self.too_rare:
             objects.write(pdo.communication, 3, 0, 2)
         if pdo.reports:
-            with contextlib.suppress(DeviceError):  # missing reports are detected when the drive is enabled
+            # missing reports are detected when the drive is enabled
+            with ignoring(_log, "setting the period of reports", DeviceError):
                 self._write_period(objects)
         if not self.entries_right:
             _map_entries(objects, pdo, self.wanted)
@@ -156,8 +161,10 @@ class _FoundPdo:
             lambda: objects.write(pdo.communication, 3, self.inhibit, 2) if self.too_rare else None,
             lambda: objects.write(pdo.communication, 1, self.own, 4),
         ):
-            with contextlib.suppress(DeviceError, LinkLost):
+            try:
                 undo()
+            except (DeviceError, LinkLost) as error:
+                _log.warning("mapping of a PDO of the drive not restored completely: %s", error)
 
 
 def _check_others(objects: NodeObjects, pdos: Sequence[_Pdo]) -> None:
@@ -175,7 +182,8 @@ def _map_all(objects: NodeObjects, found: Sequence[_FoundPdo]) -> None:
         try:
             for state in found:
                 state.correct(objects)
-        except DeviceError:
+        except DeviceError as error:
+            _log.info("mapping not accepted in this network state, so it is set in PRE-OPERATIONAL: %s", error)
             objects.send(0, bytes([NMT_PRE_OPERATIONAL, objects.node_id]))
             for state in found:
                 state.correct(objects)

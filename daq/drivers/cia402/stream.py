@@ -33,11 +33,11 @@ class DrivePipeline:
     has_reported = True
 
     def __init__(self, device: str, config: MotorDrive) -> None:
-        self.losses = {"damaged_lines": 0, "refused_lines": 0}
+        self.losses: dict[str, int] = {"damaged_lines": 0, "refused_lines": 0}
         self.frames: list[slcan.CanFrame] = []
-        self.complaint = ""
+        self.complaint: str = ""
         self._device, self._node, self._host_node = device, config.node_id, config.host_node_id
-        self.host_beats = HostBeats(config.node_id, config.host_node_id)
+        self.host_beats: HostBeats = HostBeats(config.node_id, config.host_node_id)
         self._reported_ns = -_AGAIN_NS
         self._rx, self._tx = slcan.LineDecoder(), slcan.LineDecoder(of_host=True)
         self._joined = False

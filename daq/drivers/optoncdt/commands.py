@@ -50,8 +50,8 @@ class SensorCommands:
         rate_set: Callable[[], None] = _nothing,
         counter_reset: Callable[[], None] = _nothing,
     ) -> None:
-        self.streaming = False
-        self.rate_Hz = rate_Hz
+        self.streaming: bool = False
+        self.rate_Hz: float = rate_Hz
         self.outputs: tuple[str, ...] = tuple(outputs) if fixed else ()
         self._info, self._possible, self._fixed = list(info), tuple(outputs), fixed
         self._rates = (rate_Hz,) if fixed else RATES_HZ

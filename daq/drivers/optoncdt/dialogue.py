@@ -72,7 +72,7 @@ class _Dialogue:
         while (left := deadline - clock.wall_s()) > 0:
             try:
                 line = replies.get(timeout=left)
-            except queue.Empty:
+            except queue.Empty:  # usual: the sensor sends no further line
                 break
             if line == sensor_answers.PROMPT:
                 bad = next((x for x in lines if x[:1] == "E" and x[1:4].isdigit()), None)

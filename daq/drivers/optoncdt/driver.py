@@ -23,9 +23,9 @@ class OptoNcdt:
 
     name = "optoncdt"
     settings = Laser
-    rest_s = 0.01
+    rest_s: float = 0.01
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
-    claims = frozenset({"counts exactly", "falls silent"})
+    claims: frozenset[str] = frozenset({"counts exactly", "falls silent"})
 
     def line(self, settings: Laser) -> DeviceLine:
         """See Driver."""

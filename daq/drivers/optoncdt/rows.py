@@ -70,7 +70,7 @@ class RowOrder:
     """
 
     def __init__(self, nominal_ticks: float) -> None:
-        self.period_ticks = nominal_ticks
+        self.period_ticks: float = nominal_ticks
         self.last: Row | None = None
         self._last_host_ns = 0
         self._doubtful: list[_Chain] = []  # rows that do not fit so far

@@ -80,7 +80,7 @@ def announced(line: str) -> tuple[str, ...] | None:
         return None
     try:
         return parse_outinfo(line)
-    except DeviceError:
+    except DeviceError:  # usual: a line with another number of words is not the answer
         return None
 
 
@@ -103,6 +103,6 @@ def places_of(words: Sequence[str]) -> WordPositions | None:
     """Return the positions of distance, counter and timestamp in a block; None if one of them is missing."""
     try:
         found = [words.index(name) for name in (DISTANCE, COUNTER, TIMESTAMP_LO, TIMESTAMP_HI)]
-    except ValueError:
+    except ValueError:  # usual: the stream lacks one of the words
         return None
     return WordPositions(len(words), *found)

@@ -34,7 +34,8 @@ class LaserPipeline:
     """
 
     def __init__(self, device: str, config: Laser, channel: channels.Channel, identity: Mapping[str, Any]) -> None:
-        self.losses = {"samples": 0, "bytes": 0, "damaged": 0, "invalid": 0, "suspect": 0, "unusable": 0}
+        kinds = ("samples", "bytes", "damaged", "invalid", "suspect", "unusable")
+        self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
         self._device, self._channel = device, channel
         self._range_m = _range(device, identity.get("range_m", config.range_m))
         usual = config.scaling or distance_words.USUAL_SCALING  # logs of earlier versions do not contain it

@@ -77,7 +77,7 @@ class WordsTrial:
     """
 
     def __init__(self, decoder: optoncdt.BlockDecoder, announced: tuple[str, ...], follows: Follows) -> None:
-        self.held = b""
+        self.held: bytes = b""
         self._follows = follows
         self._old = _Reading(copy.deepcopy(decoder))
         self._old.decoder.follow_answers = False

@@ -123,7 +123,7 @@ class _Dialogue:
             self._talk.send(wire.request(settings.address, code, message))
             try:
                 return bytes.fromhex(replies.get(timeout=_ANSWER_S / _TRIES))
-            except queue.Empty:
+            except queue.Empty:  # usual: no answer in time, the request is repeated
                 continue
         raise DeviceError(
             f"{self._device} on {settings.port}: no answer to request {code} of address {settings.address} within "

@@ -23,9 +23,9 @@ class Riftek:
 
     name = "riftek"
     settings = RiftekLaser
-    rest_s = 0.01
+    rest_s: float = 0.01
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
-    claims = frozenset({"falls silent"})
+    claims: frozenset[str] = frozenset({"falls silent"})
 
     def line(self, settings: RiftekLaser) -> DeviceLine:
         """See Driver."""

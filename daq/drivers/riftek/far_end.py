@@ -70,8 +70,9 @@ class SimulatedRiftek(FarEnd):
     ) -> None:
         self._config, self._look, self._offset, self._noise = config, look, offset_m, noise_m
         self._clock, self._rng = clock, rng
-        self.streaming = False
-        self.parameters, self._stored = dict(_FACTORY), dict(_FACTORY)
+        self.streaming: bool = False
+        self.parameters: dict[int, int] = dict(_FACTORY)
+        self._stored = dict(_FACTORY)
         self.fault_code: int | None = None
         self._deaf = self._stale = False
         self._lose = 0

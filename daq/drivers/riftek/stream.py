@@ -113,7 +113,7 @@ class RiftekPipeline:
     def __init__(
         self, device: str, settings: RiftekLaser, channel: channels.Channel, identity: Mapping[str, Any]
     ) -> None:
-        self.losses = {"samples": 0, "bytes": 0, "invalid": 0, "suspect": 0}
+        self.losses: dict[str, int] = {"samples": 0, "bytes": 0, "invalid": 0, "suspect": 0}
         self._device, self._channel = device, channel
         self._range_m = _range(device, identity.get("range_m", settings.range_m))
         self._to_disk = 1.0 / settings.lever_ratio

@@ -24,8 +24,8 @@ class RotorLink:
 
     name = "rotorlink"
     settings = EncoderNode
-    rest_s = 0.01
-    claims = frozenset({"checksum", "counts exactly"})
+    rest_s: float = 0.01
+    claims: frozenset[str] = frozenset({"checksum", "counts exactly"})
 
     def line(self, settings: EncoderNode) -> DeviceLine:
         """See Driver."""

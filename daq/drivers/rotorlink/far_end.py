@@ -39,9 +39,9 @@ class Air:
         self._bad = self.silent = False
         self._flying: deque[tuple[float, int, bytes]] = deque()
         self._busy_until = 0.0
-        self.sent = 0
+        self.sent: int = 0
         self.dropped: list[int] = []
-        self.last_delivered = -1
+        self.last_delivered: int = -1
 
     @property
     def delay_s(self) -> float:
@@ -128,9 +128,13 @@ class SimulatedNode(FarEnd):
         rng: np.random.Generator,
     ) -> None:
         self._config, self._motion, self._zero, self._noise = config, motion, zero_error_rad, noise_counts
-        self._play, self._clock, self.air, self._rng = play_rad, clock, air, rng
-        self.dead = self.marks_lost = self.locks_stuck = self._without_supply = False
-        self.fault_flags = 0
+        self.air: Air = air
+        self._play, self._clock, self._rng = play_rad, clock, rng
+        self.dead: bool = False
+        self.marks_lost: bool = False
+        self.locks_stuck: bool = False
+        self._without_supply = False
+        self.fault_flags: int = 0
         self._period = 1.0 / config.rate_Hz
         self._next = 0
         self._index = 0

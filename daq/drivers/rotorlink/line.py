@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
 
-from cobs import cobs
-
-from daq.drivers.rotorlink import wire
-
-_cobs_decode = cast("Callable[[bytes], bytes]", cobs.decode)
+from daq.drivers.rotorlink import byte_stuffing, wire
 
 RUN_LIMIT_BYTES = 300
 """Longest run of bytes that can be a frame."""
@@ -70,8 +64,8 @@ class FrameDecoder:
 
 def _decode_run(run: bytes, found: DecodedFrames) -> None:
     try:
-        payload = _cobs_decode(run)
-    except cobs.DecodeError:
+        payload = byte_stuffing.decode(run)
+    except byte_stuffing.DecodeError:  # usual: the run is damaged, which `bad` states
         found.bad.append(("cobs", run))
         return
     try:

@@ -50,7 +50,7 @@ class NodeLocks:
                 check()
                 try:
                     event = self._acknowledges.get(timeout=_CHECK_S)
-                except queue.Empty:
+                except queue.Empty:  # usual: no acknowledgement so far
                     continue
                 if self._settles(action, event):
                     return

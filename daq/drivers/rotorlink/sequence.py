@@ -17,9 +17,9 @@ class SequenceCounter:
     LATE: ClassVar[int] = 16
 
     def __init__(self) -> None:
-        self.lost = 0
-        self.repeats = 0
-        self.restarts = 0
+        self.lost: int = 0
+        self.repeats: int = 0
+        self.restarts: int = 0
         self._last: int | None = None
 
     def reset(self) -> None:

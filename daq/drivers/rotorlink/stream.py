@@ -45,11 +45,11 @@ class NodePipeline:
     """
 
     def __init__(self, device: str, config: RotorNodeSettings, identity: Mapping[str, Any]) -> None:
-        self.losses = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
+        self.losses: dict[str, int] = {"radio_frames": 0, "cable_frames": 0, "damaged_frames": 0, "samples": 0}
         self.status: rotorlink.NodeStatus | None = None
         self.rssi_dBm: int | None = None
-        self.complaint = ""
-        self.battery_low = False
+        self.complaint: str = ""
+        self.battery_low: bool = False
         self.heard_frames: tuple[int, int] | None = None
         self._device = device
         self._counts_per_revolution = config.counts_per_revolution

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import binascii
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
-from cobs import cobs
 from numpy.typing import NDArray
 
-_cobs_encode = cast("Callable[[bytes], bytes]", cobs.encode)
+from daq.drivers.rotorlink import byte_stuffing
 
 COUNTS_DTYPE = np.dtype("<i4")
 MAX_SAMPLES = 29
@@ -48,7 +46,8 @@ class BadFrame(ValueError):
 
     def __init__(self, reason: str, text: str, skipped: Skipped | None = None) -> None:
         super().__init__(text)
-        self.reason, self.skipped = reason, skipped
+        self.reason: str = reason
+        self.skipped: Skipped | None = skipped
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ def encode_frame(body: bytes) -> bytes:
 
 def wire(payload: bytes) -> bytes:
     """Encode a payload for a serial line: COBS, then 0x00."""
-    return _cobs_encode(payload) + b"\x00"
+    return byte_stuffing.encode(payload) + b"\x00"
 
 
 class _Packed:

@@ -76,7 +76,7 @@ class VescControl:
         self._ramp = SetpointRamp(settings.ramp_rpm_per_s, settings.min_rpm, clock.patience(_MAX_STEP_S))
         self._deciding, self._sending = threading.Lock(), threading.Lock()
         self._repeated: Repeated | None = None
-        self.mode = Mode.NOTHING
+        self.mode: Mode = Mode.NOTHING
         self._armed = self._ordered = False
         self._stops = 0  # number of stop commands: an `enable` that began before the last one fails
         self._report: wire.Values | None = None

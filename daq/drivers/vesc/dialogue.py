@@ -57,7 +57,7 @@ def _answer(talk: Talk) -> wire.Firmware | None:
     while (left := deadline - talk.clock.wall_s()) > 0:
         try:
             firmware = wire.parse_firmware(bytes.fromhex(talk.replies.get(timeout=left)))
-        except queue.Empty:
+        except queue.Empty:  # usual: no answer in time
             return None
         if firmware is not None:
             return firmware

@@ -23,9 +23,9 @@ class VescDriver:
     """See Driver."""
 
     name = "vesc"
-    rest_s = 0.01
+    rest_s: float = 0.01
     example: ClassVar[Mapping[str, Any]] = {"pole_pairs": 7, "timeout_s": 1.0, "brake_A": 5.0}
-    claims = frozenset({"checksum", "falls silent"})
+    claims: frozenset[str] = frozenset({"checksum", "falls silent"})
     settings = Vesc
 
     def line(self, settings: Vesc) -> DeviceLine:

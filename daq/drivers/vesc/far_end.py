@@ -67,7 +67,7 @@ class SimulatedVesc(FarEnd):
         self._settings, self._motion, self._has_status = settings, motion, has_status
         self._timeout_s = settings.timeout_s if timeout_s is None else timeout_s
         self._timeout_brake_A = settings.brake_A if timeout_brake_A is None else timeout_brake_A
-        self.frames_sent = 0
+        self.frames_sent: int = 0
         self.emergencies: list[int] = []
         self._now_s = 0.0
         self._answers, self._deaf = True, False

@@ -40,6 +40,6 @@ def _firmware(identity: Mapping[str, Any]) -> wire.Firmware:
         major, minor = (int(part) for part in str(identity["firmware"]).split("."))
         found = wire.Firmware(major, minor, str(identity["hardware"]), str(identity["serial"]))
         wire.pack_firmware(found)
-    except (KeyError, ValueError):
+    except (KeyError, ValueError):  # usual: the identity in the log is incomplete
         return wire.Firmware(6, 5, "played", "00" * 12)
     return found

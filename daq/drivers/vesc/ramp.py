@@ -21,7 +21,8 @@ class SetpointRamp:
 
     def __init__(self, rpm_per_s: float, min_rpm: float, longest_s: float) -> None:
         self.rpm_per_s = rpm_per_s
-        self.target_rpm = self.rpm = 0.0
+        self.target_rpm: float = 0.0
+        self.rpm: float = 0.0
         self._min_rpm, self._longest_s = min_rpm, longest_s
         self._now_s: float | None = None
 

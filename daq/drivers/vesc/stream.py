@@ -53,7 +53,7 @@ class VescPipeline:
     """
 
     def __init__(self, device: str, settings: Vesc) -> None:
-        self.losses = {"damaged_bytes": 0, "unanswered": 0, "unreadable_answers": 0}
+        self.losses: dict[str, int] = {"damaged_bytes": 0, "unanswered": 0, "unreadable_answers": 0}
         self.answers: list[wire.Values] = []
         self._device, self._pole_pairs = device, settings.pole_pairs
         self._rx, self._tx = packets.PacketDecoder(_JOINED_BYTES), packets.PacketDecoder()

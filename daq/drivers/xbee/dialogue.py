@@ -70,10 +70,9 @@ def _query(settings: XBeeNode, talk: Talk, command: str) -> bytes | None:
         deadline = talk.clock.wall_s() + _ANSWER_S
         while (left := deadline - talk.clock.wall_s()) > 0:
             try:
-                reply = talk.replies.get(timeout=left)
-            except queue.Empty:
+                answer = wire.AtAnswer.of_text(talk.replies.get(timeout=left))
+            except queue.Empty:  # usual: no answer in time, the query is repeated
                 break
-            answered_id, answered_command, value, *status = reply.split(" ")
-            if (answered_id, answered_command) == (str(frame_id), command):
-                return bytes.fromhex(value) if status == ["ok"] else None
+            if (answer.frame_id, answer.command) == (frame_id, command):
+                return answer.value if answer.status == 0 else None
     return None

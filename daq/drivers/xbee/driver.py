@@ -23,10 +23,10 @@ class XBee:
     """See Driver."""
 
     name = "xbee"
-    rest_s = 0.01
+    rest_s: float = 0.01
     settings = XBeeNode
     example: ClassVar[Mapping[str, Any]] = {"node_address": "0013A20040522BAB"}
-    claims = frozenset({"checksum", "counts exactly"})
+    claims: frozenset[str] = frozenset({"checksum", "counts exactly"})
 
     def line(self, settings: XBeeNode) -> DeviceLine:
         """See Driver."""

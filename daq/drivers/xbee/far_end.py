@@ -62,7 +62,7 @@ class SimulatedXBeeNode(SimulatedNode):
         self._escaped = config.api_mode == 2
         self._line = framing.ApiDecoder(escaped=self._escaped)
         self._waiting: list[bytes] = []  # frame data on their way to the host
-        self.out_of_reach = False
+        self.out_of_reach: bool = False
         self.receive_type = 0x90 if self._address.bits == 64 else 0x81
         self._registers = {
             "AP": bytes((config.api_mode,)),
@@ -146,8 +146,8 @@ class SimulatedXBeeNode(SimulatedNode):
             return unheard
         try:
             frame = rotorlink.parse(payload)
-        except rotorlink.BadFrame:
-            return wire.DELIVERED  # the radio does not check the content
+        except rotorlink.BadFrame:  # usual: the radio does not check the content
+            return wire.DELIVERED
         return wire.DELIVERED if self.hear(frame, now_s, _TRIES) else unheard
 
     def dongle(self, now_s: float) -> bytes:

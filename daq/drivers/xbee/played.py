@@ -49,7 +49,7 @@ def _registers(identity: Mapping[str, Any]) -> dict[str, bytes]:
     for name, command in (("firmware", "VR"), ("hardware", "HV"), ("serial", "SH")):
         try:
             out[command] = bytes.fromhex(str(identity[name]))
-        except (KeyError, ValueError):
+        except (KeyError, ValueError):  # usual: the identity in the log is incomplete
             continue
     if (serial := out.pop("SH", b"")) and len(serial) == 8:
         out["SH"], out["SL"] = serial[:4], serial[4:]

@@ -51,7 +51,7 @@ class XBeePipeline(NodePipeline):
                 continue
             try:
                 frame = wire.parse(found)
-            except ValueError:
+            except ValueError:  # usual: a damaged frame, which is counted and reported
                 out.append(self.damaged("length"))
                 continue
             out += self._api_frame(frame, host_ns)
@@ -102,7 +102,5 @@ class XBeePipeline(NodePipeline):
     def _answered(self, answer: wire.AtAnswer) -> DeviceEvent:
         if answer.command == "DB" and answer.status == 0 and any(answer.value):  # 0: no packet has been received yet
             self.rssi_dBm = -int.from_bytes(answer.value, "big")
-        status = wire.AT_STATUS[answer.status] if answer.status < len(wire.AT_STATUS) else f"status {answer.status}"
-        text = f"{answer.frame_id} {answer.command} {answer.value.hex()} {status}"
         facts = {"frame_id": answer.frame_id, "command": answer.command, "status": answer.status}
-        return DeviceEvent("reply", self._device, text, facts)
+        return DeviceEvent("reply", self._device, answer.text, facts)

@@ -49,6 +49,7 @@ MODEM = {
 """Texts for the status that a module reports of itself."""
 RESTARTS = frozenset((0x00, 0x01))
 AT_STATUS = ("ok", "error", "invalid command", "invalid parameter", "transmission failed")
+_OTHER_STATUS = "status "
 
 
 @dataclass(frozen=True)
@@ -139,6 +140,25 @@ class AtAnswer:
     command: str
     status: int
     value: bytes
+
+    @property
+    def text(self) -> str:
+        """Text of the answer in the log and in the replies of a dialogue; see `of_text`."""
+        status = AT_STATUS[self.status] if self.status < len(AT_STATUS) else f"{_OTHER_STATUS}{self.status}"
+        return f"{self.frame_id} {self.command} {self.value.hex()} {status}"
+
+    @classmethod
+    def of_text(cls, text: str) -> AtAnswer:
+        """Return the answer of a text.
+
+        Raises:
+            ValueError: the text is not that of an answer.
+        """
+        frame_id, _, rest = text.partition(" ")
+        command = rest[:2]  # two characters, which a foreign module may send as spaces
+        value, _, status = rest[3:].partition(" ")
+        number = AT_STATUS.index(status) if status in AT_STATUS else int(status.removeprefix(_OTHER_STATUS))
+        return cls(int(frame_id), command, number, bytes.fromhex(value))
 
 
 @dataclass(frozen=True)
