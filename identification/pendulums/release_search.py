@@ -83,7 +83,8 @@ class NotFollowed(FitFailed):
 
     def __init__(self, message: str, trials: list[SearchTrial], structural: bool) -> None:
         super().__init__(message)
-        self.trials, self.structural = trials, structural
+        self.trials: list[SearchTrial] = trials
+        self.structural: bool = structural
 
     @property
     def doubtful(self) -> tuple[Minimum, float] | None:

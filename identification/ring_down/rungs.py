@@ -1,4 +1,3 @@
-# pyright: strict
 """Terms of amplitude of a ring-down: selection of frequencies and damping ratios that depend on amplitude.
 
 Each mode has two possible terms, for its frequency and for its damping ratio. The term that reduces χ² most is added as
@@ -12,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import chdtri
 
 from identification.errors import FitFailed
 from identification.least_squares import solve_separable
