@@ -123,7 +123,7 @@ def _steps(instants: list[Instant]) -> list[ParameterComparison | None]:
     for before, after in pairwise(instants):
         try:
             steps.append(compare_parameters(before.parameters, after.parameters))
-        except NotIdentifiable:
+        except NotIdentifiable:  # usual: two files that share no parameter
             steps.append(None)
     looked = [c for step in steps if step for c in step.changes]
     counted = iter(holm([c.p for c in looked]))

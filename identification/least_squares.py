@@ -215,7 +215,7 @@ def _orthonormal(basis: Array) -> tuple[Array, Array]:
             if np.min(np.diag(factor)) < 1e-6:
                 return np.linalg.qr(basis)
             q, r = q @ cast(Array, np.linalg.inv(factor)), factor @ r
-    except np.linalg.LinAlgError:
+    except np.linalg.LinAlgError:  # usual: a dependent basis, for which QR is the exact form
         return np.linalg.qr(basis)
     return q, r
 

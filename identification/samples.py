@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from identification.errors import NotIdentifiable
+from rig_basics.arrays import Array
 
 _MAX_INTERVALS = 20_000  # sampling intervals of which the median is taken
 _FALSE_ALARM_RATE = 5e-4  # probability that white residuals are called correlated
@@ -173,6 +174,6 @@ def correlation_inflation(residual: np.ndarray, window: int = 16) -> float:
     n = len(residual) // window
     if n < 8:
         return 1.0
-    means = residual[: n * window].reshape(n, window).mean(axis=1)
-    ratio = float(np.mean(means**2) * window / max(np.mean(residual**2), 1e-300))
+    means: Array = np.mean(residual[: n * window].reshape(n, window), axis=1)
+    ratio = float(np.mean(means**2)) * window / max(float(np.mean(residual**2)), 1e-300)
     return float(np.sqrt(ratio)) if ratio > chdtri(n, _FALSE_ALARM_RATE) / n else 1.0

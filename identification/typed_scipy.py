@@ -1,4 +1,3 @@
-# pyright: strict
 """Functions of SciPy with the types that SciPy does not declare."""
 
 # SciPy has no types: its members are unknown, and each result has a cast
@@ -6,11 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, cast
 
-import scipy.fft as _fft  # pyright: ignore[reportMissingTypeStubs]  # SciPy has no types
-import scipy.linalg as _linalg  # pyright: ignore[reportMissingTypeStubs]  # SciPy has no types
-import scipy.ndimage as _ndimage  # pyright: ignore[reportMissingTypeStubs]  # SciPy has no types
+import scipy.fft as _fft
+import scipy.linalg as _linalg
+import scipy.ndimage as _ndimage
+import scipy.signal as _signal
 
 from rig_basics.arrays import Array, Complex
 
@@ -45,6 +46,11 @@ def minimum_filter1d(values: Array, size: int) -> Array:
 def gaussian_filter1d(values: Complex, sigma: float, truncate: float) -> Complex:
     """Gaussian filter with the standard deviation `sigma`, in values, cut off at `truncate` standard deviations."""
     return cast(Complex, _ndimage.gaussian_filter1d(values, sigma, truncate=truncate))
+
+
+def lfilter(numerator: Sequence[complex], denominator: Sequence[complex], values: Complex) -> Complex:
+    """Signal after a filter with complex coefficients, `denominator` starting with 1."""
+    return cast(Complex, _signal.lfilter(numerator, denominator, values))
 
 
 def toeplitz(column: Array) -> Array:

@@ -171,7 +171,7 @@ def _read_roles(tables: object) -> object:
 class StoredDevice(DeviceSettings):
     """A device of a log whose driver is not installed: settings as stored, roles as the log contains them."""
 
-    model_config = ConfigDict(extra="allow")
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow")
 
     stored_roles: Annotated[tuple[Any, ...], BeforeValidator(_read_roles)] = ()
 

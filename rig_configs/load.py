@@ -162,7 +162,7 @@ def parse_setting(text: str) -> tuple[str, Any]:
         return key.strip(), value
     try:
         found = parse_toml(f"v = {value}", key)
-    except RigFileError:
+    except RigFileError:  # usual: a text without quotation marks
         return key.strip(), value
     return key.strip(), found["v"] if len(found) == 1 else value
 

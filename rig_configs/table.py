@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -16,4 +16,4 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 class RigTable(BaseModel):
     """A table of the rig file: frozen, unknown keys refused; numbers are finite, neither booleans nor texts."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

@@ -1,9 +1,8 @@
-# pyright: strict
 """Confidence interval of a share that was found by counting."""
 
 from __future__ import annotations
 
-from scipy.special import betaincinv  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import betaincinv
 
 
 def binomial_interval(hits: int, trials: int, level: float = 0.95) -> tuple[float, float]:

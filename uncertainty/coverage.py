@@ -1,4 +1,3 @@
-# pyright: strict
 """Coverage factors, coverage intervals of a sample, and the numerical tolerance for a number of digits."""
 
 from __future__ import annotations
@@ -8,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, ndtri, stdtrit  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import chdtri, ndtri, stdtrit
 
 from uncertainty.errors import BadInput
 

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from uncertainty.coverage import IntervalKind, numerical_tolerance, shortest_interval, symmetric_interval
+from uncertainty.coverage import Interval, IntervalKind, numerical_tolerance, shortest_interval, symmetric_interval
 from uncertainty.group import correlation_of
 
 LEAST_BATCHES = 10
@@ -28,8 +29,11 @@ class Stability:
     """
 
     def __init__(self, digits: int, level: float, interval: IntervalKind) -> None:
-        self.digits, self.level = digits, level
-        self.interval = symmetric_interval if interval == "symmetric" else shortest_interval
+        self.digits: int = digits
+        self.level: float = level
+        self.interval: Callable[[NDArray[np.float64], float], Interval] = (
+            symmetric_interval if interval == "symmetric" else shortest_interval
+        )
         self.found: list[NDArray[np.float64]] = []
         self.eigenvalues: list[float] = []
 

@@ -198,7 +198,7 @@ def _recorded(rng: np.random.Generator, drawn: _Drawn) -> Run:
     keep = rng.random(len(time)) >= _LOST
     phase_at_zero = drawn.phase_rad - SPEED_RAD_S * LOCKED_S
     whole = np.array([phase_at_zero, phase_at_zero + SPEED_RAD_S * time[-1]]) / (2 * np.pi)
-    turns: NDArray[np.float64] = 2 * np.pi * np.arange(np.ceil(whole[0]), np.floor(whole[1]) + 1)
+    turns = 2 * np.pi * np.arange(float(np.ceil(whole[0])), float(np.floor(whole[1])) + 1)
     at = LOCKED_S + time[: len(drawn.disk_m)] + 1 / RATE_HZ
     disk = drawn.disk_m + LASER_NOISE_M * rng.normal(size=drawn.disk_m.shape)
     stamp = LOCKED_S + _TIME_STD_S * rng.normal()

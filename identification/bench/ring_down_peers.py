@@ -113,7 +113,8 @@ def nonlinear_least_squares(record: DecayTrial) -> MethodResult:
     scale = np.concatenate([np.abs(start) * 1e-2, np.full(linear.size, 1e-4)])
     first = np.concatenate([start, linear.ravel()])
     found = _optimize.least_squares(residual, first, jacobian, method="lm", x_scale=scale)
-    covariance = np.linalg.inv(found.jac.T @ found.jac) * 2 * found.cost / (signals.size - len(found.x))
+    jac = cast(Array, found.jac)
+    covariance = np.linalg.inv(jac.T @ jac) * (2 * float(found.cost) / (signals.size - len(first)))
     values: dict[str, float] = dict(zip(_names(len(modes)), found.x[: len(start)].tolist(), strict=True))
     std = np.sqrt(np.diag(covariance))
     spans = {n: (v - 1.96 * s, v + 1.96 * s) for (n, v), s in zip(values.items(), std, strict=False)}

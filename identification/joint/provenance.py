@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -83,10 +83,10 @@ def _entry(
     if started is not None:
         entry["recorded"] = datetime.fromtimestamp(started, UTC).isoformat(timespec="seconds")
     devices = {
-        device: str(identity["serial"])
+        device: str(serial)
         for run in runs
-        for device, identity in run.metadata.get("identities", {}).items()
-        if isinstance(identity, Mapping) and identity.get("serial")
+        for device, identity in cast("Mapping[str, object]", run.metadata.get("identities", {})).items()
+        if isinstance(identity, Mapping) and (serial := cast("Mapping[str, object]", identity).get("serial"))
     }
     if devices:
         entry["devices"] = devices
@@ -111,8 +111,9 @@ def kept_tests(parameters: IdentifiedParameters) -> list[KeptTest] | None:
     Raises:
         ParametersFileError: a test is invalid. The message names the key.
     """
-    entries = parameters.provenance.get("tests", [])
-    if not isinstance(entries, list) or not entries or not all("covariance" in t for t in entries):
+    found = parameters.provenance.get("tests")
+    entries = cast("list[Mapping[str, Any]]", found) if isinstance(found, list) else []
+    if not entries or not all("covariance" in t for t in entries):
         return None
     return [_kept(entry, number) for number, entry in enumerate(entries)]
 

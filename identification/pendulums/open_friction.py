@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import numpy as np
 from scipy import optimize
@@ -24,7 +24,8 @@ from rig_configs.known import KnownSource
 _nnls = cast("Callable[[Array, Array], tuple[Array, float]]", cast("Any", optimize).nnls)  # scipy has no types
 
 DAMPING, FRICTION = slice(0, 2), slice(2, 6)
-TORQUE_STD_Nm, CONTACT_STD_kg_m2 = 1e-2, 1e-4
+TORQUE_STD_Nm: Final = 1e-2
+CONTACT_STD_kg_m2: Final = 1e-4
 """Prior standard deviations larger than any bearing's friction, for finite variances of undetermined directions."""
 _UNIT = np.array([1.0, 1.0, 1e-6, 1e-6, 1e-9, 1e-9])
 _INSIDE = 1.96**2  # χ² of a 95 % interval

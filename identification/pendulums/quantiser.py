@@ -74,7 +74,8 @@ def _log_posterior(theta: Array, time: Array, count: Array, step: float, frictio
 def _walk(walkers: Array, steps: int, time: Array, count: Array, step: float, friction: bool, seed: int) -> Array:
     """Make stretch moves; return the positions after every sweep, shape (steps, walkers, 5)."""
     np.random.seed(seed)
-    n, dimension = walkers.shape[0], (5 if friction else 4)
+    n: int = walkers.shape[0]
+    dimension = 5 if friction else 4
     kept = np.empty((steps, n, 5))
     level = np.empty(n)
     for i in range(n):

@@ -9,6 +9,7 @@ before. Dry friction is included if a spin-down found it or the readings require
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from itertools import product
@@ -31,6 +32,8 @@ from identification.pendulums.unknown_phase import angles_to_try, screened_start
 from identification.rungs import held_back
 from identification.setting import ModelChoice, Setting, check_setting
 from identification.tracking.release_start import damping_start
+
+_log = logging.getLogger(__name__)
 
 _SHIFTS = (0.0, np.log(3.0), -np.log(3.0), np.log(10.0), -np.log(10.0))
 _FAN = sorted(product(_SHIFTS, _SHIFTS), key=lambda s: (abs(s[0]) + abs(s[1]), s))  # ln c3, ln c4; near ones first
@@ -319,7 +322,8 @@ def _with_friction(
 def _settled(search: Search, starts: list[tuple[np.ndarray, bool]], release: RecordedRelease) -> Minimum | None:
     try:
         found = search.answers(starts, release.run.source)
-    except NotFollowed:
+    except NotFollowed as error:
+        _log.debug("%s: fit with dry friction does not follow the angles: %s", release.run.source, error)
         return None
     least = [m for m in found if np.all(m.theta[16:18] > -_MAX_NEGATIVE_STD * np.sqrt(np.diag(m.covariance))[16:18])]
     return least[0] if least else None
@@ -335,7 +339,8 @@ def _ahead(
         places = screened_starts(
             release.problem(shape), [theta for theta, _ in starts], horizons[:_SCREENED_HORIZONS], holding
         )
-    except FitFailed:
+    except FitFailed as error:
+        _log.debug("%s: starts are not screened, all are used: %s", release.run.source, error)
         return starts
     return [(place, held) for place in places[:3] for held in (True, False)]
 

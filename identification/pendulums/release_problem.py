@@ -172,7 +172,7 @@ class RecordedRelease:
         rest = self.rest.along(self.speed.moved(phase)) if np.any(phase) else self.rest
         try:
             now = laid_over(self.knowledge, theta[:2], theta[SUSPENSION])
-        except OutsideDomain:  # a trial with impossible parameters
+        except OutsideDomain:  # usual: a trial with impossible parameters
             return bad
         true, at = theta[_START] - theta[_ZEROS], theta[_SHIFT]
         state, by = rest.at(now, true[0], true[1], at)

@@ -8,6 +8,7 @@ kept for the diagnosis. A search whose starts all end at different places is lim
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
@@ -17,6 +18,8 @@ from identification.errors import FitFailed
 from identification.least_squares import Minimum
 from identification.pendulums.answers import plausible_answers
 from identification.pendulums.transient import TransientProblem
+
+_log = logging.getLogger(__name__)
 
 GOOD = 1.5
 """Largest misfit (χ²/dof over that of noise) of an accepted fit."""
@@ -83,7 +86,8 @@ class NotFollowed(FitFailed):
 
     def __init__(self, message: str, trials: list[SearchTrial], structural: bool) -> None:
         super().__init__(message)
-        self.trials, self.structural = trials, structural
+        self.trials: list[SearchTrial] = trials
+        self.structural: bool = structural
 
     @property
     def doubtful(self) -> tuple[Minimum, float] | None:
@@ -133,7 +137,8 @@ class Search:
                 self.notify(f"start {number}")
             try:
                 trial = self._grown(start, held)
-            except FitFailed:  # the motion from this start is not finite
+            except FitFailed as error:  # the motion from this start is not finite
+                _log.debug("start %d is left out: %s", number, error)
                 continue
             self.trials.append(trial)
             if trial.good:

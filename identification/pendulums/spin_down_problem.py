@@ -190,7 +190,7 @@ class SpinDown:
             return bad
         try:
             now = laid_over(self.knowledge, theta[:2], theta[_SUSPENSION])
-        except OutsideDomain:  # a trial with impossible parameters
+        except OutsideDomain:  # usual: a trial with impossible parameters
             return bad
         state = np.r_[theta[7:9], theta[_ANGLES], theta[9:11], theta[_SPEEDS]]
         still = SpeedHistory.constant(0.0, float(theta[PSI]), self.begin_s)

@@ -11,7 +11,7 @@ One evaluation at the end of the fit without them gives the reduction of χ² (s
 
 from __future__ import annotations
 
-import contextlib
+import logging
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
@@ -39,6 +39,8 @@ from identification.pendulums.transient import (
 )
 from identification.rungs import Rung, held_back
 from identification.setting import ModelChoice, Setting, check_setting
+
+_log = logging.getLogger(__name__)
 
 _PSI, _COUNT = PSI, COUNT
 _ANGLES_TRIED = tuple((np.arange(6) * np.pi / 6).tolist())
@@ -84,9 +86,10 @@ def fit_spin_down_run(
     first = int(np.argmin([d.start_s for d in declines]))
     push = declines[1 - first].push_s - _BEFORE_PUSH_S
     if push - declines[first].start_s > _MIN_STRETCH_S:  # one pendulum runs down before the other is flicked
-        # if a hand touches the second pendulum, only the stretch after its flick is used
-        with contextlib.suppress(FitFailed, NotIdentifiable):
+        try:
             fits.append(_fit_from(run, whole, declines, (declines[first].start_s, push), knowledge, setting, held))
+        except (FitFailed, NotIdentifiable) as error:  # for example, a hand touches the second pendulum
+            _log.info("%s: only the stretch after the second flick is used: %s", run.source, error)
     return _together(fits)
 
 

@@ -11,7 +11,7 @@ with a much larger χ² are dropped.
 
 from __future__ import annotations
 
-import contextlib
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -23,6 +23,9 @@ from identification.least_squares import Minimum
 from identification.pendulums.answers import covering
 from identification.pendulums.transient import Predict, TransientFit, TransientProblem
 from rig_basics.arrays import Array
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 TURN_STD_RAD = float(np.pi)
 """Prior standard deviation of an unknown constant angle, rad."""
@@ -95,7 +98,7 @@ def screened_starts(
     for end_s in horizons[:_HORIZONS]:
         minima: list[Minimum] = []
         for theta in starts:
-            with contextlib.suppress(FitFailed):  # the motion from this start is not finite
+            with ignoring(_log, "fitting from an angle of the rotor", FitFailed):  # the motion is not finite
                 minima.append(hold(problem, theta).solve(theta, end_s, _ITERATIONS))
         if not minima:
             raise FitFailed("the motion of the model is not finite at any angle of the rotor; check masses and lengths")

@@ -11,13 +11,13 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter  # pyright: ignore[reportUnknownVariableType]  # scipy has no types
 
 from dynamics.equations.parameters import RotorParameters
 from identification.estimate import Estimate
 from identification.plan.experiment import Experiment
 from identification.plan.information import covariance, derivatives
 from identification.plan.sensors import SensorProperties
+from identification.typed_scipy import lfilter
 from rig_basics.arrays import Array, Complex
 from rig_basics.units import TO_RPM
 from rig_configs.known import gain_label
@@ -201,7 +201,7 @@ class _RunUp:
             grow = np.exp(z)
             first = (grow - 1 - z) / z**2 * self.step_s  # weight of the later instant
             last = (grow - 1) / z * self.step_s - first
-            filtered = cast("Complex", lfilter([first, last], [1, -grow], self.force))
+            filtered = lfilter([first, last], [1, -grow], self.force)
             out += sign * filtered / (2 * omega * root)
         return out
 

@@ -8,7 +8,7 @@ the others without friction ends at parameters that are many standard deviations
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -28,7 +28,10 @@ from identification.pendulums.transient import TransientProblem
 from identification.pendulums.unknown_phase import angles_to_try, screened_starts
 from identification.release_check.model import TORQUES, FittedRelease, fitted_with_numbers, opened
 from rig_basics.arrays import Array
+from rig_basics.ignoring import ignoring
 from rig_configs.parameters_file import IdentifiedParameters
+
+_log = logging.getLogger(__name__)
 
 WIDE, _LEAST_SHARE = 10.0, 0.01  # widened prior of a parameter: factor on its standard deviation, and smallest share
 DAMPING = ("c3_Nms_per_rad", "c4_Nms_per_rad")
@@ -76,7 +79,7 @@ class Attempts:
     def _alternatives(self, release: RecordedRelease) -> list[FittedRelease]:
         """Fit a release that the identified model does not follow with other pendulums and with dry friction."""
         found = list[FittedRelease]()
-        with contextlib.suppress(FitFailed):
+        with ignoring(_log, "fitting with other pendulums", FitFailed):
             found.append(self._opened(release, self.std(WIDE), True))
         if not self.known_friction:
             torques = (share * self.flick_Nm for share in _FRICTION_SHARES)
@@ -91,7 +94,7 @@ class Attempts:
             torques_Nm: start values of the friction torques of A and B, shape (2,) each.
         """
         for torque in torques_Nm:
-            with contextlib.suppress(FitFailed):
+            with ignoring(_log, "fitting with dry friction", FitFailed):
                 fitted = self._opened(release, self.std(WIDE), False, torque)
                 at, minimum = list(TORQUES), fitted.minimum
                 if np.all(minimum.theta[at] > -_MAX_NEGATIVE_STD * np.sqrt(np.diag(minimum.covariance)[at])):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -14,6 +15,8 @@ from identification.pendulums.suspension_knowledge import BOW
 from identification.pendulums.transient import TransientProblem
 from identification.release_check.model import PLACES, Condensed, FittedRelease, Misfit
 from rig_basics.arrays import Array
+
+_log = logging.getLogger(__name__)
 
 _HELD = 1e-9  # prior standard deviation of a held unknown
 _ITERATIONS = 40
@@ -90,7 +93,8 @@ def _solved(problem: TransientProblem, near: Array, horizons_s: Sequence[float],
             break
         try:
             minimum = _grown(problem, theta, stretches)
-        except FitFailed:
+        except FitFailed as error:
+            _log.debug("a start of the joint fit is left out: %s", error)
             continue
         if minimum.converged:
             found.append(minimum)

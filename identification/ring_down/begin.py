@@ -7,6 +7,7 @@ back if the decay, continued backwards, explains them as well as its own samples
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Protocol
@@ -18,6 +19,8 @@ from identification.ring_down.decay import COARSE_S, DecayData, FittedDecay
 from identification.ring_down.outliers import sample_residuals
 from identification.ring_down.record import SensorRecord
 from identification.ring_down.release_instant import release_instant
+
+_log = logging.getLogger(__name__)
 
 _WINDOW_S = 0.05
 _MAX_WINDOW_STD = 6.0  # standard deviations of a window's χ²
@@ -110,7 +113,8 @@ def _forward(fitted: FittedDecay, attempt: Attempt) -> FittedDecay:
         begins = tuple(b + n * _WINDOW_S for b, n in zip(fitted.decay.begins, late, strict=True))
         try:
             fitted = attempt(replace(fitted.decay, begins=begins))
-        except IdentificationError:
+        except IdentificationError as error:
+            _log.debug("no fit from a later start, the former start is kept: %s", error)
             return original
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numba import njit
@@ -17,7 +18,7 @@ from identification.samples import usual_interval
 
 _CUBIC = 3
 _MIN_CHI2_MARGIN = 20.0  # of χ² beyond the penalty of the search: probability e⁻¹⁰
-HIGHEST_Hz = 0.4 / COARSE_S  # below the Nyquist frequency 0.5 / COARSE_S of the blocks for start values
+HIGHEST_Hz: Final = 0.4 / COARSE_S  # below the Nyquist frequency 0.5 / COARSE_S of the blocks for start values
 _LOUDEST_S = 1.0
 _PEAK_HALF_WIDTH, _MIN_PEAK_SHARE = 0.2, 0.5  # of the peak's frequency; of the stretch's energy
 _ZETA_OF_ONE_PERIOD = 1 / (2 * np.pi)  # damping ratio of a mode that falls to 1/e within one period

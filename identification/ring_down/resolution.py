@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,8 @@ from identification.ring_down.model import BETA
 from identification.ring_down.modes import damped_periodogram, rate, without_modes
 from identification.ring_down.rungs import climbed
 from identification.samples import Averages
+
+_log = logging.getLogger(__name__)
 
 RESOLVED_SPLIT = 0.1  # smallest distance of resolved modes in half-bandwidths
 RESOLVED_GAIN = 100.0  # smallest gain of χ² by the second mode
@@ -44,7 +47,8 @@ def lone_direction(decay: DecayData) -> Lone | None:
     coarse = decay.averages(COARSE_S)[0]
     try:
         fitted = _alone(decay, strong)
-    except IdentificationError:
+    except IdentificationError as error:
+        _log.debug("the stronger sensor alone has no fit, its second mode is not examined: %s", error)
         return None
     weak = coarse[1 - strong]
     rest = _without_strong(weak, fitted)

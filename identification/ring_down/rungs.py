@@ -1,4 +1,3 @@
-# pyright: strict
 """Terms of amplitude of a ring-down: selection of frequencies and damping ratios that depend on amplitude.
 
 Each mode has two possible terms, for its frequency and for its damping ratio. The term that reduces χ² most is added as
@@ -9,10 +8,11 @@ with a prior about zero, so that the interval of the value at zero amplitude cov
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import chdtri
 
 from identification.errors import FitFailed
 from identification.least_squares import solve_separable
@@ -25,6 +25,8 @@ from identification.ring_down.modes import rate
 from identification.ring_down.residuals import gain_of
 from identification.ring_down.scores import known_columns, stretches
 from rig_basics.arrays import Array
+
+_log = logging.getLogger(__name__)
 
 _MIN_BIC_GAIN = 2.0  # of BIC; small, since a missing term biases more than a superfluous one widens
 _FALSE_ALARM_RATE = 1e-3  # probability that noise alone adds a term to a fit
@@ -166,7 +168,8 @@ def _with(fitted: FittedDecay, index: int, priors: Priors) -> FittedDecay | None
             continue
         try:
             found = solve_separable(model, start, np.zeros(model.size), std, _START_ITERATIONS).minimum
-        except FitFailed:
+        except FitFailed as error:
+            _log.debug("a start value of the added mode is left out: %s", error)
             continue
         candidates.append((found.cost, found.theta))
     if not candidates:

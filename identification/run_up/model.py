@@ -235,7 +235,7 @@ def _newton(
 
 def _left(block: SeparableBlock, at: np.ndarray, c: np.ndarray) -> float:
     """Sum of squared residuals of a block for given values of some of its linear unknowns."""
-    others: np.ndarray = np.setdiff1d(np.arange(block.basis.shape[1]), at)
+    others = np.setdiff1d(np.arange(block.basis.shape[1], dtype=np.intp), at)
     rest = SeparableBlock(block.data - block.basis[:, at] @ c, block.basis[:, others], block.tangent)
     left = rest.data - rest.basis @ linear_unknowns(rest)
     found = float(left @ left)

@@ -20,7 +20,8 @@ def reported(design: Design, mark_rad: float) -> tuple[list[str], np.ndarray, np
     names = ["f1_Hz", "zeta1", "f2_Hz", "zeta2", "axis_angle_deg"]
     scale = np.r_[np.exp(theta[:4]) / np.array([2 * np.pi, 1, 2 * np.pi, 1]), np.degrees(1.0)]
     values = [*scale[:4], np.degrees(theta[ANGLE])]
-    rows: list[np.ndarray] = list(np.pad(scale[:, None] * structure.spread[:5], ((0, 0), (0, design.unknowns - p))))
+    linear = np.zeros((len(names), design.unknowns - p))
+    rows: list[np.ndarray] = list(np.hstack([scale[:, None] * structure.spread[:5], linear]))
     at = p
     sizes, turns = list[float](), list[float]()
     # the phase is fixed at the marks; ripple between them is counted from there

@@ -189,8 +189,8 @@ def _white_noise(time_s: np.ndarray, phase_rad: np.ndarray) -> float:
     """Standard deviation of a phase's white part from third divided differences, valid for uneven times."""
     offset = [time_s[k : len(time_s) - 3 + k] for k in range(4)]
     weights = np.array([1 / np.prod([one - other for other in offset if other is not one], axis=0) for one in offset])
-    third = sum(w * phase_rad[k : len(time_s) - 3 + k] for k, w in enumerate(weights))
-    third = np.abs(third) / np.sqrt(np.sum(weights**2, axis=0))
+    terms = [w * phase_rad[k : len(time_s) - 3 + k] for k, w in enumerate(weights)]
+    third: Array = np.abs(np.sum(terms, axis=0)) / np.sqrt(np.sum(weights**2, axis=0))
     limit = 8 * float(np.median(third)) / 0.6745
     return float(np.sqrt(np.mean(np.clip(third, 0, limit if limit else np.inf) ** 2)))
 

@@ -66,7 +66,7 @@ def run_up_starts(channels: Sequence[Averages], drive: Excitation, thorough: boo
     """
     spectra = _Spectra.of(channels, drive)
     thinned = [c.where(np.arange(len(c.time_s)) % _THINNED == 0) for c in channels]
-    power = float(np.mean([np.mean(((c.value - c.value.mean()) * c.weight) ** 2) for c in thinned]))
+    power = float(np.mean([float(np.mean(((c.value - np.mean(c.value)) * c.weight) ** 2)) for c in thinned]))
     starts = [_assigned(thinned, drive, pair) for pair in [spectra.modes([0, 1], 2)] if len(pair) == 2]
     single = spectra.modes([0, 1], 1)
     pairs = [[mode, mode] for mode in single]

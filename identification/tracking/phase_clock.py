@@ -21,7 +21,8 @@ class PhaseClock:
     def __init__(self) -> None:
         self._time_s: list[float] = []
         self._phase_rad: list[float] = []
-        self.refused, self._in_a_row = 0, 0
+        self.refused: int = 0
+        self._in_a_row: int = 0
 
     def feed(self, time_s: np.ndarray, phase_rad: np.ndarray) -> None:
         """Add marks.

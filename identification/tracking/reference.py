@@ -1,4 +1,3 @@
-# pyright: strict
 """The tracker's filter by filterpy, with its Rauch–Tung–Striebel smoother: the same motion, noise and readings.
 
 `FilterpyFilter` replaces `filter_readings` in a `Tracker`, which still handles gates, gaps and restarts. It stores
@@ -14,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter  # pyright: ignore[reportMissingTypeStubs]
+from filterpy.kalman import JulierSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
 from identification.errors import FitFailed
