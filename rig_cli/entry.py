@@ -17,7 +17,7 @@ def main() -> None:
         from rig_cli.main import main as carry_out  # loading takes a while
 
         carry_out()
-    except KeyboardInterrupt:
+    except KeyboardInterrupt:  # usual: reported
         from rig_cli import answer  # needed by no command that works
 
         print("rig: interrupted", file=sys.stderr)
