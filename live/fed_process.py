@@ -7,7 +7,7 @@ into a pipe. It waits while the process does not read the pipe. A second thread 
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import multiprocessing
 import threading
 from abc import ABC, abstractmethod
@@ -19,10 +19,12 @@ from typing import Any, Self, TypeVar
 from daq.acquisition.session import Session
 from daq.items import DeviceEvent
 from live.errors import LiveError
+from rig_basics.ignoring import ignoring
 
 _Item = TypeVar("_Item")
 _INTERVAL_S = 1 / 30
 _START_S, _END_S, _FEED_END_S = 180.0, 10.0, 1.0  # timeouts; a slow machine compiles for a minute, once
+_log = logging.getLogger(__name__)
 
 
 class FedProcess(ABC):
@@ -79,7 +81,7 @@ class FedProcess(ABC):
         self._theirs.close()
         try:
             first: dict[str, Any] = self._ours.recv() if self._ours.poll(_START_S) else {"failed": "it did not start"}
-        except EOFError:
+        except EOFError:  # usual: reported as LiveError
             first = {"failed": "its process ended"}
         if "failed" in first:
             self.__exit__()
@@ -91,7 +93,7 @@ class FedProcess(ABC):
     def __exit__(self, *_: object) -> None:
         self._ending.set()
         if self._session is not None:
-            with contextlib.suppress(ValueError):
+            with ignoring(_log, "detaching from the session", ValueError):
                 self._session.device_event_observers.remove(self._on_session_event)
                 self._session.host_event_observers.remove(self._on_note)
                 self._session.health_observers.remove(self._on_health)
@@ -100,7 +102,7 @@ class FedProcess(ABC):
         if self._feeding.is_alive():  # it waits for a process that does not read any more
             self._process.kill()
         else:
-            with contextlib.suppress(OSError, ValueError):
+            with ignoring(_log, "announcing the end", OSError, ValueError):
                 self._send({"end": True})
         self._process.join(_END_S)
         if self._process.is_alive():
@@ -125,13 +127,15 @@ class FedProcess(ABC):
     def _feed(self) -> None:
         session = self._session
         assert session is not None
-        with contextlib.suppress(OSError, ValueError):  # the process has ended; the session continues
+        try:
             while not self._ending.wait(_INTERVAL_S):
                 self._send(self._update(session, last=False))
             self._send(self._update(session, last=True))
+        except (OSError, ValueError) as error:  # the process has ended
+            _log.info("%s: receives no further data, the session continues: %s", self._label, error)
 
     def _receive(self) -> None:
-        with contextlib.suppress(EOFError, OSError, ValueError):
+        with ignoring(_log, f"receiving the messages of {self._label}", EOFError, OSError, ValueError):
             while True:
                 self._on_message(self._ours.recv())
 
@@ -143,7 +147,8 @@ class FedProcess(ABC):
 def drained(kept: deque[_Item]) -> list[_Item]:
     """Remove and return all items of a deque while other threads append."""
     found: list[_Item] = []
-    with contextlib.suppress(IndexError):
-        while True:
+    while True:
+        try:
             found.append(kept.popleft())
-    return found
+        except IndexError:  # usual: the deque is empty
+            return found

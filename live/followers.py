@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from daq.channels import LOCK_A_CLOSED, LOCK_B_CLOSED
 from identification.tracking.tracker import SensorNoise, Tracker
-from live.levels import Array
 from live.model import LiveModel
 from live.planned import SpeedRamp, simulated_ramp
 from live.signals import Signals
 from live.vectors import LiveVectors
+from rig_basics.arrays import Array
 from rig_configs.schema import Rig
 
 _INTERVAL_S = 0.1  # wall time between two updates
@@ -55,7 +55,8 @@ class Damping:
         self._closed: list[bool | None] = [None, None]
         self._done_s = self._marks_s = -math.inf
         self._rows: deque[tuple[float, float, float, float, float]] = deque(maxlen=_MAX_TRACKED)
-        self.start = (model.physics.a.damping_Nms_per_rad, model.physics.b.damping_Nms_per_rad)
+        a, b = model.physics.a, model.physics.b
+        self.start: tuple[float, float] = (a.damping_Nms_per_rad, b.damping_Nms_per_rad)
 
     def follow(self, until_s: float) -> None:
         """Process all new samples up to an instant in batches."""
@@ -110,10 +111,10 @@ class Followers:
 
     def __init__(self, signals: Signals, model: LiveModel) -> None:
         self._signals, self._model = signals, model
-        self.vectors = LiveVectors(signals)
-        self.damping = Damping(signals, model) if signals.rig.roles.angles is not None else None
-        self.trouble = ""
-        self.wanted_rpm = math.nan
+        self.vectors: LiveVectors = LiveVectors(signals)
+        self.damping: Damping | None = Damping(signals, model) if signals.rig.roles.angles is not None else None
+        self.trouble: str = ""
+        self.wanted_rpm: float = math.nan
         self.wanted_ramp: SpeedRamp | None = None
         self.planned: tuple[SpeedRamp, Array] | None = None  # the newest requested ramp with its vectors
         self._ending = threading.Event()

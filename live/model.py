@@ -3,24 +3,26 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import locked_orbit, steady_states
+from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import DynamicsError
+from rig_basics.arrays import Array, Complex
 from rig_basics.units import RPM
 from rig_configs import IdentifiedParameters
 from rig_configs.schema import Rig
 
-Complex, Real = NDArray[np.complex128], NDArray[np.float64]
-Value = TypeVar("Value", complex, Real)
+_Value = TypeVar("_Value", complex, Array)
 _ACCURACY = 1e-4
 _MAX_KEPT = 2000  # speeds whose steady states are kept
 _MIN_RPM = 20.0
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -50,14 +52,14 @@ class LiveModel:
     """
 
     def __init__(self, rig: Rig, identified: IdentifiedParameters | None = None, source: str = "rig file") -> None:
-        self.physics = rig.physics if identified is None else identified.with_effects(rig.physics)
-        self.source = source
+        self.physics: RotorParameters = rig.physics if identified is None else identified.with_effects(rig.physics)
+        self.source: str = source
         self._top_rpm = rig.limits.speed_rpm
         known = None if identified is None else identified.axis_angle_deg
         self._turn_rad = math.radians(rig.roles.mounted_deg[0] if known is None else known[0])
         self._states: dict[int, list[Predicted]] = {}
 
-    def bode(self, points: int = 600) -> tuple[NDArray[np.float64], Complex, Complex]:
+    def bode(self, points: int = 600) -> tuple[Array, Complex, Complex]:
         """Return complex order-1 amplitudes of x and y in mm over rpm, pendulums locked at 0° and 180°; (points,)."""
         rpm = np.linspace(_MIN_RPM, self._top_rpm, points)
         rows = [self._shown(*self._locked(speed, (0.0, math.pi))) for speed in rpm]
@@ -83,7 +85,8 @@ class LiveModel:
             return
         try:
             found = [s for s in steady_states(self.physics, key * RPM, _ACCURACY) if s.stable]
-        except (DynamicsError, np.linalg.LinAlgError):
+        except (DynamicsError, np.linalg.LinAlgError) as error:
+            _log.info("steady states at %d rpm, the page displays none: %s", key, error)
             found = []
         if len(self._states) >= _MAX_KEPT:
             self._states.pop(next(iter(self._states)))
@@ -100,17 +103,17 @@ class LiveModel:
     def _locked(self, rpm: float, theta_rad: tuple[float, float]) -> tuple[complex, complex]:
         try:
             return locked_orbit(self.physics, max(rpm, 1e-3) * RPM, *theta_rad)
-        except DynamicsError:
+        except DynamicsError:  # usual: no solution at this speed, the curve has a gap
             return complex(math.nan), complex(math.nan)
 
     def _shown(self, x_m: complex, y_m: complex) -> tuple[complex, complex]:
         """Convert x = Re(X e^{iψ}), y = Im(Y e^{iψ}) of the stiffness axes, m, to real parts of the sensors', mm."""
         return self._turned(x_m, -1j * y_m)
 
-    def shown(self, x_m: Real, y_m: Real) -> tuple[Real, Real]:
+    def shown(self, x_m: Array, y_m: Array) -> tuple[Array, Array]:
         """Convert displacements along the stiffness axes, m, shape (n,), to those of the sensors, mm."""
         return self._turned(x_m, y_m)
 
-    def _turned(self, x: Value, y: Value) -> tuple[Value, Value]:
+    def _turned(self, x: _Value, y: _Value) -> tuple[_Value, _Value]:
         c, s = 1e3 * math.cos(self._turn_rad), 1e3 * math.sin(self._turn_rad)
         return x * c + y * s, y * c - x * s

@@ -28,7 +28,7 @@ class Newest:
     """
 
     def __init__(self, topics: Mapping[str, tuple[str, ...]]) -> None:
-        self.left_out = 0
+        self.left_out: int = 0
         self._topics, self._seen_ns = dict(topics), dict[str, int]()
 
     def take(self, recent: Recent, heard_ns: int, until_ns: int | None = None) -> list[Rows]:

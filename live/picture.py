@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from live.angles import shown_deg, within_a_turn
 from live.followers import Followers
 from live.frames import encode
-from live.levels import Array
 from live.limits import Lamps, distances
 from live.model import LiveModel, Predicted
 from live.planned import SpeedRamp
 from live.signals import DEG
 from live.source import Facts, PageSource
+from rig_basics.arrays import Array
 
 STRIPS = ("x", "y", "theta3", "theta4", "drive", "target", "marks")
 _VECTOR = ("rpm", "x.re", "x.im", "y.re", "y.im")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,10 +14,10 @@ import numpy as np
 from dynamics import Scene, SpeedHistory, simulate
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import locked_state
-from live.levels import Array
 from live.model import LiveModel
 from live.signals import Signals
 from live.vectors import LiveVectors
+from rig_basics.arrays import Array
 from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
@@ -24,6 +25,7 @@ _SAMPLES_PER_TURN, _MIN_RATE_HZ = 32, 400.0
 _KNOTS_PER_S = 10.0
 _ACCURACY = 1e-3
 _MAX_DURATION_S = 1200.0  # a longer ramp is nearly steady, and slow to simulate
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ def simulated_ramp(rig: Rig, model: LiveModel, ramp: SpeedRamp) -> Array:
         phase = history.phase(time_s).T[0]
         begin = locked_state(model.physics, speeds[0], 0.0, 0.0, math.pi)
         motion = simulate(model.physics, Scene(history, (False, False), begin, None), time_s, _ACCURACY)
-    except DynamicsError:
+    except DynamicsError as error:
+        _log.info("simulation of the planned ramp, the page displays none: %s", error)
         return np.empty((0, 5))
     signals = Signals(rig, 0, len(time_s))
     for axis, values in zip("xy", model.shown(motion.displacement_m[:, 0], motion.displacement_m[:, 1]), strict=True):

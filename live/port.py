@@ -47,5 +47,5 @@ def bound(host: str, port: int) -> socket.socket:
 def _is_any(name: str) -> bool:
     try:
         return ip_address(name.strip("[]")).is_unspecified
-    except ValueError:
+    except ValueError:  # usual: a name
         return not name.strip()

@@ -39,12 +39,12 @@ class Replayed:
             raise LogError(f"{log.path}: expected samples in {', '.join(topics)}, the log has {list(log) or 'none'}")
         start_ns = min(int(samples.time_ns[0]) for samples in found.values())
         end_ns = max(int(samples.time_ns[-1]) for samples in found.values())
-        self.signals = Signals(rig, start_ns, max(len(samples) for samples in found.values()))
+        self.signals: Signals = Signals(rig, start_ns, max(len(samples) for samples in found.values()))
         for topic, samples in found.items():
             columns = {name: samples.columns[name] for name in topics[topic] if name in samples.columns}
             self.signals.feed(topic, samples.time_ns, columns)
         span_s = float(self.signals.seconds(end_ns))
-        self.transport = Transport(0.0, span_s, speed, *([clock] if clock else []))
+        self.transport: Transport = Transport(0.0, span_s, speed, *([clock] if clock else []))
         self.transport.await_viewer()
         self._path, self._run = log.path, log.metadata.get("run", {})
         self._numbers = {name: float(self._run[name]) for name in ("top_rpm", "duration_s") if name in self._run}

@@ -8,8 +8,8 @@ viewer receives fewer pictures and delays nothing else. Every request passes `li
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
+import logging
 import math
 import time
 from collections.abc import Callable
@@ -29,6 +29,7 @@ from live.errors import CommandRefused
 from live.guard import Guard
 from live.picture import Pictures, ViewerView
 from live.source import Facts, PageSource
+from rig_basics.ignoring import ignoring
 
 FRAMES_PER_S = 30.0
 MOST_VIEWERS = 16
@@ -39,6 +40,8 @@ _ANSWER_S = 2.0
 _MAX_MESSAGE_BYTES, _MAX_NOTE_LETTERS = 4096, 2000
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _BOKEH = ("bokeh.min.js", "bokeh-api.min.js")
+_VIEWER_ENDS = (WebSocketDisconnect, ValueError, TypeError, KeyError, OSError, RuntimeError)
+_log = logging.getLogger(__name__)
 
 
 class _Viewer:
@@ -154,14 +157,14 @@ class PageApplication:
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
-                with contextlib.suppress(WebSocketDisconnect, ValueError, TypeError, KeyError, OSError, RuntimeError):
+                with ignoring(_log, "a viewer's connection", *_VIEWER_ENDS):
                     task.result()
         finally:
             self._viewers.remove(viewer)
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
-            with contextlib.suppress(Exception):
+            with ignoring(_log, "closing a viewer's connection", Exception):
                 await socket.close()
 
     def _extra(self) -> Facts:
@@ -180,7 +183,7 @@ class PageApplication:
         try:
             given = json.loads(body)
             verb = str(given.pop("verb"))
-        except (ValueError, KeyError, AttributeError, TypeError):
+        except (ValueError, KeyError, AttributeError, TypeError):  # usual: answered
             return JSONResponse({"error": 'expected {"verb": …} as JSON'}, 400)
         if len(str(given.get("text", ""))) > _MAX_NOTE_LETTERS:
             return JSONResponse({"error": f"expected a note of at most {_MAX_NOTE_LETTERS} characters"}, 413)
@@ -193,6 +196,7 @@ class PageApplication:
         except CommandRefused as why:
             return JSONResponse({"error": str(why)}, 409)
         except TimeoutError:
+            _log.info("%s: no answer from the recorder within %g s", verb, _ANSWER_S)
             return JSONResponse({"error": f"{verb}: no answer from the recorder within {_ANSWER_S:g} s"}, 409)
 
 

@@ -35,13 +35,13 @@ class Serving:
     """
 
     def __init__(self, source: PageSource, model: LiveModel, host: str = "", port: int = 0) -> None:
-        self.token = new_token()
+        self.token: str = new_token()
         self._socket = bound(host, port)
         self._port = int(self._socket.getsockname()[1])
         shown = host or LOOPBACK[0]
-        self.url = f"http://{f'[{shown}]' if ':' in shown else shown}:{self._port}/?token={self.token}"
+        self.url: str = f"http://{f'[{shown}]' if ':' in shown else shown}:{self._port}/?token={self.token}"
         self._followers = Followers(source.signals, model)
-        self.page = PageApplication(source, Pictures(source, model, self._followers), self.token)
+        self.page: PageApplication = PageApplication(source, Pictures(source, model, self._followers), self.token)
         config = uvicorn.Config(
             self.page.app(hosts_of(host, self._port)),
             log_config=None,

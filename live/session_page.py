@@ -36,7 +36,8 @@ class Asking:
     """
 
     def __init__(self, controls: Controls | None = None, confirmed: Callable[[], None] | None = None) -> None:
-        self.controls, self.confirmed = controls, confirmed
+        self.controls: Controls | None = controls
+        self.confirmed: Callable[[], None] | None = confirmed
         self._prompt, self._at = "", ("", "")
 
     def prompt(self, text: str) -> None:

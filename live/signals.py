@@ -6,17 +6,19 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import ENCODER_FAULT_A, ENCODER_FAULT_B, LOCKS_CLOSED, suspects
-from live.levels import KEPT, KEPT_SLOW, Array, Levels
+from live.levels import KEPT, KEPT_SLOW, Levels
+from rig_basics.arrays import Array
 from rig_configs.roles import Roles
 from rig_configs.schema import Rig
 
-MM, DEG = 1e3, 180 / math.pi
+MM: Final = 1e3
+DEG: Final = 180 / math.pi
 
 
 class Signals:
@@ -34,11 +36,14 @@ class Signals:
     """
 
     def __init__(self, rig: Rig, origin_ns: int, kept: int = KEPT) -> None:
-        self.rig, self.origin_ns = rig, origin_ns
+        self.rig: Rig = rig
+        self.origin_ns: int = origin_ns
         self._roles: Roles = rig.roles
         names = ("x", "y", "turned3", "turned4", "flags", "drive", "target", "marks", "turns")
-        self.by_name = {name: Levels(kept if name in ("x", "y") else min(kept, KEPT_SLOW)) for name in names}
-        self.lock = threading.RLock()
+        self.by_name: dict[str, Levels] = {
+            name: Levels(kept if name in ("x", "y") else min(kept, KEPT_SLOW)) for name in names
+        }
+        self.lock: threading.RLock = threading.RLock()
         self._axis_of = {d.topic: d.axis for d in self._roles.displacements}
         self._mark: tuple[float, float] | None = None
 

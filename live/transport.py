@@ -28,8 +28,9 @@ class Transport:
     def __init__(
         self, start_s: float, end_s: float, speed: float = 1.0, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.start_s, self.end_s = start_s, end_s
-        self.jumps = 0
+        self.start_s: float = start_s
+        self.end_s: float = end_s
+        self.jumps: int = 0
         self._clock = clock
         self._speed = _checked(speed)
         self._at_s, self._since, self._playing = start_s, clock(), True

@@ -9,8 +9,8 @@ from collections import deque
 import numpy as np
 
 from analysis.quantities.order_tracking import order_track
-from live.levels import Array
 from live.signals import Signals
+from rig_basics.arrays import Array
 
 _REVOLUTIONS, _MIN_WINDOW_S = 2, 0.1  # of one vector's window
 _STEP_RPM, _MAX_INTERVAL_S = 0.4, 5.0  # a vector is kept after this change of speed or this time since the last one
@@ -63,7 +63,7 @@ class LiveVectors:
         phase: Array = 2 * math.pi * turned + self._index_rad
         try:
             track = order_track(time_s, values, phase, revolutions=1, harmonics=2)
-        except ValueError:  # too few valid samples
+        except ValueError:  # usual: too few valid samples
             return complex(math.nan, math.nan)
         return complex(np.mean(track.amplitude_m[:, 0]))
 

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
+import logging
 import math
 import signal
 import threading
@@ -27,6 +27,7 @@ from rig_configs.schema import Rig
 
 _LAST_STATE_S = 1.0
 _MAX_EVENTS = 2000
+_log = logging.getLogger(__name__)
 _INITIAL: Facts = {
     "mode": "live",
     "test": "",
@@ -64,7 +65,7 @@ class Watched:
 
     def __init__(self, rig: Rig, pipe: Connection, rate: float, title: str) -> None:
         self._rig, self._pipe, self._rate = rig, pipe, rate
-        self.signals = Signals(rig, 0)
+        self.signals: Signals = Signals(rig, 0)
         self._facts: Facts = {**_INITIAL, "title": title}
         self._events: deque[Mapping[str, Any]] = deque(maxlen=_MAX_EVENTS)
         self._heard: tuple[float, float] | None = None
@@ -75,12 +76,14 @@ class Watched:
 
     def follow(self) -> bool:
         """Receive updates until the other side announces the end (True) or the pipe breaks (False)."""
-        with contextlib.suppress(EOFError, OSError):
+        try:
             while "end" not in (update := self._pipe.recv()):
                 self._take(update)
-            self._end({**self._facts, "ended": True, "can": []})
-            return True
-        return False
+        except (EOFError, OSError) as error:
+            _log.info("the session's process ended without an announcement: %s", error)
+            return False
+        self._end({**self._facts, "ended": True, "can": []})
+        return True
 
     def _end(self, facts: Facts) -> None:
         """End the run: the display stays at the last sample, and no panel becomes stale."""

@@ -13,7 +13,8 @@ from daq.signals.run import Run
 from identification import identify
 from reproduction.errors import NoDataOfSeries
 from rig_configs import IdentifiedParameters, Rig
-from studies.runs import load_runs, validated
+from studies.runs import load_runs
+from studies.validated_runs import validated
 
 BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
 """Tests that identify a rig before its points are run."""

@@ -28,14 +28,17 @@ class _Answer:
     fault: tuple[str, int] | None = None
     names_fault: bool = False
 
+    def begin(self, wanted: bool) -> None:
+        """Start a new command."""
+        self.wanted, self.given, self.fault, self.names_fault = wanted, False, None, False
+
 
 _answer = _Answer()
 
 
 def begin(arguments: Sequence[str]) -> None:
     """Start the answer of a new command."""
-    global _answer  # noqa: PLW0603 (one command runs at a time, and it has one standard output)
-    _answer = _Answer(wanted=any(a in ("--json", "--json=true", "--json=True") for a in arguments))
+    _answer.begin(any(a in ("--json", "--json=true", "--json=True") for a in arguments))
 
 
 def give(result: Mapping[str, Any]) -> None:

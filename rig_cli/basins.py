@@ -216,7 +216,7 @@ def _grid(text: str) -> tuple[int, int]:
     parts = text.lower().replace("×", "x").split("x")
     try:
         across, up = (int(part) for part in parts)
-    except ValueError:
+    except ValueError:  # usual: reported below
         across = up = 0
     if across < 1 or up < 1 or across * up > _MOST:
         raise RigFileError(

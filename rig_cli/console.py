@@ -174,10 +174,8 @@ def wait_for_compilation(what: str) -> Generator[None]:
                 self.seconds += time.monotonic() - self.started
 
     listener = FirstCompilation()
-    install = cast(
-        "Callable[[str, event.Listener], AbstractContextManager[None]]",
-        event.install_listener,  # pyright: ignore[reportUnknownMemberType]  # numba has no types
-    )
+    # numba has no types
+    install: Callable[[str, event.Listener], AbstractContextManager[None]] = vars(event)["install_listener"]
     with install("numba:compile", listener):
         yield
     if listener.seconds > 0:

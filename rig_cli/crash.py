@@ -13,7 +13,6 @@ import threading
 import time
 import traceback
 from collections.abc import Sequence
-from importlib import metadata
 from pathlib import Path
 
 from rig_cli import answer
@@ -35,7 +34,7 @@ def report(error: BaseException, arguments: Sequence[str]) -> int:
     Returns:
         The exit code, 70.
     """
-    with contextlib.suppress(Exception):
+    with contextlib.suppress(Exception):  # usual: the fault is noted below
         text = _page(error, arguments)
         path = _write(text)
         what = f"unexpected error: {_one_line(error)}"
@@ -67,7 +66,7 @@ def watch_threads(arguments: Sequence[str]) -> None:
 def _one_line(error: BaseException) -> str:
     try:
         text = " ".join(str(error).split())
-    except Exception:  # the error's own __str__ raises
+    except Exception:  # usual: the error's own __str__ raises
         text = ""
     return _SECRET.sub(_masked, f"{type(error).__name__}: {text[:200]}" if text else type(error).__name__)
 
@@ -97,8 +96,10 @@ def _page(error: BaseException, arguments: Sequence[str]) -> str:
 
 def _version(name: str) -> str:
     try:
+        from importlib import metadata  # needed by no command that works
+
         return metadata.version(name)
-    except Exception:
+    except Exception:  # usual: an optional package is not installed
         return "absent"
 
 
@@ -109,7 +110,7 @@ def _write(text: str) -> Path | None:
         Its path; None if neither folder can be written to. Existing files are never overwritten.
     """
     for folder in (tempfile.gettempdir, os.getcwd):
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(Exception):  # usual: the folder cannot be written to
             number, name = tempfile.mkstemp(time.strftime("-%Y%m%d-%H%M%S.txt"), "rig-error-", folder())
             with open(number, "w", encoding="utf-8", errors="backslashreplace") as file:
                 file.write(text)

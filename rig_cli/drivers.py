@@ -20,7 +20,7 @@ from rig_configs.errors import RigConfigError
 if TYPE_CHECKING:
     from daq.drivers.contract import Driver
 
-app = App(name="driver", help="List the installed drivers, check one against what every driver must do.")
+app: App = App(name="driver", help="List the installed drivers, check one against what every driver must do.")
 
 
 @app.command(name="list")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 
-_SHORT_COMMANDS = {"predict"}  # commands that end within a second or two
+_SHORT_COMMANDS = {"predict", "--help", "-h", "--version"}  # commands that end within a second or two
 _RARE_COLLECTION = (100_000, 50, 50)  # loading creates hundreds of thousands of objects and hardly any garbage
 
 
@@ -17,7 +17,7 @@ def main() -> None:
         from rig_cli.main import main as carry_out  # loading takes a while
 
         carry_out()
-    except KeyboardInterrupt:
+    except KeyboardInterrupt:  # usual: reported
         from rig_cli import answer  # needed by no command that works
 
         print("rig: interrupted", file=sys.stderr)

@@ -79,7 +79,7 @@ def _open_connection(
 ) -> Generator[FoxgloveConnection]:
     from live.foxglove.session_connection import FoxgloveConnection  # only if requested
 
-    connection = FoxgloveConnection(rig, rate, options.port, _checked(options.origins), notify)
+    connection = FoxgloveConnection(rig, rate, options.port, _checked(options.origins), _refusal_reporter(notify))
     try:
         with connection:
             _announce(connection.url, as_json, notify)
@@ -115,9 +115,8 @@ def foxglove_of_log(
 
     played = LogMessages(log)
     metadata = {**facts_of(rig), "log": log.path.name}
-    server = FoxgloveServer(
-        log.path.name, played.offered, metadata, _checked(options.origins), options.port, Refusals(notify)
-    )
+    refusals = Refusals(_refusal_reporter(notify))
+    server = FoxgloveServer(log.path.name, played.offered, metadata, _checked(options.origins), options.port, refusals)
     with server, LogSender(played, transport, origin_ns, server):
         _announce(server.url, as_json, notify)
         yield
@@ -141,6 +140,16 @@ def _announce(url: str, as_json: bool, notify: Callable[[str], None]) -> None:
         f"for Foxglove and Lichtblick (open a connection, Foxglove WebSocket): {url}; read-only and without a token: "
         "any user of this machine can read it"
     )
+
+
+def _refusal_reporter(notify: Callable[[str], None]) -> Callable[[str], None]:
+    def report(origin: str) -> None:
+        notify(
+            f"warning: --foxglove: a page of {origin} asked for the rig's data and was refused; if it is one that "
+            f"you use, begin with --foxglove-origin {origin}"
+        )
+
+    return report
 
 
 def _report_skipped(left_out: int, notify: Callable[[str], None]) -> None:

@@ -150,7 +150,7 @@ def _numbers(texts: list[str]) -> dict[str, float]:
         name, sign, value = text.partition("=")
         try:
             found[name.strip()] = float(value)
-        except ValueError:
+        except ValueError:  # usual: reported below
             sign = ""
         if not sign:
             raise RigFileError(f"--number {text!r}: expected NAME=VALUE, for example top_rpm=900")

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import sys
 import threading
 from collections.abc import Callable
@@ -11,10 +11,12 @@ from types import TracebackType
 
 from daq.errors import ProcedureError
 from daq.guided_tests.controls import Controls
+from rig_basics.ignoring import ignoring
 from rig_cli.console import notify
 
 KEYS = "p pause   r resume   a abort   n note   Ctrl-C stop"
 _POLL_S = 0.1  # wall s between two reads of the keyboard
+_log = logging.getLogger(__name__)
 
 
 class Keys:
@@ -32,8 +34,8 @@ class Keys:
     def __init__(self, controls: Controls) -> None:
         self._controls = controls
         self.typed: str | None = None
-        self.confirmed = threading.Event()
-        self.aborted = threading.Event()
+        self.confirmed: threading.Event = threading.Event()
+        self.aborted: threading.Event = threading.Event()
 
     def press(self, key: str) -> None:
         """Handle one key; keys without a meaning are ignored."""
@@ -73,8 +75,8 @@ class Keyboard:
     """
 
     def __init__(self, keys: Keys) -> None:
-        self.keys = keys
-        self.there = sys.stdin.isatty()
+        self.keys: Keys = keys
+        self.there: bool = sys.stdin.isatty()
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._read, name="keyboard", daemon=True)
         self._restore: Callable[[], None] = lambda: None
@@ -111,7 +113,7 @@ class Keyboard:
             pass
 
     def _read(self) -> None:
-        with contextlib.suppress(OSError, ValueError):  # the terminal is closed: no more keys
+        with ignoring(_log, "reading the keyboard", OSError, ValueError):  # the terminal is closed: no more keys
             while not self._ending.is_set():
                 if key := _key(_POLL_S):
                     self.keys.press(key)
@@ -151,13 +153,14 @@ else:
         if not (data := os.read(sys.stdin.fileno(), 1)):
             raise OSError("the terminal is closed")
         _pending.extend(data)
-        with contextlib.suppress(UnicodeDecodeError):
+        try:
             key = _pending.decode()
-            _pending.clear()
-            return key
-        if len(_pending) > 4:
-            _pending.clear()
-        return ""
+        except UnicodeDecodeError:  # usual: a part of a character
+            if len(_pending) > 4:
+                _pending.clear()
+            return ""
+        _pending.clear()
+        return key
 
 
 class TerminalOperator:

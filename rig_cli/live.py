@@ -127,7 +127,7 @@ def _log(
             stack.enter_context(foxglove_of_log(foxglove, log, rig, replayed.transport, origin_ns, as_json))
         try:
             threading.Event().wait()
-        except KeyboardInterrupt:
+        except KeyboardInterrupt:  # usual: Ctrl-C ends it
             notify("the page is closed")
     return 0
 
@@ -158,7 +158,7 @@ def _rig(
             while True:
                 session.check()
                 time.sleep(_CHECK_EVERY_S)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt:  # usual: Ctrl-C ends it
             notify("the page is closed")
     return 3 if session.notices else 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,6 +16,7 @@ from daq.log.snapshot import identities_of, rig_of, snapshot_of
 from daq.log.verdicts import digest_of, verdict_of
 from daq.mcap.missing import Missing
 
+_log = logging.getLogger(__name__)
 _PHYSICAL = ("rotor", "imbalance", "pendulums", "suspension")
 
 
@@ -92,7 +94,8 @@ def _sensors(log: Log) -> dict[str, str]:
     """Return what each displacement sensor measured, in words, by device; empty if the rig file does not state it."""
     try:
         return rig_of(log).roles.duties
-    except (LogError, RecursionError):
+    except (LogError, RecursionError) as error:
+        _log.info("%s: the sensors' roles are not available: %s", log.path, error)
         return {}
 
 

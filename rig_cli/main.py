@@ -18,7 +18,6 @@ from keyword import iskeyword
 from cyclopts import App, CycloptsError
 
 from daq.errors import AcquisitionError, LogError, OperatorStop
-from daq.version import software_version
 from dynamics.compiled_code import keep_compiled_code
 from live.errors import LiveError
 from reproduction.errors import ReproductionError, UnknownItem
@@ -125,7 +124,7 @@ def commands(loaded: Collection[str] = ()) -> App:
         name="rig",
         suppress_keyboard_interrupt=False,
         default_parameter=NUMBERS_ARE_FINITE,
-        version=software_version,
+        version=_version,
         help="Runs a pendulum-balancer rotor rig: acquisition, identification, validation, report.\n\n"
         "Every command takes --log-level LEVEL (debug, info, warning or error): lines about what the software does and "
         "which errors it ignores, on standard error.",
@@ -139,6 +138,12 @@ def commands(loaded: Collection[str] = ()) -> App:
     app.command("rig_cli.studies:app", name="study", help=None if "study" in loaded else _STUDY)
     app.command("rig_cli.drivers:app", name="driver", help=None if "driver" in loaded else _DRIVER)
     return app
+
+
+def _version() -> str:
+    from daq.version import software_version  # importlib.metadata takes 15 ms
+
+    return software_version()
 
 
 def run(arguments: list[str]) -> int:
@@ -189,7 +194,7 @@ def _carried_out(arguments: list[str]) -> int:
     except CycloptsError as error:
         answer.give_error(" ".join(error_words(error).split()), 2)  # cyclopts has printed the same on standard error
         return 2
-    except BrokenPipeError:  # the program that read the output, for example `head`, has closed it
+    except BrokenPipeError:  # usual: the program that read the output, for example `head`, has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except KeyboardInterrupt as stop:

@@ -130,7 +130,8 @@ def validate(
 
     With --set it answers a what-if: the settings override rig file and parameters, and no verdict is kept.
     """
-    from studies.runs import keep_verdicts, load_runs, validated
+    from studies.runs import load_runs
+    from studies.validated_runs import keep_verdicts, validated
 
     _check_validation(logs, report)
     if parameters is None:

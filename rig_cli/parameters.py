@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from identification.history import History
     from identification.joint.limits import ParameterLimit
 
-app = App(name="parameters", help="Show identified parameters, compare them, follow them over time.")
+app: App = App(name="parameters", help="Show identified parameters, compare them, follow them over time.")
 app.command(budget)
 _CORRELATED = 0.5
 MassStd = Annotated[str, Parameter(help="relative standard uncertainty of the masses, e.g. 0.05%")]

@@ -66,7 +66,7 @@ def share(text: str, where: str) -> float:
     number, percent, rest = text.strip().partition("%")
     try:
         value = float(number) / (100.0 if percent else 1.0)
-    except ValueError:
+    except ValueError:  # usual: reported below
         value = float("nan")
     if rest or not 0 <= value < 1:
         raise RigFileError(f"{where} expected a share such as 0.1% or 0.001, got {text!r}")

@@ -115,7 +115,7 @@ def _factor(text: str) -> float:
     """Return seconds of the log per second."""
     try:
         factor = math.inf if text == "max" else float(text)
-    except ValueError:
+    except ValueError:  # usual: reported below
         factor = math.nan
     if not factor > 0:
         raise LogError(f"--speed {text}: expected max or a number above 0, for example 1 or 8")
@@ -227,7 +227,7 @@ def _watch(path: Path, speed: float, json: bool) -> int:
             with view:
                 for _, chunk, items in replayed:
                     view.add(chunk.host_ns, items)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt:  # usual: Ctrl-C ends it
             ended = "Ctrl-C"
         result: dict[str, Any] = {
             "log": str(path),
@@ -316,7 +316,7 @@ def _carry_out(playback: Playback, log: Log, speed: float, linger: float | None)
             return "the host, which stopped its devices and left" if state.stopped else "the readers, who left"
         notify("all bytes are delivered; the ports stay open until their readers close them")
         playback.hold(linger)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt:  # usual: Ctrl-C ends it
         return "Ctrl-C"
     return "end of the log"
 

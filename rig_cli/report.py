@@ -42,7 +42,8 @@ def report(
     from daq.signals.run import point_of
     from rig_cli.offline import print_points  # matplotlib and numba take seconds to import
     from rig_cli.reporting import reported
-    from studies.runs import load_runs, validated
+    from studies.runs import load_runs
+    from studies.validated_runs import validated
 
     logs = _logs(places)
     page = _page(output, places, force)

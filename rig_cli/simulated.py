@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
+import logging
 import subprocess
 import sys
 from types import TracebackType
@@ -13,6 +13,9 @@ from daq.errors import DeviceError
 from daq.transports import HostClock
 from daq.transports.paced_clock import PacedClock
 from daq.virtual_rig.control import OperatorLine
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 
 class VirtualRigProcess:
@@ -58,7 +61,9 @@ class VirtualRigProcess:
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=sys.platform != "win32"
         )
         try:
-            self.ports, self.line = self._connect()
+            ports, line = self._connect()
+            self.ports: dict[str, str] = ports
+            self.line: OperatorLine = line
         except BaseException:
             self._end()
             raise
@@ -86,20 +91,21 @@ class VirtualRigProcess:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with contextlib.suppress(OSError, ValueError):
+        with ignoring(_log, "ending the virtual rig", OSError, ValueError):
             self.line.ask("quit")
-        with contextlib.suppress(OSError, ValueError):
+        with ignoring(_log, "closing the operator's line", OSError, ValueError):
             self.line.close()
         self._end()
 
     def _end(self) -> None:
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
-                with contextlib.suppress(OSError):
+                with ignoring(_log, "closing a pipe of the virtual rig", OSError):
                     pipe.close()
         try:
             self._process.wait(timeout=5)
-        except subprocess.TimeoutExpired:
+        except subprocess.TimeoutExpired as error:
+            _log.info("the virtual rig is killed: %s", error)
             self._process.kill()
             self._process.wait()
         if isinstance(self.clock, PacedClock):

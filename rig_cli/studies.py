@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from studies.archive import Reidentified
     from studies.campaigns import CampaignResults
 
-app = App(
+app: App = App(
     name="study", help="Run whole campaigns by the hundred, or identify an archive again; on one machine or many."
 )
 Out = Annotated[Path, Parameter(name=["--out", "-o"], help="folder for results and tiles; its study continues")]

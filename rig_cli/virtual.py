@@ -16,7 +16,7 @@ from rig_cli.numbers import Positive, PositiveSeconds, TimeScale
 from rig_cli.options import Json, Settings
 from rig_configs import RigFileError, load_rig
 
-app = App(name="virtual", help="Start a virtual rig; operate it from another terminal.")
+app: App = App(name="virtual", help="Start a virtual rig; operate it from another terminal.")
 
 Control = Annotated[Path | None, Parameter(help="the file with the rig's control port and token, if several run")]
 _SLOWLY_RPM_S = 20.0

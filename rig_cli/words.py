@@ -31,7 +31,7 @@ def local_time(text: str) -> str:
     """Return an instant in local time; other text is returned unchanged."""
     try:
         return f"{datetime.fromisoformat(text).astimezone():%Y-%m-%d %H:%M:%S}"
-    except (ValueError, OverflowError, OSError):
+    except (ValueError, OverflowError, OSError):  # usual: other text
         return text
 
 

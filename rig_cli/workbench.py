@@ -72,7 +72,7 @@ def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[
     from daq.guided_tests.test_inputs import possible_tests
     from rig_cli import results
     from rig_cli.reporting import reported
-    from studies.runs import keep_verdicts, validated
+    from studies.validated_runs import keep_verdicts, validated
 
     runs, before, joint = _worker["runs"], _worker["before"], _worker["joint"]
     points = {test.removeprefix("point-") for test in possible_tests(rig)}
@@ -123,7 +123,7 @@ class Workbench:
         """
         while True:
             latest = None
-            with contextlib.suppress(queue.Empty):
+            with contextlib.suppress(queue.Empty):  # usual: all messages are read
                 while True:
                     latest = self._messages.get_nowait()
             if latest is not None:

@@ -25,9 +25,10 @@ from daq.guided_tests.test_inputs import possible_tests
 from daq.lockstep.rehearsal import Rehearsal
 from identification import IdentificationError, identify
 from rig_configs import RigFileError, load_rig
-from studies.runs import load_runs, validated
+from studies.runs import load_runs
 from studies.study import Answer, Study
 from studies.tile_files import TileFolder
+from studies.validated_runs import validated
 
 _BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
 _NORMAL_95 = 1.959963984540054  # half width of the 95 % interval of a standard normal variable

@@ -36,7 +36,8 @@ class Lent:
     """An engine for several studies; its owner enters and exits it."""
 
     def __init__(self, engine: Engine) -> None:
-        self.name, self._engine = engine.name, engine
+        self.name: str = engine.name
+        self._engine = engine
 
     def __enter__(self) -> Self:
         return self

@@ -1,21 +1,13 @@
-"""Runs of logs for the commands, their validation, and storage of the verdicts."""
+"""Runs of logs for the commands."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from daq.errors import RecordingError
-from daq.log.verdicts import LoggedVerdict, digest_of, keep_verdict
+from daq.log.verdicts import digest_of
 from daq.signals.run import Run, load_run
-from daq.version import software_version
-
-if TYPE_CHECKING:
-    from analysis.validation import Validation
-    from rig_configs import IdentifiedParameters, Rig
 
 
 def load_runs(logs: Sequence[str | Path]) -> list[Run]:
@@ -25,71 +17,3 @@ def load_runs(logs: Sequence[str | Path]) -> list[Run]:
 
 def _with_digest(run: Run, path: Path) -> Run:
     return replace(run, metadata={**run.metadata, "digest": digest_of(path)})
-
-
-def validated(
-    runs: Sequence[Run],
-    rig: Rig,
-    known: IdentifiedParameters,
-    notify: Callable[[str], None],
-    axis_angle_deg: tuple[float, float] | None = None,
-    set_by_hand: Collection[str] = (),
-) -> Validation:
-    """Validate points, and releases and further run-ups if the rig file requests them.
-
-    Args:
-        runs: loaded runs.
-        rig: rig file.
-        known: identified parameters.
-        notify: called with a sentence on the current work.
-        axis_angle_deg: replaces the identified angle, with its standard uncertainty.
-        set_by_hand: parameters set by a what-if, which no run has identified.
-    Returns:
-        Its warnings include releases that deviate from the model, and run-ups that were not compared.
-    """
-    from analysis.validation import validate  # noqa: PLC0415 (scipy takes a second to import)
-
-    if not rig.validation.releases:
-        return validate(runs, rig, known, axis_angle_deg)
-    from identification.release_check import check_releases, check_run_ups  # noqa: PLC0415 (numba takes seconds)
-
-    releases = check_releases(runs, rig, known, notify, set_by_hand)
-    run_ups = check_run_ups(runs, rig, known, notify)
-    found = validate(runs, rig, known, axis_angle_deg, [*releases, *run_ups])
-    left_out = [f"release at {each.point}: {each.sentence}" for each in releases if not each.followed]
-    left_out += [f"{each.point} not compared: {each.sentence}" for each in run_ups if not each.rows]
-    return replace(found, of_releases=[*found.of_releases, *left_out])
-
-
-def keep_verdicts(found: Validation, runs: Sequence[Run], parameters: str) -> list[str]:
-    """Store each point's verdict next to its log, for `rig logs`; return errors in words.
-
-    Args:
-        found: validation.
-        runs: validated runs.
-        parameters: parameter set of the model.
-    """
-    from analysis.start_ups import START_UPS  # noqa: PLC0415 (scipy takes a second to import)
-
-    digests = {run.source: str(run.metadata["digest"]) for run in runs}
-    now = datetime.now(UTC).isoformat(timespec="seconds")
-    faults: list[str] = []
-    repeated = [(START_UPS, each) for series in found.start_ups for each in series.results]
-    for name, point in [*found.points.items(), *repeated]:
-        if point.source not in digests:  # the point has no log
-            continue
-        verdict = LoggedVerdict(
-            verdict=point.verdict,
-            state=point.state,
-            why=point.why,
-            point=name,
-            parameters=parameters,
-            software=software_version(),
-            judged_at=now,
-            digest=digests[point.source],
-        )
-        try:
-            keep_verdict(point.source, verdict)
-        except RecordingError as fault:
-            faults.append(str(fault))
-    return faults

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
+import logging
 import os
 import zipfile
 from collections.abc import Generator
@@ -13,10 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
+from rig_basics.ignoring import ignoring
 from studies.errors import FolderFault
 from studies.study import Answer, Study
 
 _SEAL_DIGITS = 64  # hexadecimal digits of a SHA-256
+_log = logging.getLogger(__name__)
 
 
 def packed(answer: Answer) -> bytes:
@@ -56,7 +59,8 @@ class TileFolder:
     """
 
     def __init__(self, path: Path, study: Study) -> None:
-        self.path, self.study = path, study
+        self.path: Path = path
+        self.study: Study = study
         with self._faults():
             path.mkdir(parents=True, exist_ok=True)
             self._write(f"{study.digest}.json", study.text.encode())
@@ -105,7 +109,7 @@ class TileFolder:
             for tile in self.finished():
                 (self.path / self._name(tile)).unlink(missing_ok=True)
             (self.path / f"{self.study.digest}.json").unlink(missing_ok=True)
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError):  # usual: other files are in the folder
                 self.path.rmdir()
 
     def _name(self, tile: int) -> str:
@@ -120,7 +124,7 @@ class TileFolder:
                 os.fsync(file.fileno())
             os.replace(part, self.path / name)
         except BaseException:
-            with contextlib.suppress(OSError):
+            with ignoring(_log, f"removing {part}", OSError):
                 part.unlink(missing_ok=True)
             raise
 

@@ -8,6 +8,7 @@ compiled code, one compiles and the others wait, by a lock that ends with the pr
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import platform
 import sqlite3
@@ -17,6 +18,7 @@ from collections.abc import Generator
 from pathlib import Path
 
 from dynamics.compiled_code import keep_compiled_code, source_digest
+from rig_basics.ignoring import ignoring
 from studies.errors import OtherSoftware
 from studies.study import kind_named, software_digest
 from studies.tile_files import packed
@@ -24,6 +26,7 @@ from studies.tile_files import packed
 _COMPILATION_TIMEOUT_S = 600.0
 _warm: set[tuple[str, str]] = set()
 _warming = threading.Lock()
+_log = logging.getLogger(__name__)
 
 
 def answer_tile(kind: str, text: str, software: str, tile: int, threads: int = 1) -> bytes:
@@ -70,11 +73,12 @@ def _alone(place: Path) -> Generator[None]:
         lock = sqlite3.connect(
             place / f"compiling-{source_digest()}.lock", timeout=_COMPILATION_TIMEOUT_S, isolation_level=None
         )
-    except (sqlite3.Error, OSError):
+    except (sqlite3.Error, OSError) as error:
+        _log.info("no lock in %s, this process compiles without it: %s", place, error)
         yield
         return
     try:
-        with contextlib.suppress(sqlite3.Error):
+        with ignoring(_log, f"locking {place}", sqlite3.Error):
             lock.execute("BEGIN EXCLUSIVE")
         yield
     finally:

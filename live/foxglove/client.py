@@ -96,8 +96,8 @@ class Client:
     """
 
     def __init__(self, socket: ServerConnection, offered: Sequence[Offered]) -> None:
-        self.left_out = 0
-        self.subscriptions = Subscriptions(offered)
+        self.left_out: int = 0
+        self.subscriptions: Subscriptions = Subscriptions(offered)
         self._socket, self._loop = socket, asyncio.get_running_loop()
         self._waiting: deque[tuple[Turn, int]] = deque()
         self._bytes = 0

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import os
 import signal
 from collections.abc import Callable, Collection, Mapping
@@ -20,6 +20,7 @@ from live.foxglove.client import Turn
 from live.foxglove.protocol import ChannelMessages, Offered, offered
 from live.foxglove.server import FoxgloveServer
 from live.newest import Rows
+from rig_basics.ignoring import ignoring
 from rig_basics.log_output import show_log_as_parent
 from rig_configs.schema import Rig
 
@@ -27,6 +28,7 @@ NoteRow = tuple[str, int, Mapping[str, Any]]
 """Topic, time (ns since 1970), event or health report."""
 _NICE = 10
 _MAX_ORIGINS, _MAX_ORIGIN_LETTERS = 5, 80
+_log = logging.getLogger(__name__)
 
 
 class Packing:
@@ -72,25 +74,22 @@ class Packing:
 
 
 class Refusals:
-    """Warnings to the operator about refused pages: one per origin, and a limited number.
+    """Origins of refused pages for the operator: each once, and a limited number.
 
     Args:
-        notify: called with a sentence.
+        refused: called with an origin; its text is escaped, because the page chose it.
     """
 
-    def __init__(self, notify: Callable[[str], None]) -> None:
-        self._notify, self._origins = notify, set[str]()
+    def __init__(self, refused: Callable[[str], None]) -> None:
+        self._refused, self._origins = refused, set[str]()
 
     def __call__(self, origin: str) -> None:
-        """Report that a page of this origin was refused; its text is escaped, because the page chose it."""
+        """Report that a page of this origin was refused."""
         shown = ascii(origin[:_MAX_ORIGIN_LETTERS])[1:-1]
         if shown in self._origins or len(self._origins) >= _MAX_ORIGINS:
             return
         self._origins.add(shown)
-        self._notify(
-            f"warning: --foxglove: a page of {shown} asked for the rig's data and was refused; if it is one that "
-            f"you use, begin with --foxglove-origin {shown}"
-        )
+        self._refused(shown)
 
 
 def facts_of(rig: Rig) -> dict[str, str]:
@@ -108,19 +107,19 @@ def run_foxglove(pipe: Connection, rig: Rig, port: int, origins: tuple[str, ...]
         os.nice(_NICE)
     packing = Packing(channels_of(rig.devices))
 
-    def notify(text: str) -> None:
-        with contextlib.suppress(OSError, ValueError):
-            pipe.send({"message": text})
+    def refused(origin: str) -> None:
+        with ignoring(_log, f"reporting that a page of {origin} was refused", OSError, ValueError):
+            pipe.send({"refused": origin})
 
     try:
-        server = FoxgloveServer(rig.name, packing.offered, facts_of(rig), origins, port, Refusals(notify))
+        server = FoxgloveServer(rig.name, packing.offered, facts_of(rig), origins, port, Refusals(refused))
     except LiveError as fault:
         pipe.send({"failed": str(fault)})
         return
     with server:
         pipe.send({"url": server.url})
-        with contextlib.suppress(EOFError, OSError):
+        with ignoring(_log, "receiving the session's messages", EOFError, OSError):
             while "end" not in (handed := pipe.recv()):
                 server.show(packing.turn(handed, server.wanted))
-    with contextlib.suppress(OSError, ValueError):
+    with ignoring(_log, "reporting the omitted messages", OSError, ValueError):
         pipe.send({"left_out": server.left_out})

@@ -70,7 +70,7 @@ class FoxgloveServer:
                 f"({fault.__cause__ or fault}); another run may offer one; choose another port"
             ) from fault
         port = int(self._listening.getsockname()[1])
-        self.url = f"ws://{LOOPBACK[0]}:{port}"
+        self.url: str = f"ws://{LOOPBACK[0]}:{port}"
         self._offered, self._hosts, self._origins = list(offered), frozenset(hosts_of("", port)), frozenset(origins)
         self._first = (server_info(name, uuid.uuid4().hex, metadata), advertise(self._offered))
         self._refused = refused
@@ -85,7 +85,7 @@ class FoxgloveServer:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop has already ended
+        with contextlib.suppress(RuntimeError):  # usual: the loop has already ended
             self._loop.call_soon_threadsafe(self._ending.set)
         if self._thread.is_alive():
             self._thread.join(_END_S)
@@ -109,7 +109,7 @@ class FoxgloveServer:
     def show(self, turn: Turn) -> None:
         """Queue messages for all clients without waiting. Any thread."""
         for client in self.clients:
-            with contextlib.suppress(RuntimeError):  # the server has just ended
+            with contextlib.suppress(RuntimeError):  # usual: the server has just ended
                 client.show(turn)
 
     def _run(self) -> None:
@@ -150,7 +150,7 @@ class FoxgloveServer:
 
     async def _attend(self, socket: ServerConnection) -> None:
         client = Client(socket, self._offered)
-        with contextlib.suppress(ConnectionClosed):
+        with contextlib.suppress(ConnectionClosed):  # usual: the client leaves
             for text in self._first:
                 await socket.send(text)
             self._clients.append(client)

@@ -1,5 +1,5 @@
 # pyright: strict
-"""Foxglove connection of a session in a process of its own. It returns only messages for the operator."""
+"""Foxglove connection of a session in a process of its own. It returns only the origins of refused pages."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class FoxgloveConnection(FedProcess):
         rig: rig of the session.
         rate: seconds of the rig per second of wall time.
         port, origins: as for FoxgloveServer.
-        notify: called with a sentence for the operator.
+        refused: called with the origin of a page that was refused; see Refusals.
 
     Attributes:
         left_out: number of messages that slow clients were not sent; known after the context is left.
@@ -38,11 +38,11 @@ class FoxgloveConnection(FedProcess):
     """
 
     def __init__(
-        self, rig: Rig, rate: float, port: int, origins: Collection[str], notify: Callable[[str], None]
+        self, rig: Rig, rate: float, port: int, origins: Collection[str], refused: Callable[[str], None]
     ) -> None:
         super().__init__("foxglove", "connection for Foxglove", run_foxglove, (rig, port, tuple(origins)))
-        self.left_out = 0
-        self._notify, self._hold_ns = notify, int(HOLD_S * 1e9 * (rate if math.isfinite(rate) else 1.0))
+        self.left_out: int = 0
+        self._refused, self._hold_ns = refused, int(HOLD_S * 1e9 * (rate if math.isfinite(rate) else 1.0))
         self._notes: deque[NoteRow] = deque(maxlen=_MAX_NOTES)
         self._newest = Newest({topic: channel.names for topic, channel in channels_of(rig.devices).items()})
 
@@ -72,4 +72,4 @@ class FoxgloveConnection(FedProcess):
         if "left_out" in message:
             self.left_out = int(message["left_out"])
         else:
-            self._notify(str(message["message"]))
+            self._refused(str(message["refused"]))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from studies.engines.dask_workers import DaskWorkers
+from studies.engines.processes import Processes
 from studies.errors import StudyInputError
 from studies.running import Engine
 
@@ -11,7 +13,7 @@ _EXPECTED = "expected local:N with N processes, or a scheduler's address as tcp:
 
 
 def engine_of(text: str, notify: Callable[[str], None]) -> Engine:
-    """Return the engine of a `--scheduler` argument.
+    """Return the engine that a text names.
 
     Args:
         text: local:N, tcp://HOST:PORT or tls://HOST:PORT.
@@ -22,13 +24,9 @@ def engine_of(text: str, notify: Callable[[str], None]) -> Engine:
     """
     head, sign, rest = text.partition(":")
     if head == "local":
-        from studies.engines.processes import Processes  # noqa: PLC0415 (each engine costs its own imports)
-
         if not (sign and rest.isdecimal() and 1 <= int(rest) <= 1024):
-            raise StudyInputError(f"--scheduler {text!r}: {_EXPECTED}")
+            raise StudyInputError(f"scheduler {text!r}: {_EXPECTED}")
         return Processes(int(rest), notify)
     if text.startswith(("tcp://", "tls://")):
-        from studies.engines.dask_workers import DaskWorkers  # noqa: PLC0415 (dask takes a second to import)
-
         return DaskWorkers(text, notify)
-    raise StudyInputError(f"--scheduler {text!r}: {_EXPECTED}")
+    raise StudyInputError(f"scheduler {text!r}: {_EXPECTED}")

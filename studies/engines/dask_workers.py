@@ -13,11 +13,13 @@ import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from importlib import import_module
 from ipaddress import ip_address
 from typing import Any, Self
 from urllib.parse import urlsplit
 
+from rig_basics.ignoring import ignoring
 from studies.errors import EngineLost, EngineMissing, StudyInputError, TileFailed
 from studies.study import Study
 from studies.worker import answer_tile
@@ -33,6 +35,7 @@ _CERTIFICATES = (
     "configuration (docs/how-to/many_machines.md)"
 )
 _CONNECTION_FAULTS = (OSError, CancelledError)  # timeouts and closed connections are OSErrors too
+_log = logging.getLogger(__name__)
 
 
 class DaskWorkers:
@@ -49,14 +52,14 @@ class DaskWorkers:
 
     def __init__(self, address: str, notify: Callable[[str], None], patience_s: float = _PATIENCE_S) -> None:
         try:
-            import distributed  # noqa: PLC0415 (of an extra; a second to import)
+            self._dask: Any = import_module("distributed")  # of an extra, without types; a second to import
         except ImportError as missing:
             raise EngineMissing(
-                f"--scheduler {address} needs dask, which is not installed here ({missing}); "
-                "pip install 'pendulum-balancer-rig[studies]', or use --scheduler local:N"
+                f"the scheduler {address} needs dask, which is not installed here ({missing}); "
+                "pip install 'pendulum-balancer-rig[studies]', or choose local:N, processes of this machine"
             ) from missing
-        self.name, self._address, self._notify, self._patience_s = address, address, notify, patience_s
-        self._dask: Any = distributed
+        self.name: str = address
+        self._address, self._notify, self._patience_s = address, notify, patience_s
         self._client: Any = None
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # losses are reported here, in plain words
         if address.startswith("tls://"):
@@ -84,7 +87,8 @@ class DaskWorkers:
                 for tile, content in self._by_one_scheduler(study, left, deaths):
                     done.add(tile)
                     yield tile, content
-            except _SchedulerLost:
+            except _SchedulerLost as lost:
+                _log.info("connection to %s: %r", self._address, lost.__cause__)
                 self._notify(f"the scheduler at {self._address} is gone; what is done is kept")
                 self._disconnect()
                 self._connect()
@@ -126,7 +130,7 @@ class DaskWorkers:
         try:
             with client.as_current():
                 self._dask.wait(list(running), timeout=_WAIT_S, return_when="FIRST_COMPLETED")
-        except TimeoutError:
+        except TimeoutError:  # usual: no tile has ended yet
             pass
         except (OSError, CancelledError) as fault:
             raise _SchedulerLost from fault
@@ -180,7 +184,7 @@ class DaskWorkers:
     def _disconnect(self) -> None:
         client, self._client = self._client, None
         if client is not None:
-            with suppress(*_CONNECTION_FAULTS):
+            with ignoring(_log, "disconnecting from the scheduler", *_CONNECTION_FAULTS):
                 client.close(timeout=2)
 
 
@@ -198,17 +202,15 @@ def _scheduler_needed() -> Generator[None]:
 
 
 def _need_certificates(address: str) -> None:
-    from distributed.security import Security  # noqa: PLC0415 (of an extra)
-
-    security: Any = Security()
+    security: Any = import_module("distributed.security").Security()
     try:
         context = security.get_connection_args("client")["ssl_context"]
     except OSError as fault:
         raise StudyInputError(
-            f"--scheduler {address}: the certificates cannot be read ({fault}); {_CERTIFICATES}"
+            f"scheduler {address}: the certificates cannot be read ({fault}); {_CERTIFICATES}"
         ) from fault
     if context is None:
-        raise StudyInputError(f"--scheduler {address}: expected certificates, none are set; {_CERTIFICATES}")
+        raise StudyInputError(f"scheduler {address}: expected certificates, none are set; {_CERTIFICATES}")
 
 
 def _loopback(address: str) -> bool:
@@ -216,5 +218,5 @@ def _loopback(address: str) -> bool:
     host = urlsplit(address).hostname or ""
     try:
         return ip_address(host).is_loopback
-    except ValueError:
+    except ValueError:  # usual: a name
         return host == "localhost"

@@ -18,7 +18,7 @@ def end_with_parent(lifeline: Connection) -> None:
     """
 
     def wait() -> None:
-        with contextlib.suppress(EOFError, OSError):
+        with contextlib.suppress(EOFError, OSError):  # usual: the parent has ended
             lifeline.recv_bytes()
         os._exit(1)
 

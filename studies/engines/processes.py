@@ -31,7 +31,8 @@ class Processes:
     """
 
     def __init__(self, count: int, notify: Callable[[str], None]) -> None:
-        self.name, self._count, self._notify = f"{count} processes", count, notify
+        self.name: str = f"{count} processes"
+        self._count, self._notify = count, notify
         self._pool: ProcessPoolExecutor | None = None
         self._lifeline: Connection | None = None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import signal
 import sys
@@ -138,13 +139,17 @@ def test_a_dead_page_costs_the_recorder_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
-def test_a_page_that_was_killed_does_not_end_the_session(virtual_rig: VirtualRigProcess, plugged: Rig) -> None:
+def test_a_page_that_was_killed_does_not_end_the_session(
+    virtual_rig: VirtualRigProcess, plugged: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "live")
     with _page(plugged) as page, Session(plugged, virtual_rig.clock) as session:
         page.follow(session, Asking(), session.stop, {})
         assert page._process.pid is not None
         os.kill(page._process.pid, signal.SIGKILL)
         page._feeding.join(WAIT_S)
         assert not page._feeding.is_alive(), "the feed ends with its page"
+        assert any("the session continues" in text for text in caplog.messages)
         session.check()
         session.wait_for(lambda: len(session.newest("laser/x", (), 0.5)[0]) > 100, 5.0, "samples")
 

@@ -51,6 +51,7 @@ def test_a_log_is_given_until_the_command_ends(point_log: Path) -> None:
     assert (running.returncode, rest) == (0, "")
     assert f"{url}; read-only and without a token: any user of this machine can read it" in output
     assert "a page of https://evil.example asked for the rig's data and was refused" in output
+    assert "begin with --foxglove-origin https://evil.example" in output
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")

@@ -9,12 +9,12 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from daq.guided_tests.controls import Controls, GuidedTestStatus
-from live.levels import Array
 from live.model import LiveModel
 from live.planned import SpeedRamp, simulated_ramp
 from live.serving import Serving
 from live.session_page import Asking
 from live.watched import Watched
+from rig_basics.arrays import Array
 from rig_configs import load_rig
 
 TOP_RPM = 903.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -32,7 +33,7 @@ def few_tests(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def stranger(monkeypatch: pytest.MonkeyPatch) -> None:
     module = ModuleType("strangers_driver")
-    module.BROKEN, module.SOUND, module.NONE = Broken(), DRIVER, 7  # type: ignore[attr-defined]
+    vars(module).update(BROKEN=Broken(), SOUND=DRIVER, NONE=7)
     monkeypatch.setitem(sys.modules, "strangers_driver", module)
 
 
@@ -103,8 +104,8 @@ def test_no_such_driver_is_bad_use(capsys: pytest.CaptureFixture[str], name: str
 def test_thorough_asks_for_a_million_inputs(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def only_returns(subject: object) -> str:
-        raise Failed(f"thorough {subject.thorough}, {mutations.THOROUGH} against {mutations.QUICK}")  # type: ignore[attr-defined]
+    def only_returns(subject: Any) -> str:
+        raise Failed(f"thorough {subject.thorough}, {mutations.THOROUGH} against {mutations.QUICK}")
 
     monkeypatch.setattr(examination, "CHECKS", {"mutations": only_returns})
     code, out, _ = run_rig(capsys, "check", "vesc", "--thorough", "--json")

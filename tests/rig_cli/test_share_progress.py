@@ -37,9 +37,13 @@ def test_without_a_terminal_a_line_states_rate_and_time_left(
 
 
 def test_stopped_work_states_how_far_it_was(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(KeyboardInterrupt), share_progress("80 points") as answer:  # noqa: PT012
-        answer(0.42)
-        raise KeyboardInterrupt
+    def stopped() -> None:
+        with share_progress("80 points") as answer:
+            answer(0.42)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
     assert capsys.readouterr().err == "stopped: 80 points, 42 % done\n"
 
 
