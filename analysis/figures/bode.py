@@ -42,7 +42,6 @@ def draw_bode(run: Run, model: RigModel | None = None, over: Run | None = None) 
         model: model; its simulation of the run is tracked in the same way, and its steady response is drawn too.
         over: another run, drawn over the first.
     Raises:
-        NotEnoughData: the run stays at one speed, or has no index marks.
         NotEnoughData: a run that stays at one speed, or has no index marks.
     """
     own = passed_vectors(run, model)

@@ -27,9 +27,10 @@ class FigureKind:
     """A kind of figure.
 
     Attributes:
-        name: name as an argument of `rig plot`.
+        name: name as an argument of `rig plot`, also listed in `rig_cli.plot.Kind`. An identifier without hyphens.
         shows: contents in one line.
-        of: input: each run, each log as recorded, or all of them together.
+        of: input: each run, each log as recorded, or all of them together. The last two are drawn by functions of their
+            own in `rig_cli.plotted`.
         overlays: whether a second run may be drawn over it.
     """
 

@@ -102,8 +102,9 @@ class Friction:
 def kept_friction(found: Friction | None, whole: OpenFriction | None) -> dict[str, Any]:
     """Return dry friction for parameters.toml by its key; empty if none was found.
 
-    On a rotor at rest the air's drag has the same effect as contact friction. Contact friction from such a test is
-    therefore stored as 0.
+    The stored values are those of KEPT_FRICTION. If only one test determines them, a value that was not fitted is
+    stored as 0 with a variance of 0. On a rotor at rest the air's drag has the same effect as contact friction. Contact
+    friction from such a test is therefore stored as 0.
 
     Args:
         found: friction from the tests.

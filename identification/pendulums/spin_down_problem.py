@@ -136,7 +136,8 @@ class SpinDown:
     def open_friction(self, kinds: Kinds, minimum: Minimum, setting: Setting) -> OpenFriction | None:
         """Return damping and free friction from a fit with some kinds of friction; None if the fit fails.
 
-        If the iteration nearly converges, the remaining step is added as a standard deviation.
+        The problem contains the kinds of BOTH; other kinds of the fit are left out. If the iteration nearly converges,
+        the remaining step is added as a standard deviation.
         """
         problem = self.problem(BOTH)
         for kind, std in (("torque", TORQUE_STD_Nm), ("contact", CONTACT_STD_kg_m2)):
