@@ -6,10 +6,12 @@ import logging
 import math
 from collections.abc import Callable
 
-from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402 import faults, wire as cia402
 from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START
+from daq.drivers.cia402.faults import REMEDY
 from daq.drivers.cia402.objects import NodeObjects
 from daq.drivers.cia402.process_data import map_process_data
+from daq.drivers.cia402.ramps import set_ramps
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.contract import Pipeline, RotorGuard
@@ -21,16 +23,12 @@ from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
-_RAMP_S = 10
-_MAX_RAMP_DEVIATION = 0.05  # relative deviation of the drive's ramp from the requested one
 _RESET_S = 0.05  # wall s for which each controlword is held while a fault is reset
 _MAX_BEAT_AGE_S = 0.3  # wall s by which a heartbeat may be late on a busy host
 _OFF_S, _OFF_REPEAT_S = 0.5, 0.1  # wall s to wait for the end of the torque, and between two commands
 _MAX_WATCH_RATIO = 2  # of the drive's heartbeat timeout to the requested one; a drive may round it
-_OTHER_FAULTS = 0x6E  # bits of 1001h: current, voltage, temperature, profile, reserved; not generic, line, maker's
 _TORQUE = (cia402.OPERATION_ENABLED, cia402.QUICK_STOP_ACTIVE, cia402.FAULT_REACTION)
 _MAX_EMERGENCIES = 30  # emergencies that are kept for a message
-_REMEDY = "Look into its manual, mend the cause and reset it there"
 _UNCONFIRMED = (
     "it does not answer: the end of the torque is not confirmed. It still watches the host's heartbeat. Look at its "
     "power and its line before anyone touches the rotor"
@@ -160,25 +158,7 @@ class DriveControl:
         Raises:
             DeviceError: the time of the drive's ramp is fixed and does not allow a ramp near this one.
         """
-        for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
-            seconds = self._ramp_seconds(index)
-            change = max(1, round(rpm_per_s * seconds))
-            if abs(change / seconds - rpm_per_s) > _MAX_RAMP_DEVIATION * rpm_per_s:
-                raise DeviceError(
-                    f"drive: {rpm_per_s:g} rpm/s wanted; the time of its ramp ({index:04X}h sub 2) is fixed at "
-                    f"{seconds} s, which allows whole rpm in {seconds} s only, as {change / seconds:g} rpm/s"
-                )
-            self._objects.write(index, 1, change, 4)
-
-    def _ramp_seconds(self, index: int) -> int:
-        """Return the time of a ramp, s: 10 s for a resolution of 0.1 rpm/s, or the drive's own if it is fixed."""
-        try:
-            self._objects.write(index, 2, _RAMP_S, 2)
-        except DeviceError:
-            if own := self._objects.read(index, 2):
-                return own
-            raise
-        return _RAMP_S
+        set_ramps(self._objects, rpm_per_s)
 
     def enable(self) -> None:
         """Bring the drive to OPERATION ENABLED with target speed 0.
@@ -200,7 +180,7 @@ class DriveControl:
                 self._reset_if_only_heartbeat(deadline)
                 was_reset = True
             elif state == cia402.FAULT:
-                raise DeviceError(f"drive: it entered FAULT again{self.why()}. {_REMEDY}")
+                raise DeviceError(f"drive: it entered FAULT again{self.why()}. {REMEDY}")
             elif not watched:
                 self._check_watch()
                 watched = True
@@ -251,41 +231,11 @@ class DriveControl:
             raise DeviceError("drive: the host's heartbeat does not go out. Look at adapter, bus and cable")
 
     def fault_code(self) -> int | None:
-        """Return the cause of FAULT as the drive reports it; None if it reports none.
-
-        The cause is read from 603Fh, otherwise from 1003h. Without either, the register 1001h is used if it only shows
-        an error of the communication.
-        """
-        for index, sub in ((cia402.ERROR_CODE, 0), (cia402.PREDEFINED_ERROR_FIELD, 1)):
-            with ignoring(_log, f"reading the error code {index:04X}h", DeviceError):
-                if code := (self._objects.read(index, sub) or 0) & 0xFFFF:
-                    return code
-        with ignoring(_log, "reading the error register", DeviceError):
-            register = self._objects.read(cia402.ERROR_REGISTER, 0)
-            if register is not None and register & 0xFE == cia402.REGISTER_COMMUNICATION:
-                return cia402.HEARTBEAT_ERROR
-        return None
-
-    def _check_only_heartbeat(self, *, reset: bool = False) -> None:
-        """Raise DeviceError if there is a fault other than the missing heartbeat.
-
-        The newest error code hides earlier ones, so the error register and the emergencies are checked too.
-
-        Args:
-            reset: whether a reset was commanded: then the drive may report no cause any more.
-        """
-        code = self.fault_code()
-        register = None
-        with ignoring(_log, "reading the error register", DeviceError):
-            register = self._objects.read(cia402.ERROR_REGISTER, 0)
-        others = (register or 0) & _OTHER_FAULTS or set(self.emergencies) - {cia402.HEARTBEAT_ERROR}
-        if others or (code != cia402.HEARTBEAT_ERROR and not (reset and code is None)):
-            cause = "it reports no cause" if code is None else f"its error code is 0x{code:04X}"
-            cause += f", its error register 0x{register:02X}" if register else ""
-            raise DeviceError(f"drive: it is in FAULT, {cause}{self.why()}. {_REMEDY}")
+        """Return the cause of FAULT as the drive reports it; None if it reports none."""
+        return faults.fault_code(self._objects)
 
     def _reset_if_only_heartbeat(self, deadline_s: float) -> None:
-        self._check_only_heartbeat()
+        faults.check_only_heartbeat(self._objects, lambda: self.emergencies)
         self.was_reset = "the drive stood in FAULT because a host's heartbeat had stayed away (0x8130); it was reset"
         while self.state == cia402.FAULT and self._clock.wall_s() < deadline_s:
             self._pdo(cia402.DISABLE_VOLTAGE, 0)  # the rising edge of the bit resets; one may be refused
@@ -293,7 +243,7 @@ class DriveControl:
             self._pdo(cia402.FAULT_RESET, 0)
             self._clock.wait(_RESET_S)
             if self.state == cia402.FAULT:
-                self._check_only_heartbeat(reset=True)
+                faults.check_only_heartbeat(self._objects, lambda: self.emergencies, reset=True)
 
     def set_speed(self, rpm: float) -> None:
         """Ramp to a speed, rpm; it is sent as a whole number.
@@ -316,7 +266,7 @@ class DriveControl:
         """
         self._armed = False
         if not self._leave_operation(cia402.SHUTDOWN):
-            raise DeviceError(f"drive: commanded to remove the torque, it stays in {self.state}. {_REMEDY}")
+            raise DeviceError(f"drive: commanded to remove the torque, it stays in {self.state}. {REMEDY}")
         if self._recent_state == cia402.UNKNOWN and not self._off_by_its_objects:
             raise DeviceError(f"drive: commanded to remove the torque, {_UNCONFIRMED}")
 
@@ -398,7 +348,7 @@ class DriveControl:
 
     def why(self) -> str:
         """Return the present emergencies for a message, with code and meaning; empty without one."""
-        return "".join(f"; emergency {cia402.emergency_words(code)}" for code in dict.fromkeys(self.emergencies))
+        return faults.emergency_text(self.emergencies)
 
     def _pdo(self, control: int, rpm: int) -> None:
         self._ordered = True
@@ -454,7 +404,7 @@ class DriveControl:
             self._objects.write(cia402.CONTROLWORD, 0, cia402.DISABLE_VOLTAGE, 2)
             confirmed = True
         if not self._leave_operation(cia402.DISABLE_VOLTAGE):
-            notify(f"the drive was commanded to remove the torque and stays in {self.state}. {_REMEDY}")
+            notify(f"the drive was commanded to remove the torque and stays in {self.state}. {REMEDY}")
             return False
         if self._recent_state == cia402.UNKNOWN and not confirmed and not self._off_by_its_objects:
             notify(f"the drive was commanded to remove the torque, {_UNCONFIRMED}")

@@ -1,0 +1,38 @@
+"""Setting of a drive's ramps."""
+
+from __future__ import annotations
+
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.objects import NodeObjects
+from daq.errors import DeviceError
+
+_RAMP_S = 10
+_MAX_RAMP_DEVIATION = 0.05  # relative deviation of the drive's ramp from the requested one
+
+
+def set_ramps(objects: NodeObjects, rpm_per_s: float) -> None:
+    """Set the ramps for speeding up and slowing down, rpm/s.
+
+    Raises:
+        DeviceError: the time of the drive's ramp is fixed and does not allow a ramp near this one.
+    """
+    for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
+        seconds = _ramp_seconds(objects, index)
+        change = max(1, round(rpm_per_s * seconds))
+        if abs(change / seconds - rpm_per_s) > _MAX_RAMP_DEVIATION * rpm_per_s:
+            raise DeviceError(
+                f"drive: {rpm_per_s:g} rpm/s wanted; the time of its ramp ({index:04X}h sub 2) is fixed at "
+                f"{seconds} s, which allows whole rpm in {seconds} s only, as {change / seconds:g} rpm/s"
+            )
+        objects.write(index, 1, change, 4)
+
+
+def _ramp_seconds(objects: NodeObjects, index: int) -> int:
+    """Return the time of a ramp, s: 10 s for a resolution of 0.1 rpm/s, or the drive's own if it is fixed."""
+    try:
+        objects.write(index, 2, _RAMP_S, 2)
+    except DeviceError:
+        if own := objects.read(index, 2):
+            return own
+        raise
+    return _RAMP_S
