@@ -126,11 +126,12 @@ class DeviceReader:
     def __init__(
         self, name: str, link: Link, clock: HostClock, rest_s: float = 0.01, calm: Callable[[], bool] = bool
     ) -> None:
-        self.name, self.link = name, link
-        self.lock = threading.Lock()
+        self.name: str = name
+        self.link: Link = link
+        self.lock: threading.Lock = threading.Lock()
         self.replies: queue.Queue[str] = clock.queue()
-        self.bytes_in = 0
-        self.heard_s = clock.wall_s()
+        self.bytes_in: int = 0
+        self.heard_s: float = clock.wall_s()
         self._clock = clock
         self._writing, self._stamping = threading.Lock(), threading.Lock()
         self._sent: list[tuple[bytes, int]] = []  # sent but not yet taken, each with its host time

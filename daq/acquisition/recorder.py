@@ -164,7 +164,8 @@ class Recorder:
         self.trouble: RecordingError | None = None
         self._failure: Exception | None = None  # error of the disk, after which nothing can be written
         self._log = LogFile(path, metadata, attachments, devices, clock.now_ns(), sample_channels)
-        self.path, self.part = self._log.path, self._log.part
+        self.path: Path = self._log.path
+        self.part: Path = self._log.part
         self._lock = threading.RLock()
         self._backlog: list[_Item] = []
         self._backlog_bytes = 0

@@ -44,7 +44,7 @@ class RotorCommand:
     ) -> None:
         self._core, self._clock, self._check = core, clock, check
         self.drive: SpeedControl | None = None
-        self.drive_name = ""
+        self.drive_name: str = ""
         self.locks: LockControl | None = None
         guard = RotorGuard(self.permit, self.at_rest, lambda: core.interlocks.speed_rpm(clock.now_ns()))
         for name, device in devices.items():

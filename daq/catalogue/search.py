@@ -65,8 +65,8 @@ class Catalogue:
     """
 
     def __init__(self, folder: str | Path, now_ns: Callable[[], int] = time.time_ns) -> None:
-        self.folder = Path(folder)
-        self.cache_trouble = ""
+        self.folder: Path = Path(folder)
+        self.cache_trouble: str = ""
         self.unread_folders: list[str] = []
         self._now_ns = now_ns
         self._unsaved: dict[str, CachedFacts] = {}

@@ -25,8 +25,8 @@ class CsvRecording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._dialect = sniff(path)
-        self.names = self._dialect.names
-        self.units = self._dialect.units
+        self.names: tuple[str, ...] = self._dialect.names
+        self.units: Mapping[str, str] = self._dialect.units
         self.others: Mapping[str, str] = {}
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:

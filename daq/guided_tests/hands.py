@@ -150,7 +150,8 @@ class DrivenRotor:
     def __init__(self, session: Session) -> None:
         role = session.rig.roles.speed
         assert role is not None, "the rig has no speed source"
-        self._s, self.ramp_rpm_per_s = session, role.ramp_rpm_per_s
+        self.ramp_rpm_per_s: float = role.ramp_rpm_per_s
+        self._s = session
 
     @property
     def speed_rpm(self) -> float:

@@ -49,8 +49,8 @@ class ReservedName:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = Path(path)
-        self.part = self.path.with_name(self.path.name + ".part")
+        self.path: Path = Path(path)
+        self.part: Path = self.path.with_name(self.path.name + ".part")
         check_name(self.path)
         compile_writer()  # before the file exists: a process killed while compiling must not leave an empty file
         try:
@@ -118,7 +118,9 @@ class LogFile:
         compression: Literal["zstd", "none"] = "zstd",
     ) -> None:
         name = path if isinstance(path, ReservedName) else ReservedName(path)
-        self.path, self.part, self.file = name.path, name.part, name.take()
+        self.path: Path = name.path
+        self.part: Path = name.part
+        self.file: BinaryIO = name.take()
         try:
             self._writer = BlockWriter(self.file, compression)
             self._ids = self._define(devices, sample_channels)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from daq.errors import LogError, RecordingError
 from rig_configs.regular_file import need_regular
@@ -24,7 +24,7 @@ _MOST_BYTES = 2**20  # a verdict is a few lines; a larger file is rejected
 _BLOCK_BYTES = 2**20
 
 
-class LoggedVerdict(BaseModel):
+class LoggedVerdict(BaseModel, extra="forbid", frozen=True):
     """One validation's verdict on one log.
 
     Attributes:
@@ -37,8 +37,6 @@ class LoggedVerdict(BaseModel):
         judged_at: time of the validation, ISO 8601.
         digest: "sha256:" and 64 hexadecimal digits, of the whole log.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     verdict: Annotated[str, Field(min_length=1)]
     state: str = ""

@@ -32,7 +32,7 @@ class FileBytes:
         need_regular(path)
         self._stream = open(path, "rb", buffering=0)  # noqa: SIM115 (closed together with the log)
         try:
-            self.size = self._stream.seek(0, os.SEEK_END)
+            self.size: int = self._stream.seek(0, os.SEEK_END)
         except OSError:
             self._stream.close()
             raise

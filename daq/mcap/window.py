@@ -33,7 +33,8 @@ class Window:
     """
 
     def __init__(self, file: FileBytes, ours: bool) -> None:
-        self.file, self.ours = file, ours
+        self.file: FileBytes = file
+        self.ours: bool = ours
         self._base, self._data = 0, memoryview(b"")
 
     def view(self, start: int, end: int) -> memoryview:

@@ -49,7 +49,7 @@ class LinkOutlet:
 
     def __init__(self, link: Link) -> None:
         self._link = link
-        self.port = link.name
+        self.port: str = link.name
         self._open = True
 
     def offer(self, data: bytes) -> int:
