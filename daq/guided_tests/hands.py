@@ -279,7 +279,8 @@ class HandLocks:
         if self._angles is None:
             self._operator.lock(seen=False)
             return
-        with contextlib.suppress(DeviceError):  # no request if the pendulums are locked and the host was only late
+        # no request if the pendulums are locked and the host was only late
+        with contextlib.suppress(DeviceError):  # usual: not locked yet
             self._wait_for(lambda: self._wrong() == "", _MAX_SEEN_S, "both pendulums to be measured at their locks")
             return
         self._progress("lock both pendulums: A at 0°, B at 180°", None)

@@ -161,7 +161,7 @@ class LogSource:
             raise LogError(f"{self.file.path}: expected an open log, it was closed: read what you need before close()")
         try:
             return memoryview(self.file.read(begin, end - begin))
-        except LogError:
+        except LogError:  # usual: the chunks are read one by one, and those that cannot be read are listed
             return memoryview(b"")
 
     def _unpack(self, chunk: int, record: memoryview) -> NDArray[np.uint8] | None:

@@ -6,8 +6,8 @@ therefore detected (`LoggedVerdict.is_of`).
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
+import logging
 import os
 import secrets
 from collections.abc import Callable
@@ -17,7 +17,10 @@ from typing import Annotated
 from pydantic import BaseModel, Field, ValidationError
 
 from daq.errors import LogError, RecordingError
+from rig_basics.ignoring import ignoring
 from rig_configs.regular_file import need_regular
+
+_log = logging.getLogger(__name__)
 
 SUFFIX = ".verdict.json"
 _MOST_BYTES = 2**20  # a verdict is a few lines; a larger file is rejected
@@ -76,7 +79,7 @@ def keep_verdict(log_path: str | Path, verdict: LoggedVerdict) -> Path:
                 os.fsync(file.fileno())
             os.replace(written, path)
         except BaseException:
-            with contextlib.suppress(OSError):
+            with ignoring(_log, f"removing {written}", OSError):
                 written.unlink()
             raise
     except OSError as fault:
@@ -98,7 +101,7 @@ def verdict_of(log_path: str | Path) -> LoggedVerdict | None:
         need_regular(path)
         with open(path, "rb") as file:
             text = file.read(_MOST_BYTES + 1)
-    except FileNotFoundError:
+    except FileNotFoundError:  # usual: a log without a verdict
         return None
     except OSError as fault:
         raise LogError(f"{path}: expected a verdict, cannot read it ({fault.strerror})") from fault

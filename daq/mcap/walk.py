@@ -324,7 +324,7 @@ class Walk:
         self._count_without_crc("summaries", crc)
         try:  # an intact summary may have moved: the file may have become longer before it
             right = crc == 0 or self.file.crc(self.summary_start, end - 4) == crc
-        except LogError:
+        except LogError:  # usual: noted as a damaged summary below
             right = False
         if self.statistics and right and (crc or not self.header.ours):
             self.announced = parse(records.Statistics, self.statistics).message_count
