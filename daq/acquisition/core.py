@@ -145,15 +145,15 @@ class Core:
     def __init__(self, rig: Rig, patience: Callable[[float], float], *, driving: bool) -> None:
         self._rig, self._patience, self._driving = rig, patience, driving
         self._known = devices_of(rig.devices)
-        self.recent = Recent(KEEP_S, tuple(channels_of(rig.devices).values()))
-        self.rates = RateWatches(rig.devices, patience)
-        self.interlocks = Interlocks(rig.limits, rig.roles, patience, driving=driving)
+        self.recent: Recent = Recent(KEEP_S, tuple(channels_of(rig.devices).values()))
+        self.rates: RateWatches = RateWatches(rig.devices, patience)
+        self.interlocks: Interlocks = Interlocks(rig.limits, rig.roles, patience, driving=driving)
         self.pipelines: dict[str, Pipeline] = {}
         self.commanding = self.guarding = self.lenient = self.closing = False
         self.trouble: Exception | None = None
         self._end: Note | None = None  # the event that ended the run
         self.notices: list[str] = []
-        self.bytes_in = dict.fromkeys(self._known, 0)
+        self.bytes_in: dict[str, int] = dict.fromkeys(self._known, 0)
         self.gone: dict[str, str] = {}
         self._past = {name: _Past() for name in self._known}
         self._undecodable: set[str] = set()
@@ -164,7 +164,7 @@ class Core:
         self._dropped_ns: int | None = None
         self._disk_slow = False
         self._first = threading.Lock()
-        self.trips = self._no_trips()
+        self.trips: Trips = self._no_trips()
 
     def _no_trips(self) -> Trips:
         return Trips(channels_of(self._rig.devices).values(), self._rig.roles, self._patience)

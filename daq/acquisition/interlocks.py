@@ -74,7 +74,7 @@ class Share:
             deque()
         )  # first and last time, ns; number of samples, of bad ones
         self._samples = self._bad = 0
-        self.in_a_row = 0
+        self.in_a_row: int = 0
 
     def add(self, first_ns: int, last_ns: int, bad: NDArray[np.bool_]) -> None:
         """Add the samples of one read.
@@ -150,10 +150,10 @@ class Interlocks:
         self._node_s = deadlines[self._angles][1] if self._angles else math.inf
         if self._marks:
             deadlines[self._marks] = (self._device_of[self._marks], math.inf)
-        self.channels = ChannelWatch(deadlines, patience)
+        self.channels: ChannelWatch = ChannelWatch(deadlines, patience)
         self._rest_rpm = roles.rest_rpm
         driven = self._speed is not None
-        self.rotor = RotorWatch(limits.speed_rpm, patience, driven=driven, rest_rpm=self._rest_rpm)
+        self.rotor: RotorWatch = RotorWatch(limits.speed_rpm, patience, driven=driven, rest_rpm=self._rest_rpm)
         self._sight = {topic: Share(BLIND_S) for topic in self._lasers}
         self._exceedances = {topic: Exceedance(limits.amplitude_m) for topic in self._lasers}
         self._stuck = StuckWatch(self._lasers)
@@ -165,7 +165,7 @@ class Interlocks:
         self._faulty_samples = 0
         self._needed: frozenset[str] = frozenset()
         self._commanded = False  # a speed was commanded, and the rotor has not come to rest since
-        self.resting = False
+        self.resting: bool = False
         self._lock = threading.RLock()
 
     # --- input ---------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -19,6 +20,9 @@ from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
 from daq.transports import HostClock, Link
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 _RETRY_PERIOD_S = 2.0  # of attempts to open a device that was unplugged, wall s
 
@@ -103,7 +107,7 @@ class Links:
     def stop_streams(self) -> None:
         """End the streams. A lost device does not prevent the end of the others."""
         for name, device in self._devices.items():
-            with contextlib.suppress(LinkLost, DeviceError):
+            with ignoring(_log, f"ending the stream of {name}", LinkLost, DeviceError):
                 device.driver.stop(self._talk(name))
 
     def close(self) -> None:
@@ -192,7 +196,7 @@ class Links:
         for port in self._edge.places(device.line.port):
             try:
                 link = self._edge.connect(device.line, port)
-            except LinkLost:
+            except LinkLost:  # usual: the device is not on this port
                 continue
             old.stop()
             self._readers[name] = self._reader(name, link)
@@ -215,8 +219,8 @@ class Links:
             self._lost(name, error)
         except _AnotherDevice as error:
             yield from self._refused(name, str(error))
-        except DeviceError:
-            return  # the device is still silent
+        except DeviceError:  # usual: the device is still silent
+            return
 
     def _set_up_again(self, name: str, command: RotorCommand) -> None:
         device = self._devices[name]

@@ -7,8 +7,8 @@ real time. A link of a simulated rig (`FollowedLink`) carries them out in simula
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
+import logging
 import math
 import queue
 import sys
@@ -19,6 +19,9 @@ from typing import Protocol, runtime_checkable
 
 from daq.errors import LinkLost
 from daq.transports import HostClock, Link
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 _NEXT_S = 0.005  # wait for the next arrival after a rest, wall s
 _MAX_QUICK = 8  # consecutive arrivals within `_NEXT_S` after which a device no longer counts as sparse
@@ -76,7 +79,7 @@ def keep_heap_whole() -> None:
     the heap grow. Therefore the threshold is fixed, and large arrays are returned to the system.
     """
     if sys.platform == "linux":
-        with contextlib.suppress(OSError, AttributeError):  # another C library
+        with ignoring(_log, "fixing the thresholds of the heap", OSError, AttributeError):  # another C library
             mallopt = ctypes.CDLL(None).mallopt
             mallopt(_M_ARENA_MAX, 1)
             mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)  # an explicit threshold is no longer adapted
@@ -126,11 +129,12 @@ class DeviceReader:
     def __init__(
         self, name: str, link: Link, clock: HostClock, rest_s: float = 0.01, calm: Callable[[], bool] = bool
     ) -> None:
-        self.name, self.link = name, link
-        self.lock = threading.Lock()
+        self.name: str = name
+        self.link: Link = link
+        self.lock: threading.Lock = threading.Lock()
         self.replies: queue.Queue[str] = clock.queue()
-        self.bytes_in = 0
-        self.heard_s = clock.wall_s()
+        self.bytes_in: int = 0
+        self.heard_s: float = clock.wall_s()
         self._clock = clock
         self._writing, self._stamping = threading.Lock(), threading.Lock()
         self._sent: list[tuple[bytes, int]] = []  # sent but not yet taken, each with its host time

@@ -8,6 +8,7 @@ neither readers nor writer. Backlog, delay of the disk and free space are measur
 
 from __future__ import annotations
 
+import logging
 import shutil
 import threading
 from collections.abc import Iterable, Mapping
@@ -22,6 +23,8 @@ from daq.errors import LogError, RecordingError
 from daq.items import Batch, DeviceEvent, joined
 from daq.log.file import LogFile, ReservedName
 from daq.transports.host_clock import HostClock
+
+_log = logging.getLogger(__name__)
 
 _FLUSH_S = 0.05  # period of writer and sync, wall s
 BACKLOG_BYTES = 64 * 2**20
@@ -164,7 +167,8 @@ class Recorder:
         self.trouble: RecordingError | None = None
         self._failure: Exception | None = None  # error of the disk, after which nothing can be written
         self._log = LogFile(path, metadata, attachments, devices, clock.now_ns(), sample_channels)
-        self.path, self.part = self._log.path, self._log.part
+        self.path: Path = self._log.path
+        self.part: Path = self._log.part
         self._lock = threading.RLock()
         self._backlog: list[_Item] = []
         self._backlog_bytes = 0
@@ -265,7 +269,8 @@ class Recorder:
     def _size(self) -> int:
         try:
             return self.part.stat().st_size
-        except OSError:
+        except OSError as error:
+            _log.debug("%s: its size cannot be read: %s", self.part, error)
             return 0
 
     def _end_because(self, why: str) -> None:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import logging
 from collections.abc import Callable, Mapping
 from functools import partial
 
@@ -13,6 +13,9 @@ from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
 from daq.transports import HostClock
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 _RETRY_PERIOD_S = 0.5  # of attempts to reopen the link of the drive, wall s
 _MAX_WATCHDOG_STOP_S = 8.0  # for an unreachable drive to stop the rotor by its watchdog, wall s
@@ -44,7 +47,7 @@ class RotorCommand:
     ) -> None:
         self._core, self._clock, self._check = core, clock, check
         self.drive: SpeedControl | None = None
-        self.drive_name = ""
+        self.drive_name: str = ""
         self.locks: LockControl | None = None
         guard = RotorGuard(self.permit, self.at_rest, lambda: core.interlocks.speed_rpm(clock.now_ns()))
         for name, device in devices.items():
@@ -95,8 +98,10 @@ class RotorCommand:
     def quick_stop(self) -> None:
         """Stop the drive. If its link is lost, its heartbeat watchdog stops it."""
         if self.drive is not None:
-            with contextlib.suppress(Exception):
+            try:
                 self.drive.quick_stop()
+            except Exception as error:
+                _log.warning("%s: no quick stop was sent, its watchdog stops the rotor: %s", self.drive_name, error)
 
     def bring_to_rest(self, notify: Callable[[str], None], opened: bool, reach: Callable[[], bool]) -> bool:
         """Stop the rotor and release the drive at the end of a session.
@@ -113,12 +118,13 @@ class RotorCommand:
             return not self.turning()
         try:
             return self.drive.stop(notify)
-        except (LinkLost, DeviceError):  # the drive's watchdog stops the rotor; the index marks show when
+        except (LinkLost, DeviceError) as error:  # the drive's watchdog stops the rotor; the index marks show when
+            _log.info("%s: the drive did not confirm its stop, its watchdog stops it: %s", self.drive_name, error)
             end = self._clock.wall_s() + _MAX_WATCHDOG_STOP_S
             retry_at_s = 0.0
             while opened and self.at_rest() is False and self._clock.wall_s() < end:
                 if self._clock.wall_s() >= retry_at_s:  # the watchdog may have failed
-                    with contextlib.suppress(LinkLost, DeviceError):
+                    with ignoring(_log, "stopping the drive again", LinkLost, DeviceError):
                         if reach():
                             self.drive.quick_stop()
                             return self.drive.stop(notify)

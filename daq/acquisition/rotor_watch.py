@@ -86,7 +86,7 @@ class RotorWatch:
         self._zero_since_ns: int | None = None
         self._fell = False  # the reported speed jumped to 0, as that of a drive that does not measure when it is off
         self._reports: deque[tuple[int, float, float]] = deque()  # host ns, least and greatest rpm of a read
-        self.target_rpm = 0.0
+        self.target_rpm: float = 0.0
         self._highest = self._lowest = 0.0  # range of speeds that the commanded speeds permit
         self._beyond = 0
         self._marks: deque[tuple[int, int, int]] = deque(maxlen=4096)  # common time ns, node time ns, revolutions

@@ -77,12 +77,13 @@ class Session:
         notify: Callable[[str], None] = lambda text: None,
         edge: Edge | None = None,
     ) -> None:
-        self.rig, self.clock = rig, clock
+        self.rig: Rig = rig
+        self.clock: HostClock = clock
         self.identities: dict[str, dict[str, Any]] = {name: dict(known) for name, known in (identities or {}).items()}
         self.device_event_observers: list[Callable[[DeviceEvent], None]] = []
         self.host_event_observers: list[Callable[[DeviceEvent, int], None]] = []
         self.health_observers: list[Callable[[Mapping[str, Any], int], None]] = []
-        self.rotor_warning = ""
+        self.rotor_warning: str = ""
         self.log: Path | None = None
         self._edge = edge or real_edge()
         self._channels = tuple(channels_of(rig.devices).values())

@@ -12,6 +12,7 @@ is ignored, and a row is valid only for the file state it was made from (`Stamp`
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import secrets
 import sqlite3
@@ -21,6 +22,10 @@ from collections.abc import Collection, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple, cast
+
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 NAME = ".rig-logs.sqlite"
 VERSION = 2
@@ -82,7 +87,8 @@ def load(folder: Path) -> dict[str, CachedFacts]:
             if not _is_ours(database):
                 return {}
             found = database.execute("SELECT * FROM logs").fetchall()
-    except (OSError, sqlite3.Error, OverflowError):
+    except (OSError, sqlite3.Error, OverflowError) as fault:
+        _log.info("%s: the cache is not used, the logs are read again: %s", file, fault)
         return {}
     return {path: row for path, row, checksum in map(_unpacked, found) if checksum == _checksum(path, row)}
 
@@ -108,7 +114,7 @@ def save(folder: Path, rows: Mapping[str, CachedFacts], gone: Collection[str]) -
     except sqlite3.Error as fault:
         raise OSError(f"{written}: {fault}") from fault
     finally:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # usual: the file has its final name
             written.unlink()
 
 
@@ -163,6 +169,6 @@ def _checksum(path: str, row: CachedFacts) -> int:
 def _sweep(folder: Path) -> None:
     """Remove temporary files of processes that were killed while they wrote."""
     for left in folder.glob(f"{NAME}.*.new*"):
-        with contextlib.suppress(OSError):
+        with ignoring(_log, f"removing {left}", OSError):
             if time.time() - left.stat().st_mtime > _ABANDONED_S:
                 left.unlink()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, JsonValue
+from pydantic import BaseModel, JsonValue
 
 from daq.log.verdicts import LoggedVerdict
 
 State = Literal["finished", "recovered", "unfinished", "damaged", "foreign", "unreadable"]
 
 
-class Entry(BaseModel):
+class Entry(BaseModel, extra="forbid", frozen=True):
     """Facts of one file in the catalogue's folder. Facts that the file does not contain are empty or None.
 
     Attributes:
@@ -35,8 +35,6 @@ class Entry(BaseModel):
             cannot be read, empty without a verdict file.
         judged: that verdict in full.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     path: str
     size_bytes: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +14,8 @@ from daq.errors import LogError
 from daq.log import Log, open_log
 from daq.log.losses import Losses, losses_of
 from daq.mcap.writer import LIBRARY, MAGIC
+
+_log = logging.getLogger(__name__)
 
 _NO_OUTCOME = ("losses", "stalled", "disk")  # bookkeeping of the recording, not results of the test
 _MOST_SENTENCES = 5
@@ -67,8 +70,10 @@ def counted_losses(log: Log) -> Losses | None:
             _short(str(device)): {_short(str(kind)): max(0, min(int(n), _MOST_LOST)) for kind, n in kinds.items()}
             for device, kinds in found.by_device.items()
         }
-    except (LogError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
-        return None  # a foreign or hostile file may contain any value here
+    except (LogError, ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as fault:
+        # a foreign or hostile file may contain any value here
+        _log.info("%s: the stored losses are invalid and are not shown: %s", log.path, fault)
+        return None
     return None if found.source == "none" and not found.total else Losses(by_device, found.source)
 
 
@@ -132,14 +137,14 @@ def _started(text: str, start_ns: int) -> int | None:
     try:
         started = datetime.fromisoformat(text)
         return int((started if started.tzinfo else started.replace(tzinfo=UTC)).timestamp()) * 10**9
-    except (ValueError, OverflowError, OSError):
+    except (ValueError, OverflowError, OSError):  # usual: files of other programs lack this time
         return start_ns or None
 
 
 def _iso(time_ns: int) -> str:
     try:
         return datetime.fromtimestamp(time_ns // 10**9, UTC).isoformat().replace("+00:00", "Z")
-    except (ValueError, OverflowError, OSError):
+    except (ValueError, OverflowError, OSError):  # usual: a time outside the calendar, in a foreign file
         return f"{time_ns} ns since 1970"
 
 
@@ -147,7 +152,7 @@ def _value(text: str) -> Any:
     """Decode a number, a truth value or a text; any other value stays JSON text."""
     try:
         value = json.loads(text, parse_constant=lambda _: None)
-    except (ValueError, RecursionError):
+    except (ValueError, RecursionError):  # usual: plain text
         return _short(text)
     if isinstance(value, str):
         return _short(value)

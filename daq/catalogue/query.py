@@ -94,7 +94,7 @@ def _since_1970_ns(instant: datetime) -> int:
     """Convert to ns since 1970. An instant without a zone is local time, or UTC in years without local time."""
     try:
         seconds = instant.timestamp()
-    except (ValueError, OverflowError, OSError):
+    except (ValueError, OverflowError, OSError):  # usual: a year without local time
         seconds = instant.replace(tzinfo=UTC).timestamp()
     return round(seconds * 1e6) * 1000
 

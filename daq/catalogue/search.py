@@ -65,8 +65,8 @@ class Catalogue:
     """
 
     def __init__(self, folder: str | Path, now_ns: Callable[[], int] = time.time_ns) -> None:
-        self.folder = Path(folder)
-        self.cache_trouble = ""
+        self.folder: Path = Path(folder)
+        self.cache_trouble: str = ""
         self.unread_folders: list[str] = []
         self._now_ns = now_ns
         self._unsaved: dict[str, CachedFacts] = {}
@@ -160,7 +160,7 @@ class Catalogue:
 def _stamp(file: Path) -> Stamp | None:
     try:
         return Stamp.of(file.stat())
-    except OSError:
+    except OSError:  # usual: the file was removed meanwhile
         return None
 
 
@@ -168,9 +168,9 @@ def _is_gone(file: Path) -> bool:
     """Return True if the file does not exist; a file without read permission exists."""
     try:
         file.lstat()
-    except (FileNotFoundError, NotADirectoryError):
+    except (FileNotFoundError, NotADirectoryError):  # usual: this is the question
         return True
-    except OSError:
+    except OSError:  # usual: the file exists and must not be read
         return False
     return False
 
@@ -178,7 +178,7 @@ def _is_gone(file: Path) -> bool:
 def _entry_in(row: CachedFacts) -> Entry | None:
     try:
         return Entry.model_validate_json(row.entry)
-    except ValidationError:
+    except ValidationError:  # usual: a row of another version of this program
         return None
 
 

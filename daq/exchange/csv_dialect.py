@@ -83,7 +83,7 @@ class Dialect:
             cell = cell.replace(",", ".")
         try:
             return int(cell)
-        except ValueError:
+        except ValueError:  # usual: not a whole number
             pass
         try:
             return float(cell)
@@ -163,7 +163,7 @@ def _encoding(path: Path) -> str:
             if is_utf8:
                 try:
                     decoder.decode(block)
-                except UnicodeDecodeError:
+                except UnicodeDecodeError:  # usual: the other encoding
                     is_utf8 = False
     return "utf-8" if is_utf8 else "latin-1"
 
@@ -174,7 +174,7 @@ def _numbers(dialect: Dialect, cells: Sequence[str]) -> int:
     for cell in cells:
         try:
             dialect.number(cell)
-        except ValueError:
+        except ValueError:  # usual: a cell that is not counted
             continue
         count += 1
     return count
@@ -183,7 +183,7 @@ def _numbers(dialect: Dialect, cells: Sequence[str]) -> int:
 def _cells(dialect: Dialect, line: str) -> list[str]:
     try:
         return dialect.split(line)
-    except csv.Error:
+    except csv.Error:  # usual: the line is of another dialect
         return []
 
 

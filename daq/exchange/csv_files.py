@@ -5,9 +5,11 @@ Numbers are the shortest text that reads back to the same float64; a missing num
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import pyarrow
 import pyarrow.csv
@@ -29,10 +31,11 @@ class CsvFiles:
 
     def __init__(self, layouts: Sequence[Layout], places: Mapping[str, Path]) -> None:
         self._names = {layout.name: list(layout.dtypes) for layout in layouts}
-        self._files: dict[str, Any] = {}
+        self._files: dict[str, BinaryIO] = {}
+        self._open = ExitStack()
         try:
             for name, columns in self._names.items():
-                self._files[name] = open(places[name], "wb")  # noqa: SIM115 (closed by `close`)
+                self._files[name] = self._open.enter_context(io.BufferedWriter(io.FileIO(places[name], "w")))
                 self._files[name].write((",".join(columns) + "\n").encode())
         except BaseException:
             self.close()
@@ -50,5 +53,4 @@ class CsvFiles:
 
     def close(self) -> None:
         """See TableWriter."""
-        while self._files:
-            self._files.popitem()[1].close()
+        self._open.close()

@@ -25,8 +25,8 @@ class CsvRecording:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._dialect = sniff(path)
-        self.names = self._dialect.names
-        self.units = self._dialect.units
+        self.names: tuple[str, ...] = self._dialect.names
+        self.units: Mapping[str, str] = self._dialect.units
         self.others: Mapping[str, str] = {}
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
@@ -108,11 +108,11 @@ def _array(values: list[float | int]) -> NDArray[Any]:
     if all(type(value) is int for value in values):
         try:
             return np.array(values, np.int64)
-        except OverflowError:
+        except OverflowError:  # usual: larger than int64
             pass
     try:
         return np.array(values, np.float64)
-    except OverflowError:
+    except OverflowError:  # usual: larger than float64
         return np.array([float(str(value)) for value in values])
 
 
@@ -123,9 +123,9 @@ def _plain_numbers(cells: list[str]) -> NDArray[Any] | None:
     try:
         if cells[0].lstrip("+-").isdecimal():
             return np.array([int(cell) for cell in cells], np.int64)
-    except (ValueError, OverflowError):
+    except (ValueError, OverflowError):  # usual: not whole numbers of 64 bits
         pass
     try:
         return np.array([float(cell) for cell in cells])
-    except ValueError:
+    except ValueError:  # usual: the cells are read one by one
         return None

@@ -26,7 +26,7 @@ class Hdf5File:
     """
 
     def __init__(self, layouts: Sequence[Layout], place: Path) -> None:
-        self._disk = _Disk(open(place, "w+b", buffering=0))  # noqa: SIM115 (closed by `close`)
+        self._disk = _Disk(io.FileIO(place, "w+"))  # closed by `close`
         self._file: Any = h5py.File(self._disk, "w")
         self._rows = dict.fromkeys((layout.name for layout in layouts), 0)
         for layout in layouts:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from daq.channels import Channel
 from daq.items import Batch, DeviceEvent
 from daq.log.file import LogFile
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 _ROWS_PER_STEP = 8192
 
@@ -56,7 +59,7 @@ def write_log(
             _write(log, parts, events, progress)
             return log.finish(summary)
     except BaseException:
-        with contextlib.suppress(OSError):
+        with ignoring(_log, f"removing {log.part}", OSError):
             log.part.unlink()  # the recording still contains all data
         raise
 

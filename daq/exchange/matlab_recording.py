@@ -48,7 +48,7 @@ class MatRecording:
         for name, value in found.items():
             if not name.startswith("__"):
                 self._collect(name, value)
-        self.names = tuple(self._columns)
+        self.names: tuple[str, ...] = tuple(self._columns)
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
         """See Recording."""
@@ -79,7 +79,7 @@ class Hdf5Recording:
                 tree.visititems(self._visit)  # follows hard links only, so it stays in this file
         except Exception as fault:  # h5py raises many kinds of errors
             raise _unreadable(path, fault) from fault
-        self.names = tuple(self._places)
+        self.names: tuple[str, ...] = tuple(self._places)
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
         """See Recording."""

@@ -31,7 +31,7 @@ class ParquetRecording:
             self._schema = pq.read_schema(path)
         except (pa.ArrowException, OSError) as fault:
             raise _unreadable(path, fault) from fault
-        self.names = tuple(self._schema.names)
+        self.names: tuple[str, ...] = tuple(self._schema.names)
 
     def read(self, names: Iterable[str]) -> Mapping[str, Column]:
         """See Recording."""

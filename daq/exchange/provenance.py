@@ -66,5 +66,5 @@ def _json_attachment(log: Log, name: str) -> Any:
     text = data.decode("utf-8", "replace")
     try:
         return json.loads(text)
-    except ValueError:
+    except ValueError:  # usual: plain text
         return text

@@ -7,7 +7,7 @@ import re
 from datetime import UTC, datetime
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from daq.exchange.errors import ExchangeError
 from daq.exchange.units import ColumnChoice, Quantity, parse_column
@@ -28,7 +28,7 @@ _SENSORS = tuple(name for name in QUANTITIES if name != "time")
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class Recipe(BaseModel):
+class Recipe(BaseModel, extra="forbid", frozen=True):
     """Options of an import. Columns are written ``NAME:UNIT``, see daq.exchange.units.parse_column.
 
     Attributes:
@@ -49,8 +49,6 @@ class Recipe(BaseModel):
         recorder: name of the recorder; recordings of one recorder share its clock's error. Recordings without a name
             count as one recorder's.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     test: str = ""
     point: str = ""

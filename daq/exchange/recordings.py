@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from daq.exchange.columns import ColumnFile
+from daq.exchange.csv_recording import CsvRecording
 from daq.exchange.errors import ExchangeError
+from daq.exchange.matlab_recording import Hdf5Recording, MatRecording
+from daq.exchange.parquet_recording import ParquetRecording
 from rig_configs.regular_file import need_regular
 
 
@@ -15,11 +18,6 @@ def open_recording(path: Path) -> ColumnFile:
     Raises:
         ExchangeError: the file does not exist, is empty, or is not csv, parquet, mat or hdf5.
     """
-    # imported when needed: importing scipy, h5py and pyarrow would delay the import of a csv file
-    from daq.exchange.csv_recording import CsvRecording  # noqa: PLC0415 (see above)
-    from daq.exchange.matlab_recording import Hdf5Recording, MatRecording  # noqa: PLC0415 (see above)
-    from daq.exchange.parquet_recording import ParquetRecording  # noqa: PLC0415 (see above)
-
     try:
         need_regular(path)
         with open(path, "rb") as file:

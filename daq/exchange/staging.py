@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import os
 from pathlib import Path
 from types import TracebackType
 
 from daq.exchange.errors import ExchangeError
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 
 class Staging:
@@ -65,5 +68,5 @@ class Staging:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         for part in self._parts.values():
-            with contextlib.suppress(OSError):
+            with ignoring(_log, f"removing {part}", OSError):
                 part.unlink(missing_ok=True)

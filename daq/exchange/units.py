@@ -147,7 +147,7 @@ def settle_unit(choice: ColumnChoice, file_unit: str | None, quantity: Quantity,
 def _number(text: str) -> float:
     try:
         return float(text)
-    except ValueError:
+    except ValueError:  # usual: the name of a unit
         return math.nan
 
 

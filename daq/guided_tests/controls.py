@@ -58,7 +58,7 @@ class Controls:
     """
 
     def __init__(self) -> None:
-        self.status = GuidedTestStatus()
+        self.status: GuidedTestStatus = GuidedTestStatus()
         self._requests: deque[Request] = deque()
 
     def pause(self) -> None:

@@ -150,7 +150,8 @@ class DrivenRotor:
     def __init__(self, session: Session) -> None:
         role = session.rig.roles.speed
         assert role is not None, "the rig has no speed source"
-        self._s, self.ramp_rpm_per_s = session, role.ramp_rpm_per_s
+        self.ramp_rpm_per_s: float = role.ramp_rpm_per_s
+        self._s = session
 
     @property
     def speed_rpm(self) -> float:
@@ -278,7 +279,8 @@ class HandLocks:
         if self._angles is None:
             self._operator.lock(seen=False)
             return
-        with contextlib.suppress(DeviceError):  # no request if the pendulums are locked and the host was only late
+        # no request if the pendulums are locked and the host was only late
+        with contextlib.suppress(DeviceError):  # usual: not locked yet
             self._wait_for(lambda: self._wrong() == "", _MAX_SEEN_S, "both pendulums to be measured at their locks")
             return
         self._progress("lock both pendulums: A at 0°, B at 180°", None)

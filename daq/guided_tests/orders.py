@@ -30,6 +30,7 @@ from daq.guided_tests.measures import ANGLE_FIELDS, Measures
 from daq.items import DeviceEvent
 from daq.log.numbering import next_number, one_at_a_time
 from daq.log.outcome import ending
+from daq.transports import HostClock
 from rig_configs.roles import PendulumAngles
 
 _PAST_S = 3.0  # pre-trigger of the log of a test that was stopped before its log, rig s; short, since it is decoded
@@ -76,9 +77,11 @@ class RigOrders:
     """
 
     def __init__(self, session: Session, operator: Operator, folder: Path, progress: Progress, note: str = "") -> None:
-        self.session, self.operator, self.clock = session, operator, session.clock
+        self.session: Session = session
+        self.operator: Operator = operator
+        self.clock: HostClock = session.clock
         self.parameters = ""
-        self.measures = Measures(session)
+        self.measures: Measures = Measures(session)
         self.wait: Wait = session.wait_for
         roles = session.rig.roles
 
@@ -99,10 +102,13 @@ class RigOrders:
             request: the requested test.
             facts: facts for the metadata of its log.
         """
-        self.request, self._facts = request, dict(facts)
+        self.request: GuidedTestRequest = request
+        self._facts = dict(facts)
         self.memory: dict[str, Any] = {}
         self.facts: dict[str, Any] = {}
-        self.missed, self.aborted, self.warnings = "", False, list[str]()
+        self.missed: str = ""
+        self.aborted: bool = False
+        self.warnings: list[str] = []
         self.kept: Kept | None = None
         self._recording = self._turned = self._held = self._trusts_angles = False
 

@@ -43,7 +43,7 @@ class Procedures:
         note: str = "",
         controls: Controls | None = None,
     ) -> None:
-        self.controls = controls or Controls()
+        self.controls: Controls = controls or Controls()
         self._rig = session.rig
         self._orders = RigOrders(session, operator, folder, progress, note)
         self._runner = Runner(self._orders, self.controls)

@@ -6,7 +6,7 @@ All waits of a guided test are in this module, on the session's clock. It starts
 
 from __future__ import annotations
 
-import contextlib
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +17,8 @@ from daq.guided_test_kinds import GuidedTestRequest
 from daq.guided_tests.controls import Controls, GuidedTestStatus, Request
 from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.table import END, FAULT, State, StateObservation, StateOutcome, StateTable, StateView
+
+_log = logging.getLogger(__name__)
 
 _PAUSE_LOOK_S = 0.1  # period of the looks while a test is paused, rig s
 
@@ -99,10 +101,8 @@ class Runner:
                 name = transitions[name, outcome]
                 self._conclude(state, outcome, name)
         except BaseException:
-            with contextlib.suppress(Exception):  # the error that ended the test must be the one that is raised
-                orders.quick_stop()
-            with contextlib.suppress(Exception):
-                orders.record_past()
+            _attempt("the quick stop", orders.quick_stop)
+            _attempt("recording what happened so far", orders.record_past)
             raise
         return self._done()
 
@@ -141,7 +141,7 @@ class Runner:
                 if self._clock.now_ns() > end_ns:
                     return self._late(state, self._view(entry_began_ns, entered_ns))
                 self._clock.sleep(state.period_s)
-        except _Aborted:
+        except _Aborted:  # usual: a request of the operator
             return StateOutcome.ABORT
 
     def _view(self, entry_began_ns: int, entered_ns: int) -> StateView:
@@ -223,3 +223,11 @@ class Runner:
             request.test, state.name, words, look.share, paused, answer, request.numbers
         )
         self._orders.report(words, look.share)
+
+
+def _attempt(activity: str, step: Callable[[], object]) -> None:
+    """Carry out a step after an error. An error of the step is logged, so that the first error is the one raised."""
+    try:
+        step()
+    except Exception as error:
+        _log.warning("%s failed after the error that ended the test: %r", activity, error)

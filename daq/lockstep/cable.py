@@ -35,9 +35,9 @@ class Cable:
     def __init__(self, device: str, clock: SimulatedClock, random: np.random.Generator) -> None:
         self._device, self._clock, self._random = device, clock, random
         self._plugged, self._times = True, 0
-        self.port = f"lockstep:{device}"
-        self.sent = bytearray()
-        self.overrun_bytes = 0
+        self.port: str = f"lockstep:{device}"
+        self.sent: bytearray = bytearray()
+        self.overrun_bytes: int = 0
         self.link: LockstepLink | None = None
         self.on_write: Callable[[], None] = lambda: None
 
@@ -90,7 +90,7 @@ class LockstepLink:
     """
 
     def __init__(self, cable: Cable) -> None:
-        self.name = cable.port
+        self.name: str = cable.port
         self._cable = cable
         self._buffer = bytearray()
         self._turns: Turns | None = None

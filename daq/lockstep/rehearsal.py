@@ -14,6 +14,7 @@ from daq.lockstep.rig import LockstepRig
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import IdentifiedParameters, RigFileError, load_rig, parse_setting, with_parameters
 from rig_configs.load import with_truth
+from rig_configs.schema import Rig
 
 
 class Rehearsal:
@@ -46,7 +47,7 @@ class Rehearsal:
         if loaded.virtual is None:
             raise RigFileError(f"{rig}: expected a rig file with a [virtual] table, as the shipped `virtual` has")
         self._far = LockstepRig(loaded)
-        self.rig = load_rig(rig, settings=[*settings, *self._far.port_settings()])
+        self.rig: Rig = load_rig(rig, settings=[*settings, *self._far.port_settings()])
         Path(folder).mkdir(parents=True, exist_ok=True)
         self._session = Session(self.rig, self._far.clock, edge=self._far.edge)
         self._session.__enter__()

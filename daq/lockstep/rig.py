@@ -62,15 +62,16 @@ class LockstepRig:
     """
 
     def __init__(self, rig: Rig) -> None:
-        self.clock, self.disk = SimulatedClock(), SimulatedDisk()
-        self.far = SimulatedRig(rig, self.clock.patience)
+        self.clock: SimulatedClock = SimulatedClock()
+        self.disk: SimulatedDisk = SimulatedDisk()
+        self.far: SimulatedRig = SimulatedRig(rig, self.clock.patience)
         assert rig.virtual is not None, "SimulatedRig refuses rigs without [virtual]"
         seed = rig.virtual.seed
-        self.cables = {
+        self.cables: dict[str, Cable] = {
             name: Cable(name, self.clock, np.random.default_rng([seed, 77, number]))
             for number, name in enumerate(self.far.far_ends)
         }
-        self.edge = Edge(self._connect, self._places, self.disk)
+        self.edge: Edge = Edge(self._connect, self._places, self.disk)
         self.turn_s = STEP_S
         self._pace = np.random.default_rng([seed, 78])
         self._exchange_is_due = False

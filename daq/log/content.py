@@ -166,7 +166,7 @@ def seconds(facts: Mapping[str, Any], name: str) -> float:
     value = facts.get(name, 0.0)
     try:
         return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
-    except OverflowError:
+    except OverflowError:  # usual: not a time, in a foreign file
         return 0.0
 
 

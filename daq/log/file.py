@@ -12,7 +12,9 @@ import) use it directly.
 from __future__ import annotations
 
 import contextlib
+import io
 import json
+import logging
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -27,6 +29,9 @@ from daq import channels
 from daq.errors import LogError, RecordingError
 from daq.items import Batch, DeviceEvent
 from daq.mcap.writer import BlockWriter, compile_writer
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 FOXGLOVE = "foxglove"
 """Metadata record by which Foxglove's recorder agent identifies the device of a log."""
@@ -49,13 +54,13 @@ class ReservedName:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = Path(path)
-        self.part = self.path.with_name(self.path.name + ".part")
+        self.path: Path = Path(path)
+        self.part: Path = self.path.with_name(self.path.name + ".part")
         check_name(self.path)
         compile_writer()  # before the file exists: a process killed while compiling must not leave an empty file
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file: BinaryIO | None = open(self.part, "xb")  # noqa: SIM115 (closed by `give_back` or by its writer)
+            self._file: BinaryIO | None = io.BufferedWriter(io.FileIO(self.part, "x"))
         except FileExistsError as error:
             raise LogError(_taken(self.part)) from error
         except OSError as error:
@@ -75,9 +80,9 @@ class ReservedName:
     def give_back(self) -> None:
         """Release a name that was not used and remove its empty file."""
         if self._file is not None:
-            with contextlib.suppress(OSError):
+            with ignoring(_log, f"closing {self.part}", OSError):
                 self._file.close()
-            with contextlib.suppress(OSError):
+            with ignoring(_log, f"removing {self.part}", OSError):
                 self.part.unlink()
             self._file = None
 
@@ -118,7 +123,9 @@ class LogFile:
         compression: Literal["zstd", "none"] = "zstd",
     ) -> None:
         name = path if isinstance(path, ReservedName) else ReservedName(path)
-        self.path, self.part, self.file = name.path, name.part, name.take()
+        self.path: Path = name.path
+        self.part: Path = name.part
+        self.file: BinaryIO = name.take()
         try:
             self._writer = BlockWriter(self.file, compression)
             self._ids = self._define(devices, sample_channels)
@@ -129,9 +136,9 @@ class LogFile:
                 self._writer.add_attachment(name, _media_type(name), data, created_ns)
             self.flush()
         except BaseException as error:
-            with contextlib.suppress(OSError):
+            with ignoring(_log, f"closing {self.part}", OSError):
                 self.file.close()
-            with contextlib.suppress(OSError):
+            with ignoring(_log, f"removing {self.part}", OSError):
                 self.part.unlink()  # it is still empty
             if isinstance(error, OSError):
                 raise _cannot_create(self.part, error) from error
@@ -189,7 +196,7 @@ class LogFile:
         """
         try:
             return os.path.samestat(os.stat(self.part), os.fstat(self.file.fileno()))
-        except FileNotFoundError:
+        except FileNotFoundError:  # usual: this is the question
             return False
 
     def finish(self, summary: Mapping[str, Any]) -> Path:
@@ -209,7 +216,7 @@ class LogFile:
 
     def close(self) -> None:
         """Close the file. An unfinished file remains as .part, readable up to the last flush."""
-        with contextlib.suppress(OSError):  # closing retries the data that a full disk did not take
+        with ignoring(_log, f"closing {self.part}", OSError):  # closing retries the data that a full disk did not take
             self.file.close()
 
     def __enter__(self) -> LogFile:
@@ -222,7 +229,7 @@ class LogFile:
 
     def _sync_folder(self) -> None:
         """Make the new name survive a power cut. Windows cannot open a folder and does not need it."""
-        with contextlib.suppress(OSError):
+        with ignoring(_log, f"writing the folder of {self.path} to the disk", OSError):
             folder = os.open(self.path.parent, os.O_RDONLY)
             try:
                 os.fsync(folder)
@@ -253,7 +260,7 @@ def give_name(part: Path, path: Path) -> None:
         os.link(part, path)  # a rename would overwrite a file that was created meanwhile
     except FileExistsError as fault:
         raise LogError(f"{path}: exists already; logs are never overwritten. Give another name") from fault
-    except OSError:  # a file system without links
+    except OSError:  # usual: a file system without links
         check_name(path)
         _patiently(lambda: os.rename(part, path))
     else:
@@ -288,7 +295,7 @@ def _media_type(name: str) -> str:
 
 def _taken(part: Path) -> str:
     size = 0
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):  # usual: the other recording has ended meanwhile
         size = part.stat().st_size
     if not size:
         return (

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from functools import lru_cache
 
+import pydantic
+
 from daq.mcap.missing import Missing
+
+_log = logging.getLogger(__name__)
 
 RECOVERED = "recovered"
 """Name of the metadata record that states the source of a recovered log."""
@@ -66,9 +71,8 @@ def _parsed(places: str, sentences: str) -> tuple[Missing, ...]:
     """Parse the stored places; if they are not a valid list, use the sentences."""
     if not places:
         return tuple(Missing(_BEFORE + line) for line in sentences.splitlines())
-    from pydantic import TypeAdapter, ValidationError  # noqa: PLC0415 (only recovered logs need it)
-
     try:
-        return TypeAdapter(tuple[Missing, ...]).validate_json(places)
-    except ValidationError:
+        return pydantic.TypeAdapter(tuple[Missing, ...]).validate_json(places)
+    except pydantic.ValidationError as fault:
+        _log.info("the places of lost data in a recovered log are invalid, its sentences are used: %s", fault)
         return tuple(Missing(_BEFORE + line) for line in sentences.splitlines() or ["what, cannot be read any more"])

@@ -3,12 +3,20 @@
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import os
 import re
+import sys
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from pathlib import Path
+
+from rig_basics.ignoring import ignoring
+
+if sys.platform != "win32":
+    import fcntl
+
+_log = logging.getLogger(__name__)
 
 _NUMBERED = re.compile(r"([0-9]{1,6})-.*\.mcap", re.DOTALL)  # more digits are a date or a serial number
 _LARGEST = 999_999
@@ -30,15 +38,17 @@ def one_at_a_time(folder: Path) -> Generator[None]:
 
     Where a folder cannot be locked (Windows, some network drives), only the log's complete name is guarded.
     """
-    try:
-        import fcntl  # noqa: PLC0415 (POSIX only)
-
-        descriptor = os.open(folder, os.O_RDONLY)
-    except (ImportError, OSError):
+    if sys.platform == "win32":
         yield
         return
     try:
-        with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        _log.debug("%s: not locked while a log gets its number: %s", folder, error)
+        yield
+        return
+    try:
+        with ignoring(_log, f"locking {folder}", OSError):
             fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:

@@ -80,5 +80,5 @@ def not_reached_of(log: Log) -> str:
 def _value(text: str) -> Any:
     try:
         return json.loads(text)
-    except (ValueError, RecursionError):
+    except (ValueError, RecursionError):  # usual: plain text
         return text

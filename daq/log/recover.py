@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import logging
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -29,6 +30,9 @@ from daq.mcap.missing import Missing
 from daq.mcap.records import DamageError, read_attachment
 from daq.mcap.writer import METADATA_CRC, BlockWriter, CopiedChunk
 from daq.version import software_version
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 _EARLIER = "recovered earlier"
 _SUFFIX = ".recovering"
@@ -109,7 +113,7 @@ def recover(part: Path, out: Path | None = None, progress: Callable[[float], Non
 
 def _remove(made: Path) -> None:
     """Remove an incomplete file if it exists."""
-    with contextlib.suppress(OSError):
+    with ignoring(_log, f"removing {made}", OSError):
         made.unlink()
 
 
@@ -243,8 +247,10 @@ def _origin(source: LogSource, missing: list[Missing], messages: int, chunks: in
 def _summary(source: LogSource) -> Mapping[str, str]:
     """Return the summary in place of the recorder's: losses of the last report, and how the log ended."""
     facts: dict[str, Any] = {"ended": "cut; recovered"}
-    with contextlib.suppress(LogError):
+    try:
         reports = [note["losses"] for note in Log(source.file.path, source).health if "losses" in note]
         if reports:
             facts["losses"] = reports[-1]
+    except LogError as fault:
+        _log.warning("%s: its counts of losses are not in the recovered log: %s", source.file.path, fault)
     return {key: json.dumps(value) for key, value in facts.items()}

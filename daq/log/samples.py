@@ -46,7 +46,9 @@ class Samples:
         for array in (time_ns, log_time_ns, sequence, *columns.values()):
             array.setflags(write=False)
         self.topic = topic
-        self.time_ns, self.log_time_ns, self.sequence = time_ns, log_time_ns, sequence
+        self.time_ns: NDArray[np.int64] = time_ns
+        self.log_time_ns: NDArray[np.int64] = log_time_ns
+        self.sequence: NDArray[np.uint32] = sequence
         self.columns = columns
 
     @property

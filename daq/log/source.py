@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from daq.errors import LogError
 from daq.mcap.chunks import BARE, HEAD_BYTES, ChunkHead, parse_head, unpack
+from daq.mcap.contents import Contents
 from daq.mcap.damage import topics_of
 from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
 from daq.mcap.missing import Missing
@@ -50,13 +51,13 @@ class LogSource:
     """
 
     def __init__(self, path: Path, check: Callable[[float], None] | None = None) -> None:
-        self.file = FileBytes(path)
+        self.file: FileBytes = FileBytes(path)
         try:
-            self.contents = walk(self.file, check) if check else survey(self.file)
+            self.contents: Contents = walk(self.file, check) if check else survey(self.file)
         except BaseException:
             self.file.close()
             raise
-        self.missing = list(self.contents.missing)
+        self.missing: list[Missing] = list(self.contents.missing)
         self._lost: set[int] = set()  # offsets of damaged chunks
         self._kept: dict[int, NDArray[np.uint8]] = {}  # unpacked chunks by their offset
         self._kept_bytes = 0
@@ -160,7 +161,7 @@ class LogSource:
             raise LogError(f"{self.file.path}: expected an open log, it was closed: read what you need before close()")
         try:
             return memoryview(self.file.read(begin, end - begin))
-        except LogError:
+        except LogError:  # usual: the chunks are read one by one, and those that cannot be read are listed
             return memoryview(b"")
 
     def _unpack(self, chunk: int, record: memoryview) -> NDArray[np.uint8] | None:

@@ -6,25 +6,28 @@ therefore detected (`LoggedVerdict.is_of`).
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
+import logging
 import os
 import secrets
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from daq.errors import LogError, RecordingError
+from rig_basics.ignoring import ignoring
 from rig_configs.regular_file import need_regular
+
+_log = logging.getLogger(__name__)
 
 SUFFIX = ".verdict.json"
 _MOST_BYTES = 2**20  # a verdict is a few lines; a larger file is rejected
 _BLOCK_BYTES = 2**20
 
 
-class LoggedVerdict(BaseModel):
+class LoggedVerdict(BaseModel, extra="forbid", frozen=True):
     """One validation's verdict on one log.
 
     Attributes:
@@ -37,8 +40,6 @@ class LoggedVerdict(BaseModel):
         judged_at: time of the validation, ISO 8601.
         digest: "sha256:" and 64 hexadecimal digits, of the whole log.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     verdict: Annotated[str, Field(min_length=1)]
     state: str = ""
@@ -78,7 +79,7 @@ def keep_verdict(log_path: str | Path, verdict: LoggedVerdict) -> Path:
                 os.fsync(file.fileno())
             os.replace(written, path)
         except BaseException:
-            with contextlib.suppress(OSError):
+            with ignoring(_log, f"removing {written}", OSError):
                 written.unlink()
             raise
     except OSError as fault:
@@ -100,7 +101,7 @@ def verdict_of(log_path: str | Path) -> LoggedVerdict | None:
         need_regular(path)
         with open(path, "rb") as file:
             text = file.read(_MOST_BYTES + 1)
-    except FileNotFoundError:
+    except FileNotFoundError:  # usual: a log without a verdict
         return None
     except OSError as fault:
         raise LogError(f"{path}: expected a verdict, cannot read it ({fault.strerror})") from fault

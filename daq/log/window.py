@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,6 +12,8 @@ from daq.channels import RAW_PREFIX, Channel
 from daq.log.columns import Columns, Messages, find_messages, read_columns
 from daq.log.source import IndexWrongError, LogSource
 from daq.mcap.chunks import ChunkTable
+
+_log = logging.getLogger(__name__)
 
 
 class LogWindow:
@@ -43,7 +46,8 @@ class LogWindow:
         """
         try:
             columns = read_columns(self._source, self._chunks(), self.ids()[topic], layout)
-        except IndexWrongError:
+        except IndexWrongError as error:
+            _log.info("the whole file is read, since its index is wrong: %s", error)
             self._source.walk()
             columns = read_columns(self._source, self._chunks(), self.ids()[topic], layout)
         if self._window_ns is None:
@@ -67,7 +71,8 @@ class LogWindow:
                     position = start + 1
                     yield messages
                 position = -1
-            except IndexWrongError:
+            except IndexWrongError as error:
+                _log.info("the whole file is read, since its index is wrong: %s", error)
                 self._source.walk()
 
     def _chunks(self) -> NDArray[np.intp]:

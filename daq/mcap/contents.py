@@ -69,7 +69,7 @@ def bounded(table: ChunkTable, times: Mapping[str, str]) -> ChunkTable:
     """Return the table with bounds of the sample times, from the extreme delays; unchanged if these are unknown."""
     try:
         late, early = int(times["most_late_ns"]), int(times["most_early_ns"])
-    except (KeyError, ValueError):
+    except (KeyError, ValueError):  # usual: files of other writers lack these times
         return table
     if not 0 <= late < 2**62 or not 0 <= early < 2**62 or (len(table) and table.end_ns.max() >= 2**62):
         return table

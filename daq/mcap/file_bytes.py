@@ -5,6 +5,7 @@ Reads have their own offset (pread), so threads can share one file.
 
 from __future__ import annotations
 
+import io
 import os
 import threading
 from pathlib import Path
@@ -30,9 +31,9 @@ class FileBytes:
     def __init__(self, path: Path) -> None:
         self.path = path
         need_regular(path)
-        self._stream = open(path, "rb", buffering=0)  # noqa: SIM115 (closed together with the log)
+        self._stream = io.FileIO(path)  # closed together with the log
         try:
-            self.size = self._stream.seek(0, os.SEEK_END)
+            self.size: int = self._stream.seek(0, os.SEEK_END)
         except OSError:
             self._stream.close()
             raise

@@ -47,5 +47,5 @@ def _utc(time_ns: int) -> str:
     """Return the time of day as text; the number of ns if it is outside the calendar's range."""
     try:
         return f"{datetime.fromtimestamp(time_ns // 10**6 / 1000, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " UTC"
-    except (OverflowError, ValueError, OSError):
+    except (OverflowError, ValueError, OSError):  # usual: a time outside the calendar, in a damaged file
         return f"{time_ns} ns"

@@ -38,7 +38,7 @@ class OpenChunk:
         self._data = np.empty(0, np.uint8)
         self._channel_ids = np.empty(_ENTRIES, np.uint16)
         self._log_times, self._offsets = np.empty(_ENTRIES, np.uint64), np.empty(_ENTRIES, np.uint64)
-        self.extremes = np.zeros(2, np.uint64)
+        self.extremes: NDArray[np.uint64] = np.zeros(2, np.uint64)
         self._messages = 0
         self.clear()
 
@@ -47,7 +47,8 @@ class OpenChunk:
         usual = _HEAD_ROOM + self._usual_bytes
         if not usual <= len(self._data) <= 2 * usual:
             self._data = np.empty(usual, np.uint8)
-        self.size = self._messages = 0
+        self.size: int = 0
+        self._messages = 0
         self.extremes[:] = 0
 
     @property
@@ -165,13 +166,13 @@ class MessageBlock:
     ) -> None:
         if messages.ndim != 1:
             raise ValueError(f"expected messages of shape (n,), got {messages.shape}")
-        self.count = len(messages)
-        self.record_bytes = RECORD_HEAD_BYTES + messages.dtype.itemsize
+        self.count: int = len(messages)
+        self.record_bytes: int = RECORD_HEAD_BYTES + messages.dtype.itemsize
         data = np.ascontiguousarray(messages)
-        self.messages = _plain(data.view(np.uint8)) if data.nbytes else np.empty(0, np.uint8)
-        self.log_times = self._column("log times", log_times)
-        self.publish_times = self._column("publish times", publish_times)
-        self.sequences = self._column("sequences", sequences)
+        self.messages: NDArray[np.uint8] = _plain(data.view(np.uint8)) if data.nbytes else np.empty(0, np.uint8)
+        self.log_times: NDArray[np.int64] = self._column("log times", log_times)
+        self.publish_times: NDArray[np.int64] = self._column("publish times", publish_times)
+        self.sequences: NDArray[np.int64] = self._column("sequences", sequences)
         least = _least(self.log_times, self.publish_times)
         if least < 0:
             raise ValueError(f"expected log and publish times in ns since 1970, got {least}")

@@ -6,6 +6,7 @@ is used. Missing and damaged parts are listed in `Contents.missing`; only a file
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -22,6 +23,8 @@ from daq.mcap.summary_reader import FileSummary, read_summary
 from daq.mcap.walk import Walk
 from daq.mcap.writer import TIMES
 
+_log = logging.getLogger(__name__)
+
 _SHORT_HEAD_BYTES = 64  # contains the head of any chunk that can be unpacked
 
 
@@ -37,7 +40,8 @@ def survey(file: FileBytes) -> Contents:
         if not _trusts_index(header, summary) and _has_duplicates(file, summary.table):
             raise DamageError("the same chunk is at two places of the index")
         return from_summary(file, header, summary)
-    except DamageError:
+    except DamageError as damage:
+        _log.info("%s: the whole file is read, since its summary cannot be used: %s", file.path, damage)
         return walk(file)
 
 
@@ -59,7 +63,7 @@ def _has_duplicates(file: FileBytes, index: ChunkTable) -> bool:
         for start, length in zip(index.start[chunks].tolist(), index.length[chunks].tolist(), strict=True):
             try:
                 crc = parse_head(file.read(start, min(length, _SHORT_HEAD_BYTES)), length).crc
-            except (DamageError, LogError):
+            except (DamageError, LogError):  # usual: the damage is found when the chunk is read
                 continue
             if crc in crcs:
                 return True
@@ -146,8 +150,8 @@ def _use_summary(done: Walk, summary: FileSummary) -> None:
             try:
                 head = parse_head(done.window.view(start, min(start + length, start + HEAD_BYTES)), length)
                 done.table.add(start, head, done.read_chunk(start, start + length, head))
-            except DamageError:
-                continue  # `Walk` has listed it
+            except DamageError:  # usual: `Walk` has listed the chunk
+                continue
     table = done.table.build()
     done.damage.explain(summary.table, table)
     if not done.damage.places and not _same(table, summary.table):

@@ -57,7 +57,7 @@ def read_header(file: FileBytes) -> Header:
     try:
         opcode, body = read_record(file, len(MAGIC), _TEXT_LIMIT_BYTES)
         library = parse(records.Header, body).library if opcode == Opcode.HEADER else ""
-    except DamageError:
+    except DamageError:  # usual: the writer is recognized by similar text below
         library = ""
     if library.startswith(LIBRARY):
         return Header(library, True)

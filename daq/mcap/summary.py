@@ -54,7 +54,7 @@ class WrittenCounts:
     def __init__(self) -> None:
         self.schemas: dict[int, records.Schema] = {}
         self.channels: dict[int, records.Channel] = {}
-        self.chunk_count = 0
+        self.chunk_count: int = 0
         self.most_late = self.most_early = 0
         self._counts: dict[int, int] = {}
         self._start_time, self._end_time = 2**64 - 1, 0

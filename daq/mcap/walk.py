@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
 from daq.errors import LogError
 from daq.mcap.checksum import crc32
@@ -78,29 +79,33 @@ class Walk:
         trusted: frozenset[int],
         progress: Callable[[float], None] | None,
     ) -> None:
-        self.file, self.header, self.no_summary, self.trusted = file, header, no_summary, trusted
-        self.window = Window(file, header.ours)
+        self.file: FileBytes = file
+        self.header: Header = header
+        self.no_summary: str = no_summary
+        self.trusted: frozenset[int] = trusted
+        self.window: Window = Window(file, header.ours)
         self.progress = progress
-        self.damage = FileDamage()
-        self.definitions = Definitions()
-        self.table = TableBuilder(self.definitions)
+        self.damage: FileDamage = FileDamage()
+        self.definitions: Definitions = Definitions()
+        self.table: TableBuilder = TableBuilder(self.definitions)
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: list[AttachmentPlace] = []
         self.loose: list[tuple[int, int]] = []
         self.no_crc: dict[str, int] = {}
-        self.last_data = _NOTHING  # records of the last intact chunk: its message indexes follow
+        self.last_data: NDArray[np.uint8] = _NOTHING  # records of the last intact chunk: its message indexes follow
         self.last_counts: dict[int, int] = {}
         self.indexed: dict[int, int] = {}  # messages listed by its message indexes so far
-        self.last_start = -1
+        self.last_start: int = -1
         self.unnamed: set[int] = set()  # positions of intact chunks whose message indexes do not list all messages
         self.open_place: Place | None = None  # following message indexes belong to it
-        self.left_out_end = -1
-        self.search_from = len(MAGIC)  # end of the last certainly intact record, or of the last one searched for
-        self.budget = 8 * file.size + 2**28  # bytes that may be searched without result; hostile files nest records
+        self.left_out_end: int = -1
+        self.search_from: int = len(MAGIC)  # end of the last certainly intact record, or of the last one searched for
+        self.budget: int = 8 * file.size + 2**28  # may be searched without result; hostile files nest records
         self.crc: int | None = 0  # of the data section so far; None after an excluded range
-        self.data_ended = self.finished = False
-        self.summary_start = 0
-        self.statistics = b""
+        self.data_ended: bool = False
+        self.finished: bool = False
+        self.summary_start: int = 0
+        self.statistics: bytes = b""
         self.announced: int | None = None
 
     def run(self) -> None:
@@ -319,7 +324,7 @@ class Walk:
         self._count_without_crc("summaries", crc)
         try:  # an intact summary may have moved: the file may have become longer before it
             right = crc == 0 or self.file.crc(self.summary_start, end - 4) == crc
-        except LogError:
+        except LogError:  # usual: noted as a damaged summary below
             right = False
         if self.statistics and right and (crc or not self.header.ours):
             self.announced = parse(records.Statistics, self.statistics).message_count

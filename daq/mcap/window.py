@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Callable
 
@@ -16,11 +17,14 @@ from daq.mcap.file_bytes import PIECE_BYTES, FileBytes
 from daq.mcap.records import RECORD_HEAD, DamageError, check_attachment, check_metadata, parse, read_record
 from daq.mcap.scan import message_indexes
 
+_log = logging.getLogger(__name__)
+
 _CREDIBLE = re.compile(
     rb"\x06(?=.{36}(?:\x04\0\0\0zstd|\0\0\0\0|\x03\0\0\0lz4))|[\x07\x09\x0c](?=.{4}\0{4})|\x0f(?=\x04\0{7})", re.DOTALL
 )
 _LOOK_AHEAD = 64
 _METADATA_BYTES = 2**20
+_TEXT_KINDS = frozenset((Opcode.METADATA, Opcode.ATTACHMENT))
 _SUMMARY_KINDS = frozenset((2, 3, 4, 8, 10, 11, 13, 14))
 
 
@@ -33,7 +37,8 @@ class Window:
     """
 
     def __init__(self, file: FileBytes, ours: bool) -> None:
-        self.file, self.ours = file, ours
+        self.file: FileBytes = file
+        self.ours: bool = ours
         self._base, self._data = 0, memoryview(b"")
 
     def view(self, start: int, end: int) -> memoryview:
@@ -81,7 +86,8 @@ class Window:
             end = min(position + PIECE_BYTES, self.file.size)
             try:
                 piece = self.file.read(position, min(end + _LOOK_AHEAD, self.file.size) - position)
-            except LogError:  # a read fault of the disk
+            except LogError as fault:  # a read fault of the disk
+                _log.debug("%s: the search for intact records continues at byte %d: %s", self.file.path, end, fault)
                 position = end
                 continue
             for match in _CREDIBLE.finditer(piece):
@@ -92,26 +98,33 @@ class Window:
             position = end
         return self.file.size
 
-    def _credible(self, position: int, spend: Callable[[int], bool]) -> bool:  # noqa: PLR0911 (one return per kind of record)
+    def _credible(self, position: int, spend: Callable[[int], bool]) -> bool:
         try:
             opcode, end = self.head(position)
-            if opcode == Opcode.CHUNK:
-                parse_head(self.view(position, min(end, position + HEAD_BYTES)), end - position)
-                return True
-            if opcode == Opcode.MESSAGE_INDEX:
-                sizes = bytes(self.view(position + 9, min(end, position + 15)))
-                return len(sizes) == 6 and int.from_bytes(sizes[2:], "little") == end - position - 15
-            if opcode == Opcode.DATA_END:
-                return self.head(end)[0] in _SUMMARY_KINDS
-            if not spend(end - position):
-                return False
-            if opcode == Opcode.METADATA:
-                body = read_record(self.file, position, _METADATA_BYTES)[1]
-                return parse(records.Metadata, body) is not None and bool(check_metadata(body, self.ours))
-            check_attachment(self.file, position, True)
-            return True
-        except DamageError:
+            return self._is_plausible(opcode, position, end) and (
+                opcode not in _TEXT_KINDS or (spend(end - position) and self._is_intact(opcode, position))
+            )
+        except DamageError:  # usual: this is the question
             return False
+
+    def _is_plausible(self, opcode: int, position: int, end: int) -> bool:
+        """Return True if the head of a record is that of its kind. Metadata and attachments are checked as a whole."""
+        if opcode == Opcode.CHUNK:
+            parse_head(self.view(position, min(end, position + HEAD_BYTES)), end - position)
+        elif opcode == Opcode.MESSAGE_INDEX:
+            sizes = bytes(self.view(position + 9, min(end, position + 15)))
+            return len(sizes) == 6 and int.from_bytes(sizes[2:], "little") == end - position - 15
+        elif opcode == Opcode.DATA_END:
+            return self.head(end)[0] in _SUMMARY_KINDS
+        return True
+
+    def _is_intact(self, opcode: int, position: int) -> bool:
+        """Return True if a metadata record or an attachment is complete and has the right CRC."""
+        if opcode == Opcode.METADATA:
+            body = read_record(self.file, position, _METADATA_BYTES)[1]
+            return parse(records.Metadata, body) is not None and bool(check_metadata(body, self.ours))
+        check_attachment(self.file, position, True)
+        return True
 
 
 def indexes_behind(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import logging
 from collections.abc import Mapping
 from typing import Protocol
 
@@ -13,6 +14,8 @@ from daq.log import Log
 from daq.log.snapshot import rig_of
 from daq.transports.link import Link, open_link
 from daq.transports.wires import KINDS, make_wire
+
+_log = logging.getLogger(__name__)
 
 _DEFAULT_BAUD = 115_200  # of lines whose baud rate is not in the rig file
 _PIECE_BYTES = 4096  # largest write to a port that accepts everything or blocks
@@ -49,7 +52,7 @@ class LinkOutlet:
 
     def __init__(self, link: Link) -> None:
         self._link = link
-        self.port = link.name
+        self.port: str = link.name
         self._open = True
 
     def offer(self, data: bytes) -> int:
@@ -66,7 +69,8 @@ class LinkOutlet:
         """See Outlet."""
         try:
             return self._link.read(0.0) if self._open else b""
-        except LinkLost:
+        except LinkLost as error:
+            _log.info("%s: the port is lost: %s", self.port, error)
             self._open = False
             return b""
 

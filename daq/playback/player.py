@@ -6,6 +6,7 @@ does not delay the others until `BACKLOG_BYTES` are waiting.
 
 from __future__ import annotations
 
+import logging
 import select
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
@@ -17,6 +18,8 @@ from daq.log.samples import RawChunk
 from daq.playback.outlets import Outlet
 from daq.replay.pace import Clock, Pace
 from daq.transports.host_clock import HostClock
+
+_log = logging.getLogger(__name__)
 
 BACKLOG_BYTES = 4 * 2**20
 """Number of waiting bytes above which playing waits for slow readers."""
@@ -272,7 +275,8 @@ class Playback:
             log_ns, data = line.waiting[0]
             try:
                 sent = line.outlet.offer(data)
-            except LinkLost:
+            except LinkLost as error:
+                _log.info("the waiting bytes of a lost port are counted as not delivered: %s", error)
                 line.give_up(self._log_ns if log_ns is None else log_ns)
                 return
             line.waiting_bytes -= sent

@@ -90,9 +90,9 @@ class Arrivals:
     ) -> None:
         self._log, self._pipelines = log, pipelines
         self._disorder_ns = int(disorder_s * 1e9)
-        self.again = tuple(name for name in self._pipelines if log.count(raw_topic(name)))
+        self.again: tuple[str, ...] = tuple(name for name in self._pipelines if log.count(raw_topic(name)))
         self._device_of = {topic: name for topic, name in device_of.items() if name not in self.again}
-        self.stored = tuple(topic for topic in self._device_of if topic in log and log.count(topic))
+        self.stored: tuple[str, ...] = tuple(topic for topic in self._device_of if topic in log and log.count(topic))
 
     def __iter__(self) -> Iterator[Arrival]:
         sources = [self._decoded(), self._events(), *(self._stored(topic) for topic in self.stored)]

@@ -120,7 +120,7 @@ class ChannelComparison:
         self._rows = StoredRows(log, topic)
         names = set(self._rows.names)
         later = set(self._channel.later) - names  # did not exist in the version that wrote the log
-        self.added = tuple(sorted(later)) if log.count(topic) else ()
+        self.added: tuple[str, ...] = tuple(sorted(later)) if log.count(topic) else ()
         self._lacking = tuple(sorted(names ^ set(self._channel.names) - later)) if log.count(topic) else ()
         self._both = [name for name in self._channel.names if name in names]
         self._live = log.count(topic)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
+import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,6 +24,9 @@ from daq.replay.checking import Progress, share_of
 from daq.replay.compare import ChannelCheck, ChannelComparison
 from daq.replay.stream import decoded, pipelines_of, pipelines_with
 from daq.version import software_version
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 _TOGETHER_NS = 50_000_000  # samples of a channel that arrived within this time are written together, as in a recording
 _ORIGIN_KEYS = ("origin", "origin_sha256", "origin_software", "calibration")
@@ -93,7 +96,7 @@ def decode_again(
             made = new.finish(_summary(log, losses, missing))
         except BaseException:
             new.close()
-            with contextlib.suppress(OSError):
+            with ignoring(_log, f"removing {new.part}", OSError):
                 new.part.unlink(missing_ok=True)  # the origin still exists, an incomplete copy is useless
             raise
         return DecodedLog(made, copy.moved(), losses, missing)
@@ -176,5 +179,5 @@ def _value(text: str) -> Any:
     """Decode a JSON value of a summary; plain text of an older log is returned unchanged."""
     try:
         return json.loads(text)
-    except ValueError:
+    except ValueError:  # usual: plain text
         return text

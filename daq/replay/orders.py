@@ -125,6 +125,6 @@ def _changes(values: NDArray[np.float64]) -> list[float]:
 def _number(text: str | None) -> float | None:
     try:
         found = abs(float(text or 0.0))
-    except ValueError:
+    except ValueError:  # usual: a text without a number
         return None
     return found if 0 < found < float("inf") else None

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Protocol
 
+from daq.drivers.contract import Pipeline
 from daq.log import Log
 from daq.replay.stream import Decoded, decoded, pipelines_of
 from daq.transports.host_clock import HostClock
@@ -43,7 +44,8 @@ class Pace:
             raise ValueError(f"expected a speed above 0, got {speed}")
         self._speed, self._clock = speed, clock
         self._start: tuple[int, int] | None = None  # log time and clock time, ns
-        self.late_s = self.most_late_s = 0.0
+        self.late_s: float = 0.0
+        self.most_late_s: float = 0.0
 
     def left_s(self, log_ns: int) -> float:
         """Return the time until an item is due, s of the clock; negative if it is overdue, 0 without a schedule."""
@@ -70,8 +72,8 @@ class Paced(Iterator[Decoded]):
     """
 
     def __init__(self, log: Log, speed: float, clock: Clock) -> None:
-        self.pipelines = pipelines_of(log)
-        self.pace = Pace(speed, clock)
+        self.pipelines: dict[str, Pipeline] = pipelines_of(log)
+        self.pace: Pace = Pace(speed, clock)
         self._clock = clock
         self._items = decoded(log, self.pipelines)
 

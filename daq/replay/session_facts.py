@@ -5,6 +5,7 @@ stops, and the time at which it closed its devices."""
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -15,6 +16,8 @@ from daq.guided_test_kinds import kind_of
 from daq.log import Log
 from rig_configs.roles import Roles
 from rig_configs.schema import Rig
+
+_log = logging.getLogger(__name__)
 
 _CLOSING_S = 5.0  # time in which a session closes its devices while the log is still open, wall s
 _ENDS = ("the test's end", "done", "duration", "silence", "not reached")  # of logs that ended before their session
@@ -73,7 +76,7 @@ def _text(value: str) -> str:
     """Return a text of the summary: decoded from JSON, or unchanged for a log of an earlier version."""
     try:
         return str(json.loads(value))
-    except (ValueError, RecursionError):
+    except (ValueError, RecursionError):  # usual: plain text
         return value
 
 
@@ -81,7 +84,8 @@ def clock_rate(run: Mapping[str, str]) -> float:
     """Return the seconds of rig time per wall second stated in the log; 1 if it is missing or invalid."""
     try:
         rate = float(run.get("clock_rate", 1.0))
-    except ValueError:
+    except ValueError as error:
+        _log.info("the clock rate in the log is invalid, 1 is used: %s", error)
         return 1.0
     return rate if 0.01 <= rate <= 100 else 1.0
 

@@ -26,7 +26,7 @@ class StoredRows:
     def __init__(self, log: Log, topic: str) -> None:
         self._log, self._topic = log, topic
         self._exists = topic in log and log.count(topic) > 0
-        self.names = log.channel(topic).names if self._exists else ()
+        self.names: tuple[str, ...] = log.channel(topic).names if self._exists else ()
         self._blocks = self._in_order() if self._exists else iter(())
         self._block: dict[str, NDArray[Any]] = {}
         self._at = self._size = 0

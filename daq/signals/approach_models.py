@@ -101,7 +101,8 @@ class WhitenedMeans:
 
     def __init__(self, edges_s: Array, means: Array, noise: Array, bends: Array | None = None) -> None:
         """See the arguments of daq.signals.limit; `bends` are those of these windows."""
-        self.edges_s, self.bent = edges_s, bends is not None
+        self.edges_s: Array = edges_s
+        self.bent: bool = bends is not None
         self._origin = np.asarray(means[-1], np.float64)
         values = (means - self._origin).T
         deviation = np.sqrt(np.median(np.diagonal(noise, axis1=1, axis2=2), axis=1))

@@ -13,12 +13,13 @@ import cmath
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from rig_basics.arrays import Array
 
-BELOW_Hz = 1.0
+BELOW_Hz: Final = 1.0
 _MAX_RATE_Hz = 1000.0  # of the grid
 _MIN_LENGTH_S = 6.0
 _MIN_ORDINATES = 5

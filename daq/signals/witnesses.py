@@ -1,4 +1,3 @@
-# pyright: strict
 """Comparison of two sensors of one displacement: ratio of their gains, and whether the ratio is plausible.
 
 Both measure the disk centre's displacement along one axis, so the ratio of their readings is 1 within the uncertainty
@@ -15,7 +14,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]  # scipy has no types
+from scipy.interpolate import CubicSpline
 
 from rig_basics.arrays import Array
 

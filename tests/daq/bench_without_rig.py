@@ -92,7 +92,7 @@ class Bench:
         values = {"theta3_rad": 0.0, "theta4_rad": np.pi, "flags": LOCKS_CLOSED if self.locked else 0}
         return np.zeros(1, np.int64), [np.array([values.get(name, 0)]) for name in fields]
 
-    def told(self, device: str) -> tuple[bool, str]:
+    def identification_of(self, device: str) -> tuple[bool, str]:
         return True, ""
 
     def need(self, *topics: str) -> None:
