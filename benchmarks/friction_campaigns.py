@@ -144,7 +144,7 @@ class Drawn:
         values = np.array([true[n] for n in SUSPENSION]) + std * self.rng.normal(size=5)
         none = np.empty(0)
         run = Run("ring-down-x", "known.mcap", 0.0, none, none, none, none, none, np.empty((0, 2)), none, none)
-        return Estimate("ring-down-x", "known.mcap", tuple(SUSPENSION), values, np.diag(std**2), {}, "known"), run
+        return Estimate("ring-down-x", ("known.mcap",), tuple(SUSPENSION), values, np.diag(std**2), {}, "known"), run
 
 
 @dataclass

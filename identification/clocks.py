@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.signals.clock_rates import clock_of, clock_rate_std
 from daq.signals.run import Run
+from identification.sources import log_names
 
 
 def clock_label(clock: str) -> str:
@@ -25,23 +25,26 @@ def clock_label(clock: str) -> str:
     return f"clock {clock}"
 
 
-def read_label(clock: str, source: str) -> str:
+def read_label(clock: str, sources: Sequence[str]) -> str:
     """Label of the part of a clock's rate error that comes from the read times of one log.
 
     Args:
         clock: name of the clock.
-        source: path of the log, or several joined with " + ".
+        sources: logs that were fitted together, usually one.
     """
-    return f"{clock_label(clock)} in {' + '.join(Path(each).name for each in source.split(' + '))}"
+    return f"{clock_label(clock)} in {log_names(sources)}"
 
 
-def clock_errors(run: Run, slopes: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+def clock_errors(
+    run: Run, slopes: Mapping[str, NDArray[np.float64]], sources: Sequence[str] = ()
+) -> dict[str, NDArray[np.float64]]:
     """Shared errors of an estimate that come from clock rates.
 
     Args:
         run: run with the clocks.
         slopes: signal ("x", "y", "angles", "phase") → change of the estimate's values per relative change of the rate
             of its clock, shape (n,).
+        sources: logs that were fitted together; by default the run's own.
     Returns:
         Label → shift of the values for one standard deviation of the error, shape (n,). The label is "clock NAME" for
         the part that all runs share and "clock NAME in LOG" for the part of this run.
@@ -50,7 +53,7 @@ def clock_errors(run: Run, slopes: Mapping[str, NDArray[np.float64]]) -> dict[st
     for signal, slope in slopes.items():
         clock, std, alike = clock_of(run, signal), clock_rate_std(run.clock_rate_std, signal), _alike(run, signal)
         own = math.sqrt(max(std**2 - alike**2, 0.0))
-        for label, size in ((clock_label(clock), alike), (read_label(clock, run.source), own)):
+        for label, size in ((clock_label(clock), alike), (read_label(clock, sources or (run.source,)), own)):
             if size > 0 or label == clock_label(clock):
                 shared[label] = shared.get(label, 0.0) + slope * size
     return shared

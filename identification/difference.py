@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from identification.estimate import FOUND_TOGETHER
 from identification.joint.combine import JointEstimate
 from identification.joint.provenance import KeptTest, rebuilt
+from identification.sources import log_names
 from rig_configs.known import LABEL
 from rig_configs.parameters_file import IdentifiedParameters
 
@@ -112,8 +112,7 @@ def difference(old: IdentifiedParameters, new: IdentifiedParameters) -> Paramete
         shifts, note = _shared(label, before, after, pairs)
         covariance = covariance + sum((np.outer(v, v) for v in shifts), 0.0)
         notes += [note] if note else []
-    sources = [after.tests[j].estimate.source for j in pairs.values()]
-    both = [" + ".join(Path(log).name for log in source.split(" + ")) for source in sources]
+    both = [log_names(after.tests[j].estimate.sources) for j in pairs.values()]
     if both:
         is_, its = ("is", "its") if len(both) == 1 else ("are", "their")
         notes.append(f"{', '.join(both)} {is_} in both: {its} own errors cancel")

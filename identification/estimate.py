@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from identification.sources import Sources, joined, log_names
 from rig_configs.known import LABEL, KnownSource
 
 FOUND_TOGETHER = "friction"
@@ -18,7 +19,7 @@ class Estimate:
     """Values that one test determines.
 
     Attributes:
-        test, source: test name and log of the run.
+        test, sources: test name, and log of the run; several logs if they were fitted together.
         names: names of the n parameters as in the parameters file.
         values: shape (n,), SI.
         covariance: covariance of the test's own errors, shape (n, n).
@@ -30,7 +31,7 @@ class Estimate:
     """
 
     test: str
-    source: str
+    sources: Sources
     names: tuple[str, ...]
     values: np.ndarray
     covariance: np.ndarray
@@ -38,6 +39,16 @@ class Estimate:
     method: str = ""
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     with_terms: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+
+    @property
+    def source(self) -> str:
+        """Paths of the logs as one text."""
+        return joined(self.sources)
+
+    @property
+    def called(self) -> str:
+        """Test name and file names of the logs, for messages."""
+        return f"{self.test} ({log_names(self.sources)})"
 
     @property
     def total_covariance(self) -> np.ndarray:

@@ -82,7 +82,7 @@ def parameter_history(paths: Sequence[Path], rig: str | None = None) -> History:
         )
     rigs = sorted({i.rig for i in instants if i.rig})
     if rig is None and len(rigs) > 1:
-        raise ParametersFileError(f"these files are of several rigs: {', '.join(rigs)}. Choose one with --rig NAME")
+        raise ParametersFileError(f"these files are of several rigs: {', '.join(rigs)}. Choose one of them")
     chosen = [i for i in instants if rig is None or i.rig == rig]
     if not chosen:
         raise ParametersFileError(f"no file is of rig {rig!r}; found: {', '.join(rigs) or 'files without a rig name'}")

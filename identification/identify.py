@@ -38,6 +38,7 @@ from identification.run_up.fit import RunUpFit, fit_run_up_run, run_up_estimate
 from identification.run_up.slow_roll_vector import slow_roll_of, slow_roll_of_all
 from identification.rungs import Rung, held_back
 from identification.setting import Setting
+from identification.sources import Sources, joined, log_names
 from identification.suspension_terms import ChosenTerms, known_suspension, sharing_terms, terms_of_all
 from rig_configs.drag import Reading
 from rig_configs.known import DRAG, KnownSource
@@ -53,8 +54,13 @@ class NamedFit:
     """Fit of one test, for the report. Its curves are in `fit.curves`."""
 
     test: str
-    source: str
+    sources: Sources
     fit: Fit
+
+    @property
+    def source(self) -> str:
+        """Paths of the logs as one text."""
+        return joined(self.sources)
 
 
 @dataclass(frozen=True)
@@ -98,8 +104,8 @@ class _Work:
     reading: Reading = ""
 
     def add(self, run: Run, fit: Fit, estimate: Estimate, tests: Sequence[str] = ()) -> None:
-        self.fits.append(NamedFit(run.test, run.source, fit))
-        self.warnings += [f"{Path(run.source).name}: {w}" for w in fit.warnings]
+        self.fits.append(NamedFit(run.test, estimate.sources, fit))
+        self.warnings += [f"{log_names(estimate.sources)}: {w}" for w in fit.warnings]
         if not fit.settled:
             self.warnings.append(f"{run.test} left out: its fit had not settled, its values are not usable")
             return
@@ -146,10 +152,10 @@ class _Work:
         return drag.moved_with(known) + drag.sources if drag else known
 
     @property
-    def transients(self) -> dict[str, TransientFit]:
-        """Pendulum fits by source. If a drag is found, their friction is the one next to that drag."""
-        fits = {f.source: f.fit for f in self.fits if isinstance(f.fit, TransientFit)}
-        return {source: with_undecided_drag(fit) for source, fit in fits.items()} if self.drag else fits
+    def transients(self) -> dict[Sources, TransientFit]:
+        """Pendulum fits by their logs. If a drag is found, their friction is the one next to that drag."""
+        fits = {f.sources: f.fit for f in self.fits if isinstance(f.fit, TransientFit)}
+        return {logs: with_undecided_drag(fit) for logs, fit in fits.items()} if self.drag else fits
 
     def dragged(self) -> Knowledge | None:
         """Return `knowledge` with the drag added, for releases, or None if no drag is found."""
@@ -160,19 +166,19 @@ class _Work:
         friction = friction.without_contact if friction is not None and friction.speed_rad_s == 0 else friction
         return replace(known, physics=found.drag.on(known.physics), friction=friction, numbers=(*known.numbers, *DRAG))
 
-    def slow_roll(self, digests: Mapping[str, str] | None = None) -> tuple[SlowRoll | None, list[str]]:
+    def slow_roll(self, digests: Mapping[Sources, str] | None = None) -> tuple[SlowRoll | None, list[str]]:
         """Run-out and bow from the run-ups so far. `digests` are the logs' digests by source."""
         found = [
-            slow_roll_of(f.fit, f.source, (digests or {}).get(f.source, ""))
+            slow_roll_of(f.fit, f.source, (digests or {}).get(f.sources, ""))
             for f in self.fits
             if isinstance(f.fit, RunUpFit) and f.fit.settled
         ]
         return slow_roll_of_all([one for one in found if one is not None])
 
-    def suspension_terms(self, digests: Mapping[str, str] | None = None) -> ChosenTerms:
+    def suspension_terms(self, digests: Mapping[Sources, str] | None = None) -> ChosenTerms:
         """Amplitude dependence of the suspension from the tests so far. `digests` are the logs' digests by source."""
-        ring_downs = [(f.source, f.fit.terms) for f in self.fits if isinstance(f.fit, RingDownFit)]
-        passages = [(f.source, f.fit.terms) for f in self.fits if isinstance(f.fit, RunUpFit) and f.fit.settled]
+        ring_downs = [(f.sources, f.fit.terms) for f in self.fits if isinstance(f.fit, RingDownFit)]
+        passages = [(f.sources, f.fit.terms) for f in self.fits if isinstance(f.fit, RunUpFit) and f.fit.settled]
         return terms_of_all(ring_downs, passages, digests)
 
     @property
@@ -276,14 +282,10 @@ def _take_over(runs: Sequence[Run], earlier: Identification | None, work: _Work)
     if earlier is None:
         return list(runs)
     wanted = {run.source for run in runs}
-
-    def is_wanted(source: str) -> bool:
-        return set(source.split(" + ")) <= wanted
-
-    work.estimates += [e.with_sources(()) for e in earlier.estimates if is_wanted(e.source)]
-    work.fits += [f for f in earlier.fits if is_wanted(f.source)]
-    done = {part for e in work.estimates for part in e.source.split(" + ")}
-    names = {Path(source).name for source in done}
+    work.estimates += [e.with_sources(()) for e in earlier.estimates if wanted.issuperset(e.sources)]
+    work.fits += [f for f in earlier.fits if wanted.issuperset(f.sources)]
+    done = {source for e in work.estimates for source in e.sources}
+    names = {Path(source).name for source in done} | {log_names(e.sources) for e in work.estimates}
     work.warnings += [w for w in earlier.warnings if w.partition(":")[0] in names]
     return [run for run in runs if run.source not in done]
 
@@ -327,7 +329,7 @@ def _share_friction(work: _Work) -> None:
     fits = work.transients
     zero_std = math.radians(work.rig.roles.zero_std_deg)
     work.estimates, shared = with_shared_friction(work.estimates, fits, zero_std, work.sources)
-    undecided = [f"{Path(source).name}: {fit.undecided}" for source, fit in fits.items() if fit.undecided]
+    undecided = [f"{log_names(logs)}: {fit.undecided}" for logs, fit in fits.items() if fit.undecided]
     work.warnings = [w for w in work.warnings if w not in undecided]
     work.warnings += undecided if shared is None else friction_messages(shared)
 
@@ -376,7 +378,7 @@ def _finished(runs: Sequence[Run], work: _Work) -> Identification:
         parameters = replace(parameters, shared={**shifts, **parameters.shared})
     angle, std = _axis_angle(work.fits)
     warnings += mounting_remarks((angle, std), (runs[0].turn_deg, work.rig.roles.mounted_deg[1]))
-    digests = {r.source: str(r.metadata.get("digest", "")) for r in runs}
+    digests = {(r.source,): str(r.metadata.get("digest", "")) for r in runs}
     slow_roll, messages = work.slow_roll(digests)
     warnings += messages
     terms = work.suspension_terms(digests).terms
@@ -423,18 +425,18 @@ def _provenance(
     runs: Sequence[Run], work: _Work, rows: list[ConsistencyRow], torques: Mapping[str, Any]
 ) -> dict[str, Any]:
     digests = _digests(runs, work.estimates)
-    friction = {f.source: f.fit.friction for f in work.fits if isinstance(f.fit, TransientFit) and f.fit.friction}
+    friction = {f.sources: f.fit.friction for f in work.fits if isinstance(f.fit, TransientFit) and f.fit.friction}
     tests = [
         {
             "test": e.test,
-            "log": " + ".join(Path(s).name for s in e.source.split(" + ")),
-            **({"digest": digests[e.source]} if digests[e.source] else {}),
+            "log": log_names(e.sources),
+            **({"digest": digests[e.sources]} if digests[e.sources] else {}),
             "method": e.method,
             "values": {n: float(v) for n, v in zip(e.names, e.values, strict=True)},
             "std": e.std,
             **(
-                {"friction": friction[e.source].values, "friction_std": friction[e.source].std}
-                if e.source in friction
+                {"friction": friction[e.sources].values, "friction_std": friction[e.sources].std}
+                if e.sources in friction
                 else {}
             ),
         }
@@ -449,11 +451,11 @@ def _provenance(
     return {**facts, "consistency": consistency, **torques}
 
 
-def _digests(runs: Sequence[Run], estimates: Sequence[Estimate]) -> dict[str, str]:
+def _digests(runs: Sequence[Run], estimates: Sequence[Estimate]) -> dict[Sources, str]:
     """Digest of each estimate's logs, joined if several were fitted together; "" if one of them is not known."""
     known = {r.source: str(r.metadata.get("digest", "")) for r in runs}
-    parts = {e.source: [known.get(source, "") for source in e.source.split(" + ")] for e in estimates}
-    return {source: " + ".join(of) if all(of) else "" for source, of in parts.items()}
+    digests = {e.sources: [known.get(source, "") for source in e.sources] for e in estimates}
+    return {sources: joined(of) if all(of) else "" for sources, of in digests.items()}
 
 
 def _axis_angle(fits: list[NamedFit]) -> tuple[float, float]:

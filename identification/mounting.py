@@ -26,7 +26,8 @@ Fit = TypeVar("Fit", RingDownFit, RunUpFit)
 _ANGLE = "axis_angle_deg"
 _MAX_DEVIATION_STD = 2.968  # 99.7 % of normal errors are within so many standard deviations
 _MAX_DEVIATION_DEG = 15.0  # beyond it, k1 and k2 may be exchanged
-_DIRECTION = re.compile(r"\b(f|k|zeta|direction )([12])(?=\b|_)")
+_OTHER_NAME = {name.format(i): name.format(3 - i) for name in ("f{}_Hz", "zeta{}", "k{}_N_per_m") for i in (1, 2)}
+_IN_TEXT = re.compile(r"\b(f|k|zeta|direction )([12])(?=\b|_)")
 
 
 def as_mounted(fit: Fit, turn_deg: float) -> Fit:
@@ -80,17 +81,17 @@ def mounting_remarks(found_deg: tuple[float, float], mounted_deg: tuple[float, f
 
 
 def _other(text: str) -> str:
-    """Return a name or a sentence with both directions exchanged."""
-    return _DIRECTION.sub(lambda found: found[1] + ("2" if found[2] == "1" else "1"), text)
+    """Return a sentence with both directions exchanged."""
+    return _IN_TEXT.sub(lambda found: found[1] + ("2" if found[2] == "1" else "1"), text)
 
 
 def _exchanged(fit: Fit) -> Fit:
     """Return the fit with directions 1 and 2 exchanged. The order of the names is kept."""
-    names = [_other(name) for name in fit.values]
+    names = [_OTHER_NAME.get(name, name) for name in fit.values]
     order = [names.index(name) for name in fit.values] if set(names) == set(fit.values) else list(range(len(names)))
     numbers = list(fit.values.values())
     values = {names[i]: numbers[i] for i in order}
-    intervals = {_other(name): interval for name, interval in fit.intervals.items()}
+    intervals = {_OTHER_NAME.get(name, name): interval for name, interval in fit.intervals.items()}
     warnings = [_other(warning) for warning in fit.warnings]
     covariance = fit.covariance[np.ix_(order, order)]
     named = replace(fit, values=values, intervals=intervals, covariance=covariance, warnings=warnings)
@@ -101,5 +102,6 @@ def _exchanged(fit: Fit) -> Fit:
             model_table=[replace(row, name=_other(row.name), why=_other(row.why)) for row in named.model_table],
             amplitude=[replace(one, mode=3 - one.mode) for one in named.amplitude],
             nonlinear=[replace(one, direction=3 - one.direction) for one in named.nonlinear],
+            terms=[replace(one, direction=3 - one.direction) for one in named.terms],
         )
     return named

@@ -16,6 +16,7 @@ from daq.signals.run import Run
 from identification.estimate import Estimate
 from identification.joint.combine import reduced
 from identification.run_up.fit import RunUpFit, run_up_estimate
+from identification.sources import log_names
 from rig_configs.load import refusal
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
@@ -40,8 +41,8 @@ def keep_physical(estimate: Estimate, rig: Rig) -> tuple[Estimate | None, list[s
     if not refused:
         return estimate, []
     messages = [
-        f"{_source(estimate.source)}: {name} comes out as {estimate.value(name):.4g} ± {estimate.std[name]:.1g}, which "
-        f"no rig has ({why}); it is left out, the rest of the test is kept. {_cause(name, estimate)}"
+        f"{log_names(estimate.sources)}: {name} comes out as {estimate.value(name):.4g} ± {estimate.std[name]:.1g}, "
+        f"which no rig has ({why}); it is left out, the rest of the test is kept. {_cause(name, estimate)}"
         for name, why in refused.items()
     ]
     kept = [n for n in estimate.names if n not in refused]
@@ -55,10 +56,6 @@ def physical_parameters(parameters: IdentifiedParameters, rig: Rig) -> tuple[Ide
         return parameters, []
     messages = [f"{n}: all tests together give {v:.4g}, which no rig has; it is left out" for n, v in bad.items()]
     return parameters.without(bad), messages
-
-
-def _source(source: str) -> str:
-    return " + ".join(Path(s).name for s in source.split(" + "))
 
 
 def _cause(name: str, estimate: Estimate) -> str:
@@ -91,7 +88,7 @@ def run_up_sides(
     read = " and ".join(f"{'AB'[k]} reads {_degrees(float(locked[k])):.0f}°" for k in turned)
     expected = " and ".join(f"{_degrees(_LOCKED_AT[k]):.0f}°" for k in turned)
     messages.append(
-        f"{_source(run.source)}: {read} in its lock, expected {expected}: an encoder's zero half a turn off, or its "
+        f"{Path(run.source).name}: {read} in its lock, expected {expected}: an encoder's zero half a turn off, or its "
         f"sense. S_P would be {estimate.value('SP_kg_m'):.4g} kg m by that reading, {other.value('SP_kg_m'):.4g} kg m "
         "with half a turn more; it is left out, k and ζ do not depend on it. Set the encoder's zero (at its lock) and "
         "repeat the run-up; releases need it too"
@@ -107,7 +104,7 @@ def _opposite(run: Run, fit: RunUpFit) -> list[str]:
         for axis in "xy"
         if (name := f"phase_{axis}_deg") in fit.values
     }
-    name = _source(run.source)
+    name = Path(run.source).name
     if len(sides) == 2 and sides["x"] != sides["y"]:
         axis = "x" if sides["x"] else "y"
         return [

@@ -16,6 +16,7 @@ from identification.ring_down.fit import fit_ring_down_runs, ring_down_estimate
 from identification.ring_down.one_laser import fit_one_laser, living_lasers
 from identification.ring_down.result import RingDownFit
 from identification.setting import Setting
+from identification.sources import Sources
 from rig_configs.roles import AXIS_TOLERANCE_DEG
 
 
@@ -24,7 +25,8 @@ class FoundRingDown:
     """Fit of one ring-down, or of several together.
 
     Attributes:
-        run: fitted run. For several runs, the first one with the sources of all.
+        run: fitted run. For several runs, the first one with the largest clock uncertainties of all.
+        sources: logs of all runs.
         fit: fit.
         tests: test names of all runs.
         mass_kg: total moving mass of the fit, kg.
@@ -32,13 +34,14 @@ class FoundRingDown:
 
     run: Run
     fit: RingDownFit
+    sources: Sources
     tests: tuple[str, ...]
     mass_kg: float
 
     @property
     def estimate(self) -> Estimate:
         """The fit as an Estimate."""
-        return ring_down_estimate(self.run, self.fit, self.mass_kg)
+        return ring_down_estimate(self.run, self.fit, self.mass_kg, self.sources)
 
 
 def fit_ring_downs(
@@ -70,9 +73,10 @@ def fit_ring_downs(
         try:
             if has_both:
                 fit = as_mounted(fit_ring_down_runs([run], mass_kg, setting=setting, without=without), run.turn_deg)
-                alone.append(FoundRingDown(run, fit, (run.test,), mass_kg))
+                alone.append(FoundRingDown(run, fit, (run.source,), (run.test,), mass_kg))
             else:
-                found.append(FoundRingDown(run, fit_one_laser(run, mass_kg, setting, without), (run.test,), mass_kg))
+                fit = fit_one_laser(run, mass_kg, setting, without)
+                found.append(FoundRingDown(run, fit, (run.source,), (run.test,), mass_kg))
         except IdentificationError as error:
             sentence = f"{run.test} left out: {error}"
             warnings.append(sentence)
@@ -85,7 +89,8 @@ def fit_ring_downs(
         except IdentificationError as error:
             warnings.append(f"joint fit of the ring-downs failed: {error}")
         else:
-            alone = [FoundRingDown(_joined(pairs), fit, tuple(run.test for run in pairs), mass_kg)]
+            sources, tests = tuple(run.source for run in pairs), tuple(run.test for run in pairs)
+            alone = [FoundRingDown(_joined(pairs), fit, sources, tests, mass_kg)]
             warnings = [sentence for sentence in warnings if sentence not in failed]
     return [*found, *alone], warnings
 
@@ -95,6 +100,5 @@ def _resolves_directions(fit: RingDownFit) -> bool:
 
 
 def _joined(runs: list[Run]) -> Run:
-    """First run with the sources of all runs and their largest clock uncertainties, for the joint fit."""
-    source = " + ".join(r.source for r in runs)
-    return replace(runs[0], test="ring-down", source=source, **joined_rates(runs))
+    """First run with the largest clock uncertainties of all runs, for the joint fit."""
+    return replace(runs[0], test="ring-down", **joined_rates(runs))

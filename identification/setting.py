@@ -19,6 +19,7 @@ class ModelChoice:
         criterion: value by which the models are compared; smaller is better. Each estimator defines its own.
         chosen: whether this is the smallest adequate model.
         why: reason for or against the model.
+        missing: terms that the residuals require in addition and that no fit of this package contains.
     """
 
     name: str
@@ -26,6 +27,7 @@ class ModelChoice:
     criterion: float
     chosen: bool
     why: str
+    missing: tuple[str, ...] = ()
 
 
 def check_setting(setting: str) -> None:

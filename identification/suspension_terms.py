@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from dynamics.equations.parameters import RotorParameters
 from identification.estimate import Estimate
 from identification.ring_down.direction_terms import DirectionTerms
 from identification.run_up.bent_passage import KnownSuspension
+from identification.sources import Sources, log_names
 from rig_configs.suspension_terms import LABEL, TERMS, SuspensionTerms, term_label
 
 
@@ -29,43 +29,43 @@ class ChosenTerms:
 
     Attributes:
         terms: terms of both directions.
-        directions: direction → source of the test and its terms.
+        directions: direction → logs of the test and its terms.
     """
 
     terms: SuspensionTerms
-    directions: Mapping[int, tuple[str, DirectionTerms]]
+    directions: Mapping[int, tuple[Sources, DirectionTerms]]
 
 
 def terms_of_all(
-    ring_downs: Sequence[tuple[str, Sequence[DirectionTerms]]],
-    passages: Sequence[tuple[str, Sequence[DirectionTerms]]] = (),
-    digests: Mapping[str, str] | None = None,
+    ring_downs: Sequence[tuple[Sources, Sequence[DirectionTerms]]],
+    passages: Sequence[tuple[Sources, Sequence[DirectionTerms]]] = (),
+    digests: Mapping[Sources, str] | None = None,
 ) -> ChosenTerms:
     """Select the terms of each direction: those of the ring-down with the largest motion, or of a sharper passage.
 
     Args:
-        ring_downs, passages: source and terms of each direction, for every test.
-        digests: digests of the logs, by source.
+        ring_downs, passages: logs and terms of each direction, for every test.
+        digests: digest of each test, by its logs.
     """
-    chosen = dict[int, tuple[str, DirectionTerms]]()
-    for source, found_there in ring_downs:
+    chosen = dict[int, tuple[Sources, DirectionTerms]]()
+    for logs, found_there in ring_downs:
         for own in found_there:
             if own.direction not in chosen or own.largest_m > chosen[own.direction][1].largest_m:
-                chosen[own.direction] = source, own
-    for source, found_there in passages:
+                chosen[own.direction] = logs, own
+    for logs, found_there in passages:
         for own in found_there:
             before = chosen.get(own.direction)
             if before is not None and _is_sharper(own, before[1]):
-                chosen[own.direction] = source, replace(own, found=before[1].found)
+                chosen[own.direction] = logs, replace(own, found=before[1].found)
     values, covariance, found = np.zeros(4), np.zeros((4, 4)), list[str]()
     for direction, (_, own) in chosen.items():
         at = [direction - 1, direction + 1]
         values[at], covariance[np.ix_(at, at)] = own.values, own.covariance[2:, 2:]
         found += [TERMS[i] for i, there in zip(at, own.found, strict=True) if there]
-    sources = list(dict.fromkeys(source for source, own in chosen.values() if np.any(own.covariance[2:, 2:])))
-    logs = tuple(" + ".join(Path(part).name for part in source.split(" + ")) for source in sources)
-    known = tuple((digests or {}).get(source, "") for source in sources)
-    return ChosenTerms(SuspensionTerms(values, covariance, tuple(n for n in TERMS if n in found), logs, known), chosen)
+    tests = list(dict.fromkeys(logs for logs, own in chosen.values() if np.any(own.covariance[2:, 2:])))
+    names = tuple(log_names(logs) for logs in tests)
+    known = tuple((digests or {}).get(logs, "") for logs in tests)
+    return ChosenTerms(SuspensionTerms(values, covariance, tuple(n for n in TERMS if n in found), names, known), chosen)
 
 
 def _is_sharper(one: DirectionTerms, other: DirectionTerms) -> bool:
@@ -117,8 +117,8 @@ def _plain(estimate: Estimate) -> Estimate:
 
 def _sharing(estimate: Estimate, chosen: ChosenTerms) -> Estimate:
     shared, own = dict(estimate.shared), estimate.covariance
-    for direction, (source, terms) in chosen.directions.items():
-        if source != estimate.source:
+    for direction, (logs, terms) in chosen.directions.items():
+        if logs != estimate.sources:
             continue
         names = [TERMS[direction - 1], TERMS[direction + 1]]
         there = [

@@ -46,7 +46,7 @@ def write_plugged(rig: str, settings: Sequence[str], ports: Mapping[str, str], o
     for text in settings:
         key, value = parse_setting(text)
         if key.partition(".")[0] != "virtual":
-            apply_setting(cast(dict[str, Any], document), key, value)
+            apply_setting(cast(dict[str, Any], document), key, value, "--set")
     for name, port in ports.items():
         document["devices"][name]["port"] = port
     output.write_text(f"{_FIRST_LINE}\n{tomlkit.dumps(document)}", encoding="utf-8")

@@ -12,7 +12,7 @@ from rig_configs import IdentifiedParameters
 def report_identification(found: Identification) -> IdentificationResult:
     """Convert an identification."""
     estimates = [
-        TestEstimate(e.test, e.source, dict(zip(e.names, e.values.tolist(), strict=True)), e.std)
+        TestEstimate(e.test, e.sources, dict(zip(e.names, e.values.tolist(), strict=True)), e.std)
         for e in found.estimates
     ]
     checks = [

@@ -171,7 +171,7 @@ def _as_table(value: object) -> dict[str, Any] | None:
     return cast("dict[str, Any]", value) if isinstance(value, dict) else None
 
 
-def apply_setting(raw: dict[str, Any], key: str, value: Any, source: str = "--set") -> None:
+def apply_setting(raw: dict[str, Any], key: str, value: Any, source: str = "setting") -> None:
     """Set one value in a raw table by its dotted key; "*1.05" and "+5%" are relative to the current value.
 
     Raises:

@@ -20,7 +20,7 @@ class TestEstimate:
     __test__ = False  # not a pytest class
 
     test: str
-    source: str
+    sources: tuple[str, ...]
     values: Mapping[str, float]
     std: Mapping[str, float]
 

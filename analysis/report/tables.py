@@ -136,7 +136,7 @@ def estimate_rows(campaign: Campaign) -> list[dict[str, str]]:
             rows.append(
                 {
                     "test": estimate.test,
-                    "source": " + ".join(Path(s).name for s in estimate.source.split(" + ")),
+                    "source": " + ".join(Path(s).name for s in estimate.sources),
                     "name": SYMBOLS.get(name, name),
                     "value": with_std(value, estimate.std.get(name, math.nan), unit),
                 }

@@ -65,7 +65,12 @@ def twin(campaign: Campaign) -> dict[str, Any]:
             "truth": dict(campaign.truth) if campaign.truth is not None else None,
             "changes": None if campaign.changes is None else _changes(campaign.changes),
             "estimates": [
-                {"test": e.test, "log": Path(e.source).name, "values": dict(e.values), "std": dict(e.std)}
+                {
+                    "test": e.test,
+                    "log": " + ".join(Path(s).name for s in e.sources),
+                    "values": dict(e.values),
+                    "std": dict(e.std),
+                }
                 for e in campaign.identification.estimates
             ],
             "fits": [

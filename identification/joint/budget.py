@@ -10,7 +10,6 @@ all sources are stretched by the same factor. Source: docs/theory/joint_estimate
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -140,7 +139,7 @@ def _each_test(joint: JointEstimate, tests: list[KeptTest], scale: Array, column
         known += weights @ covariance @ weights.T
         members = tuple(estimate.names[j] for j in used)
         units = tuple(PARAMETER_UNITS[name] for name in members)
-        called = f"{estimate.test} ({' + '.join(Path(s).name for s in estimate.source.split(' + '))})"
+        called = estimate.called
         seen.append(called)
         if again := seen.count(called) - 1:
             called = f"{called} {again + 1}"

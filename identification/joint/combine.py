@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -216,14 +215,10 @@ def _pulls_of_given(given: list[Estimate], kept: list[Estimate], together: Weigh
     return pulls
 
 
-def _called(estimate: Estimate) -> str:
-    return f"{estimate.test} ({' + '.join(Path(s).name for s in estimate.source.split(' + '))})"
-
-
 def _why(bad: Estimate, found: AgreementVerdict, kept: list[Estimate]) -> str:
     parts: list[str] = []
     for name, z in zip(found.names, found.z, strict=True):
-        own = [r for r in rows_of(name, kept) if (r.test, r.source) == (bad.test, bad.source) and r.others]
+        own = [r for r in rows_of(name, kept) if (r.test, r.sources) == (bad.test, bad.sources) and r.others]
         off = f" {100 * (own[0].value - own[0].others) / abs(own[0].others):+.3g} %" if own else ""
         parts.append(f"{name}{off} from the others, z = {z:.3g}")
     return f"stands apart ({'; '.join(parts)}; p = {found.p:.1g})"
@@ -231,11 +226,11 @@ def _why(bad: Estimate, found: AgreementVerdict, kept: list[Estimate]) -> str:
 
 def _left_out(bad: Estimate, kept: Estimate, why: str) -> str:
     alone = f"; {', '.join(kept.names)} of it is kept, no other test determines it" if kept.names else ""
-    return f"tests disagree: {_called(bad)} {why}. It is left out{alone}. Look at its log, or repeat the test"
+    return f"tests disagree: {bad.called} {why}. It is left out{alone}. Look at its log, or repeat the test"
 
 
 def _undecided(given: list[Estimate], suspects: tuple[int, ...], found: AgreementVerdict) -> str:
-    who = " or ".join(_called(given[i]) for i in suspects)
+    who = " or ".join(given[i].called for i in suspects)
     return (
         f"{', '.join(found.names)}: tests disagree (p = {found.p:.1g}) and it cannot be decided whether {who} is bad; "
         "the interval is widened to cover all of them. Repeat one of these tests to decide"

@@ -17,6 +17,7 @@ from daq.signals.run import Run
 from identification.estimate import Estimate
 from identification.joint.combine import JointEstimate, joint_estimate
 from identification.samples import correlation_inflation
+from identification.sources import parts
 from rig_configs.errors import ParametersFileError
 from rig_configs.parameters_file import IdentifiedParameters
 
@@ -29,7 +30,7 @@ class KeptTest:
     """One test as stored in a parameters.toml.
 
     Attributes:
-        estimate: values with own covariance and shared errors. Its source is the name of the log.
+        estimate: values with own covariance and shared errors. Its sources are the names of the logs.
         digest: digest of the log; "" if unknown.
         recorded: start of the recording; None if unknown.
         devices: device → serial number, for devices that report one.
@@ -55,7 +56,7 @@ def with_tests(found: Identification, runs: Sequence[Run] = ()) -> IdentifiedPar
     joint = joint_estimate(found.estimates)
     entries = found.parameters.provenance.get("tests", [{} for _ in found.estimates])
     tests = [
-        {**entry, **_entry(i, estimate, joint, found, [r for r in runs if r.source in estimate.source.split(" + ")])}
+        {**entry, **_entry(i, estimate, joint, found, [r for r in runs if r.source in estimate.sources])}
         for i, (entry, estimate) in enumerate(zip(entries, found.estimates, strict=True))
     ]
     facts: dict[str, Any] = {**found.parameters.provenance, "tests": tests}
@@ -97,7 +98,7 @@ def model_share(estimate: Estimate, found: Identification) -> float:
     """1 − 1/f², where f is the factor by which residuals beyond sensor noise have widened the test's intervals."""
     worst = 1.0
     for named in found.fits:
-        if (named.test, named.source) != (estimate.test, estimate.source):
+        if (named.test, named.sources) != (estimate.test, estimate.sources):
             continue
         worst = max(worst, named.fit.chi2_per_dof)
         for curve in named.fit.curves:
@@ -131,7 +132,7 @@ def _kept(entry: Mapping[str, Any], number: int) -> KeptTest:
         return KeptTest(
             Estimate(
                 str(entry["test"]),
-                str(entry["log"]),
+                parts(str(entry["log"])),
                 names,
                 np.array([float(entry["values"][n]) for n in names]),
                 covariance,

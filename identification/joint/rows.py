@@ -10,6 +10,7 @@ from scipy.special import chdtrc
 
 from identification.estimate import Estimate
 from identification.joint.agreement import covariance_of_all
+from identification.sources import Sources
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class ConsistencyRow:
     """Value of one parameter from one test, compared with the other tests.
 
     Attributes:
-        parameter, test, source: parameter, test name and log.
+        parameter, test, sources: parameter, test name and logs.
         value, std: value of this test and its standard deviation including shared errors, SI.
         others, others_std: combined value of the other tests that are not left out and its standard deviation, SI.
         z: difference over its standard deviation.
@@ -27,7 +28,7 @@ class ConsistencyRow:
 
     parameter: str
     test: str
-    source: str
+    sources: Sources
     value: float
     std: float
     others: float
@@ -68,7 +69,7 @@ def rows_of(name: str, estimates: Sequence[Estimate], left_out: Collection[int] 
             ConsistencyRow(
                 name,
                 estimates[i].test,
-                estimates[i].source,
+                estimates[i].sources,
                 float(values[k]),
                 float(np.sqrt(matrix[k, k])),
                 others,

@@ -19,6 +19,7 @@ from identification.joint.combine import joint_estimate
 from identification.pendulums.known_numbers import knowing, zeros_std
 from identification.pendulums.open_friction import OpenFriction, Together, together
 from identification.pendulums.transient import TransientFit
+from identification.sources import Sources
 from rig_configs.known import KnownSource
 
 _MAX_ROUNDS = 3  # repetitions of leaving out deviating tests and computing the friction without them
@@ -33,7 +34,7 @@ _NAMES = (
 
 def with_shared_friction(
     estimates: Sequence[Estimate],
-    fits: Mapping[str, TransientFit],
+    fits: Mapping[Sources, TransientFit],
     zero_std_rad: float = 0.0,
     sources: Sequence[KnownSource] = (),
 ) -> tuple[list[Estimate], Together | None]:
@@ -41,7 +42,7 @@ def with_shared_friction(
 
     Args:
         estimates: estimates of all tests.
-        fits: transients among them, by source.
+        fits: transients among them, by their logs.
         zero_std_rad: standard uncertainty of the encoder zeros, rad. All tests share these errors; the estimates have
             them in `by_number` and not in their covariance.
         sources: uncertainty sources of the numbers that the rig takes as known; also in `by_number`.
@@ -49,11 +50,11 @@ def with_shared_friction(
         Estimates in the same order, and the joint friction. With fewer than two transients, the estimates without
         shared friction, and None.
     """
-    own = [_alone(e, fits[e.source], zero_std_rad) if e.source in fits else e for e in estimates]
-    at = [i for i, e in enumerate(own) if e.source in fits and _is_open(e, fits[e.source])]
+    own = [_alone(e, fits[e.sources], zero_std_rad) if e.sources in fits else e for e in estimates]
+    at = [i for i, e in enumerate(own) if e.sources in fits and _is_open(e, fits[e.sources])]
     if len(at) < 2:
         return own, None
-    opens = [without_known(fits[own[i].source], zero_std_rad) for i in at]
+    opens = [without_known(fits[own[i].sources], zero_std_rad) for i in at]
     trusted = list(range(len(at)))
     found, shared = _each(own, at, together(opens, None, sources))
     for _ in range(_MAX_ROUNDS):

@@ -228,7 +228,7 @@ def damping_estimate(run: Run, fit: TransientFit, method: str, zero_std_rad: flo
     shared = clock_errors(run, {"angles": values})
     by_number = fit.slopes
     own = knowing(fit.covariance, by_number, {**zeros_std(zero_std_rad), **fit.number_std})
-    return Estimate(run.test, run.source, names, values, own, shared, method, by_number)
+    return Estimate(run.test, (run.source,), names, values, own, shared, method, by_number)
 
 
 def _model_table(

@@ -157,7 +157,7 @@ def _experiment(
     remarks = ("the suspension is assumed to be known from ring-downs: k to 0.01 %, ζ and S_P to 0.1 %",)
     if used_s < record_s:
         remarks += (f"only the first {used_s:.2g} s (4.5 time constants) contain information",)
-    expected = Estimate(test, "planned", _NAMES, values, own, shared, "Fisher information")
+    expected = Estimate(test, ("planned",), _NAMES, values, own, shared, "Fisher information")
     return Experiment(test, method, settings, record_s, expected, remarks=remarks)
 
 

@@ -129,7 +129,7 @@ def _estimate(
     shared = {label: shift * values for label, shift in shared.items()}
     return Estimate(
         test,
-        "planned",
+        ("planned",),
         names,
         values,
         log_covariance * np.outer(grow * values, grow * values),

@@ -28,6 +28,7 @@ from identification.pendulums.suspension_knowledge import BOW, Knowledge
 from identification.release_check.attempts import DAMPING, FLICK_RAD_S, WIDE, Attempts, with_common_friction
 from identification.release_check.model import Condensed, FittedRelease, condensed
 from identification.release_check.together import agreed, fitted_at
+from identification.sources import parts
 from rig_basics.arrays import Array
 from rig_configs.drag import LABELS, Drag, Reading, read_as
 from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
@@ -342,7 +343,7 @@ def used_for(run: Run, identified: IdentifiedParameters) -> tuple[str, ...]:
     kept: list[Any] = identified.provenance.get("tests", [])
     digest, found = str(run.metadata.get("digest") or ""), dict[str, None]()
     for test in kept:
-        digests, logs = str(test.get("digest", "")).split(" + "), str(test.get("log", "")).split(" + ")
+        digests, logs = (parts(str(test.get(key, ""))) for key in ("digest", "log"))
         same = digest in digests if digest and any(digests) else Path(run.source).name in logs
         if same and not test.get("left_out"):
             found |= dict.fromkeys(test.get("values", {}))

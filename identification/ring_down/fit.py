@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -45,7 +46,10 @@ from identification.ring_down.resolution import (
 from identification.ring_down.result import Findings, RingDownFit, result
 from identification.rungs import held_back
 from identification.setting import Setting, check_setting
+from identification.sources import Sources
 from rig_configs.suspension_terms import TERMS
+
+Axis = Literal["x", "y"]
 
 AXIS_PRIOR_STD = np.radians(3.0)  # standard uncertainty of the sensors' mounting, for a run-up that depends on it
 DELAY_STD_S = 3e-3  # between the clocks of two lasers
@@ -64,6 +68,7 @@ def fit_ring_down(
     setting: Setting = "balanced",
     axis_prior_deg: float = 30.0,
     without: Collection[str] = (),
+    axis: Axis = "x",
 ) -> RingDownFit:
     """Fit a free decay.
 
@@ -77,6 +82,7 @@ def fit_ring_down(
         axis_prior_deg: standard deviation of the sensors' rotation against the stiffness axes, deg. The default is so
             wide that the data decide.
         without: rungs of the ladder that are not used (identification.rungs.RUNGS).
+        axis: direction of a single sensor, x for direction 1 and y for direction 2.
     Raises:
         ValueError: a name in `without` is not a rung.
         NotIdentifiable: the record contains no decay, a decay that is too fast or too short, or damping below noise.
@@ -88,7 +94,8 @@ def fit_ring_down(
         raise NotIdentifiable(f"expected displacements of shape (n,) or (n, 2), got {signals.shape}")
     columns = [signals] if signals.ndim == 1 else list(signals.T)
     priors = Priors(_axis_prior(axis_prior_deg))
-    return _fit([[(np.asarray(time_s, float), column) for column in columns]], mass_kg, setting, priors, without)
+    record = [(np.asarray(time_s, float), column) for column in columns]
+    return _fit([record], mass_kg, setting, priors, without, "xy" if len(columns) == 2 else axis)
 
 
 @on_one_thread
@@ -113,14 +120,16 @@ def fit_ring_down_runs(
     return _fit(pairs, mass_kg, setting, Priors(_axis_prior(axis_prior_deg), delay_s=DELAY_STD_S), without)
 
 
-def ring_down_estimate(run: Run, fit: RingDownFit, mass_kg: float) -> Estimate:
+def ring_down_estimate(run: Run, fit: RingDownFit, mass_kg: float, sources: Sources = ()) -> Estimate:
     """Convert the fit of a run to an Estimate. The clocks of its lasers are shared errors.
 
     Args:
         run: fitted run.
         fit: its fit.
         mass_kg: total moving mass of the fit, kg.
+        sources: logs that were fitted together; by default the run's own.
     """
+    sources = sources or (run.source,)
     names = tuple(n for n in ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2") if n in fit.values)
     order = [list(fit.values).index(n) for n in names]
     values = np.array([fit.values[n] for n in names])
@@ -130,11 +139,11 @@ def ring_down_estimate(run: Run, fit: RingDownFit, mass_kg: float) -> Estimate:
     slopes = {  # k is proportional to the square of the clock's rate
         axis: 2 * values * share for axis, share in zip(("x", "y"), shares, strict=True) if share.any()
     }
-    shared = clock_errors(run, slopes)
+    shared = clock_errors(run, slopes, sources)
     own = fit.covariance[np.ix_(order, order)]
     method = "two coupled decays, separable least squares"
     by_number = mass_slopes(names, values, mass_kg)
-    return Estimate(run.test, run.source, names, values, own, shared, method, by_number, _with_terms(fit, names))
+    return Estimate(run.test, sources, names, values, own, shared, method, by_number, _with_terms(fit, names))
 
 
 def _with_terms(fit: RingDownFit, names: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -164,11 +173,12 @@ def _fit(
     setting: Setting,
     priors: Priors,
     without: Collection[str],
+    axes: str = "xy",
 ) -> RingDownFit:
     check_setting(setting)
     if mass is not None and not 0 < mass < np.inf:
         raise NotIdentifiable(f"ring-down: a mass above 0 kg is needed, got {mass:g}; leave it out")
-    channels, warnings = _read(records)
+    channels, warnings = _read(records, axes)
     refuse_too_fast(channels)
     valid = tuple(tuple(c.keep for c in own) for own in channels)
     findings = Findings(setting, priors, mass, warnings, held_back(without))
@@ -177,7 +187,7 @@ def _fit(
         smooth = tuple(tuple(without_lines(c) for c in own) for own in smooth)
     start = proposed(smooth)
     if len(records[0]) == 1:
-        return _one_direction(start, valid, findings, 0)
+        return _one_direction(start, valid, findings, "xy".index(axes))
     lone = lone_direction(start)
     if lone is not None:
         return _lone(start, valid, findings, lone)
@@ -236,12 +246,12 @@ def _both_directions(start: DecayData, valid: tuple[tuple[np.ndarray, ...], ...]
 
 
 def _read(
-    records: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]],
+    records: Sequence[Sequence[tuple[np.ndarray, np.ndarray]]], axes: str
 ) -> tuple[list[list[SensorRecord]], list[str]]:
     channels, warnings = list[list[SensorRecord]](), list[str]()
     for record in records:
         own: list[SensorRecord] = []
-        for sensor, (time, value) in zip("xy", record, strict=False):
+        for sensor, (time, value) in zip(axes, record, strict=True):
             channel, remarks = read_channel(time, value, sensor)
             own.append(channel)
             warnings += remarks

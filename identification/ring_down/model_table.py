@@ -26,7 +26,7 @@ OTHER_LAW = "another law of rates over amplitude"
 def model_table(fitted: FittedDecay, found: Resolution | None, terms: str = "") -> list[ModelChoice]:
     """Return a row for the chosen model and for each neighbour.
 
-    The chosen model's `why` starts with "but " if a neighbour that was not fitted is clearly better.
+    The chosen model's `missing` contains the neighbours that were not fitted and are clearly better.
 
     Args:
         fitted: solved fit.
@@ -51,7 +51,7 @@ def model_table(fitted: FittedDecay, found: Resolution | None, terms: str = "") 
     why = "smallest model that no larger one improves on"
     if better:
         why = f"but the residuals require more: {' and '.join(better)}"
-    return [ModelChoice(f"{motion}, {_DRIFTS[drift]}", base, 0.0, True, why), *rows]
+    return [ModelChoice(f"{motion}, {_DRIFTS[drift]}", base, 0.0, True, why, tuple(better)), *rows]
 
 
 def _row(name: str, parameters: int, criterion: float) -> ModelChoice:

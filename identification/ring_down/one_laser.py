@@ -48,10 +48,4 @@ def fit_one_laser(run: Run, mass: float, setting: Setting, without: Collection[s
         raise NotIdentifiable(f"{run.source}: pulled along {pulled}, but only laser {seen} works in it")
     if len(run.x_time_s):
         return fit_ring_down(run.x_time_s, run.x_m, mass, setting=setting, without=without)
-    fit = fit_ring_down(run.y_time_s, run.y_m, mass, setting=setting, without=without)
-    values = {name.replace("1", "2", 1): value for name, value in fit.values.items()}
-    intervals = {name.replace("1", "2", 1): value for name, value in fit.intervals.items()}
-    curves = [replace(curve, label=f"{curve.label.removesuffix('x')}y") for curve in fit.curves]
-    nonlinear = [replace(one, direction=2) for one in fit.nonlinear]
-    warnings = [w.replace("direction 1", "direction 2") for w in fit.warnings] if nonlinear else fit.warnings
-    return replace(fit, values=values, intervals=intervals, curves=curves, nonlinear=nonlinear, warnings=warnings)
+    return fit_ring_down(run.y_time_s, run.y_m, mass, setting=setting, without=without, axis="y")

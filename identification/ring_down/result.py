@@ -142,16 +142,18 @@ def result(fitted: FittedDecay, findings: Findings, labels: tuple[str, ...], gai
     nonlinear = rates_over_amplitude(fitted, labels, stretch)
     warnings += [one.sentence for one in nonlinear]
     table = model_table(fitted, found, ", ".join(one.short for one in nonlinear))
-    other_law = bool(nonlinear) and any(OTHER_LAW in choice.why for choice in table if choice.chosen)
+    chosen = next(choice for choice in table if choice.chosen)
+    other_law = bool(nonlinear) and OTHER_LAW in chosen.missing
     if other_law:
         widen_for_other_law(numbers, nonlinear, labels)
-    warnings += widen_for_amplitude(numbers, beyond_terms(fitted, dependence, stretch), labels)
+    changes = widen_for_amplitude(numbers, beyond_terms(fitted, dependence, stretch), labels)
+    warnings += changes
     for label, i in zip(labels, range(1, 2 * len(labels), 2), strict=True):
         warnings += damping_remark(numbers, label, i)
     if found is not None and not found.resolved:
         warnings.append(_unresolved(found))
     white = whiteness([r for record in fitted.channel_residuals() for r in record])
-    warnings += [choice.why for choice in table if choice.chosen and choice.why.startswith("but ")]
+    warnings += [chosen.why] if chosen.missing else []
     if chi2 > _LARGE_CHI2:
         warnings.append(f"residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up")
     numbers = with_stiffness(numbers, findings.mass_kg)
@@ -165,9 +167,9 @@ def result(fitted: FittedDecay, findings: Findings, labels: tuple[str, ...], gai
         chi2_per_dof=chi2,
         release_s=list(fitted.decay.begins),
         intervals={n: (float(a), float(b)) for n, a, b in zip(numbers.names, numbers.low, numbers.high, strict=True)},
-        model=next(choice.name for choice in table if choice.chosen),
+        model=chosen.name,
         model_table=table,
-        verdict=_verdict(white, chi2, stretch, warnings, _coloured_noise(fitted), other_law),
+        verdict=_verdict(white, chi2, stretch, bool(changes), _coloured_noise(fitted), other_law),
         whiteness=white,
         axes_resolved=found is None or found.resolved,
         amplitude=dependence,
@@ -238,15 +240,13 @@ def _unresolved(found: Resolution) -> str:
     return f"axes not resolved: {'; '.join(why)}. Intervals are from the profile likelihood over the angle"
 
 
-def _verdict(
-    white: Whiteness, chi2: float, stretch: np.ndarray, warnings: list[str], coloured: str, other_law: bool
-) -> str:
+def _verdict(white: Whiteness, chi2: float, stretch: np.ndarray, changes: bool, coloured: str, other_law: bool) -> str:
     if other_law:
         return (
             "not adequate: frequency or damping depends on amplitude by another law than that of a cubic spring and of "
             "damping quadratic in speed (dry friction?); intervals cover the change"
         )
-    if any("depends on amplitude" in w for w in warnings):
+    if changes:
         return "not adequate: the decay is not exponential; see damping over amplitude"
     if coloured:
         return f"the noise is not white, {coloured}; its spectrum is in the weights and in the intervals"

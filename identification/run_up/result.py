@@ -117,7 +117,7 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
         by_number[number] = own
     return Estimate(
         run.test,
-        run.source,
+        (run.source,),
         names,
         values,
         jacobian @ covariance @ jacobian.T,

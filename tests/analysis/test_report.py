@@ -90,7 +90,7 @@ def campaign(text: str = "plain") -> Campaign:
     other = load_rig("virtual", settings={"points.E.expected": "III"})
     identification = IdentificationResult(
         drawn.identified,
-        [TestEstimate("ring-down-x", text, {"k1_N_per_m": 2616.62, text: 1.0}, {"k1_N_per_m": 0.21})],
+        [TestEstimate("ring-down-x", (text,), {"k1_N_per_m": 2616.62, text: 1.0}, {"k1_N_per_m": 0.21})],
         [ConsistencyCheck("k1_N_per_m", 1.2, text)],
         [f"warning {text}"],
         [fit_curve("ring-down x"), dataclasses.replace(fit_curve(text), unit=text, y_label=text, notes=text)],

@@ -107,8 +107,9 @@ def test_what_one_log_has_read_of_a_rate_is_an_error_of_its_own(tmp_path: Path) 
     recipe = make_recipe(test="ring-down-x", time="t:s", x="x:mm", y="y:mm")
     run = load_run(import_recording(path, tmp_path / "a.mcap", RIG, recipe).path)
     rates = {"clock_rate_std": {"x": 5e-6, "y": 5e-6}, "clock_shared_std": {"x": 3e-6, "y": 5e-6}}
-    both = replace(run, **rates, clocks={"x": "east", "y": "north"}, source="a/1.mcap + b/2.mcap")
-    found = clock_errors(both, {"x": np.array([1.0, 0.0]), "y": np.array([0.0, 2.0])})
+    both = replace(run, **rates, clocks={"x": "east", "y": "north"})
+    slopes = {"x": np.array([1.0, 0.0]), "y": np.array([0.0, 2.0])}
+    found = clock_errors(both, slopes, ("a/1.mcap", "b/2.mcap"))
     assert {label: shift.tolist() for label, shift in found.items()} == {
         "clock east": pytest.approx([3e-6, 0.0]),
         "clock east in 1.mcap + 2.mcap": pytest.approx([4e-6, 0.0]),

@@ -135,7 +135,7 @@ def test_a_log_that_is_not_whole_is_warned_of_once() -> None:
 def test_shared_errors_do_not_average_out() -> None:
     name = ("SP_kg_m",)
     gain = {"gain laser_x": np.array([1e-6])}
-    tests = [Estimate("run-up", f"{i}", name, np.array([2.5e-3]), np.array([[1e-16]]), gain) for i in range(9)]
+    tests = [Estimate("run-up", (f"{i}",), name, np.array([2.5e-3]), np.array([[1e-16]]), gain) for i in range(9)]
     together, rows, warnings = combine(tests)
     assert together.std["SP_kg_m"] == pytest.approx(np.hypot(1e-6, 1e-8 / 3), rel=1e-6)
     assert warnings == []

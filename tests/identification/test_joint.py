@@ -66,7 +66,7 @@ def draw(
                 shift = np.array([0.5e-3 * TRUTH[n] if n == "SP_kg_m" else 0.0 for n in names])
                 shared[f"gain laser_{axis}"] = shift
                 values = values + shift * gains[i] / 1e-3
-        out.append(Estimate(test, f"{number:02d}-{test}.mcap", names, values, own, shared))
+        out.append(Estimate(test, (f"{number:02d}-{test}.mcap",), names, values, own, shared))
     return out, np.array([TRUTH[n] for n in PARAMETER_UNITS])
 
 
@@ -222,7 +222,12 @@ def test_weights_reproduce_the_values_and_a_direct_minimum() -> None:
 def test_shared_gain_stays_and_own_errors_average_out() -> None:
     tests = [
         Estimate(
-            "run-up", f"{i}", ("SP_kg_m",), np.array([2.5e-3]), np.array([[1e-14]]), {"gain laser_x": np.array([1e-6])}
+            "run-up",
+            (f"{i}",),
+            ("SP_kg_m",),
+            np.array([2.5e-3]),
+            np.array([[1e-14]]),
+            {"gain laser_x": np.array([1e-6])},
         )
         for i in range(4)
     ]
@@ -234,6 +239,6 @@ def test_shared_gain_stays_and_own_errors_average_out() -> None:
 def test_nothing_and_singular_are_refused() -> None:
     with pytest.raises(NotIdentifiable, match="no test"):
         combine([])
-    bad = Estimate("run-up", "a.mcap", ("zeta1", "zeta2"), np.array([0.02, 0.02]), np.zeros((2, 2)))
+    bad = Estimate("run-up", ("a.mcap",), ("zeta1", "zeta2"), np.array([0.02, 0.02]), np.zeros((2, 2)))
     with pytest.raises(NotIdentifiable, match=r"a\.mcap.*singular"):
         combine([bad])

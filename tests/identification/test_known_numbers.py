@@ -89,7 +89,7 @@ def test_a_run_up_goes_with_numbers_as_estimates_with_them_changed_do() -> None:
 def test_a_source_is_one_error_in_all_tests_and_correlates_what_it_moves() -> None:
     def test_of(name: str, k: float) -> Estimate:
         own, by = np.array([[1.0]]), {"rotor.mass_kg": np.array([k / 7.0])}
-        return Estimate(name, name, ("k1_N_per_m",), np.array([k]), own, {}, "", by)
+        return Estimate(name, (name,), ("k1_N_per_m",), np.array([k]), own, {}, "", by)
 
     source = KnownSource("rotor.mass_kg", 0.007, "kg", {"rotor.mass_kg": 0.007})
     two = [test_of("a", 7000.0).with_sources([source]), test_of("b", 7000.5).with_sources([source])]

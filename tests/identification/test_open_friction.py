@@ -53,7 +53,7 @@ def test_shared_friction_is_least_squares_over_damping_and_friction() -> None:
         )
     shared, whole = together(tests), pooled(tests)
     estimates = [
-        Estimate(f"t{i}", f"t{i}", NAMES, c, own, {f"friction {k}": v for k, v in enumerate(by.T)})
+        Estimate(f"t{i}", (f"t{i}",), NAMES, c, own, {f"friction {k}": v for k, v in enumerate(by.T)})
         for i, (c, own, by) in enumerate(zip(shared.log_damping, shared.own, shared.shared, strict=True))
     ]
     joint = weighted(estimates)
@@ -152,8 +152,8 @@ def test_two_tests_share_their_friction_and_one_stands_alone() -> None:
     campaign = Campaign(6, clock_rate_std=0.0)
     spin, point = campaign.spin_down(apart_s=0.0), campaign.point("E")
     fits = {
-        spin.source: fit_spin_down_run(spin, known(campaign)),
-        point.source: fit_release(point, known(campaign), np.radians(0.05)),
+        (spin.source,): fit_spin_down_run(spin, known(campaign)),
+        (point.source,): fit_release(point, known(campaign), np.radians(0.05)),
     }
     own = [
         Estimate("t", s, NAMES, np.array(list(f.values.values())), f.covariance, {"clock e": np.ones(2) * 1e-9})

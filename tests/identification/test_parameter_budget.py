@@ -29,7 +29,9 @@ def estimate(number: int, off: Sequence[float], correlation: float = 0.6, spread
     """A test whose values are some standard deviations off."""
     own = spread**2 * np.outer(STD, STD) * (correlation + (1 - correlation) * np.eye(3))
     shared = {label: np.array(shift) for label, shift in SHARED.items()}
-    return Estimate(f"test-{number}", f"{number:02d}.mcap", NAMES, VALUES + np.array(off) * STD, own, shared, "made up")
+    return Estimate(
+        f"test-{number}", (f"{number:02d}.mcap",), NAMES, VALUES + np.array(off) * STD, own, shared, "made up"
+    )
 
 
 def kept(estimates: Sequence[Estimate], model_share: float = 0.25) -> IdentifiedParameters:

@@ -93,7 +93,7 @@ def test_a_laser_s_sign_and_an_index_mark_half_a_turn_off_are_reported(run_up: t
 )
 def test_every_value_that_the_loader_refuses_is_left_out(tmp_path: Path, name: str, value: float) -> None:
     sound = "zeta2" if name != "zeta2" else "zeta1"
-    estimate = Estimate("t", "a.mcap", (name, sound), np.array([value, 0.02]), np.diag([1e-10, 1e-10]))
+    estimate = Estimate("t", ("a.mcap",), (name, sound), np.array([value, 0.02]), np.diag([1e-10, 1e-10]))
     kept, messages = keep_physical(estimate, RIG)
     assert kept is not None
     assert kept.names == (sound,)
@@ -105,12 +105,12 @@ def test_every_value_that_the_loader_refuses_is_left_out(tmp_path: Path, name: s
     assert messages
     reduced.save(tmp_path / "p.toml")
     load_rig("virtual", tmp_path / "p.toml")
-    alone, _ = keep_physical(Estimate("t", "a.mcap", (name,), np.array([value]), np.array([[1e-10]])), RIG)
+    alone, _ = keep_physical(Estimate("t", ("a.mcap",), (name,), np.array([value]), np.array([[1e-10]])), RIG)
     assert alone is None
 
 
 def test_a_value_that_is_zero_within_its_uncertainty_is_told_as_such() -> None:
-    estimate = Estimate("t", "a.mcap", ("c3_Nms_per_rad",), np.array([-1e-6]), np.array([[1e-12]]))
+    estimate = Estimate("t", ("a.mcap",), ("c3_Nms_per_rad",), np.array([-1e-6]), np.array([[1e-12]]))
     _, (message,) = keep_physical(estimate, RIG)
     assert "zero within its uncertainty" in message
     assert refusal(RIG, "c3_Nms_per_rad", 1e-6) is None

@@ -29,7 +29,7 @@ def estimate() -> Estimate:
     names = ("k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2")
     return Estimate(
         "ring-down-y",
-        "y.mcap",
+        ("y.mcap",),
         names,
         np.array([2500.0, K, 0.02, 0.02]),
         covariance,
@@ -47,7 +47,7 @@ def chosen(own: DirectionTerms = OWN) -> ChosenTerms:
     covariance = np.zeros((4, 4))
     covariance[np.ix_([1, 3], [1, 3])] = own.covariance[2:, 2:]
     terms = SuspensionTerms(np.array([0.0, own.values[0], 0.0, own.values[1]]), covariance, (TERMS[1], TERMS[3]))
-    return ChosenTerms(terms, {2: ("y.mcap", own)})
+    return ChosenTerms(terms, {2: (("y.mcap",), own)})
 
 
 def test_what_a_test_shares_with_its_terms_takes_nothing_from_its_uncertainty() -> None:
@@ -65,7 +65,7 @@ def test_what_a_test_shares_with_its_terms_takes_nothing_from_its_uncertainty() 
 
 def test_terms_of_another_ring_down_take_the_place_of_those_before() -> None:
     (first,) = sharing_terms([estimate()], chosen())
-    other = ChosenTerms(chosen().terms, {2: ("better.mcap", replace(OWN, largest_m=3e-3))})
+    other = ChosenTerms(chosen().terms, {2: (("better.mcap",), replace(OWN, largest_m=3e-3))})
     (after,) = sharing_terms([first], other)
     assert list(after.shared) == ["clock"]
     assert np.allclose(after.covariance, estimate().covariance, rtol=1e-12)

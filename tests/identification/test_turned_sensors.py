@@ -81,6 +81,9 @@ def test_exchanged_directions_keep_their_numbers_together() -> None:
     i, j, k = (names.index(n) for n in ("zeta1", "zeta2", "axis_angle_deg"))
     assert named.covariance[i, k] == fit.covariance[j, k] != fit.covariance[i, k]
     assert named.values["axis_angle_deg"] == pytest.approx(50.0, abs=0.3)
+    assert [(one.direction, one.largest_m) for one in named.terms] == [
+        (3 - one.direction, one.largest_m) for one in fit.terms
+    ]
     low, high = named.intervals["axis_angle_deg"]
     assert low < named.values["axis_angle_deg"] < high
 
