@@ -188,6 +188,6 @@ def _processor() -> str:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
-    except OSError:
+    except OSError:  # usual: only Linux has this file
         pass
     return platform.processor() or platform.machine()

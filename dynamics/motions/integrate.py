@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from dynamics.arguments import check_number
 from dynamics.arrays import Array
-from dynamics.equations.parameters import physics_of
+from dynamics.equations.parameters import RigOrParameters, physics_of
 from dynamics.equations.scene import Scene
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.motions.fixed_steps import integrate
@@ -48,7 +48,7 @@ _STRONG_GROWTH = 300.0  # ratio of error to tolerance above which two difference
 
 
 def simulate(
-    parameters: object,
+    parameters: RigOrParameters,
     scene: Scene,
     time_s: ArrayLike,
     accuracy: float = 1e-6,

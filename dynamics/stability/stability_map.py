@@ -14,7 +14,7 @@ from dynamics.arguments import check_number, real_array
 from dynamics.arrays import Array, Flags
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.linearised import type_one
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, physics_of
 from dynamics.errors import NoBalancedState, OutsideDomain
 from dynamics.stability.floquet.lanes import LANES
 from dynamics.stability.map_plane import Plane, SpeedStiffnessPlane, multiplier_at
@@ -115,7 +115,7 @@ def _check_size(columns: int, rows: int, accuracy: float) -> None:
 
 
 def stability_map(
-    rig: RotorParameters | object,
+    rig: RigOrParameters,
     speed_ratios: ArrayLike,
     stiffness_ratios: ArrayLike,
     accuracy: float = 1e-8,

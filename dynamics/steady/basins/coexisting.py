@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynamics.arrays import Array
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, physics_of
 from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.locked_motion import locked_state
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit, continued, slipping_orbit
@@ -49,7 +49,7 @@ class StableMotions:
 
 
 def stable_motions(
-    rigs: Sequence[RotorParameters | object],
+    rigs: Sequence[RigOrParameters],
     speeds_rad_s: Sequence[float],
     *,
     columns: int | None = None,
@@ -141,21 +141,19 @@ def _to_try(
     return pairs
 
 
-def _with(
-    rig: RotorParameters | object, speed: float, here: StableMotions, orbits: list[SlippingOrbit]
-) -> StableMotions:
+def _with(rig: RigOrParameters, speed: float, here: StableMotions, orbits: list[SlippingOrbit]) -> StableMotions:
     """Stable motions at a point, with those orbits of its neighbours that can be continued to it."""
     slipping = list(here.slipping)
     try:
         turning = RevolutionMap.of(rig, float(speed))
         for known in orbits:
             _add(slipping, continued(turning, known))
-    except (DynamicsError, np.linalg.LinAlgError):
-        pass  # the neighbour's orbit cannot be continued to this point
+    except (DynamicsError, np.linalg.LinAlgError):  # usual: the neighbour's orbit does not exist at this point
+        pass
     return replace(here, slipping=tuple(slipping))
 
 
-def _at(rig: RotorParameters | object, speed: float, carried: Sequence[SlippingOrbit]) -> StableMotions:
+def _at(rig: RigOrParameters, speed: float, carried: Sequence[SlippingOrbit]) -> StableMotions:
     try:
         turning = RevolutionMap.of(rig, speed)
         steady = tuple(s for s in steady_states(physics_of(rig), speed, 1e-6) if s.stable)
