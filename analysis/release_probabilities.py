@@ -146,6 +146,6 @@ def drawn_rigs(
         drawn = middle + root @ rng.standard_normal(len(names))
         try:
             rigs.append(physics.with_values(**dict(zip(names, drawn.tolist(), strict=True))))
-        except OutsideDomain:
+        except OutsideDomain:  # usual: not a possible rig; counted in `tried`
             continue
     return rigs

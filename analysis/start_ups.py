@@ -1,4 +1,3 @@
-# pyright: strict
 """Repeated start-ups against the model: their final states, their scatter and the remaining vibration.
 
 The model reaches the same steady state (or its mirror image) from all initial states. Final angles therefore differ by
@@ -15,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import gammaincc
 
 from analysis.prediction import QUANTITIES
 from analysis.results import PointResult

@@ -205,7 +205,7 @@ def _asked_rpm(run: Run) -> float:
     """Return the requested speed of a start-up's log; 0 if the log has none, as recordings from other programs."""
     try:
         speed = float(run.metadata.get("speed_rpm", 0.0))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError):  # usual: a recording of another program
         return 0.0
     return speed if math.isfinite(speed) else 0.0
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -23,6 +24,8 @@ from reproduction.items.slips import Ends, draw_ends, ends_counted, released, sl
 from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 from rig_basics.arrays import Array
+
+_log = logging.getLogger(__name__)
 
 ZETAS: Array = np.exp(np.linspace(math.log(0.005), math.log(0.3), 22))
 RATIOS: Array = np.linspace(0.4, 6.0, 57)
@@ -48,7 +51,8 @@ class _Here:
 def _here(p: RotorParameters, ratio: float) -> _Here:
     try:
         found = steady_states(p, p.speed_rad_s(ratio), _ACCURACY)
-    except DynamicsError:
+    except DynamicsError as error:
+        _log.info("states at a speed ratio of %.6g: %s", ratio, error)
         return _Here("refused", False)
     types = sorted({state.type for state in found if state.stable})
     return _Here(", ".join(types) if types else "none", any(state.type == "III" for state in found))
