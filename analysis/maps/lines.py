@@ -75,9 +75,7 @@ def line_over(
     if axis.is_speed and given:
         raise RigFileError("sweep: it goes over the speed; leave out the constant speed")
     if not axis.is_speed and len(given) != 1:
-        raise RigFileError(
-            "sweep: expected a constant speed in addition; give a point, a speed ratio or a speed in rpm"
-        )
+        raise RigFileError("sweep: expected a constant speed in addition; give a point, a speed ratio or rpm")
     if axis.count < 2:
         raise RigFileError(f"sweep: expected N of 2 or more values, got {axis.text!r}")
     for value in axis.span:

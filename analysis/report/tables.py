@@ -182,7 +182,7 @@ _NO_CELLS = [{"measured": "–", "predicted": "–", "class": ""}] * 4
 
 def _cell(row: Mapping[str, Any]) -> dict[str, str]:
     """Format measured and predicted values for the table of all points; the noise is left out."""
-    return {"measured": row["measured"], "predicted": row["predicted"].partition(", noise")[0], "class": row["class"]}
+    return {"measured": row["measured"], "predicted": row["predicted_alone"], "class": row["class"]}
 
 
 def noticed_rows(campaign: Campaign) -> list[dict[str, Any]]:
@@ -233,10 +233,12 @@ def quantity_rows(point: PointResult) -> list[dict[str, Any]]:
         model, model_std = values["predicted"][key], values["predicted_std"][key]
         small = unit == "mm" and max(abs(value or 0), abs(model or 0)) < 0.01
         factor, shown = (1e3, "µm") if small else (1.0, unit)
+        predicted = _pair(model, model_std, factor, shown)
         row = {
             "name": text,
             "measured": _pair(value, std, factor, shown),
-            "predicted": _pair(model, model_std, factor, shown),
+            "predicted": predicted,
+            "predicted_alone": predicted,
             "difference": "–",
             "interval": "–",
             "z": "–" if score is None else signed(score.z, 2),
@@ -260,6 +262,7 @@ def _noise_row(score: Score, factor: float, unit: str) -> dict[str, str]:
     return {
         "measured": with_std(score.measured * factor, score.measured_std * factor, unit, digits=2),
         "predicted": f"0, noise {noise} {unit}",
+        "predicted_alone": "0",
         "difference": f"χ² = {plain(score.chi2, 3)} on {2 * len(score.noise)}, p = {plain(score.p, 2)}",
         "z": f"|{score.z:.2f}|",
     }

@@ -14,13 +14,18 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 from dynamics.bench.records import Measurement
 
 _ROOT = Path(__file__).parents[2]
+PREDICT: Final = "predict"
+"""Case of a whole `rig predict`."""
+WARM: Final = "compiled before"
+"""Setting of processes that find their compiled code."""
 _CASES = {
     "release: simulate": ("-m", "dynamics.bench.first_release"),
-    "predict": ("-m", "rig_cli.entry", "predict", "virtual", "--point", "B", "--json"),
+    PREDICT: ("-m", "rig_cli.entry", "predict", "virtual", "--point", "B", "--json"),
 }
 _PEER = ("-m", "dynamics.bench.first_release_heyoka")
 _TIMEOUT_S = 300
@@ -34,7 +39,7 @@ def process_rows(with_heyoka: bool, repeats: int) -> list[Measurement]:
             first = _seconds(arguments, empty)
             warm = statistics.median(_seconds(arguments, empty) for _ in range(repeats))
         rows.append(Measurement("process", case, "rig", "empty compilation cache", first, "process"))
-        rows.append(Measurement("process", case, "rig", "compiled before", warm, "process", automatic=True))
+        rows.append(Measurement("process", case, "rig", WARM, warm, "process", automatic=True))
     if with_heyoka:
         taken = statistics.median(_seconds(_PEER) for _ in range(repeats))
         name = next(iter(_CASES))

@@ -134,6 +134,8 @@ class _Case:
             error,
             motion.error_estimate,
             automatic=True,
+            accuracy=accuracy,
+            chosen=(motion.method,),
         )
 
     def fixed(self, per_cycle: int) -> Measurement:

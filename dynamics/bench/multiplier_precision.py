@@ -141,4 +141,6 @@ def _service_row(
         _error(found.largest, true),
         found.error_estimate / max(1.0, found.largest),
         automatic=True,
+        accuracy=accuracy,
+        chosen=(found.method,),
     )

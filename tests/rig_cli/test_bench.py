@@ -158,7 +158,17 @@ def test_over_points_takes_the_worst_error_and_the_median_time() -> None:
 def test_over_points_joins_the_automatic_choice_over_its_methods() -> None:
     rows = [
         Measurement(
-            "multipliers", case, f"automatic: {method}", "accuracy 1e-08", 1.0, "point", 1e-9, bound, automatic=True
+            "multipliers",
+            case,
+            f"automatic: {method}",
+            "accuracy 1e-08",
+            1.0,
+            "point",
+            1e-9,
+            bound,
+            automatic=True,
+            accuracy=1e-8,
+            chosen=(method,),
         )
         for case, method, bound in (("A", "explicit", 1e-9), ("B", "magnus", 5e-9))
     ]

@@ -93,22 +93,33 @@ def stable_motions(
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         try:
             found = [each for part in pool.map(along, range(0, count, wide)) for each in part]
-            tried: list[list[SlippingOrbit]] = [[] for _ in found]
-            while pairs := _to_try(found, tried, wide):
-                places = [place for place, _ in pairs]
-                new = pool.map(
-                    _with,
-                    (rigs[i] for i in places),
-                    (speeds_rad_s[i] for i in places),
-                    (found[i] for i in places),
-                    (orbits for _, orbits in pairs),
-                )
-                for place, here in zip(places, list(new), strict=True):
-                    found[place] = here
+            _continue_to_neighbours(found, rigs, speeds_rad_s, wide, pool)
             return found
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _continue_to_neighbours(
+    found: list[StableMotions],
+    rigs: Sequence[RigOrParameters],
+    speeds_rad_s: Sequence[float],
+    wide: int,
+    pool: ThreadPoolExecutor,
+) -> None:
+    """Add the slipping orbits of neighbours to each point, until no neighbour has a new one."""
+    tried: list[list[SlippingOrbit]] = [[] for _ in found]
+    while pairs := _to_try(found, tried, wide):
+        places = [place for place, _ in pairs]
+        new = pool.map(
+            _with,
+            (rigs[i] for i in places),
+            (speeds_rad_s[i] for i in places),
+            (found[i] for i in places),
+            (orbits for _, orbits in pairs),
+        )
+        for place, here in zip(places, list(new), strict=True):
+            found[place] = here
 
 
 def _to_try(
