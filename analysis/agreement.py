@@ -1,4 +1,3 @@
-# pyright: strict
 """Agreement of measurement and model: one statistic per point, one over all points, one per single cause.
 
 The chance of a false alarm is 5 % of campaigns without any fault. Three questions share it: whether any single cause
@@ -19,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import gammaincc, voigt_profile  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import gammaincc, voigt_profile
 
 from analysis.causes import Cause
 from analysis.differences import Differences

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import cmath
+import logging
 import math
 from dataclasses import replace
 
@@ -12,6 +13,8 @@ import numpy as np
 from analysis.stable_states import stable_states
 from dynamics import RotorParameters, SteadyState
 from dynamics.errors import DynamicsError
+
+_log = logging.getLogger(__name__)
 
 _MAX_RATE_RATIO = 0.7  # rate of approach with the bow over that without it; above, the bow is not reported as a reason
 
@@ -44,7 +47,8 @@ def _straight(physics: RotorParameters, speed_rad_s: float) -> SteadyState | Non
         return None
     try:
         states = stable_states(replace(physics, bow_x_m=0.0, bow_y_m=0.0), speed_rad_s)
-    except (DynamicsError, np.linalg.LinAlgError):
+    except (DynamicsError, np.linalg.LinAlgError) as error:
+        _log.info("straight shaft at %.6g rad/s: no state to compare with: %s", speed_rad_s, error)
         return None
     return next(iter(states), None)
 

@@ -22,7 +22,7 @@ from rig_configs import IdentifiedParameters, Rig
 from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B, gain_label, known_label
 
 NOMINAL_SHARE = 1e-3  # relative standard uncertainty of a number without a stated one: usual for such numbers
-_PARAMETER_WORDS = {
+PARAMETER_SYMBOLS: Mapping[str, str] = {
     "k1_N_per_m": "k1",
     "k2_N_per_m": "k2",
     "zeta1": "ζ1",
@@ -128,7 +128,7 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
         value = identified.values[name]
         deviation = std[name] or NOMINAL_SHARE * abs(value)
         if deviation > 0:
-            found.append(_share(name, _PARAMETER_WORDS[name], value, deviation, -differences.by_parameter[:, k]))
+            found.append(_share(name, PARAMETER_SYMBOLS[name], value, deviation, -differences.by_parameter[:, k]))
     known, own = rig.known, differences.by_parameter
     for name in PHYSICAL:
         value = known.values[name]

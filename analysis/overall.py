@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,6 +23,8 @@ from rig_configs.drag import Drag
 from rig_configs.errors import RigConfigError
 from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, KEPT_FRICTION, PHYSICAL
 from rig_configs.slow_roll import SlowRoll
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,8 @@ class _Case:
             changed |= {n: v - self.identified.values[n] for n, v in values.items()}
             predicted = [self._predicted(each, rig, identified) for each in self.compared]
             return differences(predicted, rig, identified, self.releases, changed)
-        except (NoStableState, DynamicsError, RigConfigError, np.linalg.LinAlgError):
+        except (NoStableState, DynamicsError, RigConfigError, np.linalg.LinAlgError) as error:
+            _log.info("%s = %.6g is not compared: the model has no such state: %s", name, value, error)
             return None
 
     def turned(self, kind: str, value_m: complex) -> Differences | None:
@@ -131,7 +135,8 @@ class _Case:
         identified = replace(self.identified, slow_roll=roll)
         try:
             predicted = [self._predicted(each, self.rig, identified) for each in self.compared]
-        except (NoStableState, DynamicsError, np.linalg.LinAlgError):
+        except (NoStableState, DynamicsError, np.linalg.LinAlgError) as error:
+            _log.info("%s of %.3g m is not compared: the model has no such state: %s", kind, abs(value_m), error)
             return None
         changed = {f"{kind} along": value_m.real, f"{kind} across": value_m.imag}
         return differences(predicted, self.rig, identified, self.releases, changed)

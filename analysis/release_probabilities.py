@@ -78,17 +78,40 @@ def wilson_interval(count: int, draws: int, level: float = 0.95) -> tuple[float,
     return low, 1.0 if count == draws else min(1.0, middle + half)
 
 
+@dataclass(frozen=True)
+class ReleaseDraws:
+    """Releases of a Monte Carlo.
+
+    Attributes:
+        draws: number of draws.
+        seconds: duration of each release, s.
+        play_rad: play of the locks to either side, uniform.
+        from_rad: angles of A and B at the locks.
+        level: confidence level of the intervals.
+        seed: seed of the random numbers.
+    Raises:
+        OutsideDomain: no draw, or an impossible play.
+    """
+
+    draws: int
+    seconds: float = 20.0
+    play_rad: float = PLAY_RAD
+    from_rad: tuple[float, float] = LOCKED_RAD
+    level: float = 0.95
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if self.draws < 1 or not (0 <= self.play_rad < math.pi):
+            raise OutsideDomain(
+                f"expected at least one draw and a play from 0 to 180°, got {self.draws} and {self.play_rad!r}"
+            )
+
+
 def end_probabilities(
     physics: RotorParameters,
     speed_rad_s: float,
     known: IdentifiedParameters,
-    draws: int,
-    *,
-    seconds: float = 20.0,
-    play_rad: float = PLAY_RAD,
-    from_rad: tuple[float, float] = LOCKED_RAD,
-    level: float = 0.95,
-    seed: int = 1,
+    releases: ReleaseDraws,
     progress: Callable[[float], None] | None = None,
 ) -> EndProbabilities:
     """Monte Carlo of releases: identified numbers by their covariance, release angles uniform within the locks' play.
@@ -96,30 +119,25 @@ def end_probabilities(
     Args:
         physics: parameters of the rig with the identified values.
         known: values with their covariance; the suspension's terms, drag and bow are taken as exact.
-        draws: number of draws.
-        seconds: duration of each release, s.
-        play_rad: play of the locks to either side, uniform.
-        from_rad: angles of A and B at the locks.
-        level: confidence level of the intervals.
+        releases: number of draws, and the releases.
         progress: called with the completed share.
     Raises:
         OutsideDomain: impossible arguments.
         AnalysisError: hardly any draw of the covariance is a possible rig.
     """
-    if draws < 1 or not (0 <= play_rad < math.pi):
-        raise OutsideDomain(f"expected at least one draw and a play from 0 to 180°, got {draws} and {play_rad!r}")
-    rng = np.random.default_rng(seed)
+    draws, play_rad = releases.draws, releases.play_rad
+    rng = np.random.default_rng(releases.seed)
     rigs = drawn_rigs(physics, known, draws, rng)
-    starts = np.array(from_rad) + rng.uniform(-play_rad, play_rad, (draws, 2))
+    starts = np.array(releases.from_rad) + rng.uniform(-play_rad, play_rad, (draws, 2))
     pairs = [(float(a), float(b)) for a, b in starts]
-    found = release_ends(rigs, [speed_rad_s] * draws, pairs, seconds, progress=progress)
+    found = release_ends(rigs, [speed_rad_s] * draws, pairs, releases.seconds, progress=progress)
     counts = Counter(zip(found.name.tolist(), found.mirror.tolist(), strict=True))
     ends = tuple(
-        EndProbability(name, mirror, count, count / draws, wilson_interval(count, draws, level))
+        EndProbability(name, mirror, count, count / draws, wilson_interval(count, draws, releases.level))
         for (name, mirror), count in counts.most_common()
     )
     unsure = draws - int(np.count_nonzero(found.sure)) - len(found.refused)
-    return EndProbabilities(ends, draws, level, unsure, found)
+    return EndProbabilities(ends, draws, releases.level, unsure, found)
 
 
 def drawn_rigs(
@@ -146,6 +164,6 @@ def drawn_rigs(
         drawn = middle + root @ rng.standard_normal(len(names))
         try:
             rigs.append(physics.with_values(**dict(zip(names, drawn.tolist(), strict=True))))
-        except OutsideDomain:
+        except OutsideDomain:  # usual: not a possible rig; counted in `tried`
             continue
     return rigs

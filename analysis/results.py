@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from analysis.prediction import QUANTITIES, Prediction
-from analysis.scores import JSON_KEYS, Score, finite, measured_intervals
+from analysis.scores import DISPLAYED, Score, finite, measured_intervals
 from analysis.steady_state import SteadyMeasurement
 from rig_basics.units import TO_RPM
 
@@ -56,16 +56,16 @@ class PointResult:
             "z_scores": {k: finite(v) for k, v in self.z_scores.items()},
             "verdict": self.verdict,
             "why": self.why,
-            "scores": {name: score.to_json(JSON_KEYS[name]) for name, score in self.scores.items()},
+            "scores": {name: score.to_json(DISPLAYED[name]) for name, score in self.scores.items()},
             "to_come": None if self.measurement is None else self.measurement.to_come.to_json(),
         }
 
 
 def _measured_json(m: SteadyMeasurement | None) -> tuple[dict[str, float | None], dict[str, float | None]]:
-    keys = [*JSON_KEYS.values(), ("speed_rpm", TO_RPM)]
+    keys = [*((each.key, each.factor) for each in DISPLAYED.values()), ("speed_rpm", TO_RPM)]
     if m is None:
         return {key: None for key, _ in keys}, {key: None for key, _ in keys}
-    values = [*(measured_intervals(m)[name] for name in JSON_KEYS), m.speed_rad_s]
+    values = [*(measured_intervals(m)[name] for name in DISPLAYED), m.speed_rad_s]
     pairs = list(zip(keys, values, strict=True))
     return {k: finite(v.value * f) for (k, f), v in pairs}, {k: finite(v.std * f) for (k, f), v in pairs}
 
@@ -73,7 +73,7 @@ def _measured_json(m: SteadyMeasurement | None) -> tuple[dict[str, float | None]
 def _predicted_json(p: Prediction | None) -> tuple[dict[str, float | None], dict[str, float | None]]:
     if p is None:
         return _measured_json(None)
-    order = [QUANTITIES.index(name) for name in JSON_KEYS]
-    values = {key: finite(p.values[j] * f) for j, (key, f) in zip(order, JSON_KEYS.values(), strict=True)}
-    stds = {key: finite(p.std[j] * f) for j, (key, f) in zip(order, JSON_KEYS.values(), strict=True)}
+    order = [QUANTITIES.index(name) for name in DISPLAYED]
+    values = {key: finite(p.values[j] * f) for j, (key, f, _) in zip(order, DISPLAYED.values(), strict=True)}
+    stds = {key: finite(p.std[j] * f) for j, (key, f, _) in zip(order, DISPLAYED.values(), strict=True)}
     return values | {"speed_rpm": p.speed_rad_s * TO_RPM}, stds | {"speed_rpm": 0.0}

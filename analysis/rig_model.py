@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from dynamics import RotorParameters, SteadyState, locked_orbit
 from dynamics.errors import DynamicsError
 from rig_basics.arrays import Array, Complex
 from rig_configs import IdentifiedParameters, Rig
+
+_log = logging.getLogger(__name__)
 
 LOCKED_RAD = (0.0, math.pi)
 """Angles at which the locks hold the pendulums."""
@@ -67,7 +70,7 @@ class RigModel:
         for i, speed in enumerate(speed_rad_s.tolist()):
             try:
                 x, y = locked_orbit(self.physics, speed, *theta_rad)
-            except DynamicsError:
+            except DynamicsError:  # usual: an undamped resonance; the speed stays NaN
                 continue
             found[i] = self.shown_orders(x, -1j * y)
         return found[:, 0], found[:, 1]
@@ -88,7 +91,8 @@ class RigModel:
         """Return the stable steady state at a speed, the nearest to measured angles; None if it does not exist."""
         try:
             states = stable_states(self.physics, speed_rad_s)
-        except (DynamicsError, np.linalg.LinAlgError):
+        except (DynamicsError, np.linalg.LinAlgError) as error:
+            _log.info("no steady state of the model at %.6g rad/s: %s", speed_rad_s, error)
             return None
         if not states:
             return None

@@ -10,9 +10,9 @@ Source: docs/theory/validation.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from scipy.special import ndtri_exp
 
@@ -30,12 +30,33 @@ NAMES = {
     "amplitude_y": "y amplitude",
     "amplitude": "rms amplitude",
 }
-JSON_KEYS = {
-    "theta3": ("theta3_deg", 180 / math.pi),
-    "theta4": ("theta4_deg", 180 / math.pi),
-    "amplitude": ("amplitude_mm", 1e3),
-    "amplitude_x": ("amplitude_x_mm", 1e3),
-    "amplitude_y": ("amplitude_y_mm", 1e3),
+
+
+class Displayed(NamedTuple):
+    """Unit in which a quantity is displayed.
+
+    Attributes:
+        key: name of the quantity with the unit, in JSON.
+        factor: displayed value over SI value.
+        unit: "deg" or "mm".
+    """
+
+    key: str
+    factor: float
+    unit: str
+
+    @property
+    def is_angle(self) -> bool:
+        """Whether the quantity is an angle."""
+        return self.unit == "deg"
+
+
+DISPLAYED: Mapping[str, Displayed] = {
+    "theta3": Displayed("theta3_deg", 180 / math.pi, "deg"),
+    "theta4": Displayed("theta4_deg", 180 / math.pi, "deg"),
+    "amplitude": Displayed("amplitude_mm", 1e3, "mm"),
+    "amplitude_x": Displayed("amplitude_x_mm", 1e3, "mm"),
+    "amplitude_y": Displayed("amplitude_y_mm", 1e3, "mm"),
 }
 
 
@@ -69,9 +90,9 @@ class Score:
     u_numerical: float = 0.0
     u_validation: float = math.nan
 
-    def to_json(self, key: tuple[str, float]) -> dict[str, Any]:
-        """Return plain values in the unit of a key (name with unit, factor); unknown values are None."""
-        unit, factor = key[0].rpartition("_")[2], key[1]
+    def to_json(self, shown: Displayed) -> dict[str, Any]:
+        """Return plain values in the displayed unit; unknown values are None."""
+        unit, factor = shown.unit, shown.factor
         numbers = {
             f"measured_{unit}": self.measured * factor,
             f"measured_std_{unit}": self.measured_std * factor,
@@ -179,7 +200,8 @@ def sentence(name: str, score: Score) -> str:
             f"{NAMES[name]} {score.measured * 1e6:.2f} µm measured where none is predicted, noise of {noise} µm alone "
             f"gives χ² = {score.chi2:.3g} on {2 * len(score.noise)}, z = {score.z:.1f}"
         )
-    factor, unit = (180 / math.pi, "°") if name.startswith("theta") else (1e3, " mm")
+    shown = DISPLAYED[name]
+    factor, unit = shown.factor, "°" if shown.is_angle else " mm"
     smaller = min(s for s in (score.measured_std, score.predicted_std, math.inf) if s > 0) * factor
     digits = max(2, min(6, 1 - math.floor(math.log10(max(smaller, 1e-6)))))
     pairs = [

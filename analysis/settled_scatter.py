@@ -1,4 +1,3 @@
-# pyright: strict
 """Scatter of the final angles of repeated start-ups, and their distance from the balancing angles.
 
 Two equal pendulums (or balls) may exchange places. The two angles of each start-up are therefore sorted, so that mirror
@@ -11,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution  # pyright: ignore[reportMissingTypeStubs]
+import scipy
 
 from analysis.errors import NotEnoughData
 from rig_basics.arrays import Array
@@ -87,4 +86,4 @@ def more_consistent(one: SettledScatter, other: SettledScatter) -> float:
     if other.scatter_rad == 0.0:
         return 1.0
     freedom = 2 * (one.count - 1), 2 * (other.count - 1)
-    return float(f_distribution.cdf((one.scatter_rad / other.scatter_rad) ** 2, *freedom))  # pyright: ignore[reportUnknownMemberType]
+    return float(scipy.stats.f.cdf((one.scatter_rad / other.scatter_rad) ** 2, *freedom))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 
@@ -14,6 +15,8 @@ from dynamics import Scene, SpeedHistory, simulate
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import locked_state
 from rig_basics.arrays import Array
+
+_log = logging.getLogger(__name__)
 
 _SAMPLES_PER_TURN = 32
 _MIN_RATE_HZ = 400.0
@@ -47,7 +50,8 @@ def speed_history(run: Run) -> SpeedHistory | None:
         return None
     try:
         return SpeedHistory.from_phases(run.mark_time_s, run.mark_phase_rad)
-    except DynamicsError:
+    except DynamicsError as error:
+        _log.info("%s: no speed from the marks: %s", run.source, error)
         return None
 
 
@@ -74,7 +78,8 @@ def simulate_run(run: Run, model: RigModel) -> SimulatedRun | None:
         begin = locked_state(model.physics, float(speed[0]), float(phase[0]), *theta)
         scene = Scene(history, (released[0], released[1]), begin, (times[0], times[1]) if any(released) else None)
         motion = simulate(model.physics, scene, time, _ACCURACY)
-    except DynamicsError:
+    except DynamicsError as error:
+        _log.info("%s: the run cannot be simulated: %s", run.source, error)
         return None
     x, y = model.shown(motion.displacement_m[:, 0], motion.displacement_m[:, 1], phase)
     return SimulatedRun(time, phase, speed, x, y, np.asarray(motion.angles_rad, np.float64))

@@ -22,7 +22,7 @@ def stable_states(physics: RotorParameters, speed_rad_s: float) -> list[SteadySt
     for accuracy in _ACCURACIES[:-1]:
         try:
             found = steady_states(physics, speed_rad_s, accuracy)
-        except NotConverged:
+        except NotConverged:  # usual: the next accuracy is lower
             continue
         stable = [state for state in found if state.stable]
         if stable or not found.unresolved:

@@ -1,4 +1,3 @@
-# pyright: strict
 """Repeated start-ups against the model: their final states, their scatter and the remaining vibration.
 
 The model reaches the same steady state (or its mirror image) from all initial states. Final angles therefore differ by
@@ -15,11 +14,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]
+from scipy.special import gammaincc
 
 from analysis.prediction import QUANTITIES
 from analysis.results import PointResult
-from analysis.scores import JSON_KEYS, NAMES, finite
+from analysis.scores import DISPLAYED, NAMES, finite
 from rig_basics.arrays import Array
 
 START_UPS = "start-ups"
@@ -87,8 +86,7 @@ class Ending:
         """Return plain values in degrees and millimetres."""
         shown: dict[str, Any] = {}
         for name, one in self.scatter.items():
-            key, factor = JSON_KEYS[name]
-            unit = key.rpartition("_")[2]
+            _, factor, unit = DISPLAYED[name]
             shown[name] = {
                 f"mean_difference_{unit}": one.mean * factor,
                 f"scatter_{unit}": one.found * factor,
@@ -207,7 +205,7 @@ def _ending(group: Sequence[PointResult], locked_m: Sequence[float]) -> Ending:
     prediction = group[0].prediction
     assert prediction is not None
     size = np.abs(prediction.values)
-    shown = [name for name in _SHOWN if name.startswith("theta") or _moves(name, size, own)]
+    shown = [name for name in _SHOWN if DISPLAYED[name].is_angle or _moves(name, size, own)]
     scatter: dict[str, Scatter] = {}
     if len(group) > 1:
         table, variance = np.array(differences), np.array(own)
@@ -247,9 +245,8 @@ def _place(ending: Ending) -> str:
 def _scattered(ending: Ending) -> list[str]:
     sentences: list[str] = []
     for name, one in ending.scatter.items():
-        key, factor = JSON_KEYS[name]
-        unit, number = key.rpartition("_")[2], 1e3 if key.endswith("mm") else 1.0
-        unit = {"deg": "°", "mm": " µm"}[unit]
+        display = DISPLAYED[name]
+        factor, number, unit = display.factor, *((1.0, "°") if display.is_angle else (1e3, " µm"))
         text = f"{NAMES[name]} {number * factor * one.mean:+.2g}{unit} from the model, scatter "
         text += f"{number * factor * one.found:.2g}{unit}, explained {number * factor * one.explained:.2g}{unit}"
         if name in ending.scattering:

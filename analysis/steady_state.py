@@ -163,7 +163,7 @@ def locked_radius_m(run: Run) -> float:
     try:
         x, _ = _orders(run, run.x_time_s, run.x_m, start, end, "x")
         y, _ = _orders(run, run.y_time_s, run.y_m, start, end, "y")
-    except (NotEnoughData, IndexError):
+    except (NotEnoughData, IndexError):  # usual: the log begins shortly before the release
         return math.nan
     return math.sqrt(0.5 * (abs(x[0]) ** 2 + abs(y[0]) ** 2))
 

@@ -10,6 +10,7 @@ Derivation and choice of the threshold: docs/theory/validation.md.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -135,10 +136,13 @@ def validate(
     identified = replace(identified, provenance=read_as(identified.provenance, reading))
     remarks = [each.remark for each in releases if each.remark]
     results: dict[str, PointResult] = {}
+    recorded = Counter[str]()  # runs of each point so far
     for run in sorted((r for r in runs if point_of(r.test)), key=lambda r: (r.test, r.start_s)):
         name = point_of(run.test)
-        taken = sum(1 for key in results if key == name or key.startswith(f"{name} ("))
-        results[f"{name} ({taken + 1})" if taken else name] = validate_point(run, rig, identified, axis_angle_deg)
+        recorded[name] += 1
+        results[f"{name} ({recorded[name]})" if recorded[name] > 1 else name] = validate_point(
+            run, rig, identified, axis_angle_deg
+        )
     settled = {
         name: point
         for name, point in results.items()
@@ -205,7 +209,7 @@ def _asked_rpm(run: Run) -> float:
     """Return the requested speed of a start-up's log; 0 if the log has none, as recordings from other programs."""
     try:
         speed = float(run.metadata.get("speed_rpm", 0.0))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError):  # usual: a recording of another program
         return 0.0
     return speed if math.isfinite(speed) else 0.0
 

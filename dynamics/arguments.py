@@ -33,7 +33,7 @@ def check_pair(**values: object) -> None:
         try:
             pair = np.asarray(value)
             fits = pair.shape == (2,) and pair.dtype.kind in "bifu" and bool(np.all(np.isfinite(pair)))
-        except (TypeError, ValueError):
+        except (TypeError, ValueError):  # usual: a value that is not a pair
             fits = False
         if not fits:
             raise OutsideDomain(f"{name}: expected two values, for A and for B, got {value!r}")
@@ -49,6 +49,6 @@ def real_array(name: str, value: object) -> Array:
         found = np.asarray(cast(Any, value))
         if found.dtype.kind in "iuf":
             return np.asarray(found, np.float64, order="C")
-    except (TypeError, ValueError):
+    except (TypeError, ValueError):  # usual: the value is not a number; OutsideDomain is raised below
         pass
     raise OutsideDomain(f"{name}: expected real numbers, got {value!r}")

@@ -13,6 +13,7 @@ from __future__ import annotations
 import atexit
 import hashlib
 import importlib
+import logging
 import os
 import shutil
 import sys
@@ -21,6 +22,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, overload
+
+_log = logging.getLogger(__name__)
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -80,7 +83,8 @@ def keep_compiled_code() -> Path | None:
         os.utime(place)
         tempfile.TemporaryFile(dir=place).close()
         _remove_unused(place)
-    except (OSError, RuntimeError):  # RuntimeError: the user has no home directory
+    except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home directory
+        _log.info("compiled code is not kept for the next start, %s cannot be used: %s", place, error)
         place = Path(tempfile.mkdtemp(prefix="pendulum-balancer-rig-"))
         atexit.register(shutil.rmtree, place, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = str(place)  # also for child processes

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownVariableType=false, reportUnknownMemberType=false, reportUnknownArgumentType=false
 """All items in one self-contained HTML file, and the same verdicts as a page of the docs."""
 
 from __future__ import annotations
@@ -7,12 +6,12 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
-from matplotlib.image import imread, imsave
+from matplotlib import image
 
 from daq.version import software_version
 from reproduction.files import Written
@@ -88,10 +87,10 @@ def write_docs(page: Path, made: Sequence[Written]) -> None:
 
 def _small_copy(figure: Path, copy: Path) -> None:
     """Write a copy of half the width and height with fewer colours: a tenth of the bytes."""
-    pixels = np.asarray(imread(figure), np.float64)[..., :3]
+    pixels = np.asarray(image.imread(figure), np.float64)[..., :3]
     rows, columns = (size // 2 for size in pixels.shape[:2])
     halved = pixels[: 2 * rows, : 2 * columns].reshape(rows, 2, columns, 2, 3).mean(axis=(1, 3))
-    imsave(copy, np.round(halved * _TONES) / _TONES, pil_kwargs={"optimize": True})
+    cast("Any", image).imsave(copy, np.round(halved * _TONES) / _TONES, pil_kwargs={"optimize": True})
 
 
 def _figure_name(one: Written, panel: Mapping[str, str]) -> str:

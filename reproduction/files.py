@@ -1,4 +1,4 @@
-# pyright: strict, reportUnknownMemberType=false
+# pyright: reportUnknownMemberType=false
 """An item's files: figures as SVG and PNG, tables as parquet, the rest as JSON."""
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa  # pyright: ignore[reportMissingTypeStubs]  # no stubs
-import pyarrow.parquet as pq  # pyright: ignore[reportMissingTypeStubs]  # no stubs
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from analysis.figures.style import save, to_svg
 from reproduction.catalogue import Item

@@ -179,7 +179,7 @@ def _found(what: BasinQuestion, study: Study, place: Path, scheduler: str | None
 
 def _chances(what: BasinQuestion, known: IdentifiedParameters, releases: BasinReleases, draws: int) -> dict[str, Any]:
     """Return the probabilities of the ends of a release from the real locks."""
-    from analysis.release_probabilities import end_probabilities
+    from analysis.release_probabilities import ReleaseDraws, end_probabilities
 
     if not known.values:
         notify("rig basins: no --parameters FILE: only the locks' play is drawn")
@@ -188,10 +188,8 @@ def _chances(what: BasinQuestion, known: IdentifiedParameters, releases: BasinRe
             what.physics,
             what.speed_rad_s,
             known,
-            draws,
-            seconds=releases.seconds,
-            play_rad=math.radians(releases.play_deg),
-            progress=progress,
+            ReleaseDraws(draws, releases.seconds, math.radians(releases.play_deg)),
+            progress,
         )
     return {
         "draws": found.draws,

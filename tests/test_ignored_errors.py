@@ -11,51 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 USUAL = "# usual:"
-OPEN: dict[str, int] = {
-    "analysis/bent_shaft.py": 1,
-    "analysis/figures/dial.py": 2,
-    "analysis/figures/health.py": 1,
-    "analysis/figures/log_overview.py": 1,
-    "analysis/figures/multipliers.py": 1,
-    "analysis/figures/order_vectors.py": 2,
-    "analysis/figures/point.py": 1,
-    "analysis/figures/steady_sweep.py": 1,
-    "analysis/figures/time_history.py": 1,
-    "analysis/figures/waterfall.py": 1,
-    "analysis/overall.py": 2,
-    "analysis/release_probabilities.py": 1,
-    "analysis/report/twin.py": 1,
-    "analysis/report/write.py": 2,
-    "analysis/rig_model.py": 2,
-    "analysis/simulated_run.py": 2,
-    "analysis/stable_states.py": 1,
-    "analysis/steady_state.py": 1,
-    "analysis/validation.py": 1,
-    "dynamics/arguments.py": 2,
-    "dynamics/bench/arb_peer.py": 1,
-    "dynamics/bench/heyoka_peer.py": 1,
-    "dynamics/bench/motion_precision.py": 2,
-    "dynamics/bench/multiplier_precision.py": 1,
-    "dynamics/bench/work_precision.py": 1,
-    "dynamics/compiled_code.py": 1,
-    "dynamics/motions/start_ups.py": 1,
-    "dynamics/stability/floquet/bounds.py": 1,
-    "dynamics/stability/floquet/chebyshev.py": 1,
-    "dynamics/stability/floquet/implicit.py": 1,
-    "dynamics/stability/map_plane.py": 1,
-    "dynamics/steady/basins/coexisting.py": 1,
-    "dynamics/steady/basins/periodic.py": 1,
-    "dynamics/steady/basins/slipping_orbits.py": 1,
-    "dynamics/steady/branches.py": 1,
-    "dynamics/steady/held_band.py": 1,
-    "dynamics/steady/mirrored_positions.py": 1,
-    "dynamics/steady/outcome.py": 2,
-    "dynamics/steady/steady_motions.py": 1,
-    "dynamics/steady/stick_band.py": 1,
-    "reproduction/items/open_lost_points.py": 1,
-    "reproduction/items/open_questions.py": 1,
-    "reproduction/items/switching.py": 1,
-}
+OPEN: dict[str, int] = {}
 
 
 def unexplained(path: Path) -> Iterator[int]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,8 @@ from analysis.simulated_run import locked_angles
 from analysis.steady_state import measure
 from daq.signals.run import Run
 from rig_basics.units import TO_RPM
+
+_log = logging.getLogger(__name__)
 
 Angles = tuple[float, float]
 
@@ -84,8 +87,8 @@ def _measured(run: Run, model: RigModel | None) -> _Hands:
     if model is not None and run.releases:
         try:
             found = measure(run, model.rig)
-        except NotEnoughData:
-            pass
+        except NotEnoughData as error:
+            _log.info("%s: dial without a measured state, with mean angles: %s", run.source, error)
         else:
             theta3, theta4 = found.theta_rad
             state = f"{found.state}" if found.state in ("slipping", "not settled") else f"type {found.state}"
@@ -103,7 +106,8 @@ def _predicted(model: RigModel, speed: float, near: Angles) -> _Hands | None:
     if model.identified is not None and len(model.identified.values):
         try:
             found = predict_point(model.rig, model.identified, speed, near_rad=near)
-        except NoStableState:
+        except NoStableState as error:
+            _log.info("dial at %.6g rad/s without the model's angles: %s", speed, error)
             return None
         theta3, theta4, *_ = found.values.tolist()
         std3, std4, *_ = found.std.tolist()

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections import defaultdict
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
@@ -24,6 +24,9 @@ from daq.log.content import seconds, stretches
 from daq.log.samples import Samples
 from daq.log.snapshot import rig_of
 from rig_basics.arrays import Array
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
 
 _MAX_BINS = 240
 _MIN_BIN_S = 0.5
@@ -129,7 +132,7 @@ def _gathered(log: Log) -> _Gathered:
     span = max((log.end_ns - log.start_ns) * 1e-9, _MIN_BIN_S)
     bins = max(1, min(_MAX_BINS, int(span / _MIN_BIN_S)))
     found = _Gathered(np.linspace(0.0, span, bins + 1))
-    with suppress(LogError):  # a log of another version: devices are shown by their own names
+    with ignoring(_log, "reading the rig of a log, devices are shown by their own names", LogError):
         found.device_of = rig_of(log).roles.device_of
     for _, part in stretches(log):
         found.add(part, log.start_ns)

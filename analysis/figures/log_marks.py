@@ -1,14 +1,14 @@
-# pyright: strict, reportUnknownMemberType=false
+# pyright: reportUnknownMemberType=false
 """Events of a log in its overview: losses shaded, locks, faults and restarts as dotted lines."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from matplotlib import font_manager
 from matplotlib.axes import Axes
-from matplotlib.font_manager import findfont, get_font  # pyright: ignore[reportUnknownVariableType]  # partly typed
 from numpy.typing import NDArray
 
 from analysis.figures.style import GREY
@@ -111,7 +111,8 @@ class Marks:
 
 def drawable(text: str) -> str:
     """Return a text with "?" for each letter that is missing in the figures' font."""
-    font = get_font(findfont("DejaVu Sans"))
+    fonts = cast("Any", font_manager)  # partly typed
+    font = fonts.get_font(fonts.findfont("DejaVu Sans"))
     return "".join(letter if letter.isprintable() and font.get_char_index(ord(letter)) else "?" for letter in text)
 
 

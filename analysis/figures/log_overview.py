@@ -7,6 +7,7 @@ has columns, only the least and the largest value of each column are kept.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,8 @@ from daq.log import Log
 from daq.log.content import stretches
 from daq.log.samples import Samples
 from daq.log.snapshot import rig_of
+
+_log = logging.getLogger(__name__)
 
 COLUMNS = 900
 _LOST = "#CC3311"
@@ -174,7 +177,8 @@ def _devices(log: Log) -> dict[str, str]:
     """Return the device of each channel; empty if the log does not contain it."""
     try:
         return rig_of(log).roles.device_of
-    except LogError:
+    except LogError as error:
+        _log.info("%s: devices are shown by their own names: %s", log.path, error)
         return {}
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from daq.signals.run import Run, point_of
 from dynamics import SteadyState, steady_states
 from dynamics.errors import DynamicsError
 from rig_basics.units import TO_RPM
+
+_log = logging.getLogger(__name__)
 
 _SPEEDS = 90
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444")
@@ -96,7 +99,8 @@ def _state(model: RigModel, point: SpeedPoint) -> SteadyState | None:
     """Return the state nearest to the measured angles, else the stable one, else the balanced one."""
     try:
         states = steady_states(model.physics, point.speed_rad_s, 1e-6)
-    except (DynamicsError, np.linalg.LinAlgError):
+    except (DynamicsError, np.linalg.LinAlgError) as error:
+        _log.info("multipliers at %.6g rad/s are left out: %s", point.speed_rad_s, error)
         return None
     if not states or point.near_rad is None:
         return states[0] if states else None

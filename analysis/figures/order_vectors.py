@@ -102,7 +102,7 @@ def amplification_words(run: Run) -> list[str]:
     x, y = (order_track(time, values, phase_at(run, time)) for time, values in seen.values())
     try:
         found = [each for each in amplification_factors(x, y) if each is not None]
-    except ValueError:  # too few rows of common speeds
+    except ValueError:  # usual: too few rows of common speeds
         return []
     if not found:
         return []
@@ -226,7 +226,7 @@ def compared_vectors(run: Run, simulated: SimulatedRun | None) -> PassedVectors 
             for name, values in (("x", simulated.x_m), ("y", simulated.y_m))
         }
         return PassedVectors(vectors_at_end(run, part), predicted, {})
-    except NotEnoughData:
+    except NotEnoughData:  # usual: a short steady part
         return None
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 from typing import Any, cast
@@ -19,6 +20,8 @@ from daq.signals.run import Run
 from dynamics import RotorParameters, Scene, SpeedHistory, simulate
 from dynamics.errors import DynamicsError
 from dynamics.motions.integrate import locked_state
+
+_log = logging.getLogger(__name__)
 
 Array = NDArray[np.floating]
 
@@ -53,7 +56,8 @@ def simulate_release(
         rate = _SAMPLES_PER_TURN * measured.speed_rad_s.value / (2 * np.pi)
         time = np.arange(measured.release_s, measured.to_s, 1 / rate)
         motion = simulate(physics, Scene(history, (True, True), start), time, 1e-3)
-    except DynamicsError:
+    except DynamicsError as error:
+        _log.info("%s: figure without the simulated motion: %s", run.source, error)
         return None
     x, y = motion.displacement_m.T
     c, s = math.cos(axis_angle_rad), math.sin(axis_angle_rad)

@@ -1,4 +1,4 @@
-# pyright: strict, reportUnknownMemberType=false
+# pyright: reportUnknownMemberType=false
 """Polar plot: 1× vectors of x and y in the plane, with speeds along the curve, measured and simulated."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
-from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]
+from scipy.interpolate import CubicSpline
 
 from analysis.figures.intervals import TIMES_IN_PLANE, area, interval_words
 from analysis.figures.order_vectors import OrderVectors, cut_words, passed_vectors

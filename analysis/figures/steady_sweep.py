@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ from analysis.rig_model import RigModel
 from dynamics import SteadyState, steady_states
 from dynamics.errors import DynamicsError
 from rig_basics.arrays import Array
+
+_log = logging.getLogger(__name__)
 
 _ACCURACY = 1e-6
 
@@ -38,7 +41,8 @@ def steady_sweep(
     for i, speed in enumerate(speeds_rad_s.tolist()):
         try:
             found += [SweptState(speed, state) for state in steady_states(model.physics, speed, _ACCURACY)]
-        except (DynamicsError, np.linalg.LinAlgError):
+        except (DynamicsError, np.linalg.LinAlgError) as error:
+            _log.info("sweep at %.6g rad/s: no states: %s", speed, error)
             continue
         if progress is not None:
             progress((i + 1) / len(speeds_rad_s))

@@ -143,7 +143,7 @@ def _spans(run: Run) -> tuple[tuple[float, float], tuple[float, float]]:
     if len(run.mark_time_s) > 2 and not changes_speed(run):
         try:
             part = steady_part(run).last_turns(_CLOSE_TURNS)
-        except NotEnoughData:
+        except NotEnoughData:  # usual: a short log; the whole run is shown
             return whole, whole
         return whole, (part.from_s, part.to_s)
     largest = [(float(np.nanmax(np.abs(d[1]))), d) for d in (_displacement(run, "x"), _displacement(run, "y")) if d]

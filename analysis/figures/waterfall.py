@@ -130,8 +130,8 @@ def _cascade(passage: Passage, signal: PassageSignal, window_s: float, top_Hz: f
         inside = (signal.time_s >= at - window_s / 2) & (signal.time_s <= at + window_s / 2)
         try:
             found = amplitude_spectrum(signal.time_s[inside], signal.value_m[inside], window_s=window_s)
-        except ValueError:
-            continue  # the interval has a gap: this spectrum is left out
+        except ValueError:  # usual: the interval has a gap; its spectrum is left out
+            continue
         grid = np.linspace(0.0, top_Hz, _POINTS)
         frequency = grid
         levels.append(value)

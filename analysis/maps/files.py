@@ -1,4 +1,3 @@
-# pyright: strict
 """Files of maps: .npz, .parquet and .zarr, each with its borders and its provenance."""
 
 from __future__ import annotations
@@ -13,7 +12,9 @@ from numpy.typing import NDArray
 
 from analysis.errors import NoMapFile
 from analysis.maps.file_parts import keys_of, replaced
+from analysis.maps.parquet_files import read_parquet, write_parquet
 from analysis.maps.records import MapRecord, RecordedBorder
+from analysis.maps.zarr_store import need_zarr, read_zarr, write_zarr
 from rig_configs import RigConfigError
 
 SUFFIXES = (".npz", ".parquet", ".zarr")
@@ -28,8 +29,6 @@ def need_map_suffix(path: Path) -> None:
     if path.suffix not in SUFFIXES:
         raise NoMapFile(f"{path}: expected a name ending in {', '.join(SUFFIXES)}")
     if path.suffix == ".zarr":
-        from analysis.maps.zarr_store import need_zarr  # noqa: PLC0415 (an optional package)
-
         need_zarr(path)
     elif path.is_dir():
         raise NoMapFile(f"{path}: expected a file's name, this is a folder; give another name")
@@ -47,12 +46,8 @@ def write_map(path: str | Path, kept: MapRecord) -> list[Path]:
     path = Path(path)
     need_map_suffix(path)
     if path.suffix == ".parquet":
-        from analysis.maps.parquet_files import write_parquet  # noqa: PLC0415 (Arrow takes a while to load)
-
         return write_parquet(path, kept)
     if path.suffix == ".zarr":
-        from analysis.maps.zarr_store import write_zarr  # noqa: PLC0415 (an optional package)
-
         replaced(path, lambda part: write_zarr(part, kept))
     else:
         replaced(path, lambda part: _write_npz(part, kept))
@@ -71,12 +66,8 @@ def load_map(path: str | Path) -> MapRecord:
         raise NoMapFile(f"{path}: expected a name ending in {', '.join(SUFFIXES)}")
     try:
         if path.suffix == ".parquet":
-            from analysis.maps.parquet_files import read_parquet  # noqa: PLC0415
-
             return read_parquet(path)
         if path.suffix == ".zarr":
-            from analysis.maps.zarr_store import read_zarr  # noqa: PLC0415
-
             return read_zarr(path)
         return _read_npz(path)
     except (KeyError, ValueError, TypeError, RigConfigError, zipfile.BadZipFile) as error:

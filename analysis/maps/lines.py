@@ -73,11 +73,11 @@ def line_over(
     """
     given: Sequence[float] = [one for one in (speed_rad_s, speed_ratio) if one is not None]
     if axis.is_speed and given:
-        raise RigFileError("rig predict: --sweep goes over the speed; leave out --point, --speed-rpm, --speed-ratio")
+        raise RigFileError("sweep: it goes over the speed; leave out the constant speed")
     if not axis.is_speed and len(given) != 1:
-        raise RigFileError("rig predict: --sweep needs one of --point, --speed-rpm, --speed-ratio in addition")
+        raise RigFileError("sweep: expected a constant speed in addition; give a point, a speed ratio or rpm")
     if axis.count < 2:
-        raise RigFileError(f"rig predict: --sweep expected N of 2 or more values, got {axis.text!r}")
+        raise RigFileError(f"sweep: expected N of 2 or more values, got {axis.text!r}")
     for value in axis.span:
         rig_with([f"{key}={value!r}" for key in axis.keys if key not in NAMES])
     return RigLine(effects(rig_with([]).physics), axis, speed_rad_s, speed_ratio)

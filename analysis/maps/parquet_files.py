@@ -1,17 +1,14 @@
-# pyright: strict, reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportMissingTypeStubs=false
 """A map as a table with one row per point, and its borders as a second table with one row per point of a line."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from analysis.maps.file_parts import keys_of, replaced
@@ -61,17 +58,26 @@ def read_parquet(path: Path) -> MapRecord:
     return MapRecord(provenance, x[0], y[:, 0], grid, borders)
 
 
+def _arrow(name: str) -> Any:
+    """Return a module of Arrow, which takes a while to load and has no complete types."""
+    return import_module(name)
+
+
 def _write(
     path: Path, columns: Mapping[str, NDArray[Any]], provenance: Mapping[str, Any], shape: dict[str, int]
 ) -> None:
     held = json.dumps({"provenance": provenance, "shape": shape})
-    table = pa.table({name: pa.array(values) for name, values in columns.items()})
-    pq.write_table(table.replace_schema_metadata({_KEY: held.encode()}), path, compression="zstd")
+    arrow = _arrow("pyarrow")
+    table = arrow.table({name: arrow.array(values) for name, values in columns.items()})
+    _arrow("pyarrow.parquet").write_table(
+        table.replace_schema_metadata({_KEY: held.encode()}), path, compression="zstd"
+    )
 
 
 def _read(path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any], dict[str, Any]]:
-    table = pq.read_table(path)
-    held = json.loads((table.schema.metadata or {})[_KEY])
+    table = _arrow("pyarrow.parquet").read_table(path)
+    about: dict[bytes, bytes] = table.schema.metadata or {}
+    held = json.loads(about[_KEY])
     return {name: table[name].to_numpy() for name in table.column_names}, held["provenance"], held["shape"]
 
 

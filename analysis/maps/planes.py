@@ -26,9 +26,9 @@ def plane_over(rig_with: Callable[[list[str]], Rig], axes: tuple[MapAxis, MapAxi
     x, y = axes
     both = sorted({*x.keys} & {*y.keys}) or [key for key in SPEEDS if x.is_speed and y.is_speed]
     if both:
-        raise RigFileError(f"rig map: {both[0]} is on both axes; give two different numbers")
+        raise RigFileError(f"map: {both[0]} is on both axes; give two different numbers")
     if not (x.is_speed or y.is_speed) and speed_rad_s is None:
-        raise RigFileError("rig map: neither axis is a speed; give one of --point, --speed-ratio, --speed-rpm")
+        raise RigFileError("map: neither axis is a speed; give a point, a speed ratio or a speed in rpm")
     for axis in axes:
         for value in {*axis.span}:
             rig_with([f"{key}={value!r}" for key in axis.keys if key not in NAMES])

@@ -92,19 +92,19 @@ class MapQuestion:
 
     def __post_init__(self) -> None:
         if self.is_nonlinear and (self.family or self.best):
-            raise RigFileError(f"rig map: --family and --best are of borders; --quantity {self.quantity} has none")
+            raise RigFileError(f"map: family and best are of borders; the quantity {self.quantity} has none")
         if not 0 < self.seconds < math.inf:
-            raise RigFileError(f"rig map: --seconds expected a number above 0, got {self.seconds!r}")
-        requested = {"--borders": self.borders, "--refine": self.refine, "--family": self.family, "--best": self.best}
-        for option in (option for option, value in requested.items() if value):
+            raise RigFileError(f"map: seconds: expected a number above 0, got {self.seconds!r}")
+        requested = {"borders": self.borders, "refine": self.refine, "family": self.family, "best": self.best}
+        for name in (name for name, value in requested.items() if value):
             if min(self.x.count, self.y.count) < 2:
-                raise RigFileError(f"rig map: {option} needs both axes to span a range, A < B and N of at least 2")
+                raise RigFileError(f"map: {name} needs both axes to span a range, A < B and N of at least 2")
         if not 0 <= self.refine <= _MAX_REFINE:
-            raise RigFileError(f"rig map: --refine expected 0 … {_MAX_REFINE}, got {self.refine}")
+            raise RigFileError(f"map: refine: expected 0 … {_MAX_REFINE}, got {self.refine}")
         on_axes = {_K2 if key == STIFFNESS_RATIO else key for key in (*self.x.keys, *self.y.keys)}
-        for option, varied in (("--family", self.family), ("--best", self.best)):
+        for name, varied in (("family", self.family), ("best", self.best)):
             if varied and (both := sorted({*varied.keys} & on_axes)):
-                raise RigFileError(f"rig map: {option}: {both[0]} changes along an axis; give another number")
+                raise RigFileError(f"map: {name}: {both[0]} changes along an axis; give another number")
 
     @property
     def is_nonlinear(self) -> bool:
@@ -225,10 +225,10 @@ def speed_of(rig: Rig, point: str | None, speed_ratio: float | None, speed_rpm: 
         RigFileError: more than one speed, or an unknown point.
     """
     if sum(given is not None for given in (point, speed_ratio, speed_rpm)) > 1:
-        raise RigFileError("rig map: give only one of --point, --speed-ratio, --speed-rpm")
+        raise RigFileError("map: expected one speed, got several; give a point, a speed ratio or a speed in rpm")
     if point is not None:
         if point not in rig.points:
-            raise RigFileError(f"rig map: no point {point!r} in {rig.name}; known: {', '.join(rig.points)}")
+            raise RigFileError(f"map: no point {point!r} in {rig.name}; known: {', '.join(rig.points)}")
         return rig.physics.speed_rad_s(rig.points[point].speed_ratio)
     if speed_ratio is not None:
         return rig.physics.speed_rad_s(speed_ratio)

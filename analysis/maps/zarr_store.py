@@ -1,8 +1,8 @@
-# pyright: strict, reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """A map as a zarr store of format 3: arrays with the names of their dimensions, as xarray reads them."""
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -32,13 +32,16 @@ def need_zarr(path: Path) -> None:
         raise NoMapFile(f"{path}: expected a new name or a zarr store to replace, this is something else")
 
 
+def _zarr() -> Any:
+    """Return the module zarr, which is an optional package without complete types."""
+    return import_module("zarr")
+
+
 def write_zarr(path: Path, kept: MapRecord) -> None:
     """Write a store."""
-    import zarr  # noqa: PLC0415 (an optional package)
-
     x_keys, y_keys = keys_of(kept.provenance)
     x, y = x_keys[0], y_keys[0]
-    group: Any = zarr.open_group(str(path), mode="w", zarr_format=3)
+    group: Any = _zarr().open_group(str(path), mode="w", zarr_format=3)
     group.attrs["rig map"] = dict(kept.provenance)
 
     def put(name: str, values: NDArray[Any], dimensions: tuple[str, ...], where: Any = group) -> None:
@@ -69,9 +72,7 @@ def read_zarr(path: Path) -> MapRecord:
     """
     if find_spec("zarr") is None:
         need_zarr(path)
-    import zarr  # noqa: PLC0415 (an optional package)
-
-    group: Any = zarr.open_group(str(path), mode="r", zarr_format=3)
+    group: Any = _zarr().open_group(str(path), mode="r", zarr_format=3)
     provenance: dict[str, Any] = dict(group.attrs["rig map"])
     x_keys, y_keys = keys_of(provenance)
     x, y = x_keys[0], y_keys[0]

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
 """Amplification factors of a run-up, on the suspension's principal axes.
 
 With two different stiffnesses a sensor between the principal axes measures both resonances, and their apparent
@@ -9,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -125,7 +125,8 @@ def _half_power(speed: Array, size: Array) -> tuple[float, float, float, float, 
     top = int(np.argmax(size))
     if not 0 < top < len(size) - 1:
         return None
-    a, b, c = (float(p) for p in np.polyfit(speed[top - 1 : top + 2] - speed[top], size[top - 1 : top + 2], 2))
+    parabola = cast("Array", np.polyfit(speed[top - 1 : top + 2] - speed[top], size[top - 1 : top + 2], 2))
+    a, b, c = (float(p) for p in parabola)
     shift = float(np.clip(-b / (2 * a), speed[top - 1] - speed[top], speed[top + 1] - speed[top])) if a < 0 else 0.0
     peak = float(a * shift**2 + b * shift + c)
     level = peak / math.sqrt(2)

@@ -1,5 +1,3 @@
-# pyright: strict, reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
 """Order envelopes that change with time: Vold–Kalman filtering with bandwidths estimated from the data.
 
 A signal is o(t) + Σ_k Re A_k(t) e^{ikψ(t)} + noise. Each envelope is a cubic spline with a knot every h seconds, whose
@@ -16,12 +14,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+import scipy
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
-from scipy.ndimage import gaussian_filter1d
 
 from rig_basics.arrays import Array
 
@@ -124,7 +122,8 @@ def fit_envelopes(
             len(signal),
             (least_noise / scale) ** 2,
         )
-        turns = np.abs(np.diff(np.interp(time_s[0] + step * np.arange(knots + 1), time_s, phase_rad))) / (2 * np.pi)
+        passed = cast("Array", np.interp(time_s[0] + step * np.arange(knots + 1), time_s, phase_rad))
+        turns = np.abs(np.diff(passed)) / (2 * np.pi)
         least = np.stack([_least_weights(turns, width) for width in widths])
         if begin is not None:
             begin = begin * (found_step / step) ** 5
@@ -220,10 +219,10 @@ def _posterior(equations: NormalEquations, weights: Array, floor: Array, owner: 
     m, columns = len(owner), np.bincount(owner)
     matrix = equations.gram + _penalty_band(own[owner])
     try:
-        factor = cholesky_banded(matrix.T, lower=True, check_finite=False)
-    except LinAlgError as fault:
+        factor: Array = scipy.linalg.cholesky_banded(matrix.T, lower=True, check_finite=False)
+    except np.linalg.LinAlgError as fault:
         raise ValueError("order tracking: the samples do not separate the orders") from fault
-    beta = cho_solve_banded((factor, True), equations.right, check_finite=False)
+    beta: Array = scipy.linalg.cho_solve_banded((factor, True), equations.right, check_finite=False)
     inverse = _band_of_inverse(np.ascontiguousarray(factor.T))
     spread, energy = _differences(inverse, beta, owner, m, len(columns))
     freedom = columns * (own.shape[1] + 3) - (own * spread).sum(axis=1)
@@ -236,8 +235,8 @@ def _posterior(equations: NormalEquations, weights: Array, floor: Array, owner: 
 
 def _roughness(free: Array, taken: Array) -> Array:
     """Return the roughness of each part about each knot over that of its single weight, shape (parts, knots)."""
-    around = _ROUGHNESS_KNOTS
-    return (gaussian_filter1d(taken, around, axis=1) + 1e-9) / (gaussian_filter1d(free, around, axis=1) + 1e-9)
+    around, smoothed = _ROUGHNESS_KNOTS, scipy.ndimage.gaussian_filter1d
+    return (smoothed(taken, around, axis=1) + 1e-9) / (smoothed(free, around, axis=1) + 1e-9)
 
 
 def _penalty_band(rows: Array) -> Array:

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
 """Angular resampling: order vectors and order maps by Fourier transforms over whole revolutions.
 
 The conventional method, with which `order_track` is compared. A signal sampled at even angles of the rotor has its
@@ -9,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]
+from scipy.interpolate import CubicSpline
 
 from analysis.quantities.order_tracking import OrderTrack
 from rig_basics.arrays import Array, Complex
@@ -59,14 +59,14 @@ def order_map(
     even = turned[0] + np.arange(int((turned[-1] - turned[0]) * a_turn)) / a_turn
     if len(even) < length:
         raise ValueError(f"order map: expected {revolutions} whole revolutions, got {len(even) / a_turn:.3g}")
-    at = np.interp(even, turned, time)
+    at = cast("Array", np.interp(even, turned, time))
     values = np.asarray(CubicSpline(time, signal)(at), np.float64)
     window = np.hanning(length + 1)[:-1]
     starts = np.arange(0, len(even) - length + 1, length // 2)
     parts = values[starts[:, None] + np.arange(length)]
     parts = parts - parts.mean(axis=1, keepdims=True)
     lines = np.fft.rfft(parts * window, axis=1) * 2 / window.sum()
-    order = np.arange(lines.shape[1]) / revolutions
+    order = cast("Array", np.arange(lines.shape[1]) / revolutions)
     lines = lines * np.exp(-2j * np.pi * order * even[starts][:, None])  # relative to the phase, not the window's start
     kept = order <= min(highest, a_turn / 2.5)
     ends = np.minimum(starts + length, len(at) - 1)

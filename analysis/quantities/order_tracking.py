@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
 """Order vectors: complex amplitudes of signal components synchronous with the rotor, over time."""
 
 from __future__ import annotations
@@ -7,12 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.quantities.envelopes import Envelopes, fit_envelopes
-from rig_basics.arrays import Array, Complex
+from rig_basics.arrays import Array, Complex, Indices
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,8 @@ def _coloured(order: int, highest: int, rest: Array, psi: Array, noise: float) -
     blocks = int(way[-1] / (2 * np.pi * _BLOCK_TURNS))
     if blocks < 2 * _BLOCKS_AROUND:
         return noise
-    edges = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], blocks + 1)[:-1]))
+    borders: Array = np.linspace(0.0, float(way[-1]), blocks + 1)[:-1]
+    edges: Indices = np.unique(np.searchsorted(way, borders))
     count = np.diff(np.append(edges, len(rest)))
     at = highest + 0.5 + np.arange(1, 6)
     powers = [np.abs(np.add.reduceat(rest * np.exp(-1j * h * psi), edges)) ** 2 / count for h in at]
@@ -178,7 +179,8 @@ def _noise_near(order: int, time: Array, rest: Array, psi: Array, rows: Array, n
     """Return the noise variance half an order from an order over that of all samples where it is larger; else 1."""
     way = np.abs(psi - psi[0])
     blocks = max(1, int(way[-1] / (2 * np.pi * _BLOCK_TURNS)))
-    edges = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], blocks + 1)[:-1]))
+    borders: Array = np.linspace(0.0, float(way[-1]), blocks + 1)[:-1]
+    edges: Indices = np.unique(np.searchsorted(way, borders))
     count = np.diff(np.append(edges, len(rest)))
     power = np.zeros(len(edges))
     for neighbour in (order - 0.5, order + 0.5):
@@ -223,7 +225,7 @@ def _in_windows(
     count = int((psi[-1] - psi[0]) / span + 1e-9) if len(psi) else 0
     if count < 1:
         raise ValueError(f"order tracking needs {revolutions} whole revolutions, got less")
-    edges = np.searchsorted(psi, psi[-1] - span * np.arange(count, -1, -1))
+    edges = cast("Indices", np.searchsorted(psi, psi[-1] - span * np.arange(count, -1, -1)))
     edges[-1] = len(psi)
     windows = [
         _window(time[a:b], x[a:b], psi[a:b], highest, orders)

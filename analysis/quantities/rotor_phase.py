@@ -1,10 +1,9 @@
-# pyright: strict
 """The rotor's phase at any time of a run."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline  # pyright: ignore[reportMissingTypeStubs]
+from scipy.interpolate import CubicSpline
 
 from daq.signals.run import Run
 from rig_basics.arrays import Array

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownVariableType=false, reportUnknownArgumentType=false, reportUnknownMemberType=false
 """Spectra with calibrated units: power density, amplitudes, and the full spectrum of an orbit."""
 
 from __future__ import annotations
@@ -103,7 +102,7 @@ def _even(time_s: ArrayLike, values: ArrayLike) -> tuple[Array, float, NDArray[n
         raise ValueError(f"spectrum: expected at least 16 valid samples, got {int(good.sum())}")
     step = float(np.median(np.diff(time)))
     count = int((time[good][-1] - time[good][0]) / step + 1e-6) + 1
-    even = time[good][0] + step * np.arange(count)
+    even: Array = time[good][0] + step * np.arange(count)
     after = np.minimum(np.searchsorted(time[good], even), int(good.sum()) - 1)
     gap = time[good][after] - time[good][np.maximum(after - 1, 0)]
     return np.interp(even, time[good], signal[good]), 1 / step, gap < 2.5 * step

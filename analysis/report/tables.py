@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.causes import PARAMETER_SYMBOLS
 from analysis.noticed import DetectableSizes
 from analysis.report.campaign import Campaign, ParameterChange
 from analysis.results import PointResult
@@ -19,15 +20,6 @@ from daq.signals.run import Run
 from rig_basics.units import RPM
 from rig_configs import PARAMETER_UNITS
 
-SYMBOLS = {
-    "k1_N_per_m": "k1",
-    "k2_N_per_m": "k2",
-    "zeta1": "ζ1",
-    "zeta2": "ζ2",
-    "c3_Nms_per_rad": "c3",
-    "c4_Nms_per_rad": "c4",
-    "SP_kg_m": "S_P",
-}
 _QUANTITIES = (
     ("theta3", "θ3", "theta3_deg", "°"),
     ("theta4", "θ4", "theta4_deg", "°"),
@@ -93,7 +85,7 @@ def parameter_rows(campaign: Campaign) -> list[dict[str, str]]:
         truth = (campaign.truth or {}).get(name)
         rows.append(
             {
-                "symbol": SYMBOLS.get(name, name),
+                "symbol": PARAMETER_SYMBOLS.get(name, name),
                 "value": with_std(value, std, unit),
                 "relative": f"{100 * std / abs(value):.2g} %" if value else "–",
                 "file": plain(file[name]),
@@ -117,7 +109,7 @@ def _since(change: ParameterChange | None) -> str:
 def correlation_rows(campaign: Campaign) -> tuple[list[str], list[tuple[str, list[tuple[str, float]]]]]:
     """Return names, and per parameter the correlations with their shade (0 to 1)."""
     known = campaign.identification.parameters
-    names = [SYMBOLS.get(n, n) for n in known.values]
+    names = [PARAMETER_SYMBOLS.get(n, n) for n in known.values]
     std = np.sqrt(np.diag(known.covariance))
     scale = np.where(std > 0, std, 1.0)
     matrix = known.covariance / np.outer(scale, scale)
@@ -137,7 +129,7 @@ def estimate_rows(campaign: Campaign) -> list[dict[str, str]]:
                 {
                     "test": estimate.test,
                     "source": " + ".join(Path(s).name for s in estimate.sources),
-                    "name": SYMBOLS.get(name, name),
+                    "name": PARAMETER_SYMBOLS.get(name, name),
                     "value": with_std(value, estimate.std.get(name, math.nan), unit),
                 }
             )
@@ -147,7 +139,12 @@ def estimate_rows(campaign: Campaign) -> list[dict[str, str]]:
 def consistency_rows(campaign: Campaign) -> list[dict[str, str]]:
     """Return the agreement between tests."""
     return [
-        {"name": SYMBOLS.get(c.name, c.name), "z": signed(c.z), "text": c.text, "class": "" if abs(c.z) < 3 else "bad"}
+        {
+            "name": PARAMETER_SYMBOLS.get(c.name, c.name),
+            "z": signed(c.z),
+            "text": c.text,
+            "class": "" if abs(c.z) < 3 else "bad",
+        }
         for c in campaign.identification.consistency
     ]
 
@@ -182,7 +179,7 @@ _NO_CELLS = [{"measured": "–", "predicted": "–", "class": ""}] * 4
 
 def _cell(row: Mapping[str, Any]) -> dict[str, str]:
     """Format measured and predicted values for the table of all points; the noise is left out."""
-    return {"measured": row["measured"], "predicted": row["predicted"].partition(", noise")[0], "class": row["class"]}
+    return {"measured": row["measured"], "predicted": row["predicted_alone"], "class": row["class"]}
 
 
 def noticed_rows(campaign: Campaign) -> list[dict[str, Any]]:
@@ -213,7 +210,7 @@ def exact_rows(campaign: Campaign) -> list[dict[str, str]]:
             continue
         changes = found.by_number[number] * _EXAMPLE_SHARE * known.values[number]
         parts = [
-            f"{SYMBOLS.get(name, name)} {signed(100 * change / value, 2)} % ({signed(change / std)} std)"
+            f"{PARAMETER_SYMBOLS.get(name, name)} {signed(100 * change / value, 2)} % ({signed(change / std)} std)"
             for (name, value), std, change in zip(found.values.items(), found.std.values(), changes, strict=True)
             if value and std > 0 and abs(change) > _MIN_EFFECT_STD * std
         ]
@@ -233,10 +230,12 @@ def quantity_rows(point: PointResult) -> list[dict[str, Any]]:
         model, model_std = values["predicted"][key], values["predicted_std"][key]
         small = unit == "mm" and max(abs(value or 0), abs(model or 0)) < 0.01
         factor, shown = (1e3, "µm") if small else (1.0, unit)
+        predicted = _pair(model, model_std, factor, shown)
         row = {
             "name": text,
             "measured": _pair(value, std, factor, shown),
-            "predicted": _pair(model, model_std, factor, shown),
+            "predicted": predicted,
+            "predicted_alone": predicted,
             "difference": "–",
             "interval": "–",
             "z": "–" if score is None else signed(score.z, 2),
@@ -260,6 +259,7 @@ def _noise_row(score: Score, factor: float, unit: str) -> dict[str, str]:
     return {
         "measured": with_std(score.measured * factor, score.measured_std * factor, unit, digits=2),
         "predicted": f"0, noise {noise} {unit}",
+        "predicted_alone": "0",
         "difference": f"χ² = {plain(score.chi2, 3)} on {2 * len(score.noise)}, p = {plain(score.p, 2)}",
         "z": f"|{score.z:.2f}|",
     }

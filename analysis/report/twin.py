@@ -33,7 +33,7 @@ def need_free_twin(report: str | Path) -> None:
         return
     try:
         kept: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError):  # usual: another kind of file; TakenName is raised below
         kept = None
     if not (isinstance(kept, dict) and cast("dict[str, Any]", kept).get("kind") == KIND):
         raise TakenName(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 from dataclasses import replace
 from importlib import resources
@@ -29,6 +30,8 @@ from analysis.rounding import plain
 from analysis.scores import Z_LIMIT
 from daq.signals.run import Run, point_of
 from dynamics.errors import DynamicsError
+
+_log = logging.getLogger(__name__)
 
 _TEMPLATE, _SCRIPT = "template.html.j2", "page.js"
 
@@ -152,7 +155,8 @@ def _passages(campaign: Campaign) -> list[dict[str, Any]]:
             continue
         try:
             bode = draw_bode(run, model)
-        except NotEnoughData:
+        except NotEnoughData as error:
+            _log.warning("%s: report without its Bode plot: %s", run.source, error)
             continue
         name, title = f"passage{len(shown)}", run.test.capitalize()
         shown[run.test] = {
@@ -178,5 +182,6 @@ def _map(campaign: Campaign, points: dict[str, PointResult]) -> Markup | None:
     ]
     try:
         return Markup(draw_stability_map(physics, marks))
-    except DynamicsError:
+    except DynamicsError as error:
+        _log.warning("report without its stability map: %s", error)
         return None

@@ -20,6 +20,7 @@ python-flint is a development dependency. It is imported at the first use.
 
 from __future__ import annotations
 
+import importlib
 import math
 from dataclasses import dataclass
 from fractions import Fraction
@@ -67,12 +68,11 @@ def flint() -> Any:
         ImportError: it is not installed.
     """
     try:
-        import flint as module  # noqa: PLC0415 (a development dependency)
+        return importlib.import_module("flint")
     except ImportError as missing:
         raise ImportError(
             "the reference in ball arithmetic needs python-flint, which is not installed: pip install python-flint"
         ) from missing
-    return module
 
 
 def balanced_directions(parameters: RotorParameters) -> list[tuple[Any, Any]]:
@@ -306,7 +306,7 @@ def _largest(half: Any) -> tuple[float, float, tuple[float, ...]]:
     """Largest modulus over one revolution, its error relative to max(1, modulus), and all moduli."""
     try:
         values = flint().acb_mat(half).eig(multiple=True)
-    except ValueError:  # Jordan blocks: neutral drift at the borders of the balancing region
+    except ValueError:  # usual: Jordan blocks: neutral drift at the borders of the balancing region
         values = _around_roots(half)
     found = [abs(value) ** 2 for value in values]
     highest, lowest = max(float(m.upper()) for m in found), max(float(m.lower()) for m in found)

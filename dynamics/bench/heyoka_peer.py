@@ -22,7 +22,7 @@ def heyoka() -> Any | None:
     """The heyoka module, or None if it is not installed."""
     try:
         return importlib.import_module("heyoka")
-    except ImportError:
+    except ImportError:  # usual: heyoka is optional
         return None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -23,6 +24,8 @@ from dynamics.motions.integrate import simulate
 from dynamics.motions.locked_motion import locked_state
 from dynamics.motions.motion_problem import motion_problem
 from dynamics.motions.trajectory import run
+
+_log = logging.getLogger(__name__)
 
 _integrators: Any = scipy.integrate  # scipy has no annotations
 SERVICE = "motion"
@@ -108,14 +111,16 @@ class _Case:
                 f"tolerance {tolerance:.0e}",
                 lambda: run(problem, tolerance, method == "implicit", _MAX_STEPS).states[-1],
             )
-        except DynamicsError:
+        except DynamicsError as error:
+            _log.info("%s, tolerance %.0e: left out of the table: %s", method, tolerance, error)
             return None
 
     def service(self, accuracy: float) -> Measurement | None:
         """dynamics.simulate with its error estimate."""
         try:
             motion = simulate(self.rig[0], self.scene, self.times, accuracy)
-        except DynamicsError:
+        except DynamicsError as error:
+            _log.info("simulate, accuracy %.0e: left out of the table: %s", accuracy, error)
             return None
         seconds = median_seconds(lambda: simulate(self.rig[0], self.scene, self.times, accuracy), self.repeats)
         error = None if self.true is None else heyoka_runs.angle_error(motion.state[-1], self.true)
@@ -129,6 +134,8 @@ class _Case:
             error,
             motion.error_estimate,
             automatic=True,
+            accuracy=accuracy,
+            chosen=(motion.method,),
         )
 
     def fixed(self, per_cycle: int) -> Measurement:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import time
 from collections.abc import Sequence
 
@@ -18,6 +19,8 @@ from dynamics.equations.parameters import RotorParameters
 from dynamics.errors import DynamicsError
 from dynamics.stability.floquet import METHODS, MonodromyMethod, floquet_multipliers
 from dynamics.stability.floquet.multipliers import balanced
+
+_log = logging.getLogger(__name__)
 
 SERVICE = "multipliers"
 _SCIPY = "single pass"  # the method that uses scipy's integrator counts as a peer
@@ -123,7 +126,8 @@ def _service_row(
 ) -> Measurement | None:
     try:
         found = floquet_multipliers(matrix, accuracy)
-    except DynamicsError:
+    except DynamicsError as error:
+        _log.info("multipliers, accuracy %.0e: left out of the table: %s", accuracy, error)
         return None
     # a new matrix each time, so that results cached by the last call are not used
     seconds = median_seconds(lambda: floquet_multipliers(dataclasses.replace(matrix), accuracy), repeats)
@@ -137,4 +141,6 @@ def _service_row(
         _error(found.largest, true),
         found.error_estimate / max(1.0, found.largest),
         automatic=True,
+        accuracy=accuracy,
+        chosen=(found.method,),
     )

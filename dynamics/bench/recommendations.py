@@ -52,19 +52,9 @@ def recommended_accuracies(rows: Sequence[Measurement]) -> list[Recommendation]:
     """
     by_service: dict[str, list[tuple[float, Measurement]]] = {}
     for row in rows:
-        accuracy = _requested_accuracy(row)
-        if row.automatic and accuracy is not None:
-            by_service.setdefault(row.service, []).append((accuracy, row))
+        if row.automatic and row.accuracy is not None:
+            by_service.setdefault(row.service, []).append((row.accuracy, row))
     return [_of_service(service, found) for service, found in by_service.items()]
-
-
-def _requested_accuracy(row: Measurement) -> float | None:
-    """Accuracy requested from the service, or None for rows without an accuracy."""
-    for part in row.setting.split(","):
-        words = part.split()
-        if len(words) == 2 and words[0] == "accuracy":
-            return float(words[1])
-    return None
 
 
 def _of_service(service: str, rows: Sequence[tuple[float, Measurement]]) -> Recommendation:

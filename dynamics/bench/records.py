@@ -35,6 +35,9 @@ class Measurement:
             angle at the end in rad. None without a reference.
         error_estimate: error bound returned by the method, or None.
         peer: whether the method belongs to another project.
+        accuracy: accuracy requested from a service; None for methods with steps or a tolerance.
+        count: number of units computed in one call, for services that compute many.
+        chosen: methods selected by a service, without "automatic".
         automatic: whether this is the service called by users, which selects method and steps and bounds its error.
         front, front_of_all: whether the row is on the front of the project's own methods, of all methods.
         peer_ratio: time divided by the time of the fastest peer of the case that is at least as exact. None for peers
@@ -51,6 +54,9 @@ class Measurement:
     error_estimate: float | None = None
     peer: bool = False
     automatic: bool = False
+    accuracy: float | None = None
+    count: int | None = None
+    chosen: tuple[str, ...] = ()
     front: bool = False
     front_of_all: bool = False
     peer_ratio: float | None = None
@@ -172,6 +178,7 @@ def over_points(rows: Iterable[Measurement], case: str, names: Sequence[str]) ->
             same[0],
             case=case,
             method=", ".join(dict.fromkeys(r.method for r in same)),
+            chosen=tuple(dict.fromkeys(method for r in same for method in r.chosen)),
             seconds=float(np.median([r.seconds for r in same])),
             true_error=_largest([r.true_error for r in same]),
             error_estimate=_largest([r.error_estimate for r in same]),

@@ -62,7 +62,18 @@ def map_rows(
     estimate = float(np.max(found.error_estimate / np.maximum(1.0, found.multiplier_max)))
     setting = f"accuracy {accuracy:.0e}, {cores} cores"
     own = Measurement(
-        "map", case, f"automatic: {found.method}", setting, seconds, "point", error, estimate, automatic=True
+        "map",
+        case,
+        f"automatic: {found.method}",
+        setting,
+        seconds,
+        "point",
+        error,
+        estimate,
+        automatic=True,
+        accuracy=accuracy,
+        count=points,
+        chosen=(found.method,),
     )
     return [own, *rows]
 
@@ -115,7 +126,18 @@ def batch_rows(parameters: RotorParameters, speed_ratio: float, runs: int, durat
         rows.append(Measurement("batch", case, "heyoka", "tolerance 1e-09", taken / runs, "run", peer_error, peer=True))
     estimate = float(np.max(found.error_estimates[found.ok]))
     own = Measurement(
-        "batch", case, "automatic", f"accuracy {accuracy:.0e}", seconds / runs, "run", error, estimate, automatic=True
+        "batch",
+        case,
+        "automatic",
+        f"accuracy {accuracy:.0e}",
+        seconds / runs,
+        "run",
+        error,
+        estimate,
+        automatic=True,
+        accuracy=accuracy,
+        count=runs,
+        chosen=("automatic",),
     )
     return [own, *rows]
 
@@ -147,6 +169,8 @@ def steady_state_rows(points: dict[str, Rig], accuracy: float, repeats: int) -> 
                 error,
                 estimate,
                 automatic=True,
+                accuracy=accuracy,
+                chosen=(f"{len(found)} states",),
             )
         )
     return rows

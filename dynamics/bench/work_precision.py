@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from dynamics.bench import heyoka_runs
-from dynamics.bench.fresh_process import process_rows
+from dynamics.bench.fresh_process import PREDICT, WARM, process_rows
 from dynamics.bench.motion_precision import motion_rows
 from dynamics.bench.multiplier_precision import cases, multiplier_rows
 from dynamics.bench.records import Measurement, Target, over_points
@@ -145,14 +145,14 @@ def targets(rows: Iterable[Measurement]) -> list[Target]:
     for row in rows:
         if row.peer:
             continue
-        if row.service == "map" and row.case.startswith(f"{math.prod(FULL.map_shape)} "):
+        if row.service == "map" and row.count == math.prod(FULL.map_shape):
             found.append(Target("map, µs a point", 20.0, 1e6 * row.seconds))
         if row.service == "map" and row.true_error is not None:
             found.append(Target("map, true error of the sample", 1e-8, row.true_error))
-        if row.service == "batch" and row.case.startswith(f"{FULL.runs} "):
+        if row.service == "batch" and row.count == FULL.runs:
             found.append(Target(f"{FULL.runs} releases of 20 s, s", 1.5, FULL.runs * row.seconds))
-        if row.service == "process" and row.case == "predict":
-            warm = row.setting == "compiled before"
+        if row.service == "process" and row.case == PREDICT:
+            warm = row.setting == WARM
             found.append(Target(f"predict, {'warm' if warm else 'cold'}, s", 1.5 if warm else 15.0, row.seconds))
     exact = [
         r.seconds
@@ -165,7 +165,7 @@ def targets(rows: Iterable[Measurement]) -> list[Target]:
     ]
     if exact:
         found.append(Target("20 s release to 1e-9 rad, ms", 5.0, 1e3 * min(exact)))
-    service = [r for r in rows if r.case == RELEASE and r.automatic and r.setting == "accuracy 1e-09"]
+    service = [r for r in rows if r.case == RELEASE and r.automatic and r.accuracy == 1e-9]
     if service:
         found.append(Target("20 s release by simulate(accuracy=1e-9), ms", 12.5, 1e3 * service[0].seconds))
     return found
@@ -188,6 +188,6 @@ def _processor() -> str:
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
-    except OSError:
+    except OSError:  # usual: only Linux has this file
         pass
     return platform.processor() or platform.machine()

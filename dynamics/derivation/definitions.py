@@ -279,18 +279,7 @@ def _floquet() -> list[Checked]:
 
     first, middle, last = (phi(t) for t in ends)
     slope = float(np.max(np.abs((last - first) / (2 * h) - a(ends[1]) @ middle)) / np.max(np.abs(a(ends[1]) @ middle)))
-    one, two = a(0.0), a(0.3 * period)
-    pieces = [_linear_algebra.expm(0.1 * period * m) for m in (one, two)]
-    run = np.eye(8)[:, 4]
-    for matrix in (one, two):
-
-        def constant(t: float, y: Array, m: Array = matrix) -> Array:
-            del t
-            return m @ y
-
-        run = _integrators.solve_ivp(constant, (0.0, 0.1 * period), run, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
-    product = float(np.max(np.abs(pieces[1] @ pieces[0] @ np.eye(8)[:, 4] - run)))
-    swapped = float(np.max(np.abs(pieces[0] @ pieces[1] @ np.eye(8)[:, 4] - run)))
+    product, swapped = _piece_errors((a(0.0), a(0.3 * period)), 0.1 * period)
     truth = float(motion.multipliers(p, [POINTS["B"]], 2000)[0])
     errors = [abs(motion.piecewise_multiplier(p, POINTS["B"], n, 0.5) - truth) for n in (100, 200)]
     order = math.log2(errors[0] / errors[1])
@@ -318,6 +307,22 @@ def _floquet() -> list[Checked]:
             f"the multiplier at B converges with order {order:.1f}",
         ),
     ]
+
+
+def _piece_errors(matrices: tuple[Array, Array], duration_s: float) -> tuple[float, float]:
+    """Errors of the product of two pieces' exponentials against an integration: the latest piece left, then right."""
+    pieces = [_linear_algebra.expm(duration_s * m) for m in matrices]
+    run = np.eye(8)[:, 4]
+    for matrix in matrices:
+
+        def constant(t: float, y: Array, m: Array = matrix) -> Array:
+            del t
+            return m @ y
+
+        run = _integrators.solve_ivp(constant, (0.0, duration_s), run, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    product = float(np.max(np.abs(pieces[1] @ pieces[0] @ np.eye(8)[:, 4] - run)))
+    swapped = float(np.max(np.abs(pieces[0] @ pieces[1] @ np.eye(8)[:, 4] - run)))
+    return product, swapped
 
 
 def _misalignment() -> list[Checked]:

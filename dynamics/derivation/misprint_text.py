@@ -3,39 +3,45 @@
 from __future__ import annotations
 
 import math
+from typing import Final, TypeAlias
 
 import numpy as np
 
 from dynamics.derivation import misprint_numbers as numbers
 from dynamics.derivation.run_up_faults import SCRIPT_SPEED_RAD_S, ReleaseMotion, script_rig
 
+_Row: TypeAlias = tuple[str, str, str]
+_GENERATING: Final[tuple[_Row, ...]] = (
+    (
+        "generating program",
+        "pendulum A is placed with the turn by θ4",
+        "θ3 would have no inertia and the inertia matrix no inverse, so the program was not run in this form; one "
+        "character (II, III), possibly an error of the extraction",
+    ),
+    (
+        "generating program",
+        "cell (1,4) of the inertia matrix is filled from cell (1,3)",
+        "−S_A sin θ3 for −S_B sin θ4; multipliers above. The cell is written to one output file only; the run-up "
+        "program uses the equations themselves",
+    ),
+    (
+        "generating program",
+        "the first derivative is stored under another name than it is read by",
+        "the program stops; one character",
+    ),
+)
+
 
 def program_section() -> list[str]:
     """The generating program, the run-up program and the two stability programs."""
-    error, sampling = numbers.piecewise_errors(100)
-    fine, _ = numbers.piecewise_errors(400)
-    border, shift = numbers.border_shift()
+    rows = (*_GENERATING, *_run_up_rows(), *_stability_rows())
+    return ["| program | content | effect |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in rows)]
+
+
+def _run_up_rows() -> list[_Row]:
     rig = script_rig()
     ratio = SCRIPT_SPEED_RAD_S / rig.natural_frequencies_rad_s[0]
-    same = "to 1e-12" if sampling < 1e-12 else f"to {sampling:.0e}"
-    rows = [
-        (
-            "generating program",
-            "pendulum A is placed with the turn by θ4",
-            "θ3 would have no inertia and the inertia matrix no inverse, so the program was not run in this form; one "
-            "character (II, III), possibly an error of the extraction",
-        ),
-        (
-            "generating program",
-            "cell (1,4) of the inertia matrix is filled from cell (1,3)",
-            "−S_A sin θ3 for −S_B sin θ4; multipliers above. The cell is written to one output file only; the run-up "
-            "program uses the equations themselves",
-        ),
-        (
-            "generating program",
-            "the first derivative is stored under another name than it is read by",
-            "the program stops; one character",
-        ),
+    return [
         (
             "run-up program",
             "the equations, with the rotor's acceleration",
@@ -71,6 +77,15 @@ def program_section() -> list[str]:
             "a steady whirl is constant in that frame and a sine at the space-fixed sensors; the plotted θ3, θ4 have "
             "the opposite sign",
         ),
+    ]
+
+
+def _stability_rows() -> list[_Row]:
+    error, sampling = numbers.piecewise_errors(100)
+    fine, _ = numbers.piecewise_errors(400)
+    border, shift = numbers.border_shift()
+    same = "to 1e-12" if sampling < 1e-12 else f"to {sampling:.0e}"
+    return [
         (
             "piecewise program",
             "samples [A] at the ends of the pieces, the text at their middles",
@@ -91,7 +106,6 @@ def program_section() -> list[str]:
         ),
         ("both", "integrate a whole revolution", "the period is half a revolution: twice the work"),
     ]
-    return ["| program | content | effect |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in rows)]
 
 
 def _release_row(place: str, name: str, run: ReleaseMotion, right: ReleaseMotion) -> str:

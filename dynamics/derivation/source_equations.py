@@ -7,7 +7,7 @@ rotor), its Θ3, Θ4 are θ3, θ4, its Y_iE are the same symbols at rest, its S_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from dynamics.derivation.symbols import (
     M_P,
@@ -43,8 +43,9 @@ from dynamics.derivation.symbols import (
     theta4,
 )
 
-sin, cos = sp.sin, sp.cos
-Half = sp.Rational(1, 2)
+sin: Callable[[Expr], Expr] = sp.sin
+cos: Callable[[Expr], Expr] = sp.cos
+Half: Expr = sp.Rational(1, 2)
 # M_D + M_BA + M_BB, which several equations separate from M_P; the disk's spin energy ¼ M_D R_D² ω²
 M_REST = M_S - M_P
 SPIN = sp.Symbol("M_D R_D^2 / 2")

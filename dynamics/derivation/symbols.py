@@ -19,29 +19,64 @@ Symbol: TypeAlias = Any
 """sympy.Symbol"""
 
 # Masses (kg), lengths (m), suspension (N/m, N s/m), damping of the pendulums (N m s/rad), gravity (m/s²)
-M_D, M_P, P_3, M_A, R_A, M_B, R_B = sp.symbols("M_D M_P P_3 M_A R_A M_B R_B", positive=True)
-k1, k2, c1, c2, c3, c4, g = sp.symbols("k_1 k_2 c_1 c_2 c_3 c_4 g", real=True)
+M_D: Symbol = sp.Symbol("M_D", positive=True)
+M_P: Symbol = sp.Symbol("M_P", positive=True)
+P_3: Symbol = sp.Symbol("P_3", positive=True)
+M_A: Symbol = sp.Symbol("M_A", positive=True)
+R_A: Symbol = sp.Symbol("R_A", positive=True)
+M_B: Symbol = sp.Symbol("M_B", positive=True)
+R_B: Symbol = sp.Symbol("R_B", positive=True)
+k1: Symbol = sp.Symbol("k_1", real=True)
+k2: Symbol = sp.Symbol("k_2", real=True)
+c1: Symbol = sp.Symbol("c_1", real=True)
+c2: Symbol = sp.Symbol("c_2", real=True)
+c3: Symbol = sp.Symbol("c_3", real=True)
+c4: Symbol = sp.Symbol("c_4", real=True)
+g: Symbol = sp.Symbol("g", real=True)
 # Shift of the pendulums' pivot (m), and the fraction of its imbalance that brass weights compensate (1 or 0)
-R_C, compensated = sp.symbols("R_C chi", real=True)
+R_C: Symbol = sp.Symbol("R_C", real=True)
+compensated: Symbol = sp.Symbol("chi", real=True)
 # Dry friction: arm (m) and sign of the sliding, +1 for θ̇ > 0. Balls: radius (m), inertia over m r² (0: a pendulum)
-h_A, h_B, sign_A, sign_B = sp.symbols("h_A h_B s_A s_B", real=True)
-r_A, r_B, kappa_A, kappa_B = sp.symbols("r_A r_B kappa_A kappa_B", real=True)
+h_A: Symbol = sp.Symbol("h_A", real=True)
+h_B: Symbol = sp.Symbol("h_B", real=True)
+sign_A: Symbol = sp.Symbol("s_A", real=True)
+sign_B: Symbol = sp.Symbol("s_B", real=True)
+r_A: Symbol = sp.Symbol("r_A", real=True)
+r_B: Symbol = sp.Symbol("r_B", real=True)
+kappa_A: Symbol = sp.Symbol("kappa_A", real=True)
+kappa_B: Symbol = sp.Symbol("kappa_B", real=True)
 # The rotor's phase (rad), speed (rad/s), acceleration (rad/s²): given functions of time
-psi, omega, alpha = sp.symbols("psi omega alpha", real=True)
+psi: Symbol = sp.Symbol("psi", real=True)
+omega: Symbol = sp.Symbol("omega", real=True)
+alpha: Symbol = sp.Symbol("alpha", real=True)
 
 # Disk centre, space-fixed (x, y) and rotating with the rotor (Y1, Y2), in m; pendulums relative to the rotor, in rad
-x, y, Y1, Y2, theta3, theta4 = sp.symbols(r"x y Y_1 Y_2 \theta_3 \theta_4", real=True)
-dx, dy, dY1, dY2, dtheta3, dtheta4 = sp.symbols(
-    r"\dot{x} \dot{y} \dot{Y}_1 \dot{Y}_2 \dot{\theta}_3 \dot{\theta}_4", real=True
-)
-ddx, ddy, ddY1, ddY2, ddtheta3, ddtheta4 = sp.symbols(
-    r"\ddot{x} \ddot{y} \ddot{Y}_1 \ddot{Y}_2 \ddot{\theta}_3 \ddot{\theta}_4", real=True
-)
+x: Symbol = sp.Symbol("x", real=True)
+y: Symbol = sp.Symbol("y", real=True)
+Y1: Symbol = sp.Symbol("Y_1", real=True)
+Y2: Symbol = sp.Symbol("Y_2", real=True)
+theta3: Symbol = sp.Symbol(r"\theta_3", real=True)
+theta4: Symbol = sp.Symbol(r"\theta_4", real=True)
+dx: Symbol = sp.Symbol(r"\dot{x}", real=True)
+dy: Symbol = sp.Symbol(r"\dot{y}", real=True)
+dY1: Symbol = sp.Symbol(r"\dot{Y}_1", real=True)
+dY2: Symbol = sp.Symbol(r"\dot{Y}_2", real=True)
+dtheta3: Symbol = sp.Symbol(r"\dot{\theta}_3", real=True)
+dtheta4: Symbol = sp.Symbol(r"\dot{\theta}_4", real=True)
+ddx: Symbol = sp.Symbol(r"\ddot{x}", real=True)
+ddy: Symbol = sp.Symbol(r"\ddot{y}", real=True)
+ddY1: Symbol = sp.Symbol(r"\ddot{Y}_1", real=True)
+ddY2: Symbol = sp.Symbol(r"\ddot{Y}_2", real=True)
+ddtheta3: Symbol = sp.Symbol(r"\ddot{\theta}_3", real=True)
+ddtheta4: Symbol = sp.Symbol(r"\ddot{\theta}_4", real=True)
 
 # Sums of several of the above
-M_S, S_A, S_B, S_P = sp.symbols("M_S S_A S_B S_P", positive=True)
+M_S: Symbol = sp.Symbol("M_S", positive=True)
+S_A: Symbol = sp.Symbol("S_A", positive=True)
+S_B: Symbol = sp.Symbol("S_B", positive=True)
+S_P: Symbol = sp.Symbol("S_P", positive=True)
 
-RIG = (
+RIG: tuple[Symbol, ...] = (
     M_D,
     M_P,
     P_3,
@@ -67,7 +102,7 @@ RIG = (
     kappa_A,
     kappa_B,
 )
-PHASE = (psi, omega, alpha)
+PHASE: tuple[Symbol, ...] = (psi, omega, alpha)
 
 # Quantities that a plain rig does not have: pivot shift, gravity, dry friction, balls, rotor acceleration
 PLAIN: dict[Expr, int] = dict.fromkeys((R_C, compensated, g, h_A, h_B, kappa_A, kappa_B, alpha), 0)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, physics_of
 
 PROPERLY_OVERSIZED = "properly oversized"
 UNDERSIZED = "undersized"
@@ -128,7 +128,7 @@ def closing_angles(a_kg_m: float, b_kg_m: float, target_kg_m: complex) -> list[t
     ]
 
 
-def balanced_angles(rig: RotorParameters | object) -> list[tuple[float, float]]:
+def balanced_angles(rig: RigOrParameters) -> list[tuple[float, float]]:
     """Type I without pivot shift: the angles (θ3, θ4) with S_A e^{iθ3} + S_B e^{iθ4} = −S_P.
 
     Returns:
@@ -159,7 +159,7 @@ class GravityDisk:
         return self.inner_m <= self.centre_m <= self.outer_m
 
 
-def gravity_disk(rig: RotorParameters | object) -> GravityDisk:
+def gravity_disk(rig: RigOrParameters) -> GravityDisk:
     """Ring of reachable positions of the centre of gravity of rotor, imbalance and pendulums."""
     parameters = physics_of(rig)
     a, b = parameters.a.first_moment_kg_m, parameters.b.first_moment_kg_m

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 
 CLOSED_FORM = "linear, closed form"
@@ -34,7 +34,7 @@ class ChosenModel:
 
 
 def choose_model(
-    rig: RotorParameters | object,
+    rig: RigOrParameters,
     released: tuple[bool, bool] = (True, True),
     *,
     steady: bool = True,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
@@ -332,13 +333,26 @@ def imbalance_radius(moment_kg_m: float, mass_kg: float) -> float:
     )
 
 
-def physics_of(rig: object) -> RotorParameters:
+class HasPhysics(Protocol):
+    """A rig with the parameters of its rotor, as `rig_configs.Rig`."""
+
+    @property
+    def physics(self) -> RotorParameters:
+        """Parameters of the rotor."""
+        ...
+
+
+RigOrParameters: TypeAlias = RotorParameters | HasPhysics
+"""Argument of functions that accept a rig or its rotor's parameters (`physics_of`)."""
+
+
+def physics_of(rig: RigOrParameters) -> RotorParameters:
     """Rotor parameters of a rig, or the argument itself if it is RotorParameters.
 
     Raises:
         OutsideDomain: the argument is not RotorParameters and has no such `.physics`.
     """
-    found = getattr(rig, "physics", rig)
+    found: object = getattr(rig, "physics", rig)
     if not isinstance(found, RotorParameters):
         raise OutsideDomain(f"expected RotorParameters or a rig with .physics, got {type(rig).__name__}")
     return found

@@ -1,4 +1,3 @@
-# pyright: strict
 """Contact of a ball with its channel: Hertz's ellipse, approach, pressure, and the resulting rolling resistance.
 
 Source: K. L. Johnson, Contact Mechanics (1985), (4.24)–(4.27) for the ellipse, section 9.2 for elastic hysteresis,
@@ -10,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from scipy.optimize import brentq  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
-from scipy.special import ellipe, ellipk  # pyright: ignore[reportMissingTypeStubs]
+import scipy
+from scipy.special import ellipe, ellipk
 
 from dynamics.errors import OutsideDomain
 
@@ -112,7 +111,7 @@ def _axes_ratio(curvatures: float) -> float:
 
     if curvatures - 1 < _CIRCULAR:
         return 1.0
-    return math.exp(float(brentq(off, -12.0, -1e-6, xtol=1e-13)))  # pyright: ignore[reportArgumentType]
+    return math.exp(float(scipy.optimize.brentq(off, -12.0, -1e-6, xtol=1e-13)))
 
 
 def plastic_depth(force_N: float, ball_radius_m: float, yield_Pa: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # loads scipy.interpolate, which takes 0.5 s, at its first use: only measured speeds need it
 from numpy.typing import ArrayLike
 
 from dynamics.arguments import check_number, real_array
@@ -60,9 +61,7 @@ class SpeedHistory:
             )
         if not (np.all(np.isfinite(times)) and np.all(np.isfinite(phases)) and np.all(np.diff(times) > 0)):
             raise OutsideDomain("the marks of a speed history must be finite and strictly ascending in time")
-        from scipy.interpolate import CubicSpline  # noqa: PLC0415 (the import takes 0.5 s; only measured speeds use it)
-
-        spline = CubicSpline(times, phases)
+        spline = scipy.interpolate.CubicSpline(times, phases)
         return cls(np.asarray(times, float), np.ascontiguousarray(spline.c[::-1].T))
 
     def phase(self, time_s: ArrayLike) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dynamics.arrays import Array, Flags
+from dynamics.equations.parameters import RigOrParameters
 from dynamics.equations.scene import Scene
 from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.integrate import WORK_LIMIT, simulate
@@ -44,7 +45,7 @@ class BatchMotion:
 
 
 def simulate_batch(
-    parameters: Sequence[object],
+    parameters: Sequence[RigOrParameters],
     scenes: Scene | Sequence[Scene],
     time_s: ArrayLike,
     accuracy: float = 1e-6,

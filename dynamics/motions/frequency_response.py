@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.arrays import Array
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, physics_of
 from dynamics.errors import OutsideDomain
 
 
@@ -27,7 +27,7 @@ class FrequencyResponse:
     lag_rad: Array
 
 
-def frequency_response(rig: RotorParameters | object, speed_ratio: Array) -> FrequencyResponse:
+def frequency_response(rig: RigOrParameters, speed_ratio: Array) -> FrequencyResponse:
     """Amplification M ω²/|k − M ω² + iωc| and phase lag arg(k − M ω² + iωc) of both directions.
 
     Args:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from dynamics.arguments import check_number
 from dynamics.arrays import Array
-from dynamics.equations.parameters import physics_of
+from dynamics.equations.parameters import RigOrParameters, physics_of
 from dynamics.equations.scene import Scene
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.motions.fixed_steps import integrate
@@ -48,7 +48,7 @@ _STRONG_GROWTH = 300.0  # ratio of error to tolerance above which two difference
 
 
 def simulate(
-    parameters: object,
+    parameters: RigOrParameters,
     scene: Scene,
     time_s: ArrayLike,
     accuracy: float = 1e-6,
@@ -78,12 +78,7 @@ def simulate(
     Source: docs/theory/integration.md.
     """
     physics = physics_of(parameters)
-    check_number(accuracy=accuracy, work_limit=work_limit)
-    _check_scene(scene)
-    if not (np.isfinite(accuracy) and accuracy > 0):
-        raise OutsideDomain(f"accuracy must be a finite number above 0, got {accuracy!r}")
-    if method not in (None, "explicit", "implicit"):
-        raise OutsideDomain(f'method must be "explicit", "implicit" or None, got {method!r}')
+    _check_request(scene, accuracy, method, work_limit)
     times = instants(time_s)
     setup = motion_problem(physics, scene, times, resolved)
     tolerance = max(min(accuracy, 0.1) / _headroom(accuracy), _FINEST * _RATIO)
@@ -114,9 +109,14 @@ def simulate(
     )
 
 
-def _check_scene(scene: object) -> None:
+def _check_request(scene: object, accuracy: float, method: str | None, work_limit: int) -> None:
+    check_number(accuracy=accuracy, work_limit=work_limit)
     if not isinstance(scene, Scene):
         raise OutsideDomain(f"scene: expected a dynamics.Scene, got {scene!r}")
+    if not (np.isfinite(accuracy) and accuracy > 0):
+        raise OutsideDomain(f"accuracy must be a finite number above 0, got {accuracy!r}")
+    if method not in (None, "explicit", "implicit"):
+        raise OutsideDomain(f'method must be "explicit", "implicit" or None, got {method!r}')
 
 
 def _headroom(accuracy: float) -> float:

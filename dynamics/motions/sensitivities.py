@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from dynamics.arrays import Array, Complex, Numbers, RealSystem, System
 from dynamics.compiled_code import compiled
 from dynamics.equations.kernels import C1, C2, CA, CB, FA, FB, K1, K2, MASS, PACKED, SP, rates
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
 from dynamics.equations.phase_segments import PhaseSegments, phase_within, segment_of
 from dynamics.equations.scene import Scene
 from dynamics.errors import OutsideDomain
@@ -33,7 +33,7 @@ _EPSILON = 1e-30
 
 
 def sensitivities(
-    parameters: object,
+    parameters: RigOrParameters,
     scene: Scene,
     time_s: ArrayLike,
     names: Sequence[str],

@@ -10,6 +10,7 @@ Source: docs/theory/start_ups.md.
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -25,6 +26,8 @@ from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import NotConverged, OutsideDomain
 from dynamics.motions.friction_steps import fixed_states
 from dynamics.motions.integrate import simulate
+
+_log = logging.getLogger(__name__)
 
 ACCURACY = 1e-3
 """Accuracy of the simulated angles, rad. It is low because only the end state is used."""
@@ -89,7 +92,8 @@ def start_ups_from_rest(
         scene = Scene(history, (True, True), np.r_[0.0, 0.0, starts[i], np.zeros(4)])
         try:
             return np.asarray(simulate(parameters[i], scene, times, ACCURACY).state[1:], np.float64), True
-        except NotConverged:
+        except NotConverged as error:
+            _log.debug("start-up %d: fixed steps are used: %s", i, error)
             return fixed_states(parameters[i], scene, times, _STEP_S)[1:], False
 
     states, followed = np.empty((len(starts), _SAMPLES_PER_REVOLUTION + 1, 8)), np.zeros(len(starts), bool)

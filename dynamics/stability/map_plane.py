@@ -170,7 +170,7 @@ def multiplier_at(plane: Plane, x: float, y: float, accuracy: float) -> tuple[fl
     """
     try:
         matrix = type_one(*_spread(plane.one(x, y)))
-    except NoBalancedState:
+    except NoBalancedState:  # usual: a point outside the balancing region
         return np.nan, np.nan
     last: DynamicsError | None = None
     for looser in (1.0, 1e2, 1e4, 1e6):

@@ -14,7 +14,7 @@ from dynamics.arguments import check_number, real_array
 from dynamics.arrays import Array, Flags
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.linearised import type_one
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, physics_of
 from dynamics.errors import NoBalancedState, OutsideDomain
 from dynamics.stability.floquet.lanes import LANES
 from dynamics.stability.map_plane import Plane, SpeedStiffnessPlane, multiplier_at
@@ -115,7 +115,7 @@ def _check_size(columns: int, rows: int, accuracy: float) -> None:
 
 
 def stability_map(
-    rig: RotorParameters | object,
+    rig: RigOrParameters,
     speed_ratios: ArrayLike,
     stiffness_ratios: ArrayLike,
     accuracy: float = 1e-8,
@@ -188,7 +188,8 @@ def multipliers_on_grid(
                 found[place], errors[place] = np.where(met, multipliers, np.nan), np.where(met, bounds, np.nan)
                 progress(float(1 - np.isnan(found).mean()))
         rest = np.flatnonzero(np.isnan(found))
-        left = _explicit(pool, plane, np.tile(x, len(y)), np.repeat(y, len(x)), rest, accuracy, found, errors, progress)
+        points = np.tile(x, len(y)), np.repeat(y, len(x))
+        left = _explicit(pool, plane, points, rest, accuracy, found, errors, progress)
     for done, point in enumerate(left):
         row, column = divmod(int(point), len(x))
         found[row, column], errors[row, column] = multiplier_at(plane, float(x[column]), float(y[row]), accuracy)
@@ -217,7 +218,7 @@ def multipliers_at_points(
     found, errors = np.full((2, len(x)), np.nan)
     notify = progress or _ignore
     with _threads() as pool:
-        left = _explicit(pool, plane, x, y, np.arange(len(x)), accuracy, found, errors, notify)
+        left = _explicit(pool, plane, (x, y), np.arange(len(x)), accuracy, found, errors, notify)
     for point in left.tolist():
         found[point], errors[point] = multiplier_at(plane, float(x[point]), float(y[point]), accuracy)
     notify(1.0)
@@ -243,8 +244,7 @@ def _threads(count: int | None = None) -> Generator[ThreadPoolExecutor]:
 def _explicit(
     pool: ThreadPoolExecutor,
     plane: Plane,
-    x: Array,
-    y: Array,
+    points: tuple[Array, Array],
     rest: NDArray[np.intp],
     accuracy: float,
     found: Array,
@@ -252,6 +252,7 @@ def _explicit(
     progress: Callable[[float], None],
 ) -> NDArray[np.intp]:
     """Compute remaining points by explicit steps. Returns the points for which they are not suitable."""
+    x, y = points
     rigs = plane.rigs(x[rest], y[rest]) if len(rest) else None
     if rigs is None:
         return rest

@@ -1,4 +1,3 @@
-# pyright: strict
 """Steady states along one parameter of a rig: branches, and the values at which the set of stable types changes.
 
 Each value is solved separately by `steady_states`. A branch joins the states of one type with the nearest angles. A
@@ -14,8 +13,8 @@ from dataclasses import dataclass
 from typing import TypeAlias, cast
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType, reportMissingTypeStubs]
 
 from dynamics.arrays import Array, Flags
 from dynamics.equations.parameters import RotorParameters
@@ -210,8 +209,9 @@ def _merged(breaks: Sequence[BreakPoint]) -> list[BreakPoint]:
         if last is not None and one.value - last.value < _CLOSE * (one.error + last.error):
             found.pop()
             middle, half = 0.5 * (last.value + one.value), 0.5 * (one.value - last.value) + one.error
-            one = BreakPoint(middle, half, last.before, one.after)  # noqa: PLW2901
-        found.append(one)
+            found.append(BreakPoint(middle, half, last.before, one.after))
+        else:
+            found.append(one)
     return [one for one in found if one.before != one.after]
 
 
@@ -237,7 +237,7 @@ def _joined(values: Array, found: Sequence[Sequence[SteadyState]]) -> list[Branc
 
 def _nearest(far: Array) -> tuple[list[int], list[int]]:
     """Rows and columns that belong together: smallest sum of distances."""
-    rows, columns = cast("tuple[Array, Array]", linear_sum_assignment(far))
+    rows, columns = cast("tuple[Array, Array]", scipy.optimize.linear_sum_assignment(far))
     return rows.astype(int).tolist(), columns.astype(int).tolist()
 
 
@@ -269,6 +269,6 @@ def _locked_radius(rig: RotorParameters, speed: float) -> float:
     """Rms radius of the orbit with locked pendulums, m; NaN if it does not exist."""
     try:
         x, y = locked_orbit(rig, speed, 0.0, math.pi)
-    except (OutsideDomain, NotConverged):
+    except (OutsideDomain, NotConverged):  # usual: an undamped resonance
         return math.nan
     return math.sqrt(0.5 * (abs(x) ** 2 + abs(y) ** 2))

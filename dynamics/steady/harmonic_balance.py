@@ -53,14 +53,11 @@ class Grid:
     """Phases and bases of one resolution, over half a revolution if the motion has that symmetry."""
 
     def __init__(self, half: int, symmetric: bool) -> None:
-        self.symmetric = symmetric
-        self.n = half if symmetric else 2 * half
-        self.phase = np.pi * np.arange(self.n) / half
-        if symmetric:
-            odd, even = np.arange(1, half, 2), np.arange(0, half + 1, 2)
-            self.position, self.angle = _basis(self.phase, odd), _basis(self.phase, even)
-        else:
-            self.position = self.angle = _basis(self.phase, np.arange(half + 1))
+        self.symmetric: bool = symmetric
+        self.n: int = half if symmetric else 2 * half
+        self.phase: Array = np.pi * np.arange(self.n) / half
+        self.position: Basis = _basis(self.phase, np.arange(1, half, 2) if symmetric else np.arange(half + 1))
+        self.angle: Basis = _basis(self.phase, np.arange(0, half + 1, 2)) if symmetric else self.position
 
     @staticmethod
     @functools.lru_cache(maxsize=16)

@@ -108,7 +108,7 @@ def _outer(stiffness: Array, torque_Nm: Array) -> Array:
     """|K⁻¹| M, at most π; π without a restoring torque."""
     try:
         compliance = np.abs(np.asarray(np.linalg.inv(stiffness), np.float64))
-    except np.linalg.LinAlgError:
+    except np.linalg.LinAlgError:  # usual: no restoring torque
         return np.full(2, math.pi)
     return np.minimum(compliance @ torque_Nm, math.pi)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from dynamics.arrays import Array
 from dynamics.equations.balancing import balanced_angles
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
 from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
 from dynamics.steady.singular_points import dynamic_stiffness
 from dynamics.steady.steady_motions import check_request
@@ -58,7 +58,7 @@ class BalancedPosition:
 
 
 def mirrored_positions(
-    rig: RotorParameters | object, speed_rad_s: float, imperfections: Imperfections
+    rig: RigOrParameters, speed_rad_s: float, imperfections: Imperfections
 ) -> tuple[BalancedPosition, BalancedPosition]:
     """Compute both balanced positions and the residual whirl.
 
@@ -120,7 +120,7 @@ def _newton(p: RotorParameters, speed: float, theta: Array, part: Imperfections)
         slope = np.imag(np.conj(moved)[None, :] * arms[:, None]) + np.diag(np.real(np.conj(z + pivots) * arms))
         try:
             step = np.linalg.solve(slope, off)
-        except np.linalg.LinAlgError:
+        except np.linalg.LinAlgError:  # usual: at the border of the region
             break
         if not np.all(np.abs(step) < _MAX_STEP_RAD):
             break

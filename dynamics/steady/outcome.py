@@ -8,6 +8,7 @@ A finite run is not a proof: pendulums may turn relative to the rotor hundreds o
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ import numpy as np
 
 from dynamics.arguments import check_number, check_pair
 from dynamics.arrays import Array
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
 from dynamics.equations.scene import Scene
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import NotConverged, OutsideDomain
@@ -25,6 +26,8 @@ from dynamics.motions.locked_motion import damping_rates
 from dynamics.steady.slipping import SlippingMotion, slipping_motion
 from dynamics.steady.steady_motions import steady_states
 from dynamics.steady.steady_state import SteadyState
+
+_log = logging.getLogger(__name__)
 
 _CHUNK = 40  # revolutions simulated at a time, fewer if they need many steps
 _CHUNK_RADIANS = 20_000.0  # of the fastest oscillation
@@ -80,7 +83,7 @@ class ReleaseOutcome:
 
 
 def release_outcome(
-    rig: RotorParameters | object,
+    rig: RigOrParameters,
     speed_rad_s: float,
     from_rad: tuple[float, float] = (PLAY_RAD, math.pi - 0.5 * PLAY_RAD),
     *,
@@ -124,7 +127,10 @@ def release_outcome(
         second = _Release(p, speed_rad_s, from_rad, max(_FINER * accuracy, 1e-11)).follow(
             stable, 2 * first.revolutions + 10 * _CHUNK, None
         )
-    except NotConverged:  # this accuracy cannot be reached; the first result is returned
+    except NotConverged as error:
+        _log.info(
+            "release from %s at %.6g rad/s: the end is not confirmed by a second run: %s", from_rad, speed_rad_s, error
+        )
         return first
     late = abs(second.after_s - first.after_s)
     same_time = late <= max(0.01 * first.after_s, 1.5 * 2 * math.pi / speed_rad_s)
@@ -132,7 +138,7 @@ def release_outcome(
 
 
 def releases_within_play(
-    rig: RotorParameters | object,
+    rig: RigOrParameters,
     speed_rad_s: float,
     play_rad: float = PLAY_RAD,
     *,
@@ -161,8 +167,8 @@ def releases_within_play(
         start = (a * play_rad, math.pi + b * play_rad)
         try:
             found.append(_Release(p, speed_rad_s, start, 1e-6).follow(stable, 2 * first.revolutions + 400, None))
-        except NotConverged:
-            continue
+        except NotConverged as error:
+            _log.warning("release from %s at %.6g rad/s is left out: %s", start, speed_rad_s, error)
     return found
 
 

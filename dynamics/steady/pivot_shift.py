@@ -1,4 +1,3 @@
-# pyright: strict
 """Residual vibration of a balancer with a pivot shifted from the rotor's axis, over the shift.
 
 With a compensated shift R_C the pendulums bring their pivot to rest if they can: z = −R_C, so that the residual radius
@@ -12,14 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, cast
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize_scalar  # pyright: ignore[reportUnknownVariableType, reportMissingTypeStubs]
 
 from dynamics.arrays import Array
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.steady.branches import SteadyBranches, steady_branches
 from dynamics.steady.singular_points import singular_points
@@ -50,7 +48,7 @@ class ShiftedPivot:
 
 
 def shifted_pivot(
-    rig: RotorParameters | object,
+    rig: RigOrParameters,
     speed_rad_s: float,
     relative_shift: ArrayLike,
     eccentricity_m: float | None = None,
@@ -115,6 +113,5 @@ def _most_apart(p: RotorParameters, speed: float, e: float, values: Array, apart
         gaps = [abs(math.remainder(q.theta_rad[0] - q.theta_rad[1], 2 * math.pi)) for q in points if q.type == "I"]
         return -max(gaps, default=0.0)
 
-    search = cast("Callable[..., Any]", minimize_scalar)
-    best = search(together, bounds=(low, high), method="bounded", options={"xatol": 1e-7})
+    best = scipy.optimize.minimize_scalar(together, bounds=(low, high), method="bounded", options={"xatol": 1e-7})
     return float(best.x)

@@ -11,7 +11,7 @@ import numpy as np
 from dynamics.arguments import check_number
 from dynamics.arrays import Complex, Indices
 from dynamics.equations.linearised import rotating_frame
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.steady.singular_points import SingularPoint
 from dynamics.steady.whirl import circular_whirl
@@ -19,7 +19,7 @@ from dynamics.steady.whirl import circular_whirl
 _ROUNDING = 1e-13  # relative to the matrix's norm
 
 
-def point_eigenvalues(rig: RotorParameters | object, speed_rad_s: float, points: Sequence[SingularPoint]) -> Complex:
+def point_eigenvalues(rig: RigOrParameters, speed_rad_s: float, points: Sequence[SingularPoint]) -> Complex:
     """Eigenvalues λ of δẏ = A δy about singular points of an isotropic rig, in the frame that rotates with the rotor.
 
     The multipliers over one revolution are e^{2πλ/ω}. For large λ the eigenvalues keep information that these lose.

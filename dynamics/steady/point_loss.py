@@ -21,7 +21,7 @@ import numpy as np
 
 from dynamics.arguments import real_array
 from dynamics.arrays import Array
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
 from dynamics.errors import OutsideDomain
 from dynamics.steady.singular_points import dynamic_stiffness
 
@@ -84,7 +84,7 @@ def speeds_at_loss(share: float, zeta: Array) -> tuple[Array, Array]:
     return 1 / upper, upper
 
 
-def point_losses(rig: RotorParameters | object) -> tuple[PointLoss, PointLoss]:
+def point_losses(rig: RigOrParameters) -> tuple[PointLoss, PointLoss]:
     """Speeds at which a rig has no singular points of Type II, and of Type III.
 
     The result is exact on an isotropic suspension without gravity. Otherwise it is the condition of the mean torque for

@@ -14,7 +14,7 @@ import numpy as np
 
 from dynamics.arguments import check_number
 from dynamics.arrays import Array
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, physics_of
 from dynamics.equations.scene import Scene
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
@@ -56,8 +56,8 @@ class Reaction:
 
 
 def reaction(
-    rig: RotorParameters | object,
-    changed: RotorParameters | object,
+    rig: RigOrParameters,
+    changed: RigOrParameters,
     speed_rad_s: float,
     share: float = 0.05,
     seconds: float | None = None,

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -20,7 +21,7 @@ from dynamics.arrays import Array
 from dynamics.equations.balancing import balanced_angles, balancing_region
 from dynamics.equations.linearised import along, rotating_frame, type_one
 from dynamics.equations.model import AUTONOMOUS, CLOSED_FORM, ChosenModel, choose_model
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
 from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
 from dynamics.stability.floquet import Multipliers, floquet_multipliers
 from dynamics.steady.orbits import Orbit, coarse_orbit, periodic_orbit
@@ -37,7 +38,7 @@ _FURTHER_ANGLES = np.arange(8) * math.pi / 4  # additional starts, where the mea
 
 
 def steady_states(
-    rig: RotorParameters | object,
+    rig: RigOrParameters,
     speed_rad_s: float,
     accuracy: float = 1e-8,
     released: tuple[bool, bool] = (True, True),
@@ -151,19 +152,18 @@ def _search_orbits(
             mean = _mean_angles(orbit.states)
             if not search.contains(mean):
                 kind = point.type if point.type in ("one", "none") else _kind(mean, points)
-                make = lambda k=kind, o=orbit: _from_orbit(p, speed, k, o, accuracy, released, model)  # noqa: E731
-                search.judge(kind, make, mean)
+                search.judge(kind, partial(_from_orbit, p, speed, kind, orbit, accuracy, released, model), mean)
 
 
 def _first_guess(linear: RotorParameters, speed: float, theta: _Angles) -> Array:
     """Positions (n, 4) of the linear orbit; in an undamped resonance, where it does not exist, of the rotor at rest."""
     try:
         return locked_whirl(linear, speed, theta)[:, :4]
-    except OutsideDomain:
+    except OutsideDomain:  # usual: an undamped resonance
         return circular_whirl(speed, SingularPoint("none", theta, 0j))[:, :4]
 
 
-def multipliers(rig: RotorParameters | object, speed_rad_s: float, accuracy: float = 1e-8) -> SteadyState:
+def multipliers(rig: RigOrParameters, speed_rad_s: float, accuracy: float = 1e-8) -> SteadyState:
     """Compute the balanced state (Type I) at a speed with its multipliers over one revolution.
 
     Args:

@@ -83,4 +83,4 @@ class SteadyStates(list[SteadyState]):
 
     def __init__(self, states: Iterable[SteadyState] = (), unresolved: Sequence[str] = ()) -> None:
         super().__init__(sorted(states, key=lambda s: (not s.stable, s.type)))
-        self.unresolved = tuple(unresolved)
+        self.unresolved: tuple[str, ...] = tuple(unresolved)

@@ -36,7 +36,7 @@ def stick_half_width(p: RotorParameters, speed: float, theta: tuple[float, float
         slope[:, j] = (ends[0] - ends[1]) / (2 * step)
     try:
         reach = np.abs(np.linalg.inv(slope)) @ (arms * speed**2)
-    except np.linalg.LinAlgError:
+    except np.linalg.LinAlgError:  # usual: no restoring torque
         return math.pi, math.pi
     return min(float(reach[0]), math.pi), min(float(reach[1]), math.pi)
 

@@ -1,4 +1,4 @@
-# pyright: strict, reportUnknownMemberType=false
+# pyright: reportUnknownMemberType=false
 """Figures 4.1 and 4.2: stability of the balanced state over speed ratio and stiffness ratio."""
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]  # no stubs
 
 from analysis.figures.sheet import WIDTH_IN, sheet
 from analysis.figures.stability_map import draw_borders, set_plane
@@ -120,7 +120,8 @@ def _less_work(p: RotorParameters, error: float) -> Claim:
             return a @ y
 
         runs: list[Any] = [
-            solve_ivp(rate, (0.0, 2 * math.pi), start, "RK45", rtol=_TOLERANCE, atol=_TOLERANCE) for start in np.eye(8)
+            scipy.integrate.solve_ivp(rate, (0.0, 2 * math.pi), start, "RK45", rtol=_TOLERANCE, atol=_TOLERANCE)
+            for start in np.eye(8)
         ]
         evaluations.append(sum(int(run.nfev) for run in runs))
     return Claim.judged(

@@ -1,4 +1,4 @@
-# pyright: strict, reportUnknownMemberType=false
+# pyright: reportUnknownMemberType=false
 """Chapter 3.2: amplitude and pendulum angles over the imbalance, modelled and recorded: parts of its figures."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]  # no stubs
+from scipy.special import gammaincc
 
 from analysis.figures.branches import A_COLOUR, B_COLOUR, draw_amplitudes, draw_angles, mark_borders
 from analysis.figures.sheet import WIDTH_IN, sheet

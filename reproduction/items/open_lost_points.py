@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -24,6 +25,8 @@ from reproduction.results import Claim, Panel, Reproduced, SourceTable
 from reproduction.workspace import VIRTUAL, Workspace, numbers_of
 from rig_basics.arrays import Array
 
+_log = logging.getLogger(__name__)
+
 ZETAS: Array = np.exp(np.linspace(math.log(0.005), math.log(0.3), 22))
 RATIOS: Array = np.linspace(0.4, 6.0, 57)
 RELEASED = (5, 12)
@@ -39,19 +42,26 @@ def _damped(p: RotorParameters, zeta: float) -> RotorParameters:
 
 @dataclass(frozen=True)
 class _Here:
-    """Return the stable types at one point, by name of _SETS, and whether a steady state of Type III exists."""
+    """Stable types at one point, whether a steady state of Type III exists, and whether the states were refused."""
 
-    stable: str
+    types: tuple[str, ...]
     three: bool
+    refused: bool = False
+
+    @property
+    def stable(self) -> str:
+        """Name in _SETS."""
+        return "refused" if self.refused else ", ".join(self.types) or "none"
 
 
 def _here(p: RotorParameters, ratio: float) -> _Here:
     try:
         found = steady_states(p, p.speed_rad_s(ratio), _ACCURACY)
-    except DynamicsError:
-        return _Here("refused", False)
-    types = sorted({state.type for state in found if state.stable})
-    return _Here(", ".join(types) if types else "none", any(state.type == "III" for state in found))
+    except DynamicsError as error:
+        _log.info("states at a speed ratio of %.6g: %s", ratio, error)
+        return _Here((), False, refused=True)
+    types = tuple(sorted({state.type for state in found if state.stable}))
+    return _Here(types, any(state.type == "III" for state in found))
 
 
 def open_lost_points(work: Workspace) -> Reproduced:
@@ -96,7 +106,7 @@ def open_lost_points(work: Workspace) -> Reproduced:
                 {
                     "zeta": at[:, 0],
                     "speed_ratio": at[:, 1],
-                    "stable": reachable,
+                    "stable": [each.stable for each in reachable],
                     "ends": ends.name.tolist(),
                     "turns_per_revolution_A": ends.turns[:, 0],
                     "turns_per_revolution_B": ends.turns[:, 1],
@@ -118,14 +128,14 @@ _FOOT = (
 )
 
 
-def _releases(work: Workspace, p: RotorParameters) -> tuple[Array, Ends, list[str]]:
+def _releases(work: Workspace, p: RotorParameters) -> tuple[Array, Ends, list[_Here]]:
     zetas: Array = np.exp(np.linspace(math.log(ZETAS[0]), math.log(ZETAS[-1]), 2 * RELEASED[0] + 1)[1::2])
     ratios: Array = np.linspace(float(RATIOS[0]), float(RATIOS[-1]), 2 * RELEASED[1] + 1)[1::2]
     at = np.array([(z, r) for z in zetas.tolist() for r in ratios.tolist()], np.float64)
     rigs = [_damped(p, z) for z, _ in at.tolist()]
     speeds = [p.speed_rad_s(r) for _, r in at.tolist()]
     ends = released(rigs, speeds, lambda share: work.progress(0.6 + 0.4 * share))
-    return at, ends, [_here(rig, r).stable for rig, (_, r) in zip(rigs, at.tolist(), strict=True)]
+    return at, ends, [_here(rig, r) for rig, (_, r) in zip(rigs, at.tolist(), strict=True)]
 
 
 def _draw(axes: Axes, p: RotorParameters, grid: NDArray[np.str_]) -> None:
@@ -176,14 +186,14 @@ def _bands(free: NDArray[np.bool_]) -> str:
 
 
 def _claims(
-    p: RotorParameters, grid: NDArray[np.str_], three: NDArray[np.bool_], at: Array, ends: Ends, here: list[str]
+    p: RotorParameters, grid: NDArray[np.str_], three: NDArray[np.bool_], at: Array, ends: Ends, here: list[_Here]
 ) -> tuple[Claim, ...]:
-    bare_map, bare = grid == "none", np.array([name == "none" for name in here])
+    bare_map, bare = grid == "none", np.array([not each.types and not each.refused for each in here])
     rows = {f"{ZETAS[i]:.2g}": _bands(bare_map[i]) for i in sorted({k * (len(ZETAS) - 1) // 3 for k in range(4)})}
-    unbalanced = np.array([not name.startswith("I,") and name != "I" for name in here])
-    replaced = np.array(["III" in name or "II" in name for name in here])
+    unbalanced = np.array(["I" not in each.types for each in here])
+    replaced = np.array([bool({"II", "III"} & {*each.types}) for each in here])
     slips = turning(ends)
-    reach = np.array([own in name.split(", ") for own, name in zip(ends.name.tolist(), here, strict=True)])
+    reach = np.array([own in each.types for own, each in zip(ends.name.tolist(), here, strict=True)])
     return (
         Claim.judged(
             "4.4, conclusions",

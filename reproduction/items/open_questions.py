@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,6 +30,8 @@ from rig_basics.arrays import Array
 from rig_basics.units import TO_RPM
 from rig_configs import load_rig
 
+_log = logging.getLogger(__name__)
+
 _G = 9.81
 _CHAPTER = "chapter 5"
 _BALANCED = ("B", "C", "E")
@@ -47,7 +50,8 @@ def _stable(p: RotorParameters, speed_ratio: float) -> list[SteadyState]:
     """Return the stable states; an empty list if none can be found."""
     try:
         return [state for state in steady_states(p, p.speed_rad_s(speed_ratio), 1e-6) if state.stable]
-    except DynamicsError:
+    except DynamicsError as error:
+        _log.warning("no stable states at a speed ratio of %.6g: %s", speed_ratio, error)
         return []
 
 

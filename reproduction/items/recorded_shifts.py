@@ -1,4 +1,4 @@
-# pyright: strict, reportUnknownMemberType=false
+# pyright: reportUnknownMemberType=false
 """Figures 3.23 and 3.24: a shifted pivot on the virtual rig, and the effect of dry friction near ρ_C = 1."""
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from scipy.special import gammaincc  # pyright: ignore[reportMissingTypeStubs]  # no stubs
+from scipy.special import gammaincc
 
 from analysis.figures.branches import A_COLOUR, B_COLOUR
 from analysis.figures.style import GREY, MEASURED

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+import dynamics
 from analysis import measure
 from analysis.figures.start_ups import draw_start_ups
 from analysis.friction_sweep import balance_of
@@ -350,8 +351,6 @@ def zoomed_3_30(work: Workspace) -> Reproduced:
 
 def simulated_balls(work: Workspace, count: int = 24) -> SettledScatter:
     """Return start-ups of the ball balancer by the model, from random places."""
-    from dynamics.motions.start_ups import random_starts, start_ups_from_rest  # noqa: PLC0415 (compiles)
-
     p = work.physics(BALLS)
-    ends = start_ups_from_rest([p] * count, SPEED, SPEED_RPM / 120.0, random_starts(count, 330))
+    ends = dynamics.start_ups_from_rest([p] * count, SPEED, SPEED_RPM / 120.0, dynamics.random_starts(count, 330))
     return settled_scatter(ends.theta_rad, ends.amplitude_m[:, 0], balance_of(p))

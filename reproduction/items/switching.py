@@ -82,7 +82,7 @@ def imperfect_curves(p: RotorParameters, speed_ratio: float) -> list[RadiusCurve
             own = p.with_values(SP_kg_m=moment)
             try:
                 pair = mirrored_positions(own, own.speed_rad_s(speed_ratio), each)
-            except DynamicsError:  # the imperfection is too large this near to a border: the position does not exist
+            except DynamicsError:  # usual: too large an imperfection this near to a border
                 if np.isfinite(radii[:i]).any():
                     break
                 continue

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -82,7 +83,7 @@ def test_where_the_users_cache_cannot_be_written_a_place_of_the_process_is_used(
     """With read-only sources and without a home directory numba has no cache directory and does not compile."""
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setitem(sys.modules, "numba", type(sys)("numba"))
-    sys.modules["numba"].config = type("Config", (), {})()  # type: ignore[attr-defined]
+    monkeypatch.setattr(sys.modules["numba"], "config", SimpleNamespace(), raising=False)
     (tmp_path / "file").write_text("no directory")
     monkeypatch.setattr(compiled_code, "_user_cache", lambda: tmp_path / "file")
     place = compiled_code.keep_compiled_code()
@@ -102,7 +103,7 @@ def test_directories_of_old_versions_go_and_recent_ones_stay(monkeypatch: pytest
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setattr(compiled_code, "_user_cache", lambda: tmp_path)
     monkeypatch.setitem(sys.modules, "numba", type(sys)("numba"))
-    sys.modules["numba"].config = type("Config", (), {})()  # type: ignore[attr-defined]
+    monkeypatch.setattr(sys.modules["numba"], "config", SimpleNamespace(), raising=False)
     parent = tmp_path / "pendulum-balancer-rig"
     old, recent = parent / "compiled-old", parent / "compiled-recent"
     for place in (old, recent):

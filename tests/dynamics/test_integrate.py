@@ -385,7 +385,7 @@ def test_a_motion_that_cannot_be_foretold_is_refused() -> None:
 def test_what_means_nothing_is_refused(change: dict[str, object], message: str) -> None:
     arguments = {"time_s": 1.0, "accuracy": 1e-6} | change
     with pytest.raises(OutsideDomain, match=message):
-        simulate(rig(), release(rig()), **arguments)  # type: ignore[arg-type]
+        simulate(rig(), release(rig()), **arguments)
     with pytest.raises(OutsideDomain, match="eight finite"):
         simulate(rig(), Scene(SpeedHistory.constant(1.0), start=np.zeros(7)), 1.0)
 

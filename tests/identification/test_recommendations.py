@@ -31,6 +31,7 @@ def measured(
         "run",
         error,
         automatic=True,
+        accuracy=accuracy,
         peer_ratio=ratio,
     )
 

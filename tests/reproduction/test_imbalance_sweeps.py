@@ -111,7 +111,7 @@ def test_a_wrong_model_is_refuted(tmp_path: Path) -> None:
     (other,) = [s for s in steady_states(heavier, speed) if s.stable]
     assert amplitude_claim("", [StartUpComparison(moment, one, other)]).verdict == "does not hold"
     turned = SimpleNamespace(type="III", theta_rad=(state.theta_rad[0] + 0.01,) * 2, amplitude_m=state.amplitude_m)
-    assert angle_claim("", [StartUpComparison(moment, one, turned)]).verdict == "does not hold"  # pyright: ignore
+    assert angle_claim("", [StartUpComparison(moment, one, turned)]).verdict == "does not hold"
 
 
 def state_stiffness(one) -> float:

@@ -11,7 +11,7 @@ import pytest
 
 from analysis.figures.style import to_svg
 from analysis.figures.work_precision import draw_work_precision
-from dynamics.bench import fresh_process, heyoka_runs, tables
+from dynamics.bench import first_release, first_release_heyoka, heyoka_runs, tables
 from dynamics.bench.records import Measurement, Target, compared, over_points, worth_showing
 from rig_cli.main import run
 
@@ -158,7 +158,17 @@ def test_over_points_takes_the_worst_error_and_the_median_time() -> None:
 def test_over_points_joins_the_automatic_choice_over_its_methods() -> None:
     rows = [
         Measurement(
-            "multipliers", case, f"automatic: {method}", "accuracy 1e-08", 1.0, "point", 1e-9, bound, automatic=True
+            "multipliers",
+            case,
+            f"automatic: {method}",
+            "accuracy 1e-08",
+            1.0,
+            "point",
+            1e-9,
+            bound,
+            automatic=True,
+            accuracy=1e-8,
+            chosen=(method,),
         )
         for case, method, bound in (("A", "explicit", 1e-9), ("B", "magnus", 5e-9))
     ]
@@ -189,7 +199,7 @@ def test_the_figure_states_so_when_nothing_is_known() -> None:
 
 def test_a_fresh_process_follows_the_same_release_as_heyoka() -> None:
     pytest.importorskip("heyoka")
-    ours, theirs = (fresh_process.first_release(with_heyoka=with_heyoka) for with_heyoka in (False, True))
+    ours, theirs = first_release.first_release(), first_release_heyoka.first_release()
     assert np.allclose(ours, theirs, rtol=0, atol=2e-9)
 
 

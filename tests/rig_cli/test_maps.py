@@ -118,7 +118,7 @@ def test_words_say_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
         (["--best", "suspension.zeta1=0.1"], "--best expected KEY=A:B"),
         (["--best", "suspension.zeta1=0.2:0.1"], "A < B"),
         (["--best", "suspension.zeta1=0:0.1:log"], "0 < A < B"),
-        (["--refine", "9"], "--refine expected 0 … 8"),
+        (["--refine", "9"], "refine: expected 0 … 8"),
         (["--plot", "map.txt"], ".html"),
         (["-o", "map.csv"], ".npz, .parquet, .zarr"),
         (["--point", "Z"], "no point 'Z'"),

@@ -159,5 +159,5 @@ def test_every_quantity_has_a_figure_with_a_name_for_all_it_shows(whole: StateMa
 def test_families_and_best_values_are_not_of_releases() -> None:
     from analysis.maps import BorderFamily
 
-    with pytest.raises(RigFileError, match="--family and --best are of borders"):
+    with pytest.raises(RigFileError, match="family and best are of borders"):
         replace(QUESTION, family=BorderFamily(("suspension.zeta1",), (0.01, 0.02)))

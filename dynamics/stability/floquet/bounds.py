@@ -38,7 +38,7 @@ def eigenvalues_with_bounds(matrix: Array, change: Array, roundings: float) -> t
     bounds = np.empty(n)
     try:
         left = np.linalg.inv(right)
-    except np.linalg.LinAlgError:
+    except np.linalg.LinAlgError:  # usual: a defective matrix; the bound of the whole spectrum is used
         left = np.full((n, n), np.nan)
     own, inverse, basis = (np.ascontiguousarray(m, np.complex128) for m in (values, left, right))
     if not _moves(own, inverse, basis, scaled, moved, roundings * _ROUNDING, bounds):

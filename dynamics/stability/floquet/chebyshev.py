@@ -49,6 +49,6 @@ def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
         size = np.max(np.abs(system), axis=1, keepdims=True)
         try:
             y = _linear_algebra.solve(system / size, right / size)[-n:]
-        except np.linalg.LinAlgError:
+        except np.linalg.LinAlgError:  # usual: another number of steps succeeds
             return np.full((n, n), np.nan)
     return turned(matrix, y)

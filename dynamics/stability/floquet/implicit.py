@@ -56,14 +56,14 @@ def _fundamental(series: Complex, span: float, steps: int) -> Array:
                 system[row, c] /= size
             for c in range(n):
                 right[row, c] = y[row % n, c] / size
-        y = np.ascontiguousarray(np.linalg.solve(system, right)[(STAGES - 1) * n :])
-    return y  # pyright: ignore[reportReturnType]  # numpy types a solution as floating
+        y[:, :] = np.linalg.solve(system, right)[(STAGES - 1) * n :]
+    return y
 
 
 def monodromy(matrix: PeriodicMatrix, steps: int) -> Array:
     """See MonodromyMethod."""
     try:
         fundamental = _fundamental(per_radian(matrix), span_rad(matrix), steps)
-    except np.linalg.LinAlgError:  # 1/h is an eigenvalue at this step; another number of steps succeeds
+    except np.linalg.LinAlgError:  # usual: 1/h is an eigenvalue at this step; another number of steps succeeds
         fundamental = np.full((matrix.dimension, matrix.dimension), np.nan)
     return turned(matrix, fundamental)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.arrays import Array, Flags, Indices
-from dynamics.equations.parameters import RotorParameters
+from dynamics.equations.parameters import RigOrParameters
 from dynamics.errors import OutsideDomain
 from dynamics.motions.locked_motion import locked_state
 from dynamics.steady.basins.ends import NEAR_RAD, End, steady_ends, with_slipping
@@ -65,7 +65,7 @@ class BasinMap:
 
 
 def basins(
-    rig: RotorParameters | object,
+    rig: RigOrParameters,
     speed_rad_s: float,
     theta3_rad: Sequence[float] | Array,
     theta4_rad: Sequence[float] | Array,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynamics.arrays import Array
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, physics_of
 from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.locked_motion import locked_state
 from dynamics.steady.basins.slipping_orbits import SlippingOrbit, continued, slipping_orbit
@@ -49,7 +49,7 @@ class StableMotions:
 
 
 def stable_motions(
-    rigs: Sequence[RotorParameters | object],
+    rigs: Sequence[RigOrParameters],
     speeds_rad_s: Sequence[float],
     *,
     columns: int | None = None,
@@ -93,22 +93,33 @@ def stable_motions(
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         try:
             found = [each for part in pool.map(along, range(0, count, wide)) for each in part]
-            tried: list[list[SlippingOrbit]] = [[] for _ in found]
-            while pairs := _to_try(found, tried, wide):
-                places = [place for place, _ in pairs]
-                new = pool.map(
-                    _with,
-                    (rigs[i] for i in places),
-                    (speeds_rad_s[i] for i in places),
-                    (found[i] for i in places),
-                    (orbits for _, orbits in pairs),
-                )
-                for place, here in zip(places, list(new), strict=True):
-                    found[place] = here
+            _continue_to_neighbours(found, rigs, speeds_rad_s, wide, pool)
             return found
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _continue_to_neighbours(
+    found: list[StableMotions],
+    rigs: Sequence[RigOrParameters],
+    speeds_rad_s: Sequence[float],
+    wide: int,
+    pool: ThreadPoolExecutor,
+) -> None:
+    """Add the slipping orbits of neighbours to each point, until no neighbour has a new one."""
+    tried: list[list[SlippingOrbit]] = [[] for _ in found]
+    while pairs := _to_try(found, tried, wide):
+        places = [place for place, _ in pairs]
+        new = pool.map(
+            _with,
+            (rigs[i] for i in places),
+            (speeds_rad_s[i] for i in places),
+            (found[i] for i in places),
+            (orbits for _, orbits in pairs),
+        )
+        for place, here in zip(places, list(new), strict=True):
+            found[place] = here
 
 
 def _to_try(
@@ -141,21 +152,19 @@ def _to_try(
     return pairs
 
 
-def _with(
-    rig: RotorParameters | object, speed: float, here: StableMotions, orbits: list[SlippingOrbit]
-) -> StableMotions:
+def _with(rig: RigOrParameters, speed: float, here: StableMotions, orbits: list[SlippingOrbit]) -> StableMotions:
     """Stable motions at a point, with those orbits of its neighbours that can be continued to it."""
     slipping = list(here.slipping)
     try:
         turning = RevolutionMap.of(rig, float(speed))
         for known in orbits:
             _add(slipping, continued(turning, known))
-    except (DynamicsError, np.linalg.LinAlgError):
-        pass  # the neighbour's orbit cannot be continued to this point
+    except (DynamicsError, np.linalg.LinAlgError):  # usual: the neighbour's orbit does not exist at this point
+        pass
     return replace(here, slipping=tuple(slipping))
 
 
-def _at(rig: RotorParameters | object, speed: float, carried: Sequence[SlippingOrbit]) -> StableMotions:
+def _at(rig: RigOrParameters, speed: float, carried: Sequence[SlippingOrbit]) -> StableMotions:
     try:
         turning = RevolutionMap.of(rig, speed)
         steady = tuple(s for s in steady_states(physics_of(rig), speed, 1e-6) if s.stable)

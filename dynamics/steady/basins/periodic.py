@@ -71,7 +71,7 @@ def periodic_motion(
             return PeriodicMotion(states[:-1], turns, maps, moduli, size)
         try:
             step = _solved(product - np.eye(len(free)), -residual)
-        except np.linalg.LinAlgError:
+        except np.linalg.LinAlgError:  # usual: Newton's method fails from this start
             return None
         largest = float(np.max(np.abs(step)))
         y[free] += step * min(1.0, _STEP / max(largest, 1e-300)) * units[free]

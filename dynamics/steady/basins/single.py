@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dynamics.arrays import Array, Flags, Indices
 from dynamics.equations.balancing import balanced_angles
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
 from dynamics.errors import DynamicsError, OutsideDomain
 from dynamics.motions.locked_motion import locked_state
 from dynamics.steady.basins.ends import NEAR_RAD, End, mirror_image, with_slipping
@@ -61,7 +61,7 @@ class ReleaseEnds:
 
 
 def release_ends(
-    rigs: Sequence[RotorParameters | object],
+    rigs: Sequence[RigOrParameters],
     speeds_rad_s: Sequence[float],
     from_rad: Pair | Sequence[Pair],
     seconds: float = 20.0,

@@ -195,7 +195,7 @@ def curve_by_newton(
         right = np.append(-residual[:, free].ravel(), 0.0)
         try:
             step = np.linalg.solve(matrix, right)
-        except np.linalg.LinAlgError:
+        except np.linalg.LinAlgError:  # usual: Newton's method fails from this start
             return None
         u[:, free] += step[:-1].reshape(count, n) * units[free]
         rate += float(step[-1])

@@ -15,7 +15,7 @@ import numpy as np
 from dynamics.arguments import check_number
 from dynamics.arrays import Array, RealSystem
 from dynamics.compiled_code import compiled
-from dynamics.equations.parameters import RotorParameters, physics_of
+from dynamics.equations.parameters import RigOrParameters, RotorParameters, physics_of
 from dynamics.equations.phase_segments import PhaseSegments
 from dynamics.equations.speed_history import SpeedHistory
 from dynamics.errors import OutsideDomain
@@ -45,7 +45,7 @@ class RevolutionMap:
     speed_rad_s: float
 
     @classmethod
-    def of(cls, rig: RotorParameters | object, speed_rad_s: float) -> RevolutionMap:
+    def of(cls, rig: RigOrParameters, speed_rad_s: float) -> RevolutionMap:
         """The map of a rig.
 
         Raises:
