@@ -104,6 +104,14 @@ def test_messages_outside_of_chunks_are_kept_where_there_is_no_chunk(tmp_path: P
     assert sorted(unchecked) == ["1 data sections", "1 series of messages", "1 summaries"]
 
 
+def test_many_messages_outside_of_chunks_are_kept_in_series_of_about_4_MiB(tmp_path: Path) -> None:
+    each = message(1, 10, bytes(2**20))
+    data = FRONT + 6 * each + data_end()
+    found = walked(tmp_path, data + ending(data, b""))
+    assert (found.counts, found.missing) == ({1: 6}, [])
+    assert found.table.length.tolist() == [4 * len(each), 2 * len(each)]
+
+
 def test_messages_outside_of_chunks_are_left_out_where_there_are_chunks(tmp_path: Path) -> None:
     inner = message(1, 40) + message(1, 50)
     data = FRONT + LOOSE + chunk(inner, 40, 50) + data_end()

@@ -201,6 +201,15 @@ def test_a_set_point_counts_only_for_the_command_of_a_speed() -> None:
     assert targets == [400.0, 0.0, -200.0, 0.0]
 
 
+def test_every_change_of_the_state_is_an_event() -> None:
+    pipeline = VescPipeline("drive", MOTOR)
+    texts: list[str] = []
+    for command in (vesc.set_rpm(2100), vesc.set_brake(2.8), vesc.set_brake(2.9), vesc.set_rpm(2100)):
+        pipeline.feed(TX, command, 0)
+        texts += [event.text for event in events(pipeline.feed(RX, answer(TURNS), 0), "drive")]
+    assert texts == ["HOLDS SPEED", "BRAKES", "HOLDS SPEED"]
+
+
 def test_missing_answers_are_counted_before_the_next_one() -> None:
     pipeline = VescPipeline("drive", MOTOR)
     for _ in range(4):
@@ -368,6 +377,12 @@ def test_lost_frames_of_the_air_have_the_time_between_their_neighbours() -> None
     assert pipeline.heard_frames == (65_535, 2)
 
 
+def test_the_time_of_lost_frames_begins_at_the_last_frame_before_them() -> None:
+    items = fed(node(), block(0, 0), block(10, 1), block(20, 2), block(60, 6), b"")
+    gap = next(event for event in events(items, "gap") if "radio_frames" in event.facts)
+    assert gap.facts == {"radio_frames": 3, "span_s": pytest.approx(0.04)}
+
+
 def test_a_dongle_s_frames_have_their_own_losses_and_signal_strength() -> None:
     def wrapped(seq: int, inner_seq: int, dongle_us: int, rssi: int) -> bytes:
         mark = rotorlink.IndexMark(1, inner_seq, 1000 * inner_seq, inner_seq)
@@ -514,6 +529,18 @@ def test_lost_results_have_their_number_span_and_place() -> None:
     assert pipeline.losses["samples"] == 2
     more = pipeline.feed(RX, riftek.results([9], [3]), START_NS + 7 * MS)
     assert (values(more, "counter"), events(more)[0].facts["device_ticks"]) == ([7], 7 * 200)
+
+
+@pytest.mark.parametrize(("spikes", "text"), [([300], "a sample marked"), ([300, 340], "2 samples marked")])
+def test_false_results_are_counted_and_reported(spikes: list[int], text: str) -> None:
+    pipeline = rf60x()
+    codes = 8192 + np.rint(3000 * np.sin(0.02 * np.arange(400))).astype(np.int64)
+    codes[spikes] ^= 0x1000
+    found = pipeline.feed(RX, riftek.results(codes, np.arange(400)), START_NS)
+    (event,) = events(found, "suspect")
+    assert event.text.startswith(text)
+    assert event.facts == {"suspect": len(spikes), "time_ns": START_NS - 99 * MS}
+    assert pipeline.losses["suspect"] == len(spikes)
 
 
 @pytest.mark.parametrize("range_m", [0, -1, True, "1", math.nan, math.inf, None])
