@@ -62,6 +62,8 @@ def test_too_few_marks_have_no_windows() -> None:
     assert not len(whole_revolutions(gap, 2 * math.pi * np.arange(4), 1.0, 30))
     less = np.array([0.0, 0.5, 1.2, 3.1])
     assert len(whole_revolutions(less, 2 * math.pi * np.arange(4), 1.0, 30))
+    for standing in (0.0, -0.1):  # a rotor that does not turn forwards has no revolution
+        assert len(whole_revolutions(np.arange(9.0), standing * np.arange(9.0), 1.0, 30)) <= 1
 
 
 def angles(t: np.ndarray, noise: float = 0.0, seed: int = 1) -> np.ndarray:

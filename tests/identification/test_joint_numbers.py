@@ -341,7 +341,7 @@ def test_tests_that_differ_in_the_correlation_only_get_twice_their_uncertainty()
         for i, off in enumerate((0.0, 0.6))
     ]
     found = joint_estimate(pair)
-    assert found.warnings
+    assert len(found.warnings) == 1  # once, although the tests are widened several times
     assert found.parameters.std[K1] >= 2 * math.sqrt(0.5) * 0.99
 
 
