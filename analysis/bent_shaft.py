@@ -1,4 +1,3 @@
-# pyright: strict
 """Effect of a bow at a point: the stable states of the model with the bow against those of the model without it."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Uncertainty budgets of the predictions at the validation points, by the sources of the parameters' budgets.
 
 A source acts through the parameters. A number of the rig file also acts directly: an error of a mass changes the

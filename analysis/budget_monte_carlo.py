@@ -1,4 +1,3 @@
-# pyright: strict
 """Monte Carlo of predicted quantities: every source is drawn and the steady state follows by the nonlinear model.
 
 A draw changes parameters, masses, lengths, run-out, bow and the axis angle. Dry friction enters linearly, as in the

@@ -1,4 +1,3 @@
-# pyright: strict
 """Single causes of a deviation, and the change of the differences at the points with each of them.
 
 A cause is one of: a parameter that differs from its identified value (changed since, or wrongly identified), a number

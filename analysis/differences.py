@@ -1,4 +1,3 @@
-# pyright: strict
 """Measured minus predicted values at all points, with all contributions to their uncertainty and correlation.
 
 A row is one quantity of one point: θ3, θ4 and the order-1 amplitudes of x and y. Where the model predicts no vibration

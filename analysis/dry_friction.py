@@ -1,4 +1,3 @@
-# pyright: strict
 """Dry friction of the pendulums as identified, and the uncertainty of a steady state that results from it.
 
 With friction a pendulum rests anywhere in a band about its frictionless angle. The prediction is the frictionless

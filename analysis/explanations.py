@@ -1,4 +1,3 @@
-# pyright: strict
 """Explanations of failing points: causes fitted alone and in pairs to all points, ranked by evidence.
 
 A cause of unknown size δ along direction d reduces χ² by (dᵀC⁻¹r)²/(dᵀC⁻¹d). Its prior is a Cauchy distribution about 0

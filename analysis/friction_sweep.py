@@ -1,4 +1,3 @@
-# pyright: strict
 """Scatter of start-ups over the assumed dry friction: the friction that is consistent with a measured scatter.
 
 Source: docs/theory/start_ups.md.

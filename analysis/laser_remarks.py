@@ -1,4 +1,3 @@
-# pyright: strict
 """Effects other than the rotor's motion in the laser signals at a point: wander and steady lines; lines are removed.
 
 Orders 1 to 3 are fitted over the whole interval with amplitudes that are polynomials of time. A fit window by window

@@ -1,4 +1,3 @@
-# pyright: strict
 """Standard uncertainties of a rig's first mass moments and of its distance to the borders of its balancing region."""
 
 from __future__ import annotations

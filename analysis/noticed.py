@@ -1,4 +1,3 @@
-# pyright: strict
 """Smallest deviation of each cause that a single point would detect: "D would see 0.4 % of k2"."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Result of all points together: agreement, smallest detectable deviations, and explanations of a failure."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Probability of each end state of a release, from the uncertainties of the rig's numbers and the play of the locks."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The model of a rig as its sensors see it, for comparison with measurements."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Run-out in the prediction for the sensors, and change of the differences at a point with run-out and a bow.
 
 The sensors measure |X + r| for a motion X and run-out r. Adding r to the prediction needs no phase of the measured

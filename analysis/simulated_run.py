@@ -1,4 +1,3 @@
-# pyright: strict
 """Simulation of a recorded run by the model with the measured speed history, lock angles and releases."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Stable steady states of the model at a speed."""
 
 from __future__ import annotations

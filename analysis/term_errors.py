@@ -1,4 +1,3 @@
-# pyright: strict
 """Terms of the suspension in a prediction: uncertain terms, their effects and those of their errors."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Remaining approach at the end of a point's run: estimates of the limits of angles and orbit.
 
 The means of the last seconds lag behind the limit of a slow approach. The window means since the release are

@@ -1,4 +1,3 @@
-# pyright: strict
 """Whether the suite's uncertainties and verdicts can be believed: campaigns on rigs that its own model did not make.
 
     python -m benchmarks.believed_figures --seeds A:B [--effect NAME[=STRENGTH]] [--wrong NAME[=N]] [--knowledge exact]

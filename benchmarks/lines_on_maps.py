@@ -1,4 +1,3 @@
-# pyright: strict
 """Lines held against the signs of a map: what a grid of points can show of a border, and what it can't.
 
 Between two neighbouring points of a map of different sign an odd number of borders crosses, between two of the same

@@ -1,4 +1,3 @@
-# pyright: strict
 """A map of multipliers against what else computes them, in one run: GNU Octave with the source's schemes, and heyoka.
 
     python -m benchmarks.stability_peers [--columns 400] [--rows 300] [--repeats 5] [--sample 200] [--json FILE]

@@ -1,4 +1,3 @@
-# pyright: strict
 """Kinds of guided tests, registered as entry points of the group `rig.guided_tests` by installed packages.
 
 A test needs signals. Rotor and locks may be operated by a device or by the operator's hand. Commands, importer, planner

@@ -1,4 +1,3 @@
-# pyright: strict
 """Clock errors in a test's estimate. Signals with the same clock have the same error.
 
 Each device of a rig has its own clock. All signals of an imported recording have the clock of its recorder, and all

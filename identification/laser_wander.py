@@ -1,4 +1,3 @@
-# pyright: strict
 """Warnings about slow wander of the lasers in the residuals of a fit."""
 
 from __future__ import annotations

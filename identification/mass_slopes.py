@@ -1,4 +1,3 @@
-# pyright: strict
 """Derivatives of identified values by the moving masses: k = M ω² is proportional to M for a measured ω."""
 
 from __future__ import annotations

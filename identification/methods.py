@@ -1,4 +1,3 @@
-# pyright: strict
 """Select the estimators for a recorded test and the parameters that are taken from it, by its row of test kinds.
 
 A row (`daq.guided_test_kinds`) states whether the rotor turns and which parameters its test gives. These two select

@@ -1,4 +1,3 @@
-# pyright: strict
 """Assignment of a fit's directions to the stiffness axes for a pair of sensors that is turned against the axes.
 
 A fit of both sensors finds the angle β from stiffness x to sensor x up to whole quarter turns. A further quarter turn

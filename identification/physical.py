@@ -1,4 +1,3 @@
-# pyright: strict
 """Rejection of physically impossible values, with a warning that names the likely cause; the other values are kept.
 
 The criterion is the schema of the rig file: a value that its loader rejects is never written to a parameters.toml.

@@ -1,4 +1,3 @@
-# pyright: strict
 """Fit of all ring-downs of a campaign: separately if each resolves both directions, otherwise in one joint fit."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Rungs of the model ladders: terms that a fit adds to its smallest model if the data require them.
 
 Every fit decides by itself. A rung that is held back is never added. The part of the data that it would have explained

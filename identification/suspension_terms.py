@@ -1,4 +1,3 @@
-# pyright: strict
 """Suspension terms H and Q of all tests, and the correlation of their errors with the other parameters.
 
 A test estimates k and ζ at zero amplitude together with H and Q; their errors are correlated. Let C_t be the covariance

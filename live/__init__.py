@@ -7,3 +7,7 @@ The page displays a `PageSource` (live.source): signals up to an instant, furthe
 accepts. `guard` checks every request. The recorder's process copies new samples into a pipe and does no other work for
 the page.
 """
+
+import logging
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # silent until the program shows its log

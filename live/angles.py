@@ -1,4 +1,3 @@
-# pyright: strict
 """Pendulum angles on the page: numbers and curves within the same turn, curves interrupted at its ends."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """A separate process for one session, fed with copies of the newest data.
 
 The session's threads do no work for it. One thread here reads the newest samples 30 times per second and writes them

@@ -1,4 +1,3 @@
-# pyright: strict
 """Results computed from the incoming signals: 1× vectors of a run-up, damping of the pendulums, steady states.
 
 One thread of the page's own process computes them. For a replayed log they are complete soon after it is opened.

@@ -1,4 +1,3 @@
-# pyright: strict
 """Encoding of one picture: `RIG1`, the length of a JSON header, the header, and float32 columns.
 
 All numbers are little-endian. The header is padded so that the columns begin at a multiple of four bytes.

@@ -1,4 +1,3 @@
-# pyright: strict
 """Access control of the page: Host, Origin and token are checked here only.
 
     request ─▶ Host one of ours? ──no──▶ 400

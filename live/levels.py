@@ -1,4 +1,3 @@
-# pyright: strict
 """One signal with its history: samples, and minima and maxima of longer intervals, in bounded memory.
 
 A chart requests as many buckets as it has pixels. Up to two samples per bucket are returned unchanged. Otherwise the

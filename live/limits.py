@@ -1,4 +1,3 @@
-# pyright: strict
 """Usage of every limit at an instant, and the lamp of every interlock.
 
 The numbers are those of the interlocks' own table. The acquisition stops the rotor, not this page.

@@ -1,4 +1,3 @@
-# pyright: strict
 """Curves of the model for the page: 1× over speed with locked pendulums, and the steady states at a speed."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Samples of a session that have not been handed over yet, as copies for a displaying process."""
 
 from __future__ import annotations

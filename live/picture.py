@@ -1,4 +1,3 @@
-# pyright: strict
 """Pictures for one viewer at an instant: frames of numbers, and the state in words.
 
 Every frame is complete. A slow viewer misses frames but never displays a wrong one, and unsent frames are not kept.

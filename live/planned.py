@@ -1,4 +1,3 @@
-# pyright: strict
 """Simulation of a planned ramp: motion of the model, evaluated by the page's own 1× vectors."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Binding of a listening port."""
 
 from __future__ import annotations

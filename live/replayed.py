@@ -1,4 +1,3 @@
-# pyright: strict
 """A log as the page's source, with play, pause, seek and speed."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """HTTP server of the page: the page, its frames over a WebSocket, and commands to the rig.
 
 Pictures are made for each viewer when its connection is ready and earlier ones are answered. A slow, sleeping or dead

@@ -1,4 +1,3 @@
-# pyright: strict
 """Serving of a source in a separate thread: port, address and followers."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The live page of a session in a process of its own, and its commands; omitted samples are counted."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Channels of a rig in the units of the page: by role, in mm, degrees and rpm, in seconds since one instant."""
 
 from __future__ import annotations

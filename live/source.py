@@ -1,4 +1,3 @@
-# pyright: strict
 """Interface of the page's sources: a session of a rig, or a log."""
 
 from __future__ import annotations

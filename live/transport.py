@@ -1,4 +1,3 @@
-# pyright: strict
 """Position in a replayed log: play, pause, seek, speed."""
 
 from __future__ import annotations

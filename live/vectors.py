@@ -1,4 +1,3 @@
-# pyright: strict
 """1× vectors between index marks, computed as the signals arrive."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """A rig as the page's source in the page's own process, fed by the recorder's process through a pipe."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The items of the source, and the function that reproduces each."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false
 """An item's files: figures as SVG and PNG, tables as parquet, the rest as JSON."""
 
 from __future__ import annotations

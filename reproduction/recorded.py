@@ -1,4 +1,3 @@
-# pyright: strict
 """Points recorded on the virtual rig through its drivers and logs, with their measured values."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Recordings on the virtual rig through its drivers, wire bytes and logs, and their measured values."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Result of an item of the source: figures, tables of their data, and a verdict on each claim."""
 
 from __future__ import annotations

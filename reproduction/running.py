@@ -1,4 +1,3 @@
-# pyright: strict
 """Reproduction of items in parallel processes, the long ones first."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Environment in which an item is reproduced: its folder, rigs by settings, its progress."""
 
 from __future__ import annotations

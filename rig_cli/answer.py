@@ -1,4 +1,3 @@
-# pyright: strict
 """The one JSON object that a command with `--json` prints on standard output, for results and for errors.
 
 This module imports only the standard library: it can report that any other module fails to load.

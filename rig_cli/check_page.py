@@ -1,4 +1,3 @@
-# pyright: strict
 """Measurements for `rig check` from an open session, and their table."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The command that prints what a shell needs to complete `rig`."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Output of commands: progress and messages on standard error, results or one JSON object on standard output."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Handling of unexpected errors: exit code 70, one line, and a file for the developers."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Commands about drivers: list the installed drivers, run the conformance tests on one."""
 
 from __future__ import annotations

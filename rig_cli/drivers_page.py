@@ -1,4 +1,3 @@
-# pyright: strict
 """Drivers on the terminal: the list, and the results of the tests of one."""
 
 from __future__ import annotations

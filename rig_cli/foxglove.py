@@ -1,4 +1,3 @@
-# pyright: strict
 """`--foxglove`: data that are recorded, watched or played, for Foxglove and Lichtblick on this machine."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Terminal page of a running guided test: readings, shares of their limits, losses, state of the test.
 
 On a terminal the page is updated in place; otherwise a line is printed at each change of state and every few seconds.

@@ -1,4 +1,3 @@
-# pyright: strict
 """A rig's parameters over time, converted from the history of identification to the figure's types."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The keys of a running test: p pause, r resume, a abort, n TEXT a note, Enter confirms a prompt."""
 
 from __future__ import annotations

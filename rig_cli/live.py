@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig live`: a rig or a log in the browser; and the same page for other commands, by their `--live`."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Syntax of axes on the command line: KEY=A:B:N, KEY=1,2,3, KEY=A:B."""
 
 from __future__ import annotations

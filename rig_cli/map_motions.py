@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig map` of whole motions: the end of a release at every point, or which stable motions coexist."""
 
 from __future__ import annotations

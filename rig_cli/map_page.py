@@ -1,4 +1,3 @@
-# pyright: strict
 """Output of `rig map`: figure, JSON and text."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Computation of a map in tiles in a folder next to its file: finished tiles are kept until the file is written."""
 
 from __future__ import annotations

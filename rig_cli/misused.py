@@ -1,4 +1,3 @@
-# pyright: strict
 """Errors of a command line that cannot be parsed: the text of cyclopts, and which option a letter may stand for."""
 
 from __future__ import annotations

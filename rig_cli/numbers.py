@@ -1,4 +1,3 @@
-# pyright: strict
 """Ranges of numbers on the command line, checked during parsing, before anything is started.
 
 `NUMBERS_ARE_FINITE` is the default of every option of every command. The types below restrict single options further.

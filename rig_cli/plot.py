@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig plot`: figures of logs, one of each or one of all, with the model."""
 
 from __future__ import annotations

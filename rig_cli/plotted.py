@@ -1,4 +1,3 @@
-# pyright: strict
 """Figures of `rig plot`: logs, rigs and models combined for each kind of figure."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The rig file of a running virtual rig: the file that its operator would write for a real rig, with ports."""
 
 from __future__ import annotations

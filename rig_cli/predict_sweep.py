@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig predict --sweep`: steady states along one number of a rig, and where the stable type changes."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig react`: motion after a sudden change of the rig at speed."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig replay LOG --interlocks`: table of all interlocks, and when each would have tripped in a log."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig report`: a campaign's report from its logs."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The report of a campaign, for `rig demo` and `rig report`."""
 
 from __future__ import annotations

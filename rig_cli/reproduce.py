@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig reproduce`: the source's figures, tables and claims, reproduced and judged."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig predict --balancing` and `--lost`: what a rig's pendulums can balance, and where singular points are lost."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Engines that compute a study's tiles, with progress on the terminal."""
 
 from __future__ import annotations

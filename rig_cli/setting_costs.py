@@ -1,4 +1,3 @@
-# pyright: strict
 """Measured costs and gains of the estimators' settings: one table for help texts and docs/benchmarks.md.
 
 The figures are the rows of one run of the commands named here. A test compares docs/benchmarks.md with them.

@@ -1,4 +1,3 @@
-# pyright: strict
 """Progress of work with a known completed share: rate and time left, updated in place on a terminal."""
 
 from __future__ import annotations

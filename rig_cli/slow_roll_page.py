@@ -1,4 +1,3 @@
-# pyright: strict
 """Effects of run-out and of a bow of a parameters file on predicted steady states."""
 
 from __future__ import annotations

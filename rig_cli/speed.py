@@ -1,4 +1,3 @@
-# pyright: strict
 """The speed of a command: a point's, or a number."""
 
 from __future__ import annotations

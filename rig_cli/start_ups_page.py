@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig predict --start-ups`: ends of repeated start-ups from rest by the model, as JSON and as lines."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Studies of many campaigns: on the virtual rig, or of an archive of logs; on one machine or many."""
 
 from __future__ import annotations

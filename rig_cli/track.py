@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig track`: states and pendulum damping of a recorded run over time, with uncertainty."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """A tracked run as a table of its steps and as a figure."""
 
 from __future__ import annotations

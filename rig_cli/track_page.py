@@ -1,4 +1,3 @@
-# pyright: strict
 """Results of `rig track`: final dampings, whether they are trusted, readings, losses; terminal and JSON."""
 
 from __future__ import annotations

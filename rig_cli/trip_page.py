@@ -1,4 +1,3 @@
-# pyright: strict
 """A trip on the terminal: its reasons, and the seconds around it as one line of blocks for each measured field."""
 
 from __future__ import annotations

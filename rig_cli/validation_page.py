@@ -1,4 +1,3 @@
-# pyright: strict
 """Result of a validation in lines for the terminal: first all points together, then each."""
 
 from __future__ import annotations

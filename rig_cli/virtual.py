@@ -1,4 +1,3 @@
-# pyright: strict
 """`rig virtual`: starting the virtual rig, and operating it from another terminal."""
 
 from __future__ import annotations

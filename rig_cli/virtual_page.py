@@ -1,4 +1,3 @@
-# pyright: strict
 """Output of `rig virtual`: the faults that can be placed, and the visible state of the rig."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Settings of a device in a rig file: its driver and its roles.
 
 A driver's package has a settings class of its own, derived from one of these.

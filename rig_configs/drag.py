@@ -1,4 +1,3 @@
-# pyright: strict
 """A pendulum's torque that grows with the square of the speed, identified by a spin-down, in parameters.toml.
 
 On a rotor at rest the air drag is d |θ̇| θ̇ (the air turns with the disk) and the friction by the contact force is

@@ -1,4 +1,3 @@
-# pyright: strict
 """Drivers by name from the entry points of installed packages; used here for their settings only."""
 
 from __future__ import annotations

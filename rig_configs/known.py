@@ -1,4 +1,3 @@
-# pyright: strict
 """Known physical numbers of a rig, with their standard uncertainties and common sources of error.
 
 A number is a mass, a length or an angle that no test identifies. A source is one independent cause of error: a number's

@@ -1,4 +1,3 @@
-# pyright: strict
 """Physical numbers of a rig file by their dotted keys, for changes without reading the file again."""
 
 from __future__ import annotations

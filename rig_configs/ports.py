@@ -1,4 +1,3 @@
-# pyright: strict
 """Ports of a rig file: placeholders, and ports of two devices that are equal."""
 
 from __future__ import annotations

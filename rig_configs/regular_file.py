@@ -1,4 +1,3 @@
-# pyright: strict
 """Opening of files with names from outside: only regular files, checked before they are opened.
 
 Opening a named pipe waits for its writer, opening a device may start an action, and neither has an end.

@@ -1,4 +1,3 @@
-# pyright: strict
 """Roles of devices in a rig, with the calibration that belongs to each.
 
 All code above the drivers uses roles, never a device's name or manufacturer. A device's settings determine its roles

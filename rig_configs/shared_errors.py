@@ -1,4 +1,3 @@
-# pyright: strict
 """Errors that tests share, by their labels in estimates, as sources of uncertainty budgets."""
 
 from __future__ import annotations

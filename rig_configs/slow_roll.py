@@ -1,4 +1,3 @@
-# pyright: strict
 """Vectors that turn with the shaft at any speed, identified by a run-up: run-out of the surfaces, and a bent shaft."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Changes of stiffness and damping of the suspension with the motion, identified by ring-downs.
 
 At the displacement u a spring pulls with k u (1 + H u²). At the speed v a damper pulls with c v (1 + Q |v|). k and c

@@ -1,4 +1,3 @@
-# pyright: strict
 """Base class of all tables of a rig file."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """TOML files from outside: reading and parsing, with a message for every possible error."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Unusual numbers of a rig file that the schema allows: probable unit errors, in words.
 
 They cause a warning only, because an unusual rig is possible.

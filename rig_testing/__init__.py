@@ -1,4 +1,3 @@
-# pyright: strict
 """The tests that every driver must pass, run on simulated time with the driver's own far end.
 
 `examine(driver)` runs all and returns a report. A driver's own package runs the same one by one in its pytest:
@@ -14,7 +13,10 @@ A test depends on the contract (`daq.drivers.contract`) and on no device. A test
 reason.
 """
 
+import logging
+
 from rig_testing.examination import ContractCase, cases, examine
 from rig_testing.report import CaseOutcome, DriverReport, Failed, NotTried
 
 __all__ = ["CaseOutcome", "ContractCase", "DriverReport", "Failed", "NotTried", "cases", "examine"]
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # silent until the program shows its log

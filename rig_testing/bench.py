@@ -1,4 +1,3 @@
-# pyright: strict
 """A simulated device: its far end on a moving rig, its pipeline, and all data on its line."""
 
 from __future__ import annotations

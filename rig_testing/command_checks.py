@@ -1,4 +1,3 @@
-# pyright: strict
 """Tests of the commands of a device: a speed source and pendulum locks."""
 
 from __future__ import annotations

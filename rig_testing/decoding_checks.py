@@ -1,4 +1,3 @@
-# pyright: strict
 """Tests of a driver's pipeline on recorded bytes: replayed, cut differently, damaged, lost, of another device."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Tests of a driver with its device: settings, roles, opening dialogue, stream, stop, the stand-in for playing."""
 
 from __future__ import annotations

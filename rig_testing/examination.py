@@ -1,4 +1,3 @@
-# pyright: strict
 """All tests of a driver in sequence."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Randomised faults on simulated time: reaction of a whole session, and whether it was right.
 
 A schedule is drawn from its seed: the operator's actions, which faults of which device and line begin when and how long

@@ -1,4 +1,3 @@
-# pyright: strict
 """Comparison of a driver's samples with the motion of the simulated rig."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Recorded bytes with random damage: the pipeline does not fail, and a checksum rejects wrong samples."""
 
 from __future__ import annotations

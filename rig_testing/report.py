@@ -1,4 +1,3 @@
-# pyright: strict
 """Outcomes of the tests of a driver."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Time that passes only while a thread waits.
 
 Drivers wait: for an answer, for a quiet line, for a rotor at rest; some have a thread that sends a heartbeat. Under

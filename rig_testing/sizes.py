@@ -1,4 +1,3 @@
-# pyright: strict
 """Memory of an object and of all that it refers to."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Execution of a schedule of faults: on simulated time in one thread, or in real time on ptys.
 
 Both keep the whole true motion of the simulated rig, with which the log is compared.

@@ -1,4 +1,3 @@
-# pyright: strict
 """The driver under test: its settings, its roles, and a recording that the tests share."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """New identification of every campaign of an archive, with the current software or another rig file."""
 
 from __future__ import annotations

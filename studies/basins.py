@@ -1,4 +1,3 @@
-# pyright: strict
 """Basins in tiles: each tile is a part of the grid of releases."""
 
 from __future__ import annotations

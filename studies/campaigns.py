@@ -1,4 +1,3 @@
-# pyright: strict
 """Hundreds of campaigns on the virtual rig: coverage of the stated uncertainties, and pass rate of valid points.
 
 A tile is a campaign with a seed of its own. Every guided test runs on simulated time through drivers, wire bytes and

@@ -1,4 +1,3 @@
-# pyright: strict
 """Coexisting stable motions over two numbers of a rig; a tile is a rectangle of neighbouring points."""
 
 from __future__ import annotations

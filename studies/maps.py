@@ -1,4 +1,3 @@
-# pyright: strict
 """Maps over two numbers of a rig, in rectangles of about one second of computing time."""
 
 from __future__ import annotations

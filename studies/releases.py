@@ -1,4 +1,3 @@
-# pyright: strict
 """End states of releases over two numbers of a rig; a tile contains a few points."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Execution of a study: an engine computes the tiles that are missing in a folder, and each is stored at once."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Question of a study, and the digest that identifies its tiles."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Finished tiles on disk: one file each, complete or absent, named by the digest of the question."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Reproducible division of a grid into nearly equal rectangles."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Work of a worker: compile once, then compute tiles.
 
 Compiled code is stored in one folder per host (dynamics.compiled_code). If many workers start at once on a host without

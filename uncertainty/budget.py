@@ -1,4 +1,3 @@
-# pyright: strict
 """Uncertainty budget of one quantity: contributions of its sources, combined and expanded uncertainty."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Uncertainty budgets of several quantities with common sources: single budgets, joint covariance and correlation."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Errors of the uncertainty package.
 
 UncertaintyError

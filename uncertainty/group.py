@@ -1,4 +1,3 @@
-# pyright: strict
 """Group of correlated sources of error with one covariance matrix and joint degrees of freedom."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Validation of a linear budget: comparison of its interval with that of a Monte Carlo calculation."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The measurement model: a function from errors of the sources to values of the quantities."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Propagation of distributions by a Monte Carlo method, with a fixed or an adaptive number of trials."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """A budget as the rows of a table: one row per source, largest contribution first."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Sensitivities of a model by central differences, and the second-order terms of its variance."""
 
 from __future__ import annotations

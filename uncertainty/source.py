@@ -1,4 +1,3 @@
-# pyright: strict
 """One independent source of error: its standard uncertainty, distribution and degrees of freedom."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Joint distribution of quantities from trials: means, covariance and coverage intervals."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Stability of the results of a Monte Carlo calculation, from their scatter between batches of trials."""
 
 from __future__ import annotations

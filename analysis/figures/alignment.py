@@ -1,4 +1,3 @@
-# pyright: strict
 """Alignment of two runs in time by common events instead of the starts of their logs."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Pendulum angles for figures: both unwrapped, with the end within 0…360°."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Plane of the pendulums' first mass moments with its balancing regions, and rings of the centre of gravity in it."""
 
 from __future__ import annotations

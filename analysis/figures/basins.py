@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Basins: end state of each release of a grid, and time until it is reached."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Bode plot: 1× amplitude and phase of x and y over speed, with the model's run-up and its steady response."""
 
 from __future__ import annotations

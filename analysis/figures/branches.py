@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Steady states along one number of a rig: amplitude above, pendulum angles below."""
 
 from __future__ import annotations

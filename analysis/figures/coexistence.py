@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figure of `rig map --quantity coexisting`: the stable motions at every point."""
 
 from __future__ import annotations

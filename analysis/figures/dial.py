@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Pendulum dial: angles of the pendulums on the rotor, held, measured at the end and predicted."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Stream health of a log over time: rates, gaps, ages of samples, counted losses, backlog of the disk."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Work–precision of the estimators: time over error in units of the bound, one panel per case."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """95 % intervals of order vectors in figures: light bands, and their widths in words."""
 
 from __future__ import annotations

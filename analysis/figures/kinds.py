@@ -1,4 +1,3 @@
-# pyright: strict
 """All kinds of figures of logs by name, with their contents and drawing functions."""
 
 from __future__ import annotations

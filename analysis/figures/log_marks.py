@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false
 """Events of a log in its overview: losses shaded, locks, faults and restarts as dotted lines."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Overview of one log: displacements, pendulum angles and speed, with losses and events.
 
 A log of any length is drawn in bounded memory. It is read part by part. For a channel with more samples than the figure

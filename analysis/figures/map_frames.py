@@ -1,4 +1,3 @@
-# pyright: strict
 """Frame of a map: its axes, and over speed ratio and stiffness ratio the rig's own points."""
 
 from __future__ import annotations

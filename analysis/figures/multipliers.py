@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Multipliers over one revolution: in the complex plane at the runs' speeds, and the largest ones over the speed."""
 
 from __future__ import annotations

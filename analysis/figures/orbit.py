@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Orbits: path of the disk centre with the index mark, measured, with the model's ellipse."""
 
 from __future__ import annotations

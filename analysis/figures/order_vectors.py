@@ -1,4 +1,3 @@
-# pyright: strict
 """Once-per-revolution vectors of a run over speed, measured and simulated, for Bode and polar plots."""
 
 from __future__ import annotations

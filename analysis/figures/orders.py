@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Order map: amplitude over order and speed (time at one speed), measured and simulated."""
 
 from __future__ import annotations

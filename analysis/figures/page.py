@@ -1,4 +1,3 @@
-# pyright: strict
 """A figure as one HTML file without network access: the SVG, and a script that zooms and pans it."""
 
 from __future__ import annotations

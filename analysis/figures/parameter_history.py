@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Parameters of a rig over time: one panel each, joint values with 95 % intervals, and values of single logs."""
 
 from __future__ import annotations

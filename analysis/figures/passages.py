@@ -1,4 +1,3 @@
-# pyright: strict
 """Runs side by side for cascades and order maps: measured, another run, simulated."""
 
 from __future__ import annotations

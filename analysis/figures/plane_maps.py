@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figure of `rig map`: the map or a family of borders, with the stable share over a number below."""
 
 from __future__ import annotations

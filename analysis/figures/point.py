@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """One point over time: displacements and pendulum angles, measured and simulated, with a close view of the end."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Loss of a rig's singular points over speed and over its damping."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false
 """Polar plot: 1× vectors of x and y in the plane, with speeds along the curve, measured and simulated."""
 
 from __future__ import annotations

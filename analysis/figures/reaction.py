@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figure of `rig react`: vibration and pendulums after a sudden change."""
 
 from __future__ import annotations

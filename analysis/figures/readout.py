@@ -1,4 +1,3 @@
-# pyright: strict
 """Values that a page displays at the pointer."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Recorded signals that a figure needs, and messages about missing ones."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Fit residuals: signals fitted by the identification in each test, measured and fitted, with residuals and units."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """A figure with head and foot: title, a legend outside the plots, and the meaning of its axes.
 
 The plots keep the requested size; head and foot are added with the height of their text.

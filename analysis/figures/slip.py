@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Pendulum angles and slip order over speed: ends of runs, and the model's steady states over the speed."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Spectra of a run's end: full spectrum, forward and backward, and power densities of x and y."""
 
 from __future__ import annotations

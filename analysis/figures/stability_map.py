@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Stability map of the balanced state, with the measured points."""
 
 from __future__ import annotations

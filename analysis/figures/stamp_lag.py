@@ -1,4 +1,3 @@
-# pyright: strict
 """Time lag between displacements and the rotor's phase, estimated with the model, as sentences below figures.
 
 Lasers and encoder have clocks of their own, and the encoder's blocks arrive by radio. The time of the displacements

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Final angles of repeated start-ups, and the remaining vibration of each."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figure of `rig map --quantity state|amplitude|settling-time`: end state of a release at every point."""
 
 from __future__ import annotations

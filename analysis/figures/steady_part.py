@@ -1,4 +1,3 @@
-# pyright: strict
 """Interval of a run at one speed for figures of a steady motion: its last seconds."""
 
 from __future__ import annotations

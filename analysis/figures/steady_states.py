@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Steady states at one speed: pendulum poses, orbits of the disk centre, multipliers on the unit circle."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Steady states of the model over the speed."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Common style of all figures: colours that colour-blind readers can distinguish, thin lines, light background."""
 
 from __future__ import annotations

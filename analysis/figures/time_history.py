@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Time history: displacements, pendulum angles and speed over a whole run, with a close view of a few revolutions."""
 
 from __future__ import annotations

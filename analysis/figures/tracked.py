@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """A tracked run over time: measured points with the estimate and its 95 % band, and both dampings."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Waterfall: a cascade of amplitude spectra over speed (over time at one speed), measured and simulated."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Work–precision: time over true error, one marker per method, with the front of the best methods."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Computation of a map: largest multipliers on its grid, borders of stability, families of borders, best value."""
 
 from __future__ import annotations

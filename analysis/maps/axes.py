@@ -1,4 +1,3 @@
-# pyright: strict
 """Axes of a map: one number of a rig, or several with equal values, and its values."""
 
 from __future__ import annotations

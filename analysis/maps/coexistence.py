@@ -1,4 +1,3 @@
-# pyright: strict
 """Coexisting stable motions over two numbers of a rig: balance, other steady states, slipping orbits."""
 
 from __future__ import annotations

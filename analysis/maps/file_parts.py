@@ -1,4 +1,3 @@
-# pyright: strict
 """Parts that every file format of a map shares: keys of its axes, and replacement of a file in one step."""
 
 from __future__ import annotations

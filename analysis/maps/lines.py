@@ -1,4 +1,3 @@
-# pyright: strict
 """Line over one number of a rig: rig and speed at each value."""
 
 from __future__ import annotations

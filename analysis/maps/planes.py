@@ -1,4 +1,3 @@
-# pyright: strict
 """Plane over two numbers of a rig: the rig at each pair of values."""
 
 from __future__ import annotations

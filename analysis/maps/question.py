@@ -1,4 +1,3 @@
-# pyright: strict
 """Question of a map: all inputs that determine its arrays, with the text of the rig file; JSON in both directions."""
 
 from __future__ import annotations

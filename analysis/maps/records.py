@@ -1,4 +1,3 @@
-# pyright: strict
 """Contents of a map's file: arrays over x and y, borders as lines, and their provenance."""
 
 from __future__ import annotations

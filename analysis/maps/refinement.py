@@ -1,4 +1,3 @@
-# pyright: strict
 """Refinement of a map where its class changes: a coarse grid, with finer grids only along the borders of classes."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Stable share of a plane, and share that the borders leave undecided."""
 
 from __future__ import annotations

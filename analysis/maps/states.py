@@ -1,4 +1,3 @@
-# pyright: strict
 """End states of releases over two numbers of a rig: state reached from the real locks, and the approach to it."""
 
 from __future__ import annotations

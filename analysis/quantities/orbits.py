@@ -1,4 +1,3 @@
-# pyright: strict
 """Orbits: ellipse of one order with its forward and backward part."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Slip of the pendulums: difference between their mean speed and the rotor's, as an order."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Slow roll: sensor signals at a speed without vibration, and order vectors without them."""
 
 from __future__ import annotations

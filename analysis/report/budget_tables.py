@@ -1,4 +1,3 @@
-# pyright: strict
 """Uncertainty budgets as text for the report's page."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The report's numbers in machine-readable form: one JSON file next to the page."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """One campaign on one world: recorded, identified, validated, held against the truth.
 
 `identified` and `validated` are the only places that call the suite under test.

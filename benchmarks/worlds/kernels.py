@@ -1,4 +1,3 @@
-# pyright: strict
 # pyright: reportMissingParameterType=false, reportUnknownParameterType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false, reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
 # Compiled functions: numba takes their types from the arguments, and their docstrings tell them.

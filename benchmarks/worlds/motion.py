@@ -1,4 +1,3 @@
-# pyright: strict
 """The rig written down once more, from its Lagrangian, with what a real rig has beside it; Runge's method, fixed steps.
 
 With φ_i = ψ + θ_i, S_i = m_i R_i and the rotor's phase ψ(t) given, the kinetic energy

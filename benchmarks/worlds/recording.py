@@ -1,4 +1,3 @@
-# pyright: strict
 """A world's campaign, recorded: two ring-downs, a spin-down, a run-up and a release at each point, as `Run` objects.
 
 Times are what a recording of real devices has after its clocks were mapped: each device's own rate error is left in

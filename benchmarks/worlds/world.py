@@ -1,4 +1,3 @@
-# pyright: strict
 """One true rig with its sensors, drawn around the numbers of a rig file.
 
 What is drawn and how widely stands in `Spread`, what a real rig has beside the model in `Effects`. A world has numbers

@@ -1,4 +1,3 @@
-# pyright: strict
 """Detection and duration of silent channels, for each channel separately.
 
 A device may continue to send bytes (a dongle reports its own health every second) although its channel has failed.

@@ -1,4 +1,3 @@
-# pyright: strict
 """Decisions of the acquisition, without I/O and without a clock.
 
 The input is the bytes of the devices with their host time, and ticks. The output is orders: bytes and events for the

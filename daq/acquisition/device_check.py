@@ -1,4 +1,3 @@
-# pyright: strict
 """Comparison of a short observation of an open rig with its rig file: a verdict for each device and check.
 
 The input is the observation (`RigObservation`); the module has no I/O and no clock. Rates are given with their

@@ -1,4 +1,3 @@
-# pyright: strict
 """Ports and disk of a session: those of the machine, or simulated ones."""
 
 from __future__ import annotations

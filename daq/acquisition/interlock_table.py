@@ -1,4 +1,3 @@
-# pyright: strict
 """Table of all interlocks: guarded quantity, threshold, deadline and reaction of each.
 
 Constants that several modules use are defined once, here or in the watch that uses them. `daq.acquisition.interlocks`

@@ -1,4 +1,3 @@
-# pyright: strict
 """Evaluation of the interlocks: decisions to stop the rotor, and events of the channels for the log.
 
 The session supplies samples, events and ticks; the module has no I/O and no clock. While the rotor turns, or its state

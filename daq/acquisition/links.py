@@ -1,4 +1,3 @@
-# pyright: strict
 """Links of a session's devices: opening, reading, dialogues, and reopening of devices that were unplugged."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Check of the pendulums' counters at their closed locks: A at 0°, B at 180°.
 
 A closed lock holds its pendulum at a known angle, which is the only reference for its counter. If a counter was zeroed

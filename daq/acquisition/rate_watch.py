@@ -1,4 +1,3 @@
-# pyright: strict
 """Check of the sample rate of a device against the rig file, and of its clock against the host's clock.
 
 The input is batches with the host time of their reads; the module has no clock and no I/O. The last sample of a batch

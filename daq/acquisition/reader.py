@@ -1,4 +1,3 @@
-# pyright: strict
 """Reading of one device: its link, the turns that take its bytes, and the thread that runs them.
 
 The turns (`DeviceReader.turns`) are a generator that does not wait; it yields the waits. A thread carries them out in

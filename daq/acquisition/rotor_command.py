@@ -1,4 +1,3 @@
-# pyright: strict
 """Commands of an open session: speed source, pendulum locks, and the stop of the rotor at the end of the session."""
 
 from __future__ import annotations

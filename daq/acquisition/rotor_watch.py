@@ -1,4 +1,3 @@
-# pyright: strict
 """Speed of the rotor from two sources: the actual speed reported by the drive, and the index marks.
 
 A report of the drive that is too old is not used; then the index marks alone decide. Without information from either

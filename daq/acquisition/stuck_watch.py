@@ -1,4 +1,3 @@
-# pyright: strict
 """Detection of a displacement sensor whose reading is frozen while another sensor measures a motion.
 
 A faulty sensor may repeat its last value as a valid one. A constant reading alone is not a fault: a balanced rotor and

@@ -1,4 +1,3 @@
-# pyright: strict
 """A trip as one event: all reasons within a short time, and an excerpt of every channel around it.
 
 Interlocks report the same fault repeatedly, and stopping the rotor causes further findings. Findings within

@@ -1,4 +1,3 @@
-# pyright: strict
 """One check of a device: a value compared with its expected value."""
 
 from __future__ import annotations

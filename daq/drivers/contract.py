@@ -1,4 +1,3 @@
-# pyright: strict
 """The interface of a driver: everything that the layers above may use of a device.
 
 A driver is one object, found by its name in the entry-point group `rig.drivers` (`daq.drivers.registry`). It holds no

@@ -1,4 +1,3 @@
-# pyright: strict
 """The devices of a rig file, each with its driver."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Base class with the parts that most drivers of sensors have in common."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Stand-in for a device of a log at the far end of a port while the log is played.
 
 It sends the bytes of the log and answers commands. A device that a host configures first is silent until it is

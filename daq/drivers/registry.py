@@ -1,4 +1,3 @@
-# pyright: strict
 """Drivers by name, found among the entry points of the installed packages."""
 
 from __future__ import annotations

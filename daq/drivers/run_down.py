@@ -1,4 +1,3 @@
-# pyright: strict
 """Wait until a rotor that was commanded to stop stands, as long as its speed decreases."""
 
 from __future__ import annotations

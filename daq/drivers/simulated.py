@@ -1,4 +1,3 @@
-# pyright: strict
 """The far end of a device's line: the simulated device that sends and receives the bytes of the real one.
 
 A far end has the device's codec and a motion of the rig. It opens no port and reads no clock. Times are rig time, s.

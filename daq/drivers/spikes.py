@@ -1,4 +1,3 @@
-# pyright: strict
 """Detection of single false readings (spikes) of a laser.
 
 A sensor's line has no checksum, so a flipped bit in a distance word gives a valid distance. Such a reading is

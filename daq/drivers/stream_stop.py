@@ -1,4 +1,3 @@
-# pyright: strict
 """Stop of a stream: the stop command is repeated until no byte has arrived for a while."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Rejection of small files that would fill the memory when they are read."""
 
 from __future__ import annotations

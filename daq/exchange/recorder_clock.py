@@ -1,4 +1,3 @@
-# pyright: strict
 """Clock of an imported recording: uncertainty of its rate, and identity with the clocks of other files.
 
 Recordings do not contain the accuracy of their clock. A relative rate error r changes k by 2 r and c by r. One file has

@@ -1,4 +1,3 @@
-# pyright: strict
 """Units as other programs write them above their columns: ``ms;mm;°;1/min``, ``[s],[mm]``, ``t (s)``, ``x / mm``."""
 
 from __future__ import annotations

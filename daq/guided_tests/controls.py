@@ -1,4 +1,3 @@
-# pyright: strict
 """Requests of the operator to a running test (pause, resume, abort, note), and the status of the test.
 
 Any thread may add a request: keyboard, web page, simulated operator. The test takes the requests at its next look and

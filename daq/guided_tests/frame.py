@@ -1,4 +1,3 @@
-# pyright: strict
 """Common beginning and ending of all guided tests: rotor at rest, pendulums locked, log finished."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Rotor and locks of a guided test: operated by a device, or by the operator's hand.
 
 Tests use the same interface for both. A device gets a command. The operator gets a request, and the sensors show

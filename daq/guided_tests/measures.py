@@ -1,4 +1,3 @@
-# pyright: strict
 """Measured values for the looks of a guided test, from the newest samples of each signal."""
 
 from __future__ import annotations

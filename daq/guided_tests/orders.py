@@ -1,4 +1,3 @@
-# pyright: strict
 """Orders of the states of a guided test: log, rotor, pendulum locks, operator."""
 
 from __future__ import annotations

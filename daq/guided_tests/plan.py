@@ -1,4 +1,3 @@
-# pyright: strict
 """Plan of a guided test: its table with the numbers of the rig and the actor of each state. No device is opened."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """A point: spin up with locked pendulums, wait for a steady orbit, release, record until all is steady."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Guided tests of an open session.
 
 Every test ends with a finished log and the rotor at rest, or with an error and a stop of the rotor.

@@ -1,4 +1,3 @@
-# pyright: strict
 """Run-up and run-down: a ramp through both resonances with locked pendulums."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Ring-down: pluck along an axis, record until the amplitude has decayed to 1/50."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Execution of a test's table: orders, looks, outcomes, transitions, and the requests of the operator.
 
 All waits of a guided test are in this module, on the session's clock. It starts no thread and opens no file.

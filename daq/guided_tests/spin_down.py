@@ -1,4 +1,3 @@
-# pyright: strict
 """Spin-down: release both pendulums at rest, flick them, record until they have slowed by e⁵."""
 
 from __future__ import annotations

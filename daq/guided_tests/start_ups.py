@@ -1,4 +1,3 @@
-# pyright: strict
 """Start-ups: repeated spin-ups and releases, each in its own log, with a classification of the steady states.
 
 With `from_rest` the pendulums (or balls, which have no locks) are released before the rotor turns, as in a machine in

@@ -1,4 +1,3 @@
-# pyright: strict
 """A guided test as a table of states: orders, condition, time limit and transitions of each state.
 
 The runner, `rig test … --plan` and the model check use the same rows.

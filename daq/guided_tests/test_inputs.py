@@ -1,4 +1,3 @@
-# pyright: strict
 """Check of a requested guided test before a device is opened, a drive is enabled or a log begins."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Cables of a simulated rig, and the links of the ports that a host opens."""
 
 from __future__ import annotations

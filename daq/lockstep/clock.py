@@ -1,4 +1,3 @@
-# pyright: strict
 """A simulated host clock whose time advances only during waits, in which the scheduled actions are run.
 
 An action belongs to the world (motion of the rig, a cable is unplugged) or to the host (a reader wakes up, a tick).

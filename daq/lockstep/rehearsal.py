@@ -1,4 +1,3 @@
-# pyright: strict
 """Guided tests on the virtual rig from Python, in one thread and simulated time, repeatable by the seed."""
 
 from __future__ import annotations

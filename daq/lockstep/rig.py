@@ -1,4 +1,3 @@
-# pyright: strict
 """A simulated rig and its cables on a simulated clock, for a session and a simulated operator."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Numbers before the names of logs in a folder, counted up: 01-ring-down-x.mcap, 02-…, 100-…."""
 
 from __future__ import annotations

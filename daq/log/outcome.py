@@ -1,4 +1,3 @@
-# pyright: strict
 """Result that a guided test wrote into the summary of its log: whether it reached its end, and what was not reached.
 
 A test writes `reached` and, if that is false, `ended` with what was not reached. Logs of earlier versions have only the

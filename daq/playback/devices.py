@@ -1,4 +1,3 @@
-# pyright: strict
 """Simulated devices at the far ends of the ports while a log is played."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Arrivals from every device of a log in order of host time, decoded again from raw bytes or from stored samples.
 
 A recorder writes the data of several threads, so neighbouring reads of two devices may be in the wrong order. They are

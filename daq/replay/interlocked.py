@@ -1,4 +1,3 @@
-# pyright: strict
 """Replay of a log through the interlocks: the same `Interlocks` receive what arrived, in the same way as in a session.
 
 Period, tolerances and order of calls are those of a session; the time is that of the log. The phase of a session's

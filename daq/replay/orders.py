@@ -1,4 +1,3 @@
-# pyright: strict
 """Speeds that were commanded in a log; the interlocks compare the rotor's motion with them.
 
 A session reports every speed to its interlocks before it sends it to the drive. In the log the same speeds are the

@@ -1,4 +1,3 @@
-# pyright: strict
 """Facts of the recording session that its interlocks depended on: roles, channels needed by the test, clock rate,
 stops, and the time at which it closed its devices."""
 

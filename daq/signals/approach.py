@@ -1,4 +1,3 @@
-# pyright: strict
 """Bound on the remaining change of a quantity that approaches its end, from window means with an error of at most ± w.
 
 The mean m_k of a window is within w of the true mean. The width w contains the noise of the mean and half a count of a

@@ -1,4 +1,3 @@
-# pyright: strict
 """Models of an approach to a limit: one rate, two rates, a decaying oscillation, and their posterior on a grid.
 
 For given rates the limits and amplitudes are linear and are integrated analytically. The rates are integrated over a

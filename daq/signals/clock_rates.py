@@ -1,4 +1,3 @@
-# pyright: strict
 """Clock that stamped a run's signal, and the uncertainty of its rate."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Warnings about runs whose logs are incomplete."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Disturbances of a laser in addition to the rotor's motion: wander of its zero, and steady lines.
 
 Both are searched in the residual of a displacement after the motion is removed. Wander is power below 1 Hz far above

@@ -1,4 +1,3 @@
-# pyright: strict
 """End of an approach: limit of slowly settling means with a covariance, averaged over models and rates.
 
 Window means of q quantities approach their limits together, m(t) = m∞ + Σ a_i e^{−λ_i (t−T)}, where T is the end of the

@@ -1,4 +1,3 @@
-# pyright: strict
 """Uncertainty of a displacement's order-1 vector in a window, from the noise at the order's own frequency.
 
 A fit over m whole revolutions is a rectangular window on the signal. Slow parts, hum and noise near the order therefore

@@ -1,4 +1,3 @@
-# pyright: strict
 """A signal's samples in windows of whole revolutions, and the orders in each window."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Noise of the readings of a rotor's phase: an encoder's steps, white noise, and the wander of an integrated speed."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Rounding error of means of an encoder's code: its largest value, and its covariance over windows.
 
 The mean of a rounded code has the error e(μ) = Σ_k A_k sin(2πkμ/h + k π), where h is the step and μ the angle before

@@ -1,4 +1,3 @@
-# pyright: strict
 """Type of a steady state from the positions of the pendulums."""
 
 from __future__ import annotations

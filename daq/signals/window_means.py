@@ -1,4 +1,3 @@
-# pyright: strict
 """Means of a run's signals over windows of whole revolutions, each with its largest error."""
 
 from __future__ import annotations

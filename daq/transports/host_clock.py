@@ -1,4 +1,3 @@
-# pyright: strict
 """The host's time: the common clock of all device clocks, and every wait of the acquisition.
 
 Drivers, sessions and guided tests wait, repeat actions and take answers out of queues only through a `HostClock`.

@@ -1,4 +1,3 @@
-# pyright: strict
 """Time that a simulated rig and its host share. It stops while either of them is late.
 
 A rig that runs faster than real time needs most of the processor time of a machine. If other programs take part of it,

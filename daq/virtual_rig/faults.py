@@ -1,4 +1,3 @@
-# pyright: strict
 """Faults of a simulated rig: a device's own faults, and the faults that every device and its line can have."""
 
 from __future__ import annotations

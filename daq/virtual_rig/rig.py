@@ -1,4 +1,3 @@
-# pyright: strict
 """The simulated rig without I/O and clock: it converts bytes from the host to bytes for the host at a given time."""
 
 from __future__ import annotations

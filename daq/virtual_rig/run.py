@@ -1,4 +1,3 @@
-# pyright: strict
 """I/O of the virtual rig: wires, wall clock and control port of a simulated rig."""
 
 from __future__ import annotations

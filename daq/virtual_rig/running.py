@@ -1,4 +1,3 @@
-# pyright: strict
 """Discovery of running virtual rigs: notes for the simulated operator that only their user can read.
 
 A note contains the control port and its token. It is a file in a private folder of the user ($XDG_RUNTIME_DIR, or its

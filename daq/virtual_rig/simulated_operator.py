@@ -1,4 +1,3 @@
-# pyright: strict
 """The simulated operator, which operates the virtual rig through its control port as a person operates a real rig."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Common data of the far ends of a simulated rig: the motion, and the errors of sensors and clocks from the seed."""
 
 from __future__ import annotations

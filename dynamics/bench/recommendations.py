@@ -1,4 +1,3 @@
-# pyright: strict
 """Recommended settings of the services, derived from the rows of one benchmark run."""
 
 from __future__ import annotations

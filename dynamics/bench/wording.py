@@ -1,4 +1,3 @@
-# pyright: strict
 """Ratios as text."""
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ _GENERATING: Final[tuple[_Row, ...]] = (
 
 def program_section() -> list[str]:
     """The generating program, the run-up program and the two stability programs."""
-    rows = (*_GENERATING, *_run_up_rows(), *_stability_rows())
+    rows = (*_GENERATING, *_run_up_rows(), *_program_rows())
     return ["| program | content | effect |", "|---|---|---|", *(f"| {a} | {b} | {c} |" for a, b, c in rows)]
 
 
@@ -80,7 +80,7 @@ def _run_up_rows() -> list[_Row]:
     ]
 
 
-def _stability_rows() -> list[_Row]:
+def _program_rows() -> list[_Row]:
     error, sampling = numbers.piecewise_errors(100)
     fine, _ = numbers.piecewise_errors(400)
     border, shift = numbers.border_shift()

@@ -1,4 +1,3 @@
-# pyright: strict
 """Response of a rotor to its imbalance over speed, in closed form, and the resulting torque on a light pendulum."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Steady motion of the locked rig with hardening springs or amplitude-dependent damping: harmonic balance by direction.
 
 With both pendulums locked, x and y are uncoupled. Each obeys

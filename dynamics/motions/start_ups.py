@@ -1,4 +1,3 @@
-# pyright: strict
 """End states of repeated start-ups from rest, with pendulums or balls that are free from the start.
 
 The start positions of balls or pendulums depend on the last run-down. Without dry friction every start-up ends in the

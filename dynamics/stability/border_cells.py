@@ -1,4 +1,3 @@
-# pyright: strict
 """Cells of a plane that contain a border of stability: a coarse grid whose cells are halved near possible borders.
 
 A cell counts as clear if the excess e = max|μ| − 1 at each of its corners is farther from zero than the corners' values

@@ -1,4 +1,3 @@
-# pyright: strict
 """Crossings of stability borders with the sides of a grid's cells, located to rounding."""
 
 from __future__ import annotations

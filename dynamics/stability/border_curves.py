@@ -1,4 +1,3 @@
-# pyright: strict
 """A border between its computed points: cubics with exact tangents, refined until the curve itself is exact.
 
 In the unit square a border is a level line of e = |λ|² − 1, so its tangent is i ∇e / |∇e| (the stable side on the

@@ -1,4 +1,3 @@
-# pyright: strict
 """A border followed from one of its points: each step is predicted from the previous points and corrected on a circle.
 
 In a unit square, e(x, y) = max|μ| − 1 is continuous but has kinks where one multiplier overtakes another. On a circle

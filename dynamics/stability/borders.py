@@ -1,4 +1,3 @@
-# pyright: strict
 """Borders of stability as curves on which the largest multiplier of the balanced state has the modulus 1.
 
 A grid whose cells are halved near possible borders gives the crossings of borders with the sides of its finest cells

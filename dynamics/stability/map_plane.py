@@ -1,4 +1,3 @@
-# pyright: strict
 """Planes of stability maps: two parameters of a rig, and the rig at a pair of their values."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Points of a map by explicit steps in eight lanes, with more steps where the bound exceeds the accuracy."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Points of a map in the form used by Type I: a few numbers each, many points at once."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """A map in rectangles: half-turn matrices are interpolated on each, so that a point needs only its eigenvalues."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Eigenvalues of the half-turn matrix at any point of a range of a plane, from rectangles that cover the range."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Angles at which pendulums with dry friction rest permanently, and the corresponding orbit of the disk.
 
 A pendulum at rest on the rotor needs the torque T = S Im(conj(p̈) e^{iφ}). With the disk's orbit

@@ -1,4 +1,3 @@
-# pyright: strict
 """Both balanced positions of a pair of pendulums with individual pivots and torques.
 
 In the rotating frame, with D = k − M_S ω² + iωc, the fixed first moment F and the pivots R_i e^{iψ} from the axis,

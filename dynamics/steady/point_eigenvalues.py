@@ -1,4 +1,3 @@
-# pyright: strict
 """Eigenvalues of small motions about a singular point: growth or decay of each mode in the rotating frame."""
 
 from __future__ import annotations

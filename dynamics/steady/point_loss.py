@@ -1,4 +1,3 @@
-# pyright: strict
 """Loss of singular points of Types II and III: speeds and damping ratios at which such a point does not exist.
 
 Pendulums in line have the moment S_T e^{iθ}: S_T = |S_A − S_B| opposed (Type II), S_A + S_B together (Type III). Their

@@ -1,4 +1,3 @@
-# pyright: strict
 """Reaction of the pendulums to a sudden change of the rig at speed, for example of the imbalance or of a spring.
 
 The rotor keeps its speed. The motion starts in the stable state of the original rig and is simulated with the equations

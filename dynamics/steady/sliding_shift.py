@@ -1,4 +1,3 @@
-# pyright: strict
 """Shift of a steady motion with oscillating, never sticking pendulums by dry friction, to first order in the friction.
 
 If the suspension differs between x and y, the pendulums of Types II and III oscillate twice a revolution. Friction

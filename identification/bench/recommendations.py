@@ -1,4 +1,3 @@
-# pyright: strict
 """Recommended setting of an estimator, derived from the rows of one run.
 
 Two settings of a case have rms errors over n and m records, whose logarithms have standard deviations of about 1/√(2n)

@@ -1,4 +1,3 @@
-# pyright: strict
 """Uncertainty budgets of identified parameters: contributions of each test's noise and of each shared error.
 
 The joint values are Σ W_i d_i. Test i contributes W_i C_i W_iᵀ, a group of correlated errors. A share of it stands for

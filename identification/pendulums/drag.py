@@ -1,4 +1,3 @@
-# pyright: strict
 """A torque proportional to the square of the speed, found by transients in addition to the viscous one.
 
 A spin-down alone does not separate the air's drag from friction with the contact force (rig_configs.drag), so its

@@ -1,4 +1,3 @@
-# pyright: strict
 """Derivatives of a transient's result by the masses, lengths and angles that its fit takes as known.
 
 At a minimum of rᵀr the normal equations hold, Jᵀr = 0. A known number p that is assumed larger by h changes r,

@@ -1,4 +1,3 @@
-# pyright: strict
 """A transient with free known numbers, such as masses and lengths, within their standard uncertainties.
 
 A release amplifies errors of its masses: 0.05 % of a pendulum's mass, the error of a laboratory balance, moves its

@@ -1,4 +1,3 @@
-# pyright: strict
 """Candidate experiments of a rig: a few settings for every test of the table, from short and gentle to long.
 
 The table of test kinds contains the tests and their parameters. The expected uncertainty comes from the test's model.

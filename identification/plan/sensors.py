@@ -1,4 +1,3 @@
-# pyright: strict
 """Properties of the rig's sensors for planning: noise, rate, gain, and uncertainty of their clocks."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportMissingTypeStubs=false
 """Models of ring-down and run-up for planning: two linear modes in two turned, offset, delayed sensors.
 
 The code is independent of the estimators: signals at instants, no block averages, derivatives by differences.

@@ -1,4 +1,3 @@
-# pyright: strict
 """Fit of one release with all parameters free, and the sequence of attempts before it counts as not followed.
 
 The fit starts at the identified parameters. The rig may also have other masses and lengths of the pendulums, or dry

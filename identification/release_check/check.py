@@ -1,4 +1,3 @@
-# pyright: strict
 """Comparison of the transient after each release with the identified model, as rows for a validation.
 
 Steady states hardly depend on the pendulums' damping, but the first seconds after a release do. The release is fitted

@@ -1,4 +1,3 @@
-# pyright: strict
 """Linear model of one release in the unknowns it shares with other tests; the unknowns of its own are eliminated.
 
 At the end of a fit the weighted residual is r(q, u) ≈ r* + S (q − q*) + A (u − u*), including the prior rows for the

@@ -1,4 +1,3 @@
-# pyright: strict
 """Comparison of a further run-up with the identified parameters, as rows for a validation.
 
 Steady states at points hardly depend on the suspension's damping. One further run-up determines it as well as ten

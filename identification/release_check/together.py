@@ -1,4 +1,3 @@
-# pyright: strict
 """Parameters that fit all releases of a campaign best, and the fit of each release at them."""
 
 from __future__ import annotations

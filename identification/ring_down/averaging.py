@@ -1,4 +1,3 @@
-# pyright: strict
 """Update of a model with amplitude-dependent rates by a fit of it: amplitudes of the modes, and the exact motion."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Decays whose rates depend on amplitude: a hardening spring, damping that grows with speed.
 
 A mode of amplitude a(t) has the frequency ω (1 + η (a/A)²) and the damping ratio ζ + S a/A with A = 1 mm. Its motion

@@ -1,4 +1,3 @@
-# pyright: strict
 """Terms H and Q of each direction from a ring-down's fit, significant or only likely.
 
 H = 8 η/(3 A²) and Q = (3π/8) (S/A)/(ζω) from the fit's relative change η of the frequency and change S of the damping

@@ -1,4 +1,3 @@
-# pyright: strict
 """Equivalent linear spring and damper of a direction at an amplitude."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Correction of the averaged solution: the integrated equation of motion minus its solution averaged over a cycle.
 
     q̈ + 2 ζ ω q̇ + d2 |q̇| q̇ + ω² (1 + κ q²) q = 0,    κ = 8 η/(3 A²),  d2 = 3π S/(4 A).

@@ -1,4 +1,3 @@
-# pyright: strict
 """Reported dependence of the rates on amplitude, from the fitted terms."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Conversion of a ring-down's θ to the reported values: units, intervals and their widening."""
 
 from __future__ import annotations

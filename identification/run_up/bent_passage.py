@@ -1,4 +1,3 @@
-# pyright: strict
 """Passage of a rig with an amplitude-dependent suspension, as measured by a sensor and linearised about one motion.
 
 The readings of a sensor are its gain times the motion. In the scale of the sensor the equations are valid with the

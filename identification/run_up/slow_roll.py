@@ -1,4 +1,3 @@
-# pyright: strict
 """Slow roll, the displacement that turns with the shaft at any speed: run-out of the measured surface and a bent shaft.
 
 Run-out r adds r e^{iψ}. A bow b turns the rest position of the springs with the shaft,

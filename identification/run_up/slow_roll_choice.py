@@ -1,4 +1,3 @@
-# pyright: strict
 """Selection of run-out, bow, both or neither for a passage, by χ² + k ln n and by the remaining misfit.
 
 Both are first judged by their score. If it requires one of them, every combination is fitted, since a linearisation

@@ -1,4 +1,3 @@
-# pyright: strict
 """Conversion of the run-out and bow of a passage's fit to vectors relative to the rotor's phase."""
 
 from __future__ import annotations

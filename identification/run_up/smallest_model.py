@@ -1,4 +1,3 @@
-# pyright: strict
 """Search of the smallest adequate model of a passage, with the slow roll and all other rungs in sequence."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Process noise of the filter: growth of the states' variances between readings."""
 
 from __future__ import annotations

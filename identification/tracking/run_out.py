@@ -1,4 +1,3 @@
-# pyright: strict
 """Correction of laser readings for run-out, so that they contain only the disk's motion."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """A rig or a log for Foxglove and Lichtblick: a read-only server of their WebSocket protocol.
 
     session ─▶ session_connection ─(pipe)─▶ served ─┐

@@ -1,4 +1,3 @@
-# pyright: strict
 """One client of the Foxglove connection: its subscriptions, and its queue of messages.
 
 Messages are queued without waiting. The queue is bounded: for a slow client the oldest messages are omitted and

@@ -1,4 +1,3 @@
-# pyright: strict
 """A log for the Foxglove connection: its own messages, sent as the page's replay advances."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The Foxglove WebSocket protocol, version 1: messages of a read-only server, and parsing of its clients' requests.
 
 Text messages are JSON with a field `op`. Binary messages begin with an opcode; numbers are little-endian. No I/O here.

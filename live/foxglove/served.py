@@ -1,4 +1,3 @@
-# pyright: strict
 """Process of a session's Foxglove connection: rows are converted to messages here, not in the recorder's process."""
 
 from __future__ import annotations

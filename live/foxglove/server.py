@@ -1,4 +1,3 @@
-# pyright: strict
 """Server of the Foxglove connection in a separate thread: access, first messages, end.
 
 It serves the loopback only: the protocol has no token, so every program that reaches the port can read. `live.guard`

@@ -1,4 +1,3 @@
-# pyright: strict
 """Foxglove connection of a session in a process of its own. It returns only the origins of refused pages."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Section 3.1: which pendulum sets balance which imbalance, each region tested by releases."""
 
 from __future__ import annotations

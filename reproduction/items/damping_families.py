@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figures 4.5 and 4.6: borders of stability for several dampings of suspension and pendulums."""
 
 from __future__ import annotations

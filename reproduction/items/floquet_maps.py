@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false
 """Figures 4.1 and 4.2: stability of the balanced state over speed ratio and stiffness ratio."""
 
 from __future__ import annotations

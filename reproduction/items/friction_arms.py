@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figures 3.28 and 3.31: friction that holds a ball or a pendulum off its balance, and scatter of start-ups."""
 
 from __future__ import annotations

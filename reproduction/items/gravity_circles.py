@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Section 3.1: reach of the centre of gravity by pendulum sets, and the effect of opposed ones."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figures 3.16 and 3.17: equal pendulums over the imbalance, and which pendulum takes which place."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false
 """Chapter 3.2: amplitude and pendulum angles over the imbalance, modelled and recorded: parts of its figures."""
 
 from __future__ import annotations

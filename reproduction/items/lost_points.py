@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figures 3.6 and 3.7: loss of singular points over damping and speed, and motion of the pendulums there."""
 
 from __future__ import annotations

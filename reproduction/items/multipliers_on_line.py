@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false
 """Figures 4.3 and 4.4: the balanced state's multipliers along the line of the points."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figures 3.11 to 3.14: pendulums of different moments over the imbalance, below and above resonance."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Open question of the source: motion where singular points are lost, with two different stiffnesses."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Chapter 5: computations on the source's questions for future work."""
 
 from __future__ import annotations

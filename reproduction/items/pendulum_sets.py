@@ -1,4 +1,3 @@
-# pyright: strict
 """Pendulum sets of section 3.1: the isotropic rig with other masses, and the start of releases."""
 
 from __future__ import annotations

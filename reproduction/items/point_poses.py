@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figure 3.5: the three types of singular points, drawn to scale, and their conditions."""
 
 from __future__ import annotations

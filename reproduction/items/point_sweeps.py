@@ -1,4 +1,3 @@
-# pyright: strict
 """Eigenvalues of singular points over speed and both dampings, the data of Tables 3.1 to 3.4."""
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from reproduction.items.pendulum_sets import isotropic_rig, with_moments
 from reproduction.workspace import Workspace
 
 SUB, SUPER = "subcritical", "supercritical"
-SPEEDS = {SUB: (0.3, 0.5, 0.8, 0.95), SUPER: (1.02, 1.1, 1.5, 2.5, 5.0)}
+SPEEDS: Mapping[str, tuple[float, ...]] = {SUB: (0.3, 0.5, 0.8, 0.95), SUPER: (1.02, 1.1, 1.5, 2.5, 5.0)}
 ZETAS = (0.005, 0.02, 0.05, 0.1, 0.3)
 C34 = tuple(float(c) for c in np.logspace(-5, 0, 21))
 SHOWN_SPEED = {SUB: 0.8, SUPER: 2.5}

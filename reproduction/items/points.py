@@ -1,4 +1,3 @@
-# pyright: strict
 """Figures 4.10 to 4.14: the points A to E, simulated and recorded."""
 
 from __future__ import annotations

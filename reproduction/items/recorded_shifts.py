@@ -1,4 +1,3 @@
-# pyright: reportUnknownMemberType=false
 """Figures 3.23 and 3.24: a shifted pivot on the virtual rig, and the effect of dry friction near ρ_C = 1."""
 
 from __future__ import annotations

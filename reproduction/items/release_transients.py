@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figures 3.15 and 3.18: motion after a release, recorded and simulated."""
 
 from __future__ import annotations

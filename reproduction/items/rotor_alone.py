@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Chapter 2: the rotor without a balancer, and the forces on a pendulum too light to move it."""
 
 from __future__ import annotations

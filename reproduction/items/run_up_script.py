@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """The source's run-up program: its results with its own faulty equations and with the right ones."""
 
 from __future__ import annotations

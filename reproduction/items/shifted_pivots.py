@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Figures 3.21 and 3.22: a balancer whose pivot is off the rotor's axis, computed."""
 
 from __future__ import annotations

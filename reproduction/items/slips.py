@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Ends of many releases, and slip rates of pendulums that do not settle."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The plane of chapter 4: its range, the rig's points on it, its borders."""
 
 from __future__ import annotations

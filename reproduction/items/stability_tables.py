@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Tables 3.1 to 3.3: stability of each type of singular point, cell by cell."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Table 3.4: the stable type in six cases, its dependence on damping, and the claims of the text."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Section 3.3.2: repeated start-ups of a ball balancer and of a pendulum balancer, recorded on virtual rigs."""
 
 from __future__ import annotations

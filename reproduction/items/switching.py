@@ -1,4 +1,3 @@
-# pyright: strict, reportUnknownMemberType=false
 """Remaining vibration in either of the two balanced positions, by imperfection."""
 
 from __future__ import annotations

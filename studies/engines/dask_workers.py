@@ -1,4 +1,3 @@
-# pyright: strict
 """Computation of tiles on dask's workers, on any host.
 
 dask keeps results in the memory of its workers and loses them with its scheduler. Results are therefore fetched and

@@ -1,4 +1,3 @@
-# pyright: strict
 """End of worker processes with the process that started them."""
 
 from __future__ import annotations

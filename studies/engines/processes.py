@@ -1,4 +1,3 @@
-# pyright: strict
 """Computation of tiles in processes of this machine by the standard library, without ports and installations."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Computation of tiles in the threads of this process, without start-up and transfer."""
 
 from __future__ import annotations

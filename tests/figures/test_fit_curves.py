@@ -1,4 +1,3 @@
-# pyright: strict
 """Curves of fits in the units of figures: angles end within a turn, residuals have a unit of their size."""
 
 from __future__ import annotations

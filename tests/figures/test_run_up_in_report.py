@@ -1,4 +1,3 @@
-# pyright: strict
 """A report shows its run-up, measured and simulated."""
 
 from __future__ import annotations

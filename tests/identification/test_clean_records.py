@@ -1,4 +1,3 @@
-# pyright: strict
 """Clean records raise no alarm, and relevant effects are reported: thresholds against the laws of their statistics."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Levenberg–Marquardt where one straight step is not enough."""
 
 import numpy as np

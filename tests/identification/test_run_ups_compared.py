@@ -1,4 +1,3 @@
-# pyright: strict
 """A run-up recorded after the identification: compared with it, and part of the validation."""
 
 from __future__ import annotations

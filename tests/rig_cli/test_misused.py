@@ -1,4 +1,3 @@
-# pyright: strict
 """What is expected of options that are not there: in a terminal and in JSON."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-# pyright: strict, reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 """The tutorials: executed in a kernel of their own, and held against what they may use and what is stored in them.
 
 python -m tests.tutorials.notebooks            # all of docs/tutorials anew, outputs kept in the files

@@ -1,4 +1,3 @@
-# pyright: strict
 """CiA 402 drives as a driver."""
 
 from __future__ import annotations

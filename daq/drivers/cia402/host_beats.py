@@ -1,4 +1,3 @@
-# pyright: strict
 """Detection of heartbeats under the host's number that another node sends. They make the drive's watch ineffective.
 
 A node that sends them keeps the drive running after the end of the host. Most adapters do not return sent frames; an

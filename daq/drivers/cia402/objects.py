@@ -1,4 +1,3 @@
-# pyright: strict
 """Access to the objects of a drive by canopen's SDO client over the recorded link."""
 
 from __future__ import annotations

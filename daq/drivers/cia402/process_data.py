@@ -1,4 +1,3 @@
-# pyright: strict
 """Set-up of the cyclic process data between drive and host: mapping and period as `wire` needs them.
 
 Drives are delivered with different mappings, many without a speed. Many drives report changes only, so that a drive at

@@ -1,4 +1,3 @@
-# pyright: strict
 """Settings of a CiA 402 drive in a rig file."""
 
 from __future__ import annotations

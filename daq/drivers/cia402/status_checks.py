@@ -1,4 +1,3 @@
-# pyright: strict
 """Checks of a CiA 402 drive that do not use its speed: its state, its emergencies, and the host's heartbeat."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Compiled decoding of the undamaged part of a laser's stream, and compiled scaling of its distance words.
 
 Nearly all of a stream consists of complete blocks that continue one another. They need no state machine: one loop

@@ -1,4 +1,3 @@
-# pyright: strict
 """Scaling of the distance words of optoNCDT sensors, and their error codes.
 
 Sources: ILD1420 manual, scaling pages; manuals of the IF2030 and IF2035 field-bus converters.

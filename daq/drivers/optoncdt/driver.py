@@ -1,4 +1,3 @@
-# pyright: strict
 """optoNCDT sensors as a driver."""
 
 from __future__ import annotations

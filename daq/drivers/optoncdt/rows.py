@@ -1,4 +1,3 @@
-# pyright: strict
 """Order of the blocks of a laser's stream, and the sampling period in clock ticks.
 
 The line has no checksum. Counter and timestamp must advance together, and by no more than the host's time allows. A row

@@ -1,4 +1,3 @@
-# pyright: strict
 """Answers of optoNCDT sensors to ASCII commands: identification and output words. Source: ILD1420 manual."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Settings of an optoNCDT sensor in a rig file."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Decision about the words of a laser's stream after an answer on its line has announced other words.
 
 Such an answer can be correct, late, damaged or false, and the stream continues after it without a pause. The stream

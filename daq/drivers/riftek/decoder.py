@@ -1,4 +1,3 @@
-# pyright: strict
 """Decoding of bytes from an RF60x sensor to packets.
 
 Complete packets with consecutive numbers are decoded with numpy, all other bytes one by one. Both give the same results

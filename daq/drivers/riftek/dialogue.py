@@ -1,4 +1,3 @@
-# pyright: strict
 """Set-up of an RF60x sensor: stop the stream, identify the sensor, write and verify its parameters, start the stream.
 
 The line has no checksum. The identification is therefore requested until two consecutive answers are equal, and every

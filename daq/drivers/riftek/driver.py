@@ -1,4 +1,3 @@
-# pyright: strict
 """RF60x sensors as a driver."""
 
 from __future__ import annotations

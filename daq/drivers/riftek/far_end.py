@@ -1,4 +1,3 @@
-# pyright: strict
 """A simulated RF60x sensor: answers requests, streams results on its own clock."""
 
 from __future__ import annotations

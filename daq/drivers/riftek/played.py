@@ -1,4 +1,3 @@
-# pyright: strict
 """Stand-in for an RF60x sensor of a log while the log is played."""
 
 from __future__ import annotations

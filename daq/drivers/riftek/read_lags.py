@@ -1,4 +1,3 @@
-# pyright: strict
 """Losses that the packets' numbers cannot count, estimated from the host's time.
 
 Packets are numbered modulo 4, so a loss is known modulo 4. The lag of a read is the time by which its last result came

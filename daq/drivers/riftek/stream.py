@@ -1,4 +1,3 @@
-# pyright: strict
 """Pipeline of an RF60x sensor: bytes to displacement of the disk centre.
 
 The sensor sends no time and numbers its packets modulo 4. The pipeline counts the samples, including lost ones:

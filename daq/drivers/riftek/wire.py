@@ -1,4 +1,3 @@
-# pyright: strict
 """RIFTEK's binary protocol: requests to a sensor, packets from it.
 
 A request consists of two bytes and an optional message; only its first byte has the top bit clear. Every byte from the

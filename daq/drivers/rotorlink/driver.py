@@ -1,4 +1,3 @@
-# pyright: strict
 """RotorLink nodes as a driver."""
 
 from __future__ import annotations

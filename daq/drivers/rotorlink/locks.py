@@ -1,4 +1,3 @@
-# pyright: strict
 """The host's commands to a RotorLink node; they are repeated until the node acknowledges them."""
 
 from __future__ import annotations

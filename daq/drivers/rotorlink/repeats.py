@@ -1,4 +1,3 @@
-# pyright: strict
 """Order of encoder blocks by their samples, for nodes that send some blocks again (flag b4).
 
 A block after a gap waits for the block that fills the gap. After the duration of four blocks, at least `_MIN_WAIT_US`,

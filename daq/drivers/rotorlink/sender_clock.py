@@ -1,4 +1,3 @@
-# pyright: strict
 """A sender's clock of 32 bits in µs. It wraps after 71.6 min and starts at 0 when the sender starts."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Counting of lost frames by a sender's seq."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Settings of a RotorLink node in a rig file."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Checks of a RotorLink node that do not use its samples: its status and its radio."""
 
 from __future__ import annotations

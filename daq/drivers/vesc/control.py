@@ -1,4 +1,3 @@
-# pyright: strict
 """The host's command of a VESC: the ramp, the repeated command, the polls, and the stop of the rotor.
 
 The controller executes the last command until its own timeout. It has neither an enabled state nor a ramp of the rotor.

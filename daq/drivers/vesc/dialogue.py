@@ -1,4 +1,3 @@
-# pyright: strict
 """Identification of a VESC, before any command to its motor."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """VESC motor controllers as a driver."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """A simulated VESC: it turns the rotor as commanded, answers polls, and has a timeout of its own."""
 
 from __future__ import annotations

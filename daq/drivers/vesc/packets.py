@@ -1,4 +1,3 @@
-# pyright: strict
 """Packets of a VESC: start byte, length, payload, CRC-16/XMODEM of the payload, 03h.
 
 The start byte determines the width of the length: one byte after 02h, two bytes after 03h.

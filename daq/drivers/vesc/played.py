@@ -1,4 +1,3 @@
-# pyright: strict
 """Stand-in for a VESC of a log while the log is played."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The host's ramp for a controller without a ramp of its own. Pure: the time is an argument."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Settings of a VESC motor controller in a rig file."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Checks of a VESC that do not use its speed: its state, and the faults it reported."""
 
 from __future__ import annotations

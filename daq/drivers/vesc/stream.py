@@ -1,4 +1,3 @@
-# pyright: strict
 """Pipeline of a VESC: bytes in both directions to speed, fault and the last command."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Commands to a VESC and its answers: a pure codec without line and clock.
 
 A payload consists of a command byte and big-endian numbers. An answer begins with the command that it answers. Both

@@ -1,4 +1,3 @@
-# pyright: strict
 """Identification of an XBee module by local AT commands in API frames. No parameter is changed."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The simulated encoder node behind a pair of XBee modules: the RotorLink far end with API frames at the host."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """XBee API frames on a serial line: decoding of bytes to frame data, and encoding.
 
 A frame on the line consists of ``7E``, the length of the frame data (u16, big endian), the frame data, and a checksum:

@@ -1,4 +1,3 @@
-# pyright: strict
 """The host's commands to a node behind XBee modules: transmit requests, whose delivery the module reports."""
 
 from __future__ import annotations

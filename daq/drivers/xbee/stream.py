@@ -1,4 +1,3 @@
-# pyright: strict
 """Pipeline of a RotorLink node behind XBee modules: API frames to samples and events."""
 
 from __future__ import annotations

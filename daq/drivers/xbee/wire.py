@@ -1,4 +1,3 @@
-# pyright: strict
 """Content of XBee API frames: parsing of frame data, and frame data of requests; `framing` encodes them for the line.
 
 Frame data begin with the type of the frame. Numbers are big endian, unlike those of the RotorLink payloads inside.

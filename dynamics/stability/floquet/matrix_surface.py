@@ -1,4 +1,3 @@
-# pyright: strict
 """Half-turn matrices of a whole rectangle of a map, interpolated from a few of them.
 
 D Φ(π) is an entire function of the springs, dampers and pendulum rates per radian of phase. Over a rectangle of

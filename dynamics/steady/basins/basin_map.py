@@ -1,4 +1,3 @@
-# pyright: strict
 """Basins: the stable motion reached by each release of a grid."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """All stable motions over a plane: steady states of every type, and slipping orbits continued to every neighbour."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """The stable motions at one speed, resting and slipping, each with its attracting region."""
 
 from __future__ import annotations

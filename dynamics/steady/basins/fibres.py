@@ -1,4 +1,3 @@
-# pyright: strict
 """Closed curve of the once-a-revolution map, parametrised by a pendulum's angle, and its transverse contraction.
 
 A state near the curve is compared with the state of the curve at which the lead pendulum has the same angle. The

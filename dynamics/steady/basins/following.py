@@ -1,4 +1,3 @@
-# pyright: strict
 """Many releases simulated at once, each until it enters the region of a stable motion."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """States that repeat after some revolutions, up to whole turns of the pendulums, by Newton's method."""
 
 from __future__ import annotations

@@ -1,4 +1,3 @@
-# pyright: strict
 """Simulation of a release, revolution by revolution, until it enters the region of a stable motion: compiled part.
 
 Two runs are computed: the release, and a neighbour at the stated error with coarser steps. While they stay close, the

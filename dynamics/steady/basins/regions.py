@@ -1,4 +1,3 @@
-# pyright: strict
 """Attracting regions about a stable motion: quadratic forms that decrease with every revolution.
 
 For a fixed point x of the once-a-revolution map P with the derivative M, Q = Σ (M/γ)ⁿᵀ (M/γ)ⁿ with γ between the

@@ -1,4 +1,3 @@
-# pyright: strict
 """One release per rig and speed, and the stable motion that it reaches: for maps over two parameters and for draws."""
 
 from __future__ import annotations

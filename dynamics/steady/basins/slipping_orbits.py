@@ -1,4 +1,3 @@
-# pyright: strict
 """Stable motions with permanently slipping pendulums, as solutions of Newton's method.
 
 Strobed once a revolution, such a motion lies on a closed curve u(χ). The once-a-revolution map P turns it along itself,

@@ -1,4 +1,3 @@
-# pyright: strict
 """A rig at a constant speed as a map of its states over one revolution of the rotor."""
 
 from __future__ import annotations
