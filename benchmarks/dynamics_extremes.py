@@ -134,7 +134,7 @@ def judge_multipliers(
 
 def _symbolic(steady: bool) -> Any:
     """heyoka's equations with all parameters at run time, so that they are compiled once."""
-    par = heyoka_peer.heyoka().par  # pyright: ignore[reportOptionalMemberAccess]
+    par = heyoka_peer.heyoka().par
 
     def body(s: int, j: int, d: int, c: int) -> Any:
         return SimpleNamespace(
@@ -152,7 +152,7 @@ def _symbolic(steady: bool) -> Any:
         pivot_shift_m=par[12],
         gravity_m_per_s2=par[17],
     )
-    return heyoka_peer.equations(symbols, par[18], 0.0 if steady else par[19])  # pyright: ignore[reportArgumentType]
+    return heyoka_peer.equations(symbols, par[18], 0.0 if steady else par[19])
 
 
 def _taylor(kind: str, tolerance: float = heyoka_peer.DOUBLE_TOLERANCE) -> Any:

@@ -46,7 +46,7 @@ class _Timed(VirtualRig):
         for name, wire in self.wires.items():
             wire.send = self._timed(name, wire.send)
 
-    def _timed(self, name, send):  # type: ignore[no-untyped-def]
+    def _timed(self, name, send):
         def timed(data: bytes) -> None:
             send(data)
             if data:

@@ -439,7 +439,7 @@ def test_the_slow_roll_of_a_trial_is_added_to_the_identified_one(case: _Case, mo
         raise NoStableState("none")
 
     roll = SlowRoll(1e-5 + 0j, 2e-5j, 3e-5 + 1e-5j, np.zeros((6, 6)))
-    one = replace(case, compared=("A",), identified=identified(slow_roll=roll))  # type: ignore[arg-type]
+    one = replace(case, compared=("A",), identified=identified(slow_roll=roll))
     monkeypatch.setattr(_Case, "_predicted", staticmethod(predicted))
     assert one.turned("run-out", 1e-6j) is None
     assert one.turned("bow", 2e-6) is None
@@ -461,7 +461,7 @@ def test_other_errors_of_a_trial_are_no_explanation(case: _Case, monkeypatch: py
         raise DynamicsError("none")
 
     monkeypatch.setattr(_Case, "_predicted", staticmethod(failing))
-    one = replace(case, compared=("A",))  # type: ignore[arg-type]
+    one = replace(case, compared=("A",))
     assert one.again("k1_N_per_m", 2700.0) is None
     assert one.turned("bow", 1e-6) is None
 
@@ -605,10 +605,10 @@ def test_pendulums_within_the_band_of_friction_have_the_state_of_the_model(
     theta = [Interval(float(v) + o, 0.0) for v, o in zip(predicted.values[:2], off, strict=True)]
     measured = Held(state, (theta[0], theta[1]))
     own = identified(slow_roll=SlowRoll(0j, 0j, 2e-5j, np.zeros((6, 6))))
-    assert _held(None, rig, own, measured, predicted).state == expected  # type: ignore[arg-type]
+    assert _held(None, rig, own, measured, predicted).state == expected
     assert asked == ([(2e-5j, 0.2)] if state == "not settled" else [])
     free = prediction(held=SimpleNamespace(half_width_rad=np.zeros(2), outer_rad=np.array([0.1, 0.2])))
-    assert _held(None, rig, own, measured, free) is measured  # type: ignore[arg-type]
+    assert _held(None, rig, own, measured, free) is measured
 
 
 def point(name: str, verdict: str = "pass", z: float = 0.5, **changes: Any) -> PointResult:
@@ -626,8 +626,8 @@ def test_a_validation_passes_if_all_of_something_pass() -> None:
     assert Validation({"A": point("A")}, agreed).passed
     assert not Validation({"A": point("A")}, apart).passed
     assert not Validation({"A": point("A"), "B": point("B", "not settled")}).passed
-    assert Validation(start_ups=[series]).passed  # type: ignore[list-item]
-    assert not Validation({"A": point("A")}, start_ups=[series, broken]).passed  # type: ignore[list-item]
+    assert Validation(start_ups=[series]).passed
+    assert not Validation({"A": point("A")}, start_ups=[series, broken]).passed
 
 
 def test_reasons_and_warnings_are_in_a_fixed_order() -> None:
@@ -654,8 +654,8 @@ def test_validation_in_json_is_empty_without_points() -> None:
 
 def test_speed_of_a_start_up_is_that_of_its_log() -> None:
     for text, speed in (("1500", 1500.0), (900.0, 900.0), ("fast", 0.0), (None, 0.0), ("nan", 0.0), ("inf", 0.0)):
-        assert _asked_rpm(SimpleNamespace(metadata={"speed_rpm": text})) == speed  # type: ignore[arg-type]
-    assert _asked_rpm(SimpleNamespace(metadata={})) == 0.0  # type: ignore[arg-type]
+        assert _asked_rpm(SimpleNamespace(metadata={"speed_rpm": text})) == speed
+    assert _asked_rpm(SimpleNamespace(metadata={})) == 0.0
 
 
 def test_rows_of_a_test_are_not_those_of_a_release() -> None:
@@ -698,7 +698,7 @@ def test_runs_are_compared_in_the_order_of_points_and_times(
     asked = overall_of(monkeypatch, None)
     runs = [log("point-B", 1.0), log("point-A", 9.0), log("run-up", 0.0), log("point-A", 3.0), log("point-A", 5.0)]
     rows = [Made("A"), Made("B (2)"), Made("run-up", ("run-up 1",)), Made("A", remark="seen", reading="contact")]
-    found = validate(runs, rig, identified(), None, rows)  # type: ignore[arg-type]
+    found = validate(runs, rig, identified(), None, rows)
     assert list(found.points) == ["A", "A (2)", "A (3)", "B"]
     assert [each.source for each in found.points.values()] == [
         "point-A-3.mcap",
@@ -708,7 +708,7 @@ def test_runs_are_compared_in_the_order_of_points_and_times(
     ]
     ((compared, _, used, angle, releases),) = asked
     twice = [log("point-Low", 2.0), log("point-Low", 1.0), log("point-Lower", 0.0)]
-    assert list(validate(twice, rig, identified()).points) == ["Low", "Low (2)", "Lower"]  # type: ignore[arg-type]
+    assert list(validate(twice, rig, identified()).points) == ["Low", "Low (2)", "Lower"]
     assert [each.name for each in compared] == ["A", "A (2)", "A (3)", "B"]
     assert angle is None
     assert releases == [rows[0], rows[2], rows[3]]
@@ -725,7 +725,7 @@ def test_only_points_in_the_predicted_state_are_compared_together(
     points["point-B"] = point("B", prediction=None)
     points["point-C"] = point("C", scores={})
     runs = [log(f"point-{name}", 0.0) for name in "ABCD"]
-    validate(runs, rig, identified())  # type: ignore[arg-type]
+    validate(runs, rig, identified())
     assert [each.name for each in asked[0][0]] == ["D"]
 
 
@@ -740,7 +740,7 @@ def test_a_point_whose_quantities_together_deviate_fails(
     overall_of(monkeypatch, found)
     points["point-C"] = point("C", "not settled")
     runs = [log(f"point-{name}", 0.0) for name in "ABCD"]
-    result = validate(runs, rig, identified())  # type: ignore[arg-type]
+    result = validate(runs, rig, identified())
     assert {name: each.verdict for name, each in result.points.items()} == {
         "A": "fail",
         "B": "fail",
@@ -752,9 +752,9 @@ def test_a_point_whose_quantities_together_deviate_fails(
     assert result.explanations is explained  # something failed, so the causes are stated
     good = SimpleNamespace(agreement=made(0.5, {}, {}), explanations=None, noticed=(), explain=lambda: explained)
     overall_of(monkeypatch, good)
-    assert validate(runs, rig, identified()).explanations is None  # type: ignore[arg-type]
+    assert validate(runs, rig, identified()).explanations is None
     points["point-A"] = point("A", "fail", scores={})  # another state has no differences
-    assert validate(runs, rig, identified()).explanations is None  # type: ignore[arg-type]
+    assert validate(runs, rig, identified()).explanations is None
 
 
 def test_effects_of_the_suspension_are_stated_by_point(
@@ -763,7 +763,7 @@ def test_effects_of_the_suspension_are_stated_by_point(
     overall_of(monkeypatch, None)
     points["point-B"] = point("B", prediction=None)
     monkeypatch.setattr(validation, "effects", lambda _, state, speed: f"{state.type} at {speed:g}")
-    found = validate([log("point-A", 0.0), log("point-B", 0.0)], rig, identified())  # type: ignore[arg-type]
+    found = validate([log("point-A", 0.0), log("point-B", 0.0)], rig, identified())
     assert list(found.suspension) == ["at A II at 60"]
 
 
@@ -779,9 +779,9 @@ def test_start_ups_are_grouped_by_their_requested_speed(
         log("start-ups", 3.0, speed_rpm=900),
         log("start-ups", 1.0),
     ]
-    found = validate(runs, rig, identified())  # type: ignore[arg-type]
+    found = validate(runs, rig, identified())
     assert found.points == {}
-    speeds, results, radii = zip(*found.start_ups, strict=True)  # type: ignore[arg-type]
+    speeds, results, radii = zip(*found.start_ups, strict=True)
     assert speeds == (0.0, 900.0, 1500.0)
     assert [[each.source for each in some] for some in results] == [
         ["start-ups-1.mcap"],

@@ -161,8 +161,8 @@ class Bench:
 
 
 def runner_of(bench: Bench, controls: Controls, folder: Path) -> Runner:
-    orders = RigOrders(bench, bench, folder, lambda text, share: None)  # type: ignore[arg-type]
-    orders.rotor, orders.locks = bench, bench  # type: ignore[assignment]
+    orders = RigOrders(bench, bench, folder, lambda text, share: None)
+    orders.rotor, orders.locks = bench, bench
     return Runner(orders, controls)
 
 

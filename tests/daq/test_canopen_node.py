@@ -21,7 +21,7 @@ class Wire:
         self.node = canopen.RemoteNode(5, canopen.ObjectDictionary())
         self.network = canopen.Network()
         self.network.add_node(self.node)
-        self.network.send_message = self._answered  # type: ignore[method-assign]
+        self.network.send_message = self._answered
         self.server = server
 
     def _answered(self, identifier: int, data: bytes, remote: bool = False) -> None:

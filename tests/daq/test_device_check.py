@@ -48,9 +48,9 @@ class Node:
     battery_low: bool = False
 
     def checks(self) -> Checks:
-        pipeline = NodePipeline("encoder", RIG.devices["encoder"], {})  # type: ignore[arg-type]
+        pipeline = NodePipeline("encoder", RIG.devices["encoder"], {})
         pipeline.status, pipeline.rssi_dBm, pipeline.battery_low = self.status, self.rssi_dBm, self.battery_low
-        return node_checks(RIG.devices["encoder"], pipeline)  # type: ignore[arg-type]
+        return node_checks(RIG.devices["encoder"], pipeline)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Seen(RigObservation):
     drive: Drive = field(default_factory=Drive)
 
     def judged(self) -> dict[str, Checks]:
-        drive = drive_checks(self.drive, [e for e in self.events if e.device == "drive"])  # type: ignore[arg-type]
+        drive = drive_checks(self.drive, [e for e in self.events if e.device == "drive"])
         own: dict[str, Checks] = {"encoder": self.node.checks(), "drive": drive}
         return device_checks(RIG, replace(self, own=own))
 

@@ -514,7 +514,7 @@ def test_a_rotor_that_brakes_is_not_left_without_torque() -> None:
 def test_a_drive_whose_answers_do_not_come_keeps_its_watch() -> None:
     far = FarEnd()
     far.runs(0)
-    far.report = lambda identifier, data: None  # type: ignore[method-assign]
+    far.report = lambda identifier, data: None
     far.control._reported_ns = 1  # its last report is long ago
     assert far.control.stop() is False
     assert [value & 0xFFFF for value, _ in far.watched] == [CONFIG.heartbeat_timeout_ms]
@@ -525,10 +525,10 @@ def test_an_old_report_does_not_count_as_operation() -> None:
     far.runs(0)
     far.deaf_to_beats = False
     far.control._reported_ns = 1
-    far.speak = lambda: None  # type: ignore[method-assign]
+    far.speak = lambda: None
     with pytest.raises(DeviceError, match="expected OPERATION ENABLED"):
         far.control.enable()
-    far.speak = FarEnd.speak.__get__(far)  # type: ignore[method-assign]
+    far.speak = FarEnd.speak.__get__(far)
     far.control.stop()
 
 

@@ -193,7 +193,7 @@ def test_a_pause_stops_the_clock_of_the_limit_and_interlocks_go_on(tmp_path: Pat
             bench_sleep(3600.0)
             controls.resume() if len(seen) == 3 else None
 
-    bench.clock.sleep = sleep  # type: ignore[method-assign]
+    bench.clock.sleep = sleep
 
     def look(state: State, view: StateView) -> StateObservation:
         if state.name != "pluck":
@@ -226,7 +226,7 @@ def test_a_fault_ends_a_pause(tmp_path: Path) -> None:
         if controls.status.paused:
             bench.fault = DeviceError("laser/x: silent")
 
-    bench.clock.sleep = slept_through  # type: ignore[method-assign]
+    bench.clock.sleep = slept_through
 
     done = finished(bench, ASKED["point"], scripted(table_of("point"), look), controls, tmp_path)
     assert str(done) == "laser/x: silent"
@@ -246,7 +246,7 @@ def test_a_pause_in_motion_is_answered_and_takes_effect_where_the_rig_may_wait(t
             paused.append(controls.status.state)
             controls.resume()
 
-    bench.clock.sleep = slept  # type: ignore[method-assign]
+    bench.clock.sleep = slept
 
     def look(state: State, view: StateView) -> StateObservation:
         if state.name == "spin up" and not answers:
@@ -337,8 +337,8 @@ def test_an_abort_ends_a_series_and_keeps_the_runs_before_it(state: str, runs: i
             return StateObservation(False)
         return StateObservation(True)
 
-    tests = Procedures(bench, bench, tmp_path, lambda text, share: None)  # type: ignore[arg-type]
-    tests._orders.rotor, tests._orders.locks = bench, bench  # type: ignore[assignment]
+    tests = Procedures(bench, bench, tmp_path, lambda text, share: None)
+    tests._orders.rotor, tests._orders.locks = bench, bench
     kind = replace(wanted.kind, table=lambda asked: scripted(wanted.kind.table(asked), look))
     done = tests.carry_out(replace(wanted, kind=kind))
     assert (len(done.runs), done.aborted) == (runs, True)

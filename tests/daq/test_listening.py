@@ -89,7 +89,7 @@ def test_a_laser_that_told_its_words_before_is_decoded_by_them(tmp_path):
         identities = {"laser_x": {"words": ["DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"], "range_m": 0.05}}
         pipeline = make_pipelines(rig.devices, identities)["laser_x"]
         data = device_bytes(1)[0][1]
-        expected = pipeline.feed(0, data, 10**18)[0].columns["displacement_m"]  # type: ignore[union-attr]
+        expected = pipeline.feed(0, data, 10**18)[0].columns["displacement_m"]
         session = Session(rig, HostClock(), identities)
         with session.listen(tmp_path / "heard.mcap", {"test": "record"}):
             wires["laser_x"].descriptor()

@@ -352,7 +352,7 @@ def test_a_silent_drive_at_rest_is_reported_as_not_released_and_the_others_are_s
         session.drive.enable()
         sim.ask("fail", device=drive, what="mute", value=1)
         stop_streams = session._open.stop_streams
-        session._open.stop_streams = lambda: (stopped.append("streams"), stop_streams())  # type: ignore[method-assign]
+        session._open.stop_streams = lambda: (stopped.append("streams"), stop_streams())
     assert stopped == ["streams"]
     assert session.rotor_warning == (
         f"{drive}: the rotor is at rest, but the drive may not have released it; check its power and cable"

@@ -222,7 +222,7 @@ def test_wrong_use_is_refused_before_anything_is_written():
     with pytest.raises(ValueError, match="one integer or 4"):
         writer.add_block(cid, T0, np.arange(3), 0, tacho(4))
     with pytest.raises(ValueError, match="zstd"):
-        BlockWriter(io.BytesIO(), "lz4")  # type: ignore[arg-type]  # an invalid compression
+        BlockWriter(io.BytesIO(), "lz4")  # an invalid compression
 
 
 def test_a_short_write_is_an_error():

@@ -62,7 +62,7 @@ class Watch:
             self.look()
             return stretch
 
-        self.sim.far.motion.advance = watched  # type: ignore[method-assign]
+        self.sim.far.motion.advance = watched
 
     def look(self) -> None:
         motion = self.sim.far.motion

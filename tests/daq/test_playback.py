@@ -230,7 +230,7 @@ def test_it_begins_when_every_port_has_been_open_for_a_while() -> None:
         sleep(seconds)
         opens()
 
-    clock.sleep = sleep_and_open  # type: ignore[method-assign]  # a hook of this test
+    clock.sleep = sleep_and_open  # a hook of this test
     silent = {"laser_x": PlayedDevice(), "laser_y": PlayedDevice()}
     Playback({"laser_x": one, "laser_y": two}, silent, 1.0, clock).wait_for_readers(reported.append)
     assert reported == [["laser_x", "laser_y"], ["laser_y"], [], ["laser_y"], []]
@@ -246,11 +246,11 @@ def test_at_the_end_ports_are_held_until_their_readers_close_them() -> None:
         sleep(seconds)
         outlet.open = clock.ns < 8_000_000_000
 
-    clock.sleep = sleep_and_close  # type: ignore[method-assign]  # a hook of this test
+    clock.sleep = sleep_and_close  # a hook of this test
     playback.hold()
     assert clock.ns == pytest.approx(8e9, abs=0.03e9)
     outlet.open = True
-    clock.sleep = sleep  # type: ignore[method-assign]  # a hook of this test
+    clock.sleep = sleep  # a hook of this test
     playback.hold(linger_s=2.0)
     assert clock.ns == pytest.approx(10e9, abs=0.06e9)
 

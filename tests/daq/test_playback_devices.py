@@ -240,7 +240,7 @@ def test_it_reports_the_newest_values_of_the_log() -> None:
         for frame in slcan.LineDecoder().feed(drive.hear(request)).frames:
             network.notify(frame.arbitration_id, bytearray(frame.data), 0.0)
 
-    network.send_message = answered  # type: ignore[method-assign]  # a hook of this test
+    network.send_message = answered  # a hook of this test
     assert node.sdo.upload(cia402.STATUSWORD, 0) == struct.pack("<H", 0x237)
     assert node.sdo.upload(cia402.ACTUAL_VELOCITY, 0) == struct.pack("<h", -300)
     assert node.sdo.upload(cia402.MODE_DISPLAY, 0) == bytes([cia402.MODE_VELOCITY])

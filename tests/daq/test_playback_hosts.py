@@ -203,7 +203,7 @@ def test_a_host_that_leaves_ends_it_and_whether_it_stopped_its_devices_is_known(
     began_s = clock.ns * 1e-9 - 5
     script = leaving(hosts, began_s + 0.25, politely)
     sleep = clock.sleep
-    clock.sleep = lambda seconds: (sleep(seconds), script(clock.ns * 1e-9 - 5))[0]  # type: ignore[method-assign]  # a hook of this test
+    clock.sleep = lambda seconds: (sleep(seconds), script(clock.ns * 1e-9 - 5))[0]  # a hook of this test
     states: list[PlaybackState] = []
     state = playback.play(log.raw_in_order(), states.append)
     assert state.cut_short

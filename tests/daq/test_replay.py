@@ -297,7 +297,7 @@ class FakeClock:
 def test_everything_comes_at_its_time_whatever_the_waits_add_up_to(tmp_path: Path, speed: float) -> None:
     clock = FakeClock()
     clock_sleep = clock.sleep
-    clock.sleep = lambda seconds: clock_sleep(seconds + 3e-4)  # type: ignore[method-assign]  # type: ignore[method-assign]  # every sleep is too long
+    clock.sleep = lambda seconds: clock_sleep(seconds + 3e-4)  # every sleep is too long
     with open_log(write_log(tmp_path / "a.mcap")) as log:
         started, reached = clock.ns, START_NS
         for _, chunk, _ in paced(log, speed, clock):

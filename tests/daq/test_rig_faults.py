@@ -150,7 +150,7 @@ def test_other_makers_devices_begin_anew_too() -> None:
     sent = fed.go(0.2, ask)
     assert (sent["east"], sent["motor"]) == (b"", b"")
     assert fed.rig.motion.speed_rad_s > turning - 2  # without supply nothing brakes
-    assert fed.rig.far_ends["east"].streaming is False  # type: ignore[attr-defined]
+    assert fed.rig.far_ends["east"].streaming is False
     fed.go(0.2)
     assert fed.go(0.1, ask)["motor"] != b""
 

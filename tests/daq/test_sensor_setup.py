@@ -101,7 +101,7 @@ def line_to(sensor: LeftStreaming) -> Iterator[tuple[Line, list[DeviceEvent], li
 
 def wait_for(condition: object) -> None:
     for _ in range(500):
-        if condition():  # type: ignore[operator]
+        if condition():
             return
         threading.Event().wait(0.01)
     raise AssertionError("waited 5 s")

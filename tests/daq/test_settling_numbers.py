@@ -559,9 +559,9 @@ def test_a_result_cannot_be_changed(kind: type) -> None:
 def test_options_are_given_by_name() -> None:
     data = clean(lambda t: 0 * t)
     with pytest.raises(TypeError):
-        settled(*data, 0.1)  # type: ignore[misc]
+        settled(*data, 0.1)
     with pytest.raises(TypeError):
-        locked_settled(*data[2:], 0.1)  # type: ignore[misc]
+        locked_settled(*data[2:], 0.1)
     steady = locked_settled(
         mark_time_s=data[2], mark_phase_rad=data[3], x_time_s=data[4], x_m=data[5], y_time_s=data[6], y_m=data[7]
     )

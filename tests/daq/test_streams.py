@@ -506,7 +506,7 @@ def test_the_quick_way_through_undamaged_blocks_gives_what_the_full_decoder_give
     cuts = sorted(data.draw(st.lists(st.integers(0, len(wire)), max_size=12)))
     parts = [bytes(wire[a:b]) for a, b in itertools.pairwise([0, *cuts, len(wire)])]
     quick, full = laser(), laser()
-    full._clean = lambda data, host_ns: None  # type: ignore[method-assign]
+    full._clean = lambda data, host_ns: None
     (some, reported), (same, also_reported) = feed(quick, parts), feed(full, parts)
     assert quick.losses == full.losses
     assert reported == also_reported

@@ -182,7 +182,7 @@ def test_a_whole_trip_on_the_bench_goes_into_a_log_and_back(tmp_path: Path) -> N
     with Bench() as bench:
         recent = Recent(10.0)
         hear = bench.interlocks.feed
-        bench.interlocks.feed = lambda batch, ns: (recent.add(batch), hear(batch, ns))[1]  # type: ignore[method-assign]
+        bench.interlocks.feed = lambda batch, ns: (recent.add(batch), hear(batch, ns))[1]
         trips = Trips(channels.CHANNELS.values(), bench.rig.roles, patience)
         bench.turn(600)
         bench.fails("laser_x", "code", 262076)

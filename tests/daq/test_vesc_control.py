@@ -62,7 +62,7 @@ class Bench:
     def __init__(self, settings: Vesc = SETTINGS, **far: object) -> None:
         self.settings, self.clock = settings, RigTime()
         self.motion = SimulatedMotion(PHYSICS, SLIP, 0.08)
-        self.far = SimulatedVesc(settings, self.motion, **far)  # type: ignore[arg-type]
+        self.far = SimulatedVesc(settings, self.motion, **far)
         self.pipeline = DRIVER.pipeline("drive", settings, {})
         self.commands: list[tuple[float, wire.MotorCommand]] = []
         self.permitted: list[float | None] = []
@@ -373,7 +373,7 @@ def test_a_line_that_is_gone_is_let_go_of(bench: Bench) -> None:
 def test_a_line_that_goes_while_it_stops_ends_the_wait(bench: Bench) -> None:
     bench.runs(600.0)
     begun = bench.clock.rig_s
-    bench._at_rest = lambda: None  # type: ignore[method-assign]
+    bench._at_rest = lambda: None
 
     def unplug(text: str) -> None:
         bench.gone = True

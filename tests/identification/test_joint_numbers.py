@@ -429,7 +429,7 @@ def test_the_share_of_a_disagreement_is_what_the_own_errors_lack() -> None:
 def test_limits_of_an_identification_take_the_shares_of_its_fits() -> None:
     estimates = several(0.0, 0.0)
     fits = [SimpleNamespace(test="test-0", source="logs/00.mcap", fit=SimpleNamespace(chi2_per_dof=4.0, curves=[]))]
-    (found,) = limits(SimpleNamespace(estimates=estimates, fits=fits))  # type: ignore[arg-type]
+    (found,) = limits(SimpleNamespace(estimates=estimates, fits=fits))
     assert found.shares["model"] == pytest.approx(0.5 * 0.75)
 
 
@@ -463,7 +463,7 @@ def test_the_share_beyond_noise_is_that_of_the_worst_fit_of_the_test() -> None:
 
     def share(*fits: SimpleNamespace, test: str = "test-0", source: str = "logs/00.mcap") -> float:
         named = [SimpleNamespace(test=test, source=source, fit=each) for each in fits]
-        return model_share(one(0.0), SimpleNamespace(fits=named))  # type: ignore[arg-type]
+        return model_share(one(0.0), SimpleNamespace(fits=named))
 
     signs = np.where(np.random.default_rng(1).random(64) < 0.5, -1.0, 1.0)
     correlated = np.repeat(signs, 16)
@@ -492,7 +492,7 @@ def test_the_tests_in_a_file_have_their_logs_times_and_devices() -> None:
         run("logs/a.mcap", 1e9, "8", "one"),
         SimpleNamespace(source="other", start_s=5e8, metadata={}),
     ]
-    facts = with_tests(found, runs).provenance  # type: ignore[arg-type]
+    facts = with_tests(found, runs).provenance
     assert facts["by"] == "me"
     assert facts["rig"] == "one + two"
     assert "widened" not in facts
@@ -504,11 +504,11 @@ def test_the_tests_in_a_file_have_their_logs_times_and_devices() -> None:
     assert third["left_out"].startswith("stands apart")
     assert pair["recorded"] == datetime.fromtimestamp(1e9, UTC).isoformat(timespec="seconds")
     assert pair["covariance"] == [[1.0]]
-    assert with_tests(found).provenance.keys() == {"by", "tests"}  # type: ignore[arg-type]
+    assert with_tests(found).provenance.keys() == {"by", "tests"}
     apart = SimpleNamespace(
         estimates=several(0.0, 30.0), fits=[], parameters=joint_estimate(several(0.0, 30.0)).parameters
     )
-    widened = with_tests(apart).provenance["widened"]  # type: ignore[arg-type]
+    widened = with_tests(apart).provenance["widened"]
     assert widened == joint_estimate(several(0.0, 30.0)).extra_std
 
 
@@ -593,9 +593,9 @@ def test_budget_of_a_disagreement_is_the_widening_alone() -> None:
     found = parameter_budgets(file).budgets
     group = next(s for s in found.sources if s.name == "disagreement")
     extra = joint_estimate(several(0.0, 30.0)).extra_std[K1]
-    assert float(group.covariance[0, 0]) == pytest.approx(extra**2 / 2)  # type: ignore[union-attr]
+    assert float(group.covariance[0, 0]) == pytest.approx(extra**2 / 2)
     own = next(s for s in found.sources if s.name.startswith("own: test-0"))
-    assert float(own.covariance[0, 0]) == pytest.approx(1.0)  # type: ignore[union-attr]
+    assert float(own.covariance[0, 0]) == pytest.approx(1.0)
     assert [s.name for s in found.sources] == ["own: test-0 (00.mcap)", "own: test-1 (01.mcap)", "disagreement"]
     assert found.covariance == pytest.approx(file.covariance)
 

@@ -125,7 +125,7 @@ def test_the_rotor_mass_is_the_main_source_of_a_stiffness_with_its_sensitivity()
     assert "u(k1_N_per_m) is 7.18" in note
     row = budget_json(found.budgets["k1_N_per_m"], 0.99)
     assert row["k"] == pytest.approx(2.5758, abs=1e-4)
-    assert row["U95"] == pytest.approx(1.95996 * row["u"], rel=1e-5)  # type: ignore[operator]
+    assert row["U95"] == pytest.approx(1.95996 * row["u"], rel=1e-5)
 
 
 def test_an_instrument_brings_its_distribution_and_degrees_of_freedom() -> None:

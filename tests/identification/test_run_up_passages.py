@@ -105,7 +105,7 @@ class Passage:
         }
 
     def fit(self, **options: object) -> RunUpFit:
-        return fit_run_up(self.time, self.signal, self.phase, **options)  # type: ignore[arg-type]
+        return fit_run_up(self.time, self.signal, self.phase, **options)
 
     def run(self, every: int = 1) -> Run:
         """As imported: one clock for all, the phase at whole turns only."""

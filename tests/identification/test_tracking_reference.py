@@ -139,7 +139,7 @@ def test_a_record_too_long_to_be_kept_is_refused(monkeypatch: pytest.MonkeyPatch
 
 def test_another_setting_is_refused() -> None:
     with pytest.raises(ValueError, match="expected fast, reference, got 'slow'"):
-        track(Campaign(6).spin_down(), TRUTH, setting="slow")  # pyright: ignore[reportArgumentType]
+        track(Campaign(6).spin_down(), TRUTH, setting="slow")
 
 
 @given(st.integers(0, 10**6), st.integers(1, 2**STATES - 2))

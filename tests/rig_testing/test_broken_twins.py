@@ -31,7 +31,7 @@ Items = list[Batch | DeviceEvent]
 def with_pipeline(base: type, feed: Callable[..., Items], claims: frozenset[str] | None = None) -> Driver:
     """A driver whose pipeline's `feed` is another: called with the pipeline, the sound feed and a read."""
 
-    class Twin(base):  # type: ignore[misc]
+    class Twin(base):
         def pipeline(self, device: str, settings: Any, identity: Mapping[str, Any]) -> Any:
             sound = super().pipeline(device, settings, identity)
             given = sound.feed
@@ -39,7 +39,7 @@ def with_pipeline(base: type, feed: Callable[..., Items], claims: frozenset[str]
             return sound
 
     if claims is not None:
-        Twin.claims = claims  # type: ignore[attr-defined]
+        Twin.claims = claims
     return Twin()
 
 

@@ -127,7 +127,7 @@ def test_singular_group_draws_on_its_line() -> None:
 def test_group_draws_its_covariance_and_t_wider_by_its_degrees() -> None:
     covariance = np.array([[4.0, 1.5], [1.5, 1.0]])
     for distribution, nu, stretch in (("normal", 8.0, 1.0), ("t", 8.0, 8 / 6), ("t", math.inf, 1.0)):
-        group = Group("g", ("x", "y"), ("m", "m"), covariance, "A", distribution, nu)  # pyright: ignore[reportArgumentType]
+        group = Group("g", ("x", "y"), ("m", "m"), covariance, "A", distribution, nu)
         drawn = group.draw(np.random.default_rng(15), N)
         assert np.cov(drawn, rowvar=False) == pytest.approx(stretch * covariance, rel=0.03)
     both = np.mean(np.abs(drawn[:, 0]) > 6)  # 3 u: normal 0.0027
