@@ -80,7 +80,7 @@ class Referee:
             self._taylor.time = 0.0
             self._taylor.state[:] = state
             return self._taylor.propagate_grid(instants)[5].copy()
-        from scipy.integrate import solve_ivp  # noqa: PLC0415 (half a second, and only where heyoka is absent)
+        from scipy.integrate import solve_ivp  # half a second, and only where heyoka is absent
 
         run = solve_ivp(self._rates, (0.0, instants[-1]), state, "DOP853", instants, rtol=1e-10, atol=1e-13)
         return run.y.T

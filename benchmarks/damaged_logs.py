@@ -383,7 +383,7 @@ def damaged(shape: Shape, kind: Damager, rng: Generator) -> bytes:
 def limit_memory() -> None:
     """No more address space than a few GiB, where the system can: eating memory becomes an error."""
     if sys.platform == "linux":
-        import resource  # noqa: PLC0415
+        import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (6 * 2**30, 6 * 2**30))
 
@@ -391,7 +391,7 @@ def limit_memory() -> None:
 def peak_MiB() -> float:
     if sys.platform != "linux":
         return float("nan")
-    import resource  # noqa: PLC0415
+    import resource
 
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 

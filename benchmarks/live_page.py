@@ -96,7 +96,7 @@ def _viewer(page: LivePage, seen: Seen, answers: bool) -> Iterator[None]:
 @contextmanager
 def _chromium(page: LivePage, facts: dict[str, list[float]]) -> Iterator[Callable[[], None]]:
     """A browser that nobody watches but for a moment now and then: a debugger that listens keeps all it hears."""
-    from playwright.sync_api import sync_playwright  # noqa: PLC0415 (only with --browser)
+    from playwright.sync_api import sync_playwright  # only with --browser
 
     program = next(b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if b)
     with ExitStack() as stack:

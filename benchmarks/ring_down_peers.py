@@ -79,7 +79,7 @@ def matrix_pencil(t: np.ndarray, y: np.ndarray) -> Answer:
 
 def optimised_dmd() -> Callable[[np.ndarray, np.ndarray], Answer]:
     """PyDMD's BOPDMD on two-fold delays of 50 Hz block averages."""
-    from pydmd import BOPDMD  # noqa: PLC0415
+    from pydmd import BOPDMD
 
     def solve(t: np.ndarray, y: np.ndarray) -> Answer:
         values, step = _blocks(t, y)
@@ -94,8 +94,8 @@ def optimised_dmd() -> Callable[[np.ndarray, np.ndarray], Answer]:
 
 def subspace() -> Callable[[np.ndarray, np.ndarray], Answer]:
     """pyOMA2's SSI (covariances) of order 2 on 50 Hz block averages, 30 block rows."""
-    from pyoma2.algorithms import SSI  # noqa: PLC0415
-    from pyoma2.setup import SingleSetup  # noqa: PLC0415
+    from pyoma2.algorithms import SSI
+    from pyoma2.setup import SingleSetup
 
     def solve(t: np.ndarray, y: np.ndarray) -> Answer:
         values, step = _blocks(t, y)

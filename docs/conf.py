@@ -79,7 +79,7 @@ def _add_command_reference(app: Any, docname: str, source: list[str]) -> None:
     """Append the options of every command to the page "commands"."""
     if docname != "commands":
         return
-    from command_reference import APP  # noqa: PLC0415 - imports every command
+    from command_reference import APP  # imports every command
 
     text = APP.generate_docs(output_format="markdown", heading_level=2)
     commands = text[text.index("\n### rig ") :]
@@ -88,7 +88,7 @@ def _add_command_reference(app: Any, docname: str, source: list[str]) -> None:
 
 def _require_wheel(app: Any) -> None:
     """Raise an error if the packages are imported from the working tree instead of the installed wheel."""
-    import daq  # noqa: PLC0415 - imported only while the documentation is built
+    import daq  # imported only while the documentation is built
 
     if "site-packages" not in Path(daq.__file__).parts:
         raise RuntimeError(
