@@ -202,7 +202,7 @@ def sentence(name: str, score: Score) -> str:
         )
     shown = DISPLAYED[name]
     factor, unit = shown.factor, "°" if shown.is_angle else " mm"
-    smaller = min(s for s in (score.measured_std, score.predicted_std, math.inf) if s > 0) * factor
+    smaller = min((s for s in (score.measured_std, score.predicted_std) if s > 0), default=0.0) * factor
     digits = max(2, min(6, 1 - math.floor(math.log10(max(smaller, 1e-6)))))
     pairs = [
         f"{value * factor:.{digits}f} ± {std * factor:.{digits}f}{unit}"

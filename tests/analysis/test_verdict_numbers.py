@@ -27,7 +27,7 @@ from analysis.differences import Differences
 from analysis.errors import NoStableState, NotEnoughData
 from analysis.overall import Overall, _as_kept, _Case, overall
 from analysis.results import PointResult
-from analysis.scores import JSON_KEYS, Score, balanced_z, finite, scores_of, sentence
+from analysis.scores import DISPLAYED, Score, balanced_z, finite, scores_of, sentence
 from analysis.steady_state import Interval
 from analysis.validation import Validation, _asked_rpm, _compare, _held, _is_test, _judge, validate, validate_point
 from dynamics.errors import DynamicsError
@@ -55,7 +55,7 @@ def test_z_of_noise_has_the_probability_of_chi2_with_two_degrees_per_amplitude()
 
 def test_a_difference_in_json_has_the_interval_of_the_models_error() -> None:
     score = Score(2.0, 1.5, 0.01, 1.2, 0.02, error=0.3, u_numerical=0.001, u_validation=0.15)
-    found = score.to_json(JSON_KEYS["theta3"])
+    found = score.to_json(DISPLAYED["theta3"])
     assert found == {
         "statistic": "difference",
         "measured_deg": pytest.approx(1.5 / DEGREE),
@@ -69,7 +69,7 @@ def test_a_difference_in_json_has_the_interval_of_the_models_error() -> None:
         "model_error_high_deg": pytest.approx((0.3 + 1.96 * 0.15) / DEGREE),
         "z": 2.0,
     }
-    unknown = replace(score, u_validation=math.nan, z=math.inf).to_json(JSON_KEYS["amplitude_x"])
+    unknown = replace(score, u_validation=math.nan, z=math.inf).to_json(DISPLAYED["amplitude_x"])
     assert set(unknown) == {
         "statistic",
         "measured_mm",
@@ -84,7 +84,7 @@ def test_a_difference_in_json_has_the_interval_of_the_models_error() -> None:
 
 def test_noise_in_json_has_two_degrees_of_freedom_per_deviation() -> None:
     noise = Score(1.0, 3e-6, 1e-6, 0.0, 0.0, (2e-6, 4e-6), 5.0, 0.3, 3e-6, u_validation=1.0)
-    assert noise.to_json(JSON_KEYS["amplitude"]) == {
+    assert noise.to_json(DISPLAYED["amplitude"]) == {
         "statistic": "noise",
         "measured_mm": pytest.approx(3e-3),
         "measured_std_mm": pytest.approx(1e-3),
@@ -850,3 +850,8 @@ def test_a_point_is_judged_by_its_log(rig: Rig, measured_as: Any) -> None:
 def test_a_result_cannot_be_changed(kind: type) -> None:
     with pytest.raises(FrozenInstanceError):
         object.__new__(kind).name = 1
+
+
+def test_a_difference_without_any_uncertainty_is_described() -> None:
+    exact = Score(math.inf, math.radians(30.0), 0.0, math.radians(29.0), 0.0)
+    assert "30.000000 ± 0.000000° measured against 29.000000 ± 0.000000° predicted" in sentence("theta3", exact)
