@@ -51,7 +51,7 @@ def one(
     """A test of one parameter; its value is given as the distance from 1000."""
     return Estimate(
         f"test-{number}",
-        f"logs/{number:02d}.mcap",
+        (f"logs/{number:02d}.mcap",),
         (name,),
         np.array([at + value]),
         np.array([[std**2]]),
@@ -215,7 +215,7 @@ def test_rows_compare_each_value_with_the_others() -> None:
         rest = [j for j in range(3) if j != k]
         others = np.average(values[rest], weights=1 / variance[rest])
         others_std = math.sqrt(1 / np.sum(1 / variance[rest]))
-        assert (row.parameter, row.test, row.source) == (K1, f"test-{k}", f"logs/{k:02d}.mcap")
+        assert (row.parameter, row.test, row.sources) == (K1, f"test-{k}", (f"logs/{k:02d}.mcap",))
         assert (row.value, row.std) == pytest.approx((1000.0 + values[k], math.sqrt(variance[k])))
         assert (row.others, row.others_std) == pytest.approx((1000.0 + others, others_std))
         assert row.z == pytest.approx((values[k] - others) / math.hypot(math.sqrt(variance[k]), others_std))
@@ -316,7 +316,7 @@ def test_the_bad_one_of_three_is_left_out_with_its_distance() -> None:
 
 
 def test_a_test_of_other_parameters_keeps_what_only_it_has() -> None:
-    two = Estimate("two", "two.mcap", (K1, K2), np.array([1050.0, 7.0]), np.diag([1.0, 4.0]), {}, "", {}, {})
+    two = Estimate("two", ("two.mcap",), (K1, K2), np.array([1050.0, 7.0]), np.diag([1.0, 4.0]), {}, "", {}, {})
     found = joint_estimate([*several(0.0, 1.0), two])
     assert list(found.left_out) == [2]
     assert found.parameters.values == pytest.approx({K1: 1000.5, K2: 7.0})
@@ -337,7 +337,7 @@ def test_tests_that_differ_in_the_correlation_only_get_twice_their_uncertainty()
     """Each value agrees by itself; the tests disagree along the direction in which both are sharp."""
     own = np.array([[1.0, 0.9999], [0.9999, 1.0]])
     pair = [
-        Estimate(f"t{i}", f"{i}.mcap", (K1, K2), np.array([1000.0 + off, 1000.0 - off]), own)
+        Estimate(f"t{i}", (f"{i}.mcap",), (K1, K2), np.array([1000.0 + off, 1000.0 - off]), own)
         for i, off in enumerate((0.0, 0.6))
     ]
     found = joint_estimate(pair)
@@ -378,7 +378,7 @@ def test_reduced_keeps_every_part_of_an_estimate() -> None:
     ],
 )
 def test_a_test_without_a_regular_covariance_is_refused(values: list[float], covariance: np.ndarray) -> None:
-    bad = Estimate("run-up", "a.mcap", (K1, K2), np.array(values), covariance)
+    bad = Estimate("run-up", ("a.mcap",), (K1, K2), np.array(values), covariance)
     with pytest.raises(NotIdentifiable, match=rf"a\.mcap: expected finite values .* of {K1}, {K2}, got .*singular"):
         joint_estimate([bad])
 
@@ -428,7 +428,7 @@ def test_the_share_of_a_disagreement_is_what_the_own_errors_lack() -> None:
 
 def test_limits_of_an_identification_take_the_shares_of_its_fits() -> None:
     estimates = several(0.0, 0.0)
-    fits = [SimpleNamespace(test="test-0", source="logs/00.mcap", fit=SimpleNamespace(chi2_per_dof=4.0, curves=[]))]
+    fits = [SimpleNamespace(test="test-0", sources=("logs/00.mcap",), fit=SimpleNamespace(chi2_per_dof=4.0, curves=[]))]
     (found,) = limits(SimpleNamespace(estimates=estimates, fits=fits))
     assert found.shares["model"] == pytest.approx(0.5 * 0.75)
 
@@ -461,8 +461,8 @@ def test_the_share_beyond_noise_is_that_of_the_worst_fit_of_the_test() -> None:
             chi2_per_dof=chi2_per_dof, curves=[SimpleNamespace(measured=r, fitted=np.zeros_like(r)) for r in residuals]
         )
 
-    def share(*fits: SimpleNamespace, test: str = "test-0", source: str = "logs/00.mcap") -> float:
-        named = [SimpleNamespace(test=test, source=source, fit=each) for each in fits]
+    def share(*fits: SimpleNamespace, test: str = "test-0", sources: tuple[str, ...] = ("logs/00.mcap",)) -> float:
+        named = [SimpleNamespace(test=test, sources=sources, fit=each) for each in fits]
         return model_share(one(0.0), SimpleNamespace(fits=named))
 
     signs = np.where(np.random.default_rng(1).random(64) < 0.5, -1.0, 1.0)
@@ -473,11 +473,11 @@ def test_the_share_beyond_noise_is_that_of_the_worst_fit_of_the_test() -> None:
     assert share(fit(2.0, correlated)) == pytest.approx(1 - 1 / 16)
     assert share(fit(20.0, correlated)) == pytest.approx(1 - 1 / 20)
     assert share(fit(4.0), fit(2.0)) == pytest.approx(0.75)
-    assert share(fit(4.0), test="test-1") == share(fit(4.0), source="logs/01.mcap") == 0.0
+    assert share(fit(4.0), test="test-1") == share(fit(4.0), sources=("logs/01.mcap",)) == 0.0
 
 
 def test_the_tests_in_a_file_have_their_logs_times_and_devices() -> None:
-    estimates = [*several(0.0, 1.0, 50.0), replace(one(0.5), test="pair", source="logs/a.mcap + logs/b.mcap")]
+    estimates = [*several(0.0, 1.0, 50.0), replace(one(0.5), test="pair", sources=("logs/a.mcap", "logs/b.mcap"))]
     found = SimpleNamespace(
         estimates=estimates, fits=[], parameters=replace(joint_estimate(estimates).parameters, provenance={"by": "me"})
     )
@@ -661,7 +661,7 @@ def transient(number: int, log_c: np.ndarray, friction: float = 0.0) -> tuple[Es
         open_friction=own,
         by_number={"rotor.mass_kg": np.array([0.5, 0.5])},
     )
-    source = f"{number:02d}.mcap"
+    source = (f"{number:02d}.mcap",)
     names = ("c3_Nms_per_rad", "c4_Nms_per_rad")
     return Estimate("spin-down", source, names, c, np.diag((1e-3 * c) ** 2), {"friction 9": c, "gain x": c * 1e-6}), fit
 
@@ -669,7 +669,7 @@ def transient(number: int, log_c: np.ndarray, friction: float = 0.0) -> tuple[Es
 def test_transients_share_the_friction_that_all_of_them_show() -> None:
     pairs = [transient(i, LOG_C, 5e-5 + 1e-6 * i) for i in range(3)]
     estimates = [one(0.0, number=7), *(e for e, _ in pairs)]
-    found, shared = with_shared_friction(estimates, {f.source: fit for (f, fit) in pairs})
+    found, shared = with_shared_friction(estimates, {f.sources: fit for (f, fit) in pairs})
     assert shared is not None
     assert shared.friction[:2] == pytest.approx([5.1e-5] * 2, rel=1e-6)
     assert np.sqrt(np.diag(shared.covariance))[:2] == pytest.approx([1e-6 / math.sqrt(3)] * 2, rel=1e-3)
@@ -690,7 +690,7 @@ def test_transients_share_the_friction_that_all_of_them_show() -> None:
 
 def test_one_transient_shares_nothing() -> None:
     estimate, fit = transient(0, LOG_C)
-    (found,), shared = with_shared_friction([estimate], {estimate.source: fit})
+    (found,), shared = with_shared_friction([estimate], {estimate.sources: fit})
     assert shared is None
     assert set(found.shared) == {"gain x"}
     assert found.by_number["rotor.mass_kg"] == pytest.approx(0.5 * np.exp(LOG_C))
@@ -698,7 +698,7 @@ def test_one_transient_shares_nothing() -> None:
     pair = [transient(i, LOG_C) for i in range(2)]
     partly = replace(pair[1][0], names=("c3_Nms_per_rad",), values=pair[1][0].values[:1])
     kept_as_is, none = with_shared_friction(
-        [pair[0][0], partly], {e.source: fit for e, (_, fit) in zip((pair[0][0], partly), pair, strict=True)}
+        [pair[0][0], partly], {e.sources: fit for e, (_, fit) in zip((pair[0][0], partly), pair, strict=True)}
     )
     assert none is None
     assert kept_as_is[1] is partly
@@ -708,7 +708,7 @@ def test_friction_is_found_without_a_test_that_stands_apart() -> None:
     pairs = [transient(i, LOG_C, 5e-5) for i in range(4)]
     pairs.append(transient(4, LOG_C + 0.5, 3e-4))
     estimates = [e for e, _ in pairs]
-    found, shared = with_shared_friction(estimates, {e.source: fit for e, fit in pairs})
+    found, shared = with_shared_friction(estimates, {e.sources: fit for e, fit in pairs})
     assert shared is not None
     assert shared.friction[:2] == pytest.approx([5e-5] * 2, rel=1e-6)
     assert list(joint_estimate(found).left_out) == [4]
@@ -717,7 +717,7 @@ def test_friction_is_found_without_a_test_that_stands_apart() -> None:
 def test_sources_of_known_numbers_weigh_the_tests_together() -> None:
     pairs = [transient(i, LOG_C, 5e-5) for i in range(3)]
     source = KnownSource("rotor.mass_kg", 0.01, "kg", {"rotor.mass_kg": 0.01})
-    _, shared = with_shared_friction([e for e, _ in pairs], {e.source: fit for e, fit in pairs}, 0.0, [source])
+    _, shared = with_shared_friction([e for e, _ in pairs], {e.sources: fit for e, fit in pairs}, 0.0, [source])
     assert shared is not None
     assert shared.by_number[0]["rotor.mass_kg"] == pytest.approx([0.5, 0.5], rel=1e-6)
 
