@@ -122,7 +122,7 @@ def test_words_say_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
         (["--plot", "map.txt"], ".html"),
         (["-o", "map.csv"], ".npz, .parquet, .zarr"),
         (["--point", "Z"], "no point 'Z'"),
-        (["--point", "A", "--speed-ratio", "2"], "only one of"),
+        (["--point", "A", "--speed-ratio", "2"], "expected one speed"),
         (["--x", "suspension.gravity_m_per_s2=0:9:4"], "gravity"),
     ],
 )
