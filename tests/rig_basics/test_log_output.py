@@ -40,14 +40,33 @@ def test_without_a_call_nothing_is_written() -> None:
     assert (done.stdout, done.stderr) == ("", "")
 
 
-def test_a_level_shows_lines_from_it_on(capfd: pytest.CaptureFixture[str]) -> None:
-    show_log("INFO")
-    logging.getLogger("daq.x").debug("too detailed")
-    logging.getLogger("daq.x").info("shown")
-    out, err = capfd.readouterr()
-    assert out == ""
-    assert "daq.x: shown" in err
-    assert "too detailed" not in err
+def run(program: str) -> str:
+    """Run a program that has imported what it needs, and return what it wrote to standard error."""
+    begin = "import logging, os, sys; from rig_basics.log_output import show_log\n"
+    command = [sys.executable, "-c", begin + program]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout == ""
+    return done.stderr
+
+
+def test_a_level_shows_lines_from_it_on() -> None:
+    shown = run(
+        "show_log('INFO')\nlogging.getLogger('daq.x').debug('too detailed')\nlogging.getLogger('daq.x').info('shown')\n"
+    )
+    assert "daq.x: shown" in shown
+    assert "too detailed" not in shown
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe that nobody reads is made with os.pipe and dup2")
+def test_a_held_terminal_delays_no_caller_and_no_end() -> None:
+    """Standard error is a full pipe that is never read; the program logs a megabyte and ends."""
+    held = (
+        "ours, theirs = os.pipe(); said = os.dup(2); os.dup2(theirs, 2)\n"
+        "show_log('debug'); log = logging.getLogger('daq.x')\n"
+        "for number in range(10_000): log.debug('%d %s', number, 'x' * 100)\n"
+        "os.write(said, b'all logged')\n"
+    )
+    assert run(held) == "all logged"
 
 
 def test_a_child_process_shows_its_lines_too() -> None:

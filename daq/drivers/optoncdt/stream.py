@@ -58,7 +58,7 @@ class LaserPipeline:
 
     @property
     def clock_seed(self) -> ClockSeed | None:
-        """See KeepsTime."""
+        """See HasClockSeed."""
         return self._clock.seed(round(optoncdt.TIMESTAMP_WRAP * optoncdt.TICK_S * 1e9))
 
     def _restart(self) -> None:

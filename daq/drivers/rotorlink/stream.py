@@ -36,7 +36,7 @@ class NodePipeline:
         losses: see Pipeline.
         status: newest status of the node; None before the first.
         rssi_dBm: signal strength of the newest frame, dBm; None if unknown.
-        complaint: see TellsItself.
+        complaint: see DescribesItself.
         battery_low: whether the node reports a low battery.
         heard_frames: see CountsFrames.
 
@@ -69,12 +69,12 @@ class NodePipeline:
 
     @property
     def clock_seed(self) -> ClockSeed | None:
-        """See KeepsTime."""
+        """See HasClockSeed."""
         return self._clock.seed(1000 * 2**32)
 
     @property
     def learned(self) -> dict[str, int]:
-        """See LearnsIdentity."""
+        """See ObservesIdentity."""
         return {} if self._node is None else {"node": self._node}
 
     def _restart(self) -> None:
@@ -88,7 +88,7 @@ class NodePipeline:
 
     @property
     def has_reported(self) -> bool:
-        """See TellsItself."""
+        """See DescribesItself."""
         return self.status is not None
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
