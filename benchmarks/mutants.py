@@ -196,8 +196,12 @@ def _is_limit(node: ast.expr) -> bool:
 
 
 def _mutant(room: str, module: str, line: int, operator: str, occurrence: int) -> Mutant | None:
+    """Return a mutant; None if the mutation changes nothing, or cosmic-ray cannot write it (`except errors.Class`)."""
     source = (ROOT / module).read_text(encoding="utf-8")
-    mutated = _mutated(source, operator, occurrence)
+    try:
+        mutated = _mutated(source, operator, occurrence)
+    except AttributeError:
+        return None
     changes = [text for text in difflib.ndiff(source.splitlines(), mutated.splitlines()) if text[0] in "+-"]
     before, after = (" ".join(" ".join(t[2:].strip() for t in changes if t[0] == sign).split()) for sign in "-+")
     if not after:  # a removed decorator

@@ -9,15 +9,18 @@ information, and rates below the slowest one are excluded. If the means move, sl
 drift that fits growth or a straight line, and no approach that ends soon enough, has no bound.
 
 The longest series of newest windows that some rate fits is used, so that the rate is estimated from as many windows as
-possible. If no series fits, two rates together and decaying oscillations are tried. If these do not fit either, the
-whole range of the newest means is taken as a change at the slowest rate.
+possible. For this a width below 1 % of the newest windows' range counts as 1 %, because approaches are only nearly
+exponential. A mixture of two rates also fits one rate within 1 % of a large movement, and its slow part can leave far
+more than that rate would. Therefore two rates together and decaying oscillations are fitted as well, unless one rate
+explains the means within ± w, and the larger bound is valid. If neither fits, the whole range of the newest means is
+taken as a change at the slowest rate.
 Source: docs/theory/steady_states.md.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -33,7 +36,9 @@ _FAST_PER_S = 0.5  # an approach this fast hides a simultaneous slow one until i
 _STEP = 1.06  # ratio of neighbouring trial rates
 _GRID_FACTOR = 1.15  # on the bound of a drift, for rates between the trial rates
 _FASTEST_PER_S = 4.0
+_SLOWEST_SINGLE_PER_S = 0.05
 _MARGIN = 1.5  # on the width for a drift that ends, for rates between the trial rates
+_RESIDUALS = 3.0  # times the least residual of two terms: other trial rates that may be the true ones
 _RIDGE = 1e-9  # regularises two nearly equal shapes
 _MIN_WIDTH_SHARE = 0.01  # of the newest windows' range: approaches are only nearly exponential, and rates are a grid
 _MAX_RESIDUAL_SHARE = 0.1  # of the newest windows' range: residual up to which two rates or an oscillation are accepted
@@ -66,19 +71,43 @@ def bound(edges_s: Array, means: Array, width: float, average_s: float, far: flo
         average_s: length of the period before the last window's end over which `mean_off` is computed, s.
         far: change over the last two windows above which a crude bound is sufficient.
     """
-    late = slice(-MIN_WINDOWS, None)
-    width = max(width, _MIN_WIDTH_SHARE * float(np.ptp(means[late])))
+    newest = float(np.ptp(means[-MIN_WINDOWS:]))
+    wide = max(width, _MIN_WIDTH_SHARE * newest)
     tails = newest_counts(len(means))
-    for count in tails:
-        found = _one_rate(edges_s[-count:], means[-count:], width, average_s)
-        if found is not None:
-            return found
-    for count in tails if np.ptp(means[-3:]) < far else ():
-        most = _MAX_RESIDUAL_SHARE * float(np.ptp(means[late]))
-        found = _two_terms(edges_s[-count:], means[-count:], width, most, average_s)
-        if found is not None:
-            return found
-    return _unexplained(edges_s[late], means[late], width, average_s)
+    fits = ((count, _one_rate(edges_s[-count:], means[-count:], wide, average_s)) for count in tails)
+    longest, one = next(((count, found) for count, found in fits if found is not None), (len(means), None))
+    near = float(np.ptp(means[-3:])) < far and (one is None or math.isfinite(one.remaining))
+    for count in (each for each in tails if near and each <= longest):
+        if one is not None and _misfit(edges_s[-count:], means[-count:]) <= width:
+            return one
+        most = max(width, _MAX_RESIDUAL_SHARE * newest)
+        two = _two_terms(edges_s[-count:], means[-count:], wide if one is None else width, most, average_s)
+        if two is not None:
+            return _larger(one, two)
+    return one or _unexplained(edges_s[-MIN_WINDOWS:], means[-MIN_WINDOWS:], wide, average_s)
+
+
+def _larger(one: Approach | None, two: Approach) -> Approach:
+    """Return the approach that leaves more, with the larger `mean_off`."""
+    if one is None:
+        return two
+    worst = max(one, two, key=lambda each: each.remaining)
+    return replace(worst, mean_off=max(one.mean_off, two.mean_off))
+
+
+def _misfit(edges_s: Array, means: Array) -> float:
+    """Return the largest residual of the best single rate: 0 for means that do not move."""
+    shape = decay_means(_single_rates(), edges_s)
+    shape -= shape.mean(axis=1, keepdims=True)
+    centred = means - means.mean()
+    size = (shape @ centred) / (shape**2).sum(axis=1)
+    return float(np.abs(centred - size[:, None] * shape).max(axis=1).min())
+
+
+@lru_cache(maxsize=1)
+def _single_rates() -> Array:
+    """Trial rates of a single decay, 1/s: so near each other that the step between them does not count."""
+    return np.geomspace(_SLOWEST_SINGLE_PER_S, _FASTEST_PER_S, 400)
 
 
 def _unexplained(edges_s: Array, means: Array, width: float, average_s: float) -> Approach:
@@ -178,9 +207,9 @@ def _hidden_slow(edges_s: Array, means: Array, width: float) -> float:
 
 @lru_cache(maxsize=1)
 def _terms() -> tuple[Array, Array]:
-    """Rates of two terms, 1/s: well separated pairs (λ1, λ2), shape (p, 2), and (λ, ω) of oscillations, (q, 2)."""
-    slow = np.geomspace(SLOWEST_PER_S, 1.0, 9)
-    pairs = [(a, b) for a in slow for b in np.geomspace(0.25, _FASTEST_PER_S, 9) if b > 2.5 * a]
+    """Rates of two terms, 1/s: different pairs (λ1, λ2), shape (p, 2), and (λ, ω) of oscillations, shape (q, 2)."""
+    slow = np.geomspace(SLOWEST_PER_S, 2.2, 30)
+    pairs = [(a, b) for a in slow for b in np.geomspace(0.1, _FASTEST_PER_S, 64) if b > 1.25 * a]
     decay = np.concatenate([[-0.1, 1e-4, 0.03], np.geomspace(SLOWEST_PER_S, 2.0, 9)])
     waves = [(a, w) for a in decay for w in np.geomspace(0.25, 2.8, 14)]
     return np.array(pairs), np.array(waves)
@@ -223,7 +252,7 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     design, inverse = _designs(edges_s.tobytes())
     found = np.asarray(inverse @ means, np.float64)
     rest = np.abs(means - (design @ found[:, :, None])[:, :, 0]).max(axis=1)
-    width = max(width, 1.5 * float(rest.min()))
+    width = max(width, _RESIDUALS * float(rest.min()))
     if width > most:
         return None
     fits = rest <= width
@@ -240,6 +269,7 @@ def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_
     left[~fits] = 0.0
     off = np.where(fits, np.maximum(off, left), 0.0)
     worst = int(np.argmax(left))
+    rate = float(rates[worst] if size[worst, 0] > size[worst, 1] else fast[worst])
     seen = float(edges_s[-1, 1] - edges_s[0, 0])
-    result = Approach(float(left[worst]), float(off.max()), max(0.0, float(rates[worst])), seen)
+    result = Approach(float(left[worst]), float(off.max()), max(0.0, rate), seen)
     return _with_slow(result, float(rates[fits].min()), edges_s, means, width, average_s)

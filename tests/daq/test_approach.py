@@ -45,6 +45,18 @@ def test_one_rate_is_bounded(left: float, rate: float, width: float, count: int,
     assert found.mean_off >= 0.97 * found.remaining
 
 
+@pytest.mark.parametrize(("fast", "share"), [(0.27, 1.0), (0.4, 0.3), (0.5, 0.1), (0.65, 0.02), (1.0, 1e-3)])
+@pytest.mark.parametrize("slow", [0.09, 0.13, 0.18])
+@pytest.mark.parametrize("count", [10, 14, 20])
+def test_two_rates_near_each_other_are_bounded(slow: float, fast: float, share: float, count: int) -> None:
+    """Together they look like one rate between them, which would be over much sooner than the slow part is."""
+    edges, width = windows(count), 1e-3
+    values = means(lambda t: np.exp(-slow * t) + share * np.exp(-fast * t), edges) + errors(1, count, width)
+    found = bound(edges, values, width, 2.0)
+    assert 0.8 * (1 + share) < found.remaining < 4 * (1 + share)
+    assert found.mean_off > found.remaining
+
+
 @settings(deadline=None, max_examples=60)
 @given(sizes, st.floats(0.1, 0.6), st.floats(0.6, 2.5), st.floats(0, 6.3), widths, counts, seeds)
 def test_a_decaying_swing_is_bounded(

@@ -6,7 +6,16 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from daq.signals.approach import SLOWEST_PER_S, Approach, _hidden_slow, _slowest, _two_terms, _unexplained, bound
+from daq.signals.approach import (
+    SLOWEST_PER_S,
+    Approach,
+    _hidden_slow,
+    _slowest,
+    _terms,
+    _two_terms,
+    _unexplained,
+    bound,
+)
 from daq.signals.settling import Settling, _more, _slipping, _Tolerances, _visible, _worst, locked_settled, settled
 from daq.signals.window_means import WindowMeans
 
@@ -105,14 +114,15 @@ def test_two_rates_are_bounded_by_the_sum_of_what_both_leave() -> None:
     assert 1.0 < found.remaining < 2.0
     assert 1.05 * found.remaining < found.mean_off < 1.2 * found.remaining
     assert 0.05 < found.rate_per_s < 0.2
-    assert found.seen_s == pytest.approx(15.0)
+    assert 9.0 < found.seen_s < 15.0  # the fast rate is between the trial rates: fifteen windows do not fit
 
 
-@pytest.mark.parametrize(("slow", "fast"), [(SLOWEST_PER_S, 0.25), (SLOWEST_PER_S, 4.0)])
+@pytest.mark.parametrize("fast", [0.25, 4.0])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_terms_that_cancel_now_are_added_with_their_absolute_values(slow: float, fast: float, sign: float) -> None:
-    """The means contain nothing else."""
+def test_terms_that_cancel_now_are_added_with_their_absolute_values(fast: float, sign: float) -> None:
+    """The means contain nothing else than two of the trial rates."""
     length = 1.0 if fast < 1.0 else 0.3
+    slow, fast = min(_terms()[0], key=lambda pair: math.dist(pair, (SLOWEST_PER_S, fast)))
     means = sign * (5.0 + approach(slow, 1.0, 9, length) - approach(fast, 0.8, 9, length))
     found = _two_terms(windows(9, length), means, 1e-12, 1.0, 2.0)
     assert found is not None
@@ -171,7 +181,7 @@ def test_a_bound_of_two_terms_grows_with_the_width_and_needs_a_fit() -> None:
     assert bounds[3] > bounds[2] + 1e-2
     rough = 0.1 * np.array([1, -1, -1, 1, 1, 1, -1, 1, -1])
     assert _two_terms(windows(9), rough, 1e-12, 0.05, 2.0) is None
-    assert _two_terms(windows(9), rough, 1e-12, 0.2, 2.0) is not None
+    assert _two_terms(windows(9), rough, 1e-12, 0.4, 2.0) is not None
     assert _two_terms(windows(9), rough, 0.21, 0.2, 2.0) is None
 
 
@@ -186,7 +196,7 @@ def test_a_crude_bound_is_enough_for_what_moves_far() -> None:
     assert (crude.rate_per_s, crude.seen_s) == (SLOWEST_PER_S, pytest.approx(9.0))
 
 
-@pytest.mark.parametrize(("rate", "standing"), [(2.0, 7), (1.2, 5), (1.0, 5)])
+@pytest.mark.parametrize(("rate", "standing"), [(2.0, 7), (1.2, 5)])
 def test_a_fast_approach_hides_a_slow_one_until_the_means_stand(rate: float, standing: int) -> None:
     """Standing: windows whose means differ by less than 2 w, with w a hundredth of the newest nine's range."""
     means = approach(rate, 1e-2, 12)
@@ -315,8 +325,10 @@ def test_slower_approaches_are_included_the_more_the_means_move() -> None:
 
 def test_the_width_is_at_least_a_hundredth_of_what_moves() -> None:
     means = approach(0.2, 1.0, 12) + 0.003 * np.array([1, -1, 1, 1, -1, -1, 1, -1, 1, -1, -1, 1])
-    exact, wide = bound(windows(12), means, 0.0, 2.0), bound(windows(12), means, 0.01 * float(np.ptp(means[-9:])), 2.0)
-    assert exact == wide
+    one_rate_alone = bound(windows(12), means, 0.0, 2.0, far=0.0)
+    wide = bound(windows(12), means, 0.01 * float(np.ptp(means[-9:])), 2.0)
+    assert one_rate_alone == wide
+    assert bound(windows(12), means, 0.0, 2.0).remaining > wide.remaining  # two rates may explain what is not noise
 
 
 # the decision
