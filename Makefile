@@ -46,6 +46,7 @@ lint: setup
 	$(UV) run --no-sync ruff format --check .
 	$(UV) run --no-sync pyright
 	$(UV) run --no-sync lint-imports
+	$(UV) run --no-sync pylint --score=n $(patsubst %/py.typed,%,$(wildcard */py.typed)) benchmarks tests examples
 	mkdir -p out
 	for package in */py.typed; do \
 		$(UV) run --no-sync pyright --ignoreexternal --verifytypes $${package%/*} >out/types.txt \

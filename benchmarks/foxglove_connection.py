@@ -20,14 +20,12 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
-from benchmarks.live_page import _cpu_s, _rss_mb
+from benchmarks.live_page import _cpu_s, _rss_mb, reads_of
 from daq.acquisition.session import Session
-from daq.log import open_log
 from live.foxglove.protocol import SUBPROTOCOLS
 from live.foxglove.session_connection import FoxgloveConnection
 from rig_cli.simulated import VirtualRigProcess
@@ -88,15 +86,10 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
             os.kill(pid, signal.SIGCONT)
         losses = session.losses()
         path = session.stop_recording({})
-    with open_log(path) as log:
-        host_ns = np.array([chunk.host_ns for chunk in log.raw("laser_x") if chunk.direction == 0])
-    waits = np.diff(host_ns) * 1e-6
-    kinds = ("samples", "bytes", "damaged")
-    lost = sum(losses[device].get(kind, 0) for device in ("laser_x", "laser_y", "drive") for kind in kinds)
     left_out = beside.left_out if beside is not None else 0
     print(
-        f"{name:14} reads p50 {np.median(waits):5.2f} p99 {np.percentile(waits, 99):5.2f} max {waits.max():6.2f} ms, "
-        f"lost {lost}; recorder {100 * ours / passed:4.1f} %, connection {100 * theirs / passed:4.1f} % of a core; "
+        f"{name:14} {reads_of(path, losses)}; recorder {100 * ours / passed:4.1f} %, "
+        f"connection {100 * theirs / passed:4.1f} % of a core; "
         f"{messages:6.0f} messages/s, {left_out} left out, memory {' '.join(f'{m:.0f}' for m in memory)} MB",
         flush=True,
     )

@@ -23,7 +23,7 @@ import tempfile
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -165,19 +165,24 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
             os.kill(pid, signal.SIGCONT)
         losses = session.losses()
         path = session.stop_recording({})
+    print(
+        f"{name:18} {reads_of(path, losses)}; recorder {100 * ours / passed:4.1f} %, "
+        f"page {100 * theirs / passed:4.1f} % of a core; {frames:4.1f} frames/s each",
+        flush=True,
+    )
+    for who, values in facts.items():
+        print(f"{'':18} {who + _UNITS.get(who, ', MB'):15} {' '.join(f'{v:.0f}' for v in values)}")
+
+
+def reads_of(path: Path, losses: Mapping[str, Mapping[str, int]]) -> str:
+    """Return in words the time between the reads of a laser, and the samples lost by devices without radio."""
     with open_log(path) as log:
         host_ns = np.array([chunk.host_ns for chunk in log.raw("laser_x") if chunk.direction == 0])
     waits = np.diff(host_ns) * 1e-6
     kinds = ("samples", "bytes", "damaged")
     lost = sum(losses[device].get(kind, 0) for device in ("laser_x", "laser_y", "drive") for kind in kinds)
-    print(
-        f"{name:18} reads p50 {np.median(waits):5.2f} p99 {np.percentile(waits, 99):5.2f} max {waits.max():6.2f} ms, "
-        f"lost {lost}; recorder {100 * ours / passed:4.1f} %, page {100 * theirs / passed:4.1f} % of a core; "
-        f"{frames:4.1f} frames/s each",
-        flush=True,
-    )
-    for who, values in facts.items():
-        print(f"{'':18} {who + _UNITS.get(who, ', MB'):15} {' '.join(f'{v:.0f}' for v in values)}")
+    p50, p99 = np.percentile(waits, (50, 99))
+    return f"reads p50 {p50:5.2f} p99 {p99:5.2f} max {waits.max():6.2f} ms, lost {lost}"
 
 
 def _hour(rig_name: str, minutes: int = 60) -> None:

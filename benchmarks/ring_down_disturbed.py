@@ -20,7 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.signals.run import Run
-from identification import IdentificationError, fit_ring_down_runs
+from identification import IdentificationError, RingDownFit, fit_ring_down_runs
+from identification.setting import Setting
 
 MASS_KG = 7.345
 NONE = np.empty(0)
@@ -204,18 +205,25 @@ def drawn(name: str, seed: int, number: int) -> tuple[World, Run, list[float]]:
     return world, run, lines
 
 
+def fitted(run: Run, number: int, dump: bool, setting: Setting = "balanced") -> RingDownFit | None:
+    """Return the fit of one run; None if it is refused, which is printed on request."""
+    try:
+        return fit_ring_down_runs([run], MASS_KG, setting=setting)
+    except IdentificationError as error:
+        if dump:
+            print(f"    {number} refused: {error}")
+        return None
+
+
 def campaign(name: str, runs: int, seed: int, dump: bool) -> str:
     errors, covered, stds, refused, wrong, named, spent = [], [], [], 0, 0, 0, []
     other_z, both = [], 0
     for number in range(runs):
         world, run, lines = drawn(name, seed, number)
         began = time.process_time()
-        try:
-            fit = fit_ring_down_runs([run], MASS_KG)
-        except IdentificationError as error:
+        fit = fitted(run, number, dump)
+        if fit is None:
             refused += 1
-            if dump:
-                print(f"    {number} refused: {error}")
             continue
         spent.append(time.process_time() - began)
         own = str(world.axis + 1)

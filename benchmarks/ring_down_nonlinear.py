@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from benchmarks.ring_down_disturbed import fitted
 from daq.signals.run import Run
-from identification import IdentificationError, fit_ring_down_runs
 from identification.setting import Setting
 
 MASS_KG = 7.345
@@ -125,12 +125,9 @@ def campaign(name: str, runs: int, seed: int, setting: Setting, dump: bool) -> s
     for number in range(runs):
         world = pluck(np.random.default_rng([seed, 88, number]), number % 2, case)
         began = time.process_time()
-        try:
-            fit = fit_ring_down_runs([world.run], MASS_KG, setting=setting)
-        except IdentificationError as error:
+        fit = fitted(world.run, number, dump, setting)
+        if fit is None:
             refused += 1
-            if dump:
-                print(f"    {number} refused: {error}")
             continue
         spent.append(time.process_time() - began)
         own = str(world.axis + 1)

@@ -84,12 +84,4 @@ def _readout(found: CoexistenceMap, axes: Axes) -> Readout:
     question, arrays = found.question, found.arrays
     layers = {f"|multiplier| of {name}": arrays[f"multiplier_{name}"] for name in MOTIONS}
     layers = {name: values for name, values in layers.items() if np.any(np.isfinite(values))}
-    box = axes.get_position()
-    return Readout(
-        (float(box.x0), float(box.y0), float(box.x1), float(box.y1)),
-        (question.x.name, question.y.name),
-        (question.x.logarithmic, question.y.logarithmic),
-        found.x,
-        found.y,
-        layers,
-    )
+    return Readout.over(axes, (question.x, question.y), found.x, found.y, layers)

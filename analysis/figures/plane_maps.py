@@ -151,15 +151,6 @@ def _readout(found: MapAnswer, axes: Axes) -> Readout:
         np.unique(np.linspace(0, n - 1, min(n, _MAX_READOUT)).astype(int)) for n in (len(grid.x), len(grid.y))
     )
     place = np.ix_(rows, columns)
-    x, y = found.question.axes
     own = " of the rig as it is" if found.family else ""
     layers = {f"|multiplier|{own}": grid.multiplier_max[place], f"decay rate{own}, 1/s": grid.decay_rate_per_s[place]}
-    box = axes.get_position()
-    return Readout(
-        (float(box.x0), float(box.y0), float(box.x1), float(box.y1)),
-        (x.name, y.name),
-        (x.logarithmic, y.logarithmic),
-        grid.x[columns],
-        grid.y[rows],
-        layers,
-    )
+    return Readout.over(axes, found.question.axes, grid.x[columns], grid.y[rows], layers)

@@ -8,7 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
+
+from analysis.maps.axes import MapAxis
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,32 @@ class Readout:
     x: NDArray[np.floating]
     y: NDArray[np.floating]
     layers: Mapping[str, NDArray[np.floating]]
+
+    @classmethod
+    def over(
+        cls,
+        axes: Axes,
+        lines: tuple[MapAxis, MapAxis],
+        x: NDArray[np.floating],
+        y: NDArray[np.floating],
+        layers: Mapping[str, NDArray[np.floating]],
+    ) -> Readout:
+        """Return the readout over the axes of a figure.
+
+        Args:
+            axes: the axes, placed for good.
+            lines: axes of the map's question.
+            x, y, layers: as the attributes.
+        """
+        box = axes.get_position()
+        return cls(
+            (float(box.x0), float(box.y0), float(box.x1), float(box.y1)),
+            (lines[0].name, lines[1].name),
+            (lines[0].logarithmic, lines[1].logarithmic),
+            x,
+            y,
+            layers,
+        )
 
     def as_json(self) -> str:
         """Return JSON for the page's script; values as base64 of 32-bit little-endian floats."""

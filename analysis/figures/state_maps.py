@@ -127,12 +127,4 @@ def _readout(found: StateMap, axes: Axes) -> Readout:
         "amplitude, µm": 1e6 * arrays["amplitude_m"],
         "settled after, s": arrays["settled_s"],
     }
-    box = axes.get_position()
-    return Readout(
-        (float(box.x0), float(box.y0), float(box.x1), float(box.y1)),
-        (question.x.name, question.y.name),
-        (question.x.logarithmic, question.y.logarithmic),
-        found.x,
-        found.y,
-        layers,
-    )
+    return Readout.over(axes, (question.x, question.y), found.x, found.y, layers)

@@ -1,15 +1,17 @@
-"""Base class with the parts that most drivers of sensors have in common."""
+"""Base classes with the parts that most drivers have in common."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
 from daq.drivers.contract import DeviceLine, SampleClock, SpeedControl, Talk
 from daq.drivers.played import PlayedDevice
 from daq.items import DeviceEvent
+from rig_configs.device import DisplacementSettings, RotorNodeSettings
 
 
 class PlainDriver:
@@ -55,3 +57,46 @@ class PlainDriver:
 
     def stop(self, talk: Talk) -> None:
         """See Driver: the device cannot be stopped; it sends as long as it has power."""
+
+
+class DisplacementDriver(PlainDriver):
+    """Driver of a sensor of the column's motion with one displacement and a counter in each sample.
+
+    A subclass must also define `count_wrap`, the modulus of the counter. Its settings are a DisplacementSettings.
+    """
+
+    rest_s: float = 0.01
+    count_wrap: int
+
+    def channels(self, settings: DisplacementSettings) -> tuple[Channel, ...]:
+        """See Driver: the channel that the settings name."""
+        return (channels.displacement_channel(settings.topic),)
+
+    def clocks(self, settings: DisplacementSettings) -> tuple[SampleClock, ...]:
+        """See Driver: the sensor's clock, from the samples' own time or from their number and the sampling period."""
+        (channel,) = self.channels(settings)
+        tick_ns = round(channels.DEVICE_TICK_S * 1e9)
+        rate, tolerance = settings.rate_Hz, settings.clock_tolerance_ppm
+        return (SampleClock(channel.topic, rate, tolerance, "device_ticks", tick_ns, self.count_wrap),)
+
+
+class RotorNodeDriver(PlainDriver):
+    """Driver of a node on the rotor that sends pendulum angles with its own time in µs, and index marks.
+
+    Its settings are a RotorNodeSettings.
+    """
+
+    rest_s: float = 0.01
+
+    def channels(self, settings: RotorNodeSettings) -> tuple[Channel, ...]:
+        """See Driver: the pendulums' angles."""
+        return (channels.PENDULUMS,)
+
+    def occasional(self, settings: RotorNodeSettings) -> tuple[Channel, ...]:
+        """See Driver: the index marks."""
+        return (channels.TACHO,)
+
+    def clocks(self, settings: RotorNodeSettings) -> tuple[SampleClock, ...]:
+        """See Driver: the node's clock."""
+        rate, tolerance = settings.rate_Hz, settings.clock_tolerance_ppm
+        return (SampleClock(channels.PENDULUMS.topic, rate, tolerance, "node_time_us", 1000, 2**32),)

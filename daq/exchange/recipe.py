@@ -53,6 +53,7 @@ class Recipe(BaseModel, extra="forbid", frozen=True):
     test: str = ""
     point: str = ""
     note: str = ""
+    # pylint: disable=duplicate-code  # the options of `rig import` have the names of these fields
     time: str | None = None
     rate_Hz: Annotated[float, Field(gt=0, le=1e8)] | None = None
     x: str | None = None

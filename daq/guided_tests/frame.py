@@ -111,6 +111,14 @@ REST = State(
     no_pause="the rotor may turn",
 )
 LOCK = State("lock", does="lock both pendulums", enter=RigOrders.hold, actor="locks", asks=ASK_TO_LOCK, usual_s=1.0)
+RELEASE_AT_REST = State(
+    "release",
+    does="release both pendulums with the rotor at rest",
+    enter=lambda orders: orders.release(turning=False),
+    actor="locks",
+    asks="release both pendulums",
+    usual_s=0.5,
+)
 LOCKS_SEEN = State(
     "locks seen",
     waits_for="the description of the encoders' device",

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from daq.guided_test_kinds import GuidedTestRequest, TestKind
-from daq.guided_tests.frame import framed
+from daq.guided_tests.frame import RELEASE_AT_REST, framed
 from daq.guided_tests.hands import HUMAN_S
 from daq.guided_tests.ring_down import PRE_TRIGGER
 from daq.guided_tests.table import MOTION, State, StateObservation, StateTable, StateView, after, no_orders
@@ -44,14 +44,7 @@ def _table(request: GuidedTestRequest) -> StateTable:
     later = before_s > 0
     return framed(
         request,
-        State(
-            "release",
-            does="release both pendulums with the rotor at rest",
-            enter=lambda orders: orders.release(turning=False),
-            actor="locks",
-            asks="release both pendulums",
-            usual_s=0.5,
-        ),
+        RELEASE_AT_REST,
         State(
             "quiet",
             does="" if later else "begin the log",

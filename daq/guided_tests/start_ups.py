@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from daq.guided_test_kinds import GuidedTestRequest, Number, TestKind
-from daq.guided_tests.frame import framed, spin_up
+from daq.guided_tests.frame import RELEASE_AT_REST, framed, spin_up
 from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.point import SPEED, point_states, refusal, settle_state
 from daq.guided_tests.table import MOTION, State, StateTable, StateView, after, not_missed
@@ -63,14 +63,7 @@ def _from_rest(request: GuidedTestRequest, rpm: float) -> tuple[State, ...]:
             usual_s=_BEFORE_S,
             limit_s=60.0,
         ),
-        State(
-            "release",
-            does="release both pendulums with the rotor at rest",
-            enter=lambda orders: orders.release(turning=False),
-            actor="locks",
-            asks="release both pendulums",
-            usual_s=0.5,
-        ),
+        RELEASE_AT_REST,
         State(
             "scatter",
             does="request arbitrary angles of both pendulums",

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from daq.signals.order_noise import OrderNoise
-from daq.signals.order_windows import cut_windows, squared
+from daq.signals.order_windows import Cut, cut_windows, squared
 from daq.signals.rounding import code_noise, half_width, rounding_terms
 from rig_basics.arrays import Array
 
@@ -151,15 +151,12 @@ def amplitude_means(
     newest: int,
 ) -> WindowMeans | None:
     """Order-1 amplitudes of x and y in the windows with samples of both; None if too many samples are missing."""
-    x = cut_windows(x_time_s, x_m, mark_time_s, mark_phase_rad, edges, newest)
-    y = cut_windows(y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
-    if x is None or y is None:
+    cuts = _both(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
+    if cuts is None:
         return None
-    kept = x.enough & y.enough
-    columns: list[Array] = []
-    noise: list[float] = []
-    beyond: list[OrderNoise] = []
-    for cut in (x, y):
+    kept = cuts[0].enough & cuts[1].enough
+    columns, noise, beyond = list[Array](), list[float](), list[OrderNoise]()
+    for cut in cuts:
         fit = cut.orders()
         columns.append(np.hypot(*fit[1:3, kept, 0]))
         white = float(
@@ -167,7 +164,7 @@ def amplitude_means(
         )
         beyond.append(cut.order_noise(fit, white))
         noise.append(white * max(beyond[-1].real, beyond[-1].imaginary))
-    return _orbit(x.edges[kept], columns, noise, [each.neighbours for each in beyond], beyond)
+    return _orbit(cuts[0].edges[kept], columns, noise, [each.neighbours for each in beyond], beyond)
 
 
 def orbit_means(
@@ -184,22 +181,34 @@ def orbit_means(
 
     The columns are Re X, Im X, Re Y, Im Y in m, with x = Re(X e^{iψ}) and y alike; `width` and `noise` are of four.
     """
-    x = cut_windows(x_time_s, x_m, mark_time_s, mark_phase_rad, edges, newest)
-    y = cut_windows(y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
-    if x is None or y is None:
+    cuts = _both(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
+    if cuts is None:
         return None
-    kept = x.enough & y.enough
-    columns: list[Array] = []
-    noise: list[float] = []
-    beyond: list[OrderNoise] = []
-    for cut in (x, y):
+    kept = cuts[0].enough & cuts[1].enough
+    columns, noise, beyond = list[Array](), list[float](), list[OrderNoise]()
+    for cut in cuts:
         fit = cut.orders()
         columns += [np.asarray(fit[1, kept, 0], np.float64), -np.asarray(fit[2, kept, 0], np.float64)]
         each = np.sqrt(cut.mean(squared(np.diff(cut.rest(fit), 2)), kept)[:, 0] / (3 * cut.counts[kept]))
         white = float(np.median(each))
         beyond.append(cut.order_noise(fit, white))
         noise += [white * beyond[-1].real, white * beyond[-1].imaginary]
-    return _orbit(x.edges[kept], columns, noise, [each.neighbours for each in beyond for _ in range(2)], beyond)
+    return _orbit(cuts[0].edges[kept], columns, noise, [each.neighbours for each in beyond for _ in range(2)], beyond)
+
+
+def _both(
+    x_time_s: Array,
+    x_m: Array,
+    y_time_s: Array,
+    y_m: Array,
+    mark_time_s: Array,
+    mark_phase_rad: Array,
+    edges: Array,
+    newest: int,
+) -> tuple[Cut, Cut] | None:
+    x = cut_windows(x_time_s, x_m, mark_time_s, mark_phase_rad, edges, newest)
+    y = cut_windows(y_time_s, y_m, mark_time_s, mark_phase_rad, edges, newest)
+    return None if x is None or y is None else (x, y)
 
 
 def _orbit(

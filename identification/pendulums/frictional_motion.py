@@ -17,10 +17,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from dynamics.equations.kernels import AA, C1, C2, CA, DA, FA, GRAVITY, JA, K1, K2, MASS, RC, SA, SP
+from dynamics.equations.kernels import AA, C1, C2, CA, DA, FA, JA, K1, K2, MASS, SA
 from dynamics.equations.quick_rates import real_sine_cosine
 from dynamics.equations.speed_history import phase_at
-from identification.pendulums.variational import WHOLE, follow, suspension
+from identification.pendulums.variational import WHOLE, disk_forces, follow, solve_disk
 from rig_basics.arrays import Array
 
 COLUMNS = 19
@@ -41,14 +41,7 @@ def _rates(
     rate, e·p̈, holding torque. whole: the inverse of 𝐌 (xx, yy, xy), the imbalance's force over S_P, and `suspension`.
     """
     psi, omega, alpha = phase[0], phase[1], phase[2]
-    sin_r, cos_r = real_sine_cosine(psi)
-    w2 = omega * omega
-    rx = -p[RC] * (alpha * sin_r + w2 * cos_r)
-    ry = p[RC] * (alpha * cos_r - w2 * sin_r) + p[GRAVITY]
-    whole[3], whole[4] = w2 * cos_r + alpha * sin_r, w2 * sin_r - alpha * cos_r
-    suspension(y, cos_r, sin_r, p, whole)
-    fx = p[SP] * whole[3] - p[C1] * whole[7] - p[K1] * whole[5]
-    fy = p[SP] * whole[4] - p[C2] * whole[8] - p[K2] * whole[6] - p[MASS] * p[GRAVITY]
+    rx, ry, fx, fy = disk_forces(y, psi, omega, alpha, p, whole)
     mxx, myy, mxy = p[MASS], p[MASS], 0.0
     for i in range(2):
         inertia, free = p[JA + i], 1.0 if mode[i] != 0 else 0.0
@@ -67,9 +60,7 @@ def _rates(
         mxy += m * sine * cosine
         own[i, 0], own[i, 1], own[i, 2], own[i, 3], own[i, 4] = cosine, sine, m, bare, speed
         own[i, 5] = -free * (p[CA + i] + 2.0 * air + 2.0 * mode[i] * p[FA + i] * speed) / inertia
-    share = 1.0 / (mxx * myy - mxy * mxy)
-    whole[0], whole[1], whole[2] = myy * share, mxx * share, -mxy * share
-    f[4], f[5] = whole[0] * fx + whole[2] * fy, whole[2] * fx + whole[1] * fy
+    solve_disk(mxx, myy, mxy, fx, fy, f, whole)
     px, py = f[4] + rx, f[5] + ry
     f[0], f[1] = y[4], y[5]
     for i in range(2):

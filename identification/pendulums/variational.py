@@ -57,6 +57,31 @@ def suspension(y: Array, cos_r: float, sin_r: float, p: Array, whole: Array) -> 
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def disk_forces(
+    y: Array, psi: float, omega: float, alpha: float, p: Array, whole: Array
+) -> tuple[float, float, float, float]:
+    """Return the pivots' acceleration by the rotation and by gravity, and the force on the disk: rx, ry, fx, fy.
+
+    Writes the imbalance's force over S_P into whole[3:5] and `suspension` into whole[5:13].
+    """
+    sin_r, cos_r = real_sine_cosine(psi)
+    w2 = omega * omega
+    whole[3], whole[4] = w2 * cos_r + alpha * sin_r, w2 * sin_r - alpha * cos_r
+    suspension(y, cos_r, sin_r, p, whole)
+    fx = p[SP] * whole[3] - p[C1] * whole[7] - p[K1] * whole[5]
+    fy = p[SP] * whole[4] - p[C2] * whole[8] - p[K2] * whole[6] - p[MASS] * p[GRAVITY]
+    return -p[RC] * whole[3], -p[RC] * whole[4] + p[GRAVITY], fx, fy
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+def solve_disk(mxx: float, myy: float, mxy: float, fx: float, fy: float, f: Array, whole: Array) -> None:
+    """Write the disk's acceleration into f[4:6] and the inverse of its mass matrix (xx, yy, xy) into whole[:3]."""
+    share = 1.0 / (mxx * myy - mxy * mxy)
+    whole[0], whole[1], whole[2] = myy * share, mxx * share, -mxy * share
+    f[4], f[5] = whole[0] * fx + whole[2] * fy, whole[2] * fx + whole[1] * fy
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
 def _accelerations(
     y: Array, psi: float, omega: float, alpha: float, p: Array, f: Array, own: Array, whole: Array
 ) -> None:
@@ -66,14 +91,7 @@ def _accelerations(
     rate, n·p̈, e·p̈. whole: the inverse of 𝐌 (xx, yy, xy), the imbalance's force over S_P, the factors of k1, k2, c1, c2,
     and the derivatives of these factors by the stretch and by the speed.
     """
-    sin_r, cos_r = real_sine_cosine(psi)
-    w2 = omega * omega
-    rx = -p[RC] * (alpha * sin_r + w2 * cos_r)
-    ry = p[RC] * (alpha * cos_r - w2 * sin_r) + p[GRAVITY]
-    whole[3], whole[4] = w2 * cos_r + alpha * sin_r, w2 * sin_r - alpha * cos_r
-    suspension(y, cos_r, sin_r, p, whole)
-    fx = p[SP] * whole[3] - p[C1] * whole[7] - p[K1] * whole[5]
-    fy = p[SP] * whole[4] - p[C2] * whole[8] - p[K2] * whole[6] - p[MASS] * p[GRAVITY]
+    rx, ry, fx, fy = disk_forces(y, psi, omega, alpha, p, whole)
     mxx, myy, mxy = p[MASS], p[MASS], 0.0
     for i in range(2):
         s, j = p[SA + i], p[JA + i]
@@ -90,9 +108,7 @@ def _accelerations(
         mxy += m * sine * cosine
         own[i, 0], own[i, 1], own[i, 2], own[i, 3], own[i, 4] = cosine, sine, s, m, bare
         own[i, 5] = -(p[CA + i] + 2.0 * air + 2.0 * p[FA + i] * speed) / j
-    share = 1.0 / (mxx * myy - mxy * mxy)
-    whole[0], whole[1], whole[2] = myy * share, mxx * share, -mxy * share
-    f[4], f[5] = whole[0] * fx + whole[2] * fy, whole[2] * fx + whole[1] * fy
+    solve_disk(mxx, myy, mxy, fx, fy, f, whole)
     px, py = f[4] + rx, f[5] + ry
     f[0], f[1], f[2], f[3] = y[4], y[5], y[6], y[7]
     for i in range(2):

@@ -16,7 +16,7 @@ from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.errors import DeviceError, LogError
 from daq.items import RX, Batch
-from daq.virtual_rig.world import DeviceClock
+from daq.virtual_rig.beam import Beam
 from tests.daq.hand_made_laser import HandMadeLaser
 
 START_NS = 1_700_000_000_000_000_000
@@ -180,8 +180,7 @@ def test_a_refusal_that_leaves_it_as_it_was_is_an_error(command: str, refusal: s
 @pytest.mark.parametrize("scaling", [None, "ILD1900"])
 def test_a_simulated_sensor_is_of_the_model_whose_scaling_the_rig_file_forces(scaling: str | None) -> None:
     config = Laser.model_validate({**RIG_TABLE, "scaling": scaling})
-    rng = np.random.default_rng(1)
-    far_end = SimulatedLaser(config, np.array([1.0, 0.0]), 0.0, 0.0, DeviceClock(0.0, 0.0), rng, serial="1")
+    far_end = SimulatedLaser(config, Beam.unmoved(), serial="1")
     info = sensor_answers.parse_info(far_end.receive(b"GETINFO\n").decode().splitlines())
     assert info["name"] == (scaling or "ILD1420")
     seen = np.array([-0.005, 0.0, 0.005])

@@ -17,6 +17,7 @@ from daq.drivers.riftek.settings import RiftekLaser
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports import HostClock
+from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.motion import GRID_S, StepTrajectory
 from daq.virtual_rig.world import DeviceClock
 
@@ -51,9 +52,9 @@ class Bench:
 
     def __init__(self, config: RiftekLaser, drift: float = 0.0, offset_m: float = 0.0) -> None:
         self.config = config
-        self.sensor = SimulatedRiftek(
-            config, np.array([0.0, 1.0]), offset_m, 0.0, DeviceClock(3.0, drift), np.random.default_rng(1), "12345"
-        )
+        rng = np.random.default_rng(1)
+        beam = Beam(np.array([0.0, 1.0]), offset_m, 0.0, DeviceClock(3.0, drift), rng)
+        self.sensor = SimulatedRiftek(config, beam, "12345")
         self.pipeline = DRIVER.pipeline("laser_y", config, {})
         self.clock = BenchTime(self)
         self.replies: queue.Queue[str] = queue.Queue()
@@ -211,9 +212,7 @@ def test_a_parameter_that_does_not_stay_as_written_raises(bench: Bench, monkeypa
 
 def test_a_sensor_of_another_address_is_refused_but_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     bench = at_bench(monkeypatch, laser(address=7))
-    other = SimulatedRiftek(
-        laser(address=9), np.array([0.0, 1.0]), 0.0, 0.0, DeviceClock(0.0, 0.0), np.random.default_rng(2), "1"
-    )
+    other = SimulatedRiftek(laser(address=9), Beam.unmoved(), "1")
     bench.sensor = other
     other.receive(wire.request(9, wire.START))
     with pytest.raises(DeviceError, match="of address 7"):

@@ -70,15 +70,14 @@ def test_map_writes_arrays_and_figure(capsys: pytest.CaptureFixture[str], tmp_pa
         "speed_ratio=0.5:6:23",
         "--y",
         "stiffness_ratio=1:15:8",
-        "-o",
-        str(arrays),
         "--plot",
         str(figure),
+        "-o",
+        str(arrays),
         "--json",
     )
     result = json.loads(out)
-    assert code == 0
-    assert result["points"] == 184
+    assert (code, result["points"]) == (0, 184)
     with np.load(arrays) as found:
         numbers = {"speed_ratio", "stiffness_ratio", "multiplier_max", "error_estimate", "decay_rate_per_s"}
         assert set(found) == numbers | {"provenance"}

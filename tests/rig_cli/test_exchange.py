@@ -114,6 +114,25 @@ def test_one_laser_gives_one_direction(capsys: pytest.CaptureFixture[str], tmp_p
         assert abs(found[name]["value"] - true) < 4 * found[name]["std"]
 
 
+BALANCED_COLUMNS = (
+    "--time",
+    "t:s",
+    "--x",
+    "x:mm",
+    "--y",
+    "y:mm",
+    "--theta3",
+    "a:deg",
+    "--theta4",
+    "b:deg",
+    "--phase",
+    "psi:deg",
+    "--release",
+    "5.0",
+)
+"""Options that import the file of `balanced_point`."""
+
+
 def balanced_point(path: Path, rate: float = 1000.0) -> Path:
     """A point at which the pendulums, released at 5 s, move to balance: the model's motion with noise."""
     rng, physics = np.random.default_rng(5), RIG.physics
@@ -138,20 +157,7 @@ def test_a_point_of_another_laboratory_is_validated(capsys: pytest.CaptureFixtur
         balanced_point(tmp_path / "b.csv"),
         "--point",
         "B",
-        "--time",
-        "t:s",
-        "--x",
-        "x:mm",
-        "--y",
-        "y:mm",
-        "--theta3",
-        "a:deg",
-        "--theta4",
-        "b:deg",
-        "--phase",
-        "psi:deg",
-        "--release",
-        "5.0",
+        *BALANCED_COLUMNS,
     )
     toml = tmp_path / "p.toml"
     x_only = imported(

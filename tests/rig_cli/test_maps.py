@@ -43,15 +43,14 @@ def test_any_two_numbers_with_borders(capsys: pytest.CaptureFixture[str], tmp_pa
         "--borders",
         "--quantity",
         "decay-rate",
-        "-o",
-        str(arrays),
         "--plot",
         str(figure),
+        "-o",
+        str(arrays),
         "--json",
     )
     result = json.loads(out)
-    assert code == 0
-    assert (result["x"], result["points"]) == ("speed_ratio", 240)
+    assert (code, result["x"], result["points"]) == (0, "speed_ratio", 240)
     assert result["y"] == DAMPING.partition("=")[0]
     (border,) = result["borders"]
     assert set(border["kinds"]) == {"flutter"}

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rig_cli.main import run
-from tests.rig_cli.test_exchange import balanced_point
+from tests.rig_cli.test_exchange import BALANCED_COLUMNS, balanced_point
 from tests.rig_cli.test_validate import known
 
 
@@ -51,23 +51,7 @@ def test_what_changed_since_an_earlier_file(capsys: pytest.CaptureFixture[str], 
 
 def test_points_alone_need_parameters(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     table, log = balanced_point(tmp_path / "b.csv"), tmp_path / "b.mcap"
-    columns = [
-        "--time",
-        "t:s",
-        "--x",
-        "x:mm",
-        "--y",
-        "y:mm",
-        "--theta3",
-        "a:deg",
-        "--theta4",
-        "b:deg",
-        "--phase",
-        "psi:deg",
-        "--release",
-        "5.0",
-    ]
-    assert run(["import", str(table), "--rig", "virtual", "--point", "B", "-o", str(log), *columns]) == 0
+    assert run(["import", str(table), "--rig", "virtual", "--point", "B", "-o", str(log), *BALANCED_COLUMNS]) == 0
     code, answer = answered(capsys, log, "-o", tmp_path / "r.html")
     assert code == 2
     assert "expected tests to identify from" in answer["error"]

@@ -13,7 +13,7 @@ from scipy.stats import chi2, norm
 
 from rig_cli.main import run
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, load_rig
-from tests.rig_cli.test_exchange import balanced_point
+from tests.rig_cli.test_exchange import BALANCED_COLUMNS, balanced_point
 
 RIG = load_rig("virtual")
 
@@ -29,24 +29,8 @@ def known(path: Path, axis_angle_deg: tuple[float, float] | None = (1.0, 0.01)) 
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("point")
     out = folder / "b.mcap"
-    columns = [
-        "--time",
-        "t:s",
-        "--x",
-        "x:mm",
-        "--y",
-        "y:mm",
-        "--theta3",
-        "a:deg",
-        "--theta4",
-        "b:deg",
-        "--phase",
-        "psi:deg",
-        "--release",
-        "5.0",
-    ]
     table = balanced_point(folder / "b.csv")
-    assert run(["import", str(table), "--rig", "virtual", "--point", "B", "-o", str(out), *columns]) == 0
+    assert run(["import", str(table), "--rig", "virtual", "--point", "B", "-o", str(out), *BALANCED_COLUMNS]) == 0
     return out
 
 

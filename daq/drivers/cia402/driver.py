@@ -9,7 +9,8 @@ from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
 from daq.drivers.cia402.settings import MotorDrive
-from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SampleClock, SpeedControl, Talk
+from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SpeedControl, Talk
+from daq.drivers.plain import PlainDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.items import DeviceEvent
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 _ADAPTER_BAUD = 115_200  # line rate of the adapter's serial port, if it has one
 
 
-class Cia402:
+class Cia402(PlainDriver):
     """See Driver."""
 
     name = "cia402"
@@ -36,14 +37,6 @@ class Cia402:
     def channels(self, settings: MotorDrive) -> tuple[Channel, ...]:
         """See Driver."""
         return (channels.MOTOR,)
-
-    def occasional(self, settings: MotorDrive) -> tuple[Channel, ...]:
-        """See Driver."""
-        return ()
-
-    def clocks(self, settings: MotorDrive) -> tuple[SampleClock, ...]:
-        """See Driver; a drive has no clock, its samples get the host's time."""
-        return ()
 
     def pipeline(self, device: str, settings: MotorDrive, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
@@ -79,9 +72,6 @@ class Cia402:
         from daq.drivers.cia402.played import PlayedDrive
 
         return PlayedDrive(settings)
-
-    def prepare(self) -> None:
-        """See Driver."""
 
     def open(self, device: str, settings: MotorDrive, talk: Talk) -> dict[str, Any]:
         """See Driver; the drive's command (`control`) starts the network."""

@@ -2,51 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from daq import channels
-from daq.channels import Channel
-from daq.drivers.checks import Checks
-from daq.drivers.contract import DeviceLine, Pipeline, SampleClock, SpeedControl, Talk
+from daq.drivers.contract import Pipeline, Talk
 from daq.drivers.optoncdt.settings import Laser
+from daq.drivers.plain import DisplacementDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
-from daq.items import DeviceEvent
-
-_COUNTER_WRAP = 2**18
 
 
-class OptoNcdt:
+class OptoNcdt(DisplacementDriver):
     """See Driver."""
 
     name = "optoncdt"
     settings = Laser
-    rest_s: float = 0.01
+    count_wrap: int = 2**18
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
     claims: frozenset[str] = frozenset({"counts exactly", "falls silent"})
-
-    def line(self, settings: Laser) -> DeviceLine:
-        """See Driver."""
-        return DeviceLine(settings.port, settings.baud)
-
-    def channels(self, settings: Laser) -> tuple[Channel, ...]:
-        """See Driver."""
-        return (channels.displacement_channel(settings.topic),)
-
-    def occasional(self, settings: Laser) -> tuple[Channel, ...]:
-        """See Driver."""
-        return ()
-
-    def clocks(self, settings: Laser) -> tuple[SampleClock, ...]:
-        """See Driver."""
-        (channel,) = self.channels(settings)
-        tick_ns = round(channels.DEVICE_TICK_S * 1e9)
-        return (
-            SampleClock(
-                channel.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "device_ticks", tick_ns, _COUNTER_WRAP
-            ),
-        )
 
     def pipeline(self, device: str, settings: Laser, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
@@ -54,16 +27,6 @@ class OptoNcdt:
 
         (channel,) = self.channels(settings)
         return LaserPipeline(device, settings, channel, identity)
-
-    def words(self, event: DeviceEvent) -> str:
-        """See Driver."""
-        return event.text
-
-    def checks(
-        self, settings: Laser, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
-    ) -> Checks:
-        """See Driver."""
-        return {}
 
     def far_end(self, device: str, settings: Laser, world: Any) -> FarEnd:
         """See Driver."""

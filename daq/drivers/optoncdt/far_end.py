@@ -12,7 +12,8 @@ from daq.drivers.optoncdt import distance_words, sensor_answers, wire as optoncd
 from daq.drivers.optoncdt.commands import SensorCommands, info_lines
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
-from daq.virtual_rig.world import DeviceClock, World
+from daq.virtual_rig.beam import Beam
+from daq.virtual_rig.world import World
 
 _ERROR_BEFORE, _ERROR_BEHIND, _ERROR_BAUD, _NO_PEAK = 262077, 262078, 262075, 262076
 
@@ -26,11 +27,7 @@ class SimulatedLaser(FarEnd):
 
     Args:
         config: table of the sensor in the rig file.
-        look: sensitivity to x and y, including axis angle and gain, dimensionless, shape (2,).
-        offset_m: reading at rest, from mid-range, m.
-        noise_m: standard deviation of one sample, m.
-        clock: clock of the sensor.
-        rng: source of the noise.
+        beam: its beam.
         serial: serial number.
     """
 
@@ -42,18 +39,12 @@ class SimulatedLaser(FarEnd):
     def __init__(
         self,
         config: Laser,
-        look: NDArray[np.floating],
-        offset_m: float,
-        noise_m: float,
-        clock: DeviceClock,
-        rng: np.random.Generator,
+        beam: Beam,
         serial: str,
     ) -> None:
-        self._config, self._look, self._offset, self._noise = config, look, offset_m, noise_m
-        self._clock, self._rng = clock, rng
+        self._config, self._beam = config, beam
         self.fault_code: int | None = None
-        self._next = 0  # index of the next sample on the device's clock
-        self._counter = int(rng.integers(0, optoncdt.COUNTER_WRAP))
+        self._counter = int(beam.rng.integers(0, optoncdt.COUNTER_WRAP))
         model = config.scaling or distance_words.USUAL_SCALING
         self._scaling = distance_words.SCALINGS[model]
         self._info = sensor_answers.SensorInfo(name=model, serial=serial, range_m=config.range_m, version="001.019")
@@ -63,31 +54,18 @@ class SimulatedLaser(FarEnd):
         return SensorCommands(
             [*info_lines(self._info), "Option: 000", "Article: 4120232"],
             float(self._config.rate_Hz),
-            rate_set=self._restart_sampling,
+            rate_set=self._beam.restart,
             counter_reset=self._reset_counter,
         )
 
     @classmethod
     def of(cls, device: str, config: Laser, world: World) -> SimulatedLaser:
         """Make the sensor of a simulated rig."""
-        gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
-        look = gain * world.direction(config.axis, config.direction_deg)
-        return cls(
-            config,
-            look,
-            5e-5 * world.calibration.standard_normal(),
-            world.virtual.sensors.laser_noise_m,
-            world.clock(device),
-            world.rng(f"noise {device}"),
-            serial=f"1420{world.number(device, config.topic):04d}",
-        )
+        return cls(config, Beam.of(device, config, world), f"1420{world.number(device, config.topic):04d}")
 
     def receive(self, data: bytes, now_s: float = 0.0) -> bytes:
         """Take command bytes; return the answers."""
         return self._commands.receive(data)
-
-    def _restart_sampling(self) -> None:
-        self._next = 0
 
     def _reset_counter(self) -> None:
         self._counter = 0
@@ -95,19 +73,13 @@ class SimulatedLaser(FarEnd):
     def sample(self, motion: MotionInterval) -> bytes:
         """Return the bytes of the samples in an interval of motion."""
         period = 1.0 / self._commands.rate_Hz
-        last = int(np.floor(float(self._clock.device_s(motion.time_s[-1])) / period))
-        if self._next == 0:  # first call: start counting now
-            self._next = int(np.floor(float(self._clock.device_s(motion.time_s[0])) / period)) + 1
-        numbers = np.arange(self._next, last + 1)
-        self._next = max(self._next, last + 1)
+        numbers = self._beam.due(motion, period)
         if not len(numbers):
             return b""
         counter = (self._counter + np.arange(len(numbers))) % optoncdt.COUNTER_WRAP
         self._counter = int(counter[-1] + 1) % optoncdt.COUNTER_WRAP
         device_s = numbers * period
-        times = np.clip(self._clock.rig_s(device_s), motion.time_s[0], motion.time_s[-1])
-        reading = self._look[0] * motion.at(times, 0, 4) + self._look[1] * motion.at(times, 1, 5)
-        reading = reading + self._offset + self._noise * self._rng.standard_normal(len(numbers))
+        reading = self._beam.reading(motion, device_s)
         if not self._commands.streaming:
             return b""
         return optoncdt.encode_block(self._words(reading, counter, device_s))
@@ -126,8 +98,9 @@ class SimulatedLaser(FarEnd):
         """See FarEnd. After power-up the sensor answers commands, does not stream, and counts from 0."""
         super().power(on, now_s)
         if on:
-            self._clock.reset(now_s)
-            self._next = self._counter = 0
+            self._beam.clock.reset(now_s)
+            self._beam.restart()
+            self._counter = 0
             self._commands = self._fresh_commands()
 
     def _words(

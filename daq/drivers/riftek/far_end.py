@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from daq.drivers.riftek import wire
 from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
-from daq.virtual_rig.world import DeviceClock, World
+from daq.virtual_rig.beam import Beam
+from daq.virtual_rig.world import World
 
 _NO_TARGET = 0
 _KIND, _FIRMWARE, _BASE_MM = 63, 0x40, 80
@@ -40,11 +41,7 @@ class SimulatedRiftek(FarEnd):
 
     Args:
         config: table of the sensor in the rig file.
-        look: sensitivity to x and y, including axis angle and gain, dimensionless, shape (2,).
-        offset_m: reading at rest, from mid-range, m.
-        noise_m: standard deviation of one sample, m.
-        clock: clock of the sensor.
-        rng: source of the noise.
+        beam: its beam.
         serial: serial number, a decimal number below 65536.
     """
 
@@ -60,15 +57,10 @@ class SimulatedRiftek(FarEnd):
     def __init__(
         self,
         config: RiftekLaser,
-        look: NDArray[np.floating],
-        offset_m: float,
-        noise_m: float,
-        clock: DeviceClock,
-        rng: np.random.Generator,
+        beam: Beam,
         serial: str,
     ) -> None:
-        self._config, self._look, self._offset, self._noise = config, look, offset_m, noise_m
-        self._clock, self._rng = clock, rng
+        self._config, self._beam = config, beam
         self.streaming: bool = False
         self.parameters: dict[int, int] = dict(_FACTORY)
         self._stored = dict(_FACTORY)
@@ -77,9 +69,8 @@ class SimulatedRiftek(FarEnd):
         self._lose = 0
         self._range_mm = round(config.range_m * 1e3)
         self._serial = int(serial) & 0xFFFF
-        self._number = int(rng.integers(0, wire.NUMBERS))  # number of the next packet
+        self._number = int(beam.rng.integers(0, wire.NUMBERS))  # number of the next packet
         self._request = bytearray()
-        self._next: int | None = None  # index of the next sample on the sensor's clock; None before the first
 
     @property
     def period_us(self) -> int:
@@ -92,22 +83,12 @@ class SimulatedRiftek(FarEnd):
     @classmethod
     def of(cls, device: str, config: RiftekLaser, world: World) -> SimulatedRiftek:
         """Make the sensor of a simulated rig."""
-        gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
-        look = gain * world.direction(config.axis, config.direction_deg)
-        return cls(
-            config,
-            look,
-            5e-5 * world.calibration.standard_normal(),
-            world.virtual.sensors.laser_noise_m,
-            world.clock(device),
-            world.rng(f"noise {device}"),
-            serial=f"19{world.number(device, config.topic):03d}",
-        )
+        return cls(config, Beam.of(device, config, world), f"19{world.number(device, config.topic):03d}")
 
     @classmethod
     def unmoved(cls, config: RiftekLaser, serial: str) -> SimulatedRiftek:
         """Make a sensor that only answers requests."""
-        return cls(config, np.zeros(2), 0.0, 0.0, DeviceClock(0.0, 0.0), np.random.default_rng(0), serial)
+        return cls(config, Beam.unmoved(), serial)
 
     def receive(self, data: bytes, now_s: float = 0.0) -> bytes:
         """Take request bytes, split at any place; return the answers."""
@@ -140,7 +121,8 @@ class SimulatedRiftek(FarEnd):
                 self._stored = dict(self.parameters)
                 return self._answer(message)
             case wire.START:
-                self.streaming, self._next = True, None
+                self.streaming = True
+                self._beam.restart()
             case wire.STOP:
                 self.streaming = False
             case _:
@@ -159,21 +141,15 @@ class SimulatedRiftek(FarEnd):
         if word in _WORDS and not _WORDS[word][0] <= self._word(word) <= _WORDS[word][1]:
             self.parameters[parameter] = before
         if word == wire.PERIOD:
-            self._next = None
+            self._beam.restart()
 
     def sample(self, motion: MotionInterval) -> bytes:
         """Return the bytes of the samples in an interval of motion."""
         period = 1e-6 * self.period_us
-        last = int(np.floor(float(self._clock.device_s(float(motion.time_s[-1]))) / period))
-        if self._next is None:  # start counting now
-            self._next = int(np.floor(float(self._clock.device_s(float(motion.time_s[0]))) / period)) + 1
-        numbers = np.arange(self._next, last + 1)
-        self._next = max(self._next, last + 1)
+        numbers = self._beam.due(motion, period)
         if not len(numbers):
             return b""
-        times = np.clip(self._clock.rig_s(numbers * period), motion.time_s[0], motion.time_s[-1])
-        reading = self._look[0] * motion.at(times, 0, 4) + self._look[1] * motion.at(times, 1, 5)
-        reading = reading + self._offset + self._noise * self._rng.standard_normal(len(numbers))
+        reading = self._beam.reading(motion, numbers * period)
         if not self.streaming:
             return b""
         packets = self._number + np.arange(len(numbers))
@@ -212,7 +188,7 @@ class SimulatedRiftek(FarEnd):
         """See FarEnd. After power-up the sensor has its stored parameters, does not stream, and counts from 0."""
         super().power(on, now_s)
         if on:
-            self._clock.reset(now_s)
+            self._beam.clock.reset(now_s)
             self.streaming, self._next, self._number = False, None, 0
             self.parameters = dict(self._stored)
             self._request.clear()

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
-from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SampleClock, SpeedControl, Talk
+from daq.drivers.contract import Pipeline, RotorGuard, SpeedControl, Talk
+from daq.drivers.plain import PlainDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.drivers.vesc.settings import Vesc
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
 
 
-class VescDriver:
+class VescDriver(PlainDriver):
     """See Driver."""
 
     name = "vesc"
@@ -27,21 +28,9 @@ class VescDriver:
     claims: frozenset[str] = frozenset({"checksum", "falls silent"})
     settings = Vesc
 
-    def line(self, settings: Vesc) -> DeviceLine:
-        """See Driver."""
-        return DeviceLine(settings.port, settings.baud)
-
     def channels(self, settings: Vesc) -> tuple[Channel, ...]:
         """See Driver."""
         return (channels.MOTOR,)
-
-    def occasional(self, settings: Vesc) -> tuple[Channel, ...]:
-        """See Driver."""
-        return ()
-
-    def clocks(self, settings: Vesc) -> tuple[SampleClock, ...]:
-        """See Driver; a controller has no clock, its samples get the host's time."""
-        return ()
 
     def pipeline(self, device: str, settings: Vesc, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
@@ -75,9 +64,6 @@ class VescDriver:
         from daq.drivers.vesc.played import PlayedVesc
 
         return PlayedVesc(identity)
-
-    def prepare(self) -> None:
-        """See Driver."""
 
     def open(self, device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
         """See Driver. The controller reports only on request, by its command (`control`)."""

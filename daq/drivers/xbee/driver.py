@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from daq import channels
-from daq.channels import Channel
 from daq.drivers.checks import Checks
-from daq.drivers.contract import DeviceLine, LockControl, Pipeline, SampleClock, SpeedControl, Talk
+from daq.drivers.contract import LockControl, Pipeline, SpeedControl, Talk
+from daq.drivers.plain import RotorNodeDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
 from daq.drivers.xbee.settings import XBeeNode
@@ -18,44 +17,19 @@ if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
 
 
-class XBee:
+class XBee(RotorNodeDriver):
     """See Driver."""
 
     name = "xbee"
-    rest_s: float = 0.01
     settings = XBeeNode
     example: ClassVar[Mapping[str, Any]] = {"node_address": "0013A20040522BAB"}
     claims: frozenset[str] = frozenset({"checksum", "counts exactly"})
-
-    def line(self, settings: XBeeNode) -> DeviceLine:
-        """See Driver."""
-        return DeviceLine(settings.port, settings.baud)
-
-    def channels(self, settings: XBeeNode) -> tuple[Channel, ...]:
-        """See Driver."""
-        return (channels.PENDULUMS,)
-
-    def occasional(self, settings: XBeeNode) -> tuple[Channel, ...]:
-        """See Driver."""
-        return (channels.TACHO,)
-
-    def clocks(self, settings: XBeeNode) -> tuple[SampleClock, ...]:
-        """See Driver."""
-        return (
-            SampleClock(
-                channels.PENDULUMS.topic, settings.rate_Hz, settings.clock_tolerance_ppm, "node_time_us", 1000, 2**32
-            ),
-        )
 
     def pipeline(self, device: str, settings: XBeeNode, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
         from daq.drivers.xbee.stream import XBeePipeline
 
         return XBeePipeline(device, settings, identity)
-
-    def words(self, event: DeviceEvent) -> str:
-        """See Driver."""
-        return event.text
 
     def checks(
         self, settings: XBeeNode, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
@@ -77,17 +51,11 @@ class XBee:
 
         return PlayedXBee(identity, settings)
 
-    def prepare(self) -> None:
-        """See Driver."""
-
     def open(self, device: str, settings: XBeeNode, talk: Talk) -> dict[str, Any]:
         """See Driver; the module is identified. The node streams as soon as it has power."""
         from daq.drivers.xbee.dialogue import identify
 
         return identify(device, settings, talk)
-
-    def stop(self, talk: Talk) -> None:
-        """See Driver; a node sends as long as it has power."""
 
     def locks(self, settings: XBeeNode, send: Callable[[bytes], None], clock: HostClock) -> LockControl:
         """See MovesLocks."""
