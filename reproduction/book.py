@@ -107,7 +107,7 @@ def docs_page(made: Sequence[Written], figures: str) -> str:
     lines = [
         "# The source, reproduced",
         "",
-        "<!-- Written by `rig reproduce --all --docs docs/reproduction.md`; run that, do not edit this page. -->",
+        "<!-- Written by `rig reproduce`; run it for all items with this page as its docs, do not edit this page. -->",
         "",
         "The source is R. Horváth, *Passive Pendulum Balancer for Rotor Systems*, dissertation, Auburn University,",
         "2006. `rig reproduce` computes its figures and tables again, with their data, and judges its claims. The",

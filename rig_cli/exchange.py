@@ -193,8 +193,8 @@ def import_(
     recipe = make_recipe(
         **asdict(columns),
         **known,
-        release_s=parse_numbers(facts.release, "--release") if facts.release else (),
-        invalid=parse_numbers(facts.invalid, "--invalid") if facts.invalid else (),
+        release_s=parse_numbers(facts.release, "release") if facts.release else (),
+        invalid=parse_numbers(facts.invalid, "invalid") if facts.invalid else (),
     )
     with share_progress(f"importing {file.name}") as progress:
         done = import_recording(file, output, load_rig(rig, settings=settings or []), recipe, progress)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import tokenize
 from pathlib import Path
@@ -33,6 +34,8 @@ OPEN_FOLDERS = ("docs/decisions", "docs/theory", "docs/protocols")
 FILE_METHODS = {"tell"}
 # Keys in results and logs, kept for the programs that read them.
 KEYS_IN_FILES = {"believed", "beside", "anew", "told_range_m", "told_rpm"}
+OPTION = re.compile(r"(^|[\s`'(])--[a-z]")
+STARTS_COMMANDS = ("fresh_process.py", "library_peers.py")  # their texts are commands
 CODE = re.compile(r"`+[^`]+`+|^\s*\w+(?:, \w+)*:|\b\w+(?:\.\w+)+|\{[^{}]*\}", re.ASCII)
 
 
@@ -67,6 +70,27 @@ def test_the_packages_are_found() -> None:
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_module_uses_a_rejected_word(package: str) -> None:
     assert [hit for path in sorted((ROOT / package).rglob("*.py")) for hit in rejected(path)] == []
+
+
+def options_in_texts(source: str) -> list[str]:
+    """Texts of a module that name an option of a command line; docstrings are not among them."""
+    tree = ast.parse(source)
+    docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    texts = [n for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+    return sorted(f"{n.lineno}: {n.value}" for n in texts if id(n) not in docstrings and OPTION.search(n.value))
+
+
+@pytest.mark.parametrize("package", [package for package in PACKAGES if package != "rig_cli"])
+def test_no_message_of_a_library_names_an_option(package: str) -> None:
+    """A script or a page that uses the package has no options; the command line adds them itself."""
+    modules = (path for path in sorted((ROOT / package).rglob("*.py")) if path.name not in STARTS_COMMANDS)
+    found = {str(path): options_in_texts(path.read_text(encoding="utf-8")) for path in modules}
+    assert {path: texts for path, texts in found.items() if texts} == {}
+
+
+def test_an_option_in_a_message_is_found() -> None:
+    source = 'def f():\n    "--json is fine here"\n    raise ValueError(f"{f}: no --json", "a -- b", "--x", "---")\n'
+    assert options_in_texts(source) == ["3: --x", "3: : no --json"]
 
 
 def test_no_page_uses_a_rejected_word() -> None:

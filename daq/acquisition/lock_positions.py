@@ -101,7 +101,7 @@ def misplaced(positions: Sequence[LockPosition]) -> str:
     return f"{seen}: its counter was zeroed elsewhere, or has lost counts. {_ZERO[0].upper()}{_ZERO[1:]}"
 
 
-_ZERO = "close both locks and zero the counters there (`rig check RIG --zero`)"
+_ZERO = "close both locks and zero the counters there, which `rig check` can do"
 
 
 def flagged(flags: NDArray[np.integer]) -> tuple[str, ...]:

@@ -76,7 +76,7 @@ class ColumnFile(Protocol):
         ...
 
 
-def pick(recording: ColumnFile, wanted: str, option: str) -> str:
+def pick(recording: ColumnFile, wanted: str, field: str) -> str:
     """Return the name of a column in the file, given the name or its number counted from 1.
 
     Raises:
@@ -89,7 +89,7 @@ def pick(recording: ColumnFile, wanted: str, option: str) -> str:
         return names[int(wanted) - 1]
     if wanted in recording.others:
         raise ExchangeError(
-            f"{recording.path}: {option}: expected a column of numbers, {wanted!r} is {recording.others[wanted]}"
+            f"{recording.path}: {field}: expected a column of numbers, {wanted!r} is {recording.others[wanted]}"
         )
     without_unit = [name for name in names if name_and_unit(name) == (wanted, recording.units.get(name, ""))]
     if len(without_unit) == 1:
@@ -98,7 +98,7 @@ def pick(recording: ColumnFile, wanted: str, option: str) -> str:
     hint = f"; did you mean {near[0]!r}?" if near else ""
     shown = ", ".join(repr(name) for name in names[:_NAMES_SHOWN]) + (" …" if len(names) > _NAMES_SHOWN else "")
     shown = shown or "(the file has none)"
-    raise ExchangeError(f"{recording.path}: {option}: expected one of the columns {shown}, got {wanted!r}{hint}")
+    raise ExchangeError(f"{recording.path}: {field}: expected one of the columns {shown}, got {wanted!r}{hint}")
 
 
 def as_column(name: str, values: NDArray[Any], absent: NDArray[np.bool_] | None = None) -> Column:

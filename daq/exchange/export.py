@@ -71,11 +71,11 @@ class _Window:
     to_s: float | None
 
     def __post_init__(self) -> None:
-        for name, value in (("--from", self.from_s), ("--to", self.to_s)):
+        for name, value in (("from_s", self.from_s), ("to_s", self.to_s)):
             if value is not None and not np.isfinite(value):
                 raise ExchangeError(f"{name} {value}: expected seconds since the log's start")
         if self.from_s is not None and self.to_s is not None and self.from_s >= self.to_s:
-            raise ExchangeError(f"expected --from before --to, got {self.from_s:g} s and {self.to_s:g} s")
+            raise ExchangeError(f"expected the beginning before the end, got {self.from_s:g} s and {self.to_s:g} s")
 
     def ns(self, start_ns: int) -> tuple[int | None, int | None]:
         """Return both ends in ns since 1970."""
@@ -230,7 +230,7 @@ class _Job:
 def _format(out: Path, format: str | None) -> Format:
     if format is None:
         if out.suffix.lower() not in _SUFFIXES:
-            raise ExchangeError(f"{out}: expected a name ending in {', '.join(_SUFFIXES)}, or --format")
+            raise ExchangeError(f"{out}: expected a name ending in {', '.join(_SUFFIXES)}, or a format")
         return _SUFFIXES[out.suffix.lower()]
     for valid in get_args(Format):
         if format == valid:

@@ -81,7 +81,7 @@ def import_recording(
     readings = read_sensors(recording, recipe, rig, noticed.warnings)
     start_ns, is_known = _start(readings, recipe)
     if not is_known:
-        noticed.warnings.append(f"no --start: times count from {iso_time(start_ns)}, which is not the real date")
+        noticed.warnings.append(f"no start time: times count from {iso_time(start_ns)}, which is not the real date")
     parts = make_parts({name: found.shifted(start_ns) for name, found in readings.items()}, recipe, noticed)
     first, last = min(int(part.time_ns[0]) for part in parts), max(int(part.time_ns[-1]) for part in parts)
     releases = release_events(parts, recipe.release_s, start_ns or first, noticed.device("pendulums"))
@@ -104,10 +104,10 @@ def _start(readings: Mapping[str, SensorReadings], recipe: Recipe) -> tuple[int,
         start = recipe.start_ns
         return (UNKNOWN_START_NS, False) if start is None else (start, True)
     if not all(since.values()):
-        some = ", ".join(f"--{name}" for name, value in since.items() if value)
+        some = ", ".join(name for name, value in since.items() if value)
         raise ExchangeError(f"expected all times to count from one zero, but those of {some} count from 1970")
     if recipe.start is not None:
-        raise ExchangeError("expected no --start: the times in the file count from 1970 already")
+        raise ExchangeError("expected no start time: the times in the file count from 1970 already")
     return 0, True
 
 
@@ -122,7 +122,7 @@ def _remarks(topics: set[str], recipe: Recipe) -> list[str]:
     elif lacking := sorted(kind.channels - topics):
         found.append(f"{test}: needs {', '.join(sorted(kind.channels))}; missing: {', '.join(lacking)}")
     if point_of(test) and not recipe.release_s:
-        found.append(f"{test}: no --release, so the time after the release cannot be separated from the rest")
+        found.append(f"{test}: no time of release, so the time after the release cannot be separated from the rest")
     return found
 
 
@@ -172,7 +172,7 @@ def _with_counts(rig: Rig, counts_per_revolution: int) -> Rig:
     """Return the rig with other encoders."""
     if rig.roles.angles is None:
         raise ExchangeError(
-            f"--counts-per-revolution: rig {rig.name} has no device that measures the pendulums' angles"
+            f"counts_per_revolution: rig {rig.name} has no device that measures the pendulums' angles"
         )
     name = rig.roles.angles.device
     encoder = rig.devices[name].model_copy(update={"counts_per_revolution": counts_per_revolution})

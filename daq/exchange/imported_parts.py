@@ -76,7 +76,7 @@ def _pendulums(readings: Mapping[str, SensorReadings], recipe: Recipe, noticed: 
     names = [name for name in ("theta3", "theta4") if name in readings]
     own = {choice.name if choice else "" for choice in (recipe.choices[name].time for name in names)}
     if len(own) > 1:
-        raise ExchangeError("--theta3, --theta4: expected both angles at the same times, got two columns of times")
+        raise ExchangeError("theta3, theta4: expected both angles at the same times, got two columns of times")
     time = np.unique(np.concatenate([readings[name].time_ns for name in names]))
     columns: dict[str, NDArray[np.float64]] = {}
     for name in ("theta3", "theta4"):
@@ -128,7 +128,7 @@ def release_events(parts: list[Part], release_s: tuple[float, ...], zero_ns: int
         time_ns = zero_ns + round(at_s * 1e9)
         if not start <= time_ns <= end:
             raise ExchangeError(
-                f"--release {at_s:g}: expected a time within the recording, {(start - zero_ns) / 1e9:g} s to "
+                f"release {at_s:g}: expected a time within the recording, {(start - zero_ns) / 1e9:g} s to "
                 f"{(end - zero_ns) / 1e9:g} s"
             )
         facts = {"pendulum": pendulum, "state": "released", "time_ns": time_ns, "time_std_s": std_s}

@@ -43,7 +43,7 @@ class MatFile:
         if self._bytes[table] > _LARGEST_VARIABLE:
             raise ExchangeError(
                 f"{table}: expected less than 2 GB, the limit of a MAT file per variable, got more: "
-                "export as hdf5 (MATLAB: h5read), or a part with --from and --to"
+                "export as hdf5 (MATLAB: h5read), or a part between two times"
             )
         self._parts[table].append(columns)
 

@@ -60,7 +60,7 @@ class SensorReadings:
         return replace(self, time_ns=time_ns)
 
 
-def times_ns(column: Column, choice: ColumnChoice, option: str) -> NDArray[np.int64]:
+def times_ns(column: Column, choice: ColumnChoice, field: str) -> NDArray[np.int64]:
     """Convert a time column to ns, shape (n,): exact for whole numbers, to the nearest ns otherwise.
 
     Raises:
@@ -70,19 +70,19 @@ def times_ns(column: Column, choice: ColumnChoice, option: str) -> NDArray[np.in
     bad = np.flatnonzero(column.absent | ~np.isfinite(column.values))
     if len(bad):
         raise ExchangeError(
-            f"{option} {column.name}: {column.place(int(bad[0]))}: expected a time, got none; "
+            f"{field} {column.name}: {column.place(int(bad[0]))}: expected a time, got none; "
             f"{len(bad)} of {len(column.values)} rows have no time"
         )
     largest = float(np.max(np.abs(column.values.astype(np.float64)), initial=0.0))
     if largest * factor > _LATEST_NS:
         raise ExchangeError(
-            f"{option} {column.name}: expected times of less than 146 years, got {largest:g} {choice.unit}"
+            f"{field} {column.name}: expected times of less than 146 years, got {largest:g} {choice.unit}"
         )
     if column.values.dtype.kind == "i" and factor >= 1 and abs(factor - round(factor)) < 1e-6 * factor:
         time = column.values * np.int64(round(factor))
     else:
         time = np.rint(column.values * factor).astype(np.int64)
-    _check_rising(time, column, choice, option)
+    _check_rising(time, column, choice, field)
     return time
 
 
@@ -91,7 +91,7 @@ def since_1970(time_ns: NDArray[np.int64]) -> bool:
     return bool(len(time_ns)) and float(time_ns[-1]) > _SINCE_1970_S * 1e9
 
 
-def _check_rising(time: NDArray[np.int64], column: Column, choice: ColumnChoice, option: str) -> None:
+def _check_rising(time: NDArray[np.int64], column: Column, choice: ColumnChoice, field: str) -> None:
     wrong = np.flatnonzero(np.diff(time) <= 0)
     if not len(wrong):
         return
@@ -99,9 +99,9 @@ def _check_rising(time: NDArray[np.int64], column: Column, choice: ColumnChoice,
     before, now = column.values[row - 1], column.values[row]
     what = "the same time again" if time[row] == time[row - 1] else "an earlier time"
     raise ExchangeError(
-        f"{option} {column.name}: {column.place(row)}: expected a time after {before} {choice.unit}, got {what} "
+        f"{field} {column.name}: {column.place(row)}: expected a time after {before} {choice.unit}, got {what} "
         f"({now}); {len(wrong)} of {len(time)} rows are not later than the row before them. Sort the rows, remove "
-        "repeated ones, or give --rate instead of --time"
+        "repeated ones, or give the rate instead of the column of times"
     )
 
 
@@ -111,7 +111,7 @@ def read_sensor(
     time: Column | NDArray[np.int64],
     time_choice: ColumnChoice | None,
     invalid: Sequence[float],
-    option: str,
+    field: str,
 ) -> SensorReadings:
     """Return a sensor's samples; rows without a value for it are omitted.
 
@@ -119,7 +119,7 @@ def read_sensor(
         column, choice: its readings and their unit.
         time, time_choice: the column of times with its unit, or times of all rows in ns, shape (n,), and None.
         invalid: values that mean "no reading", as in the file.
-        option: command-line option that named the column, for messages.
+        field: field of the recipe that named the column, for messages.
 
     Raises:
         ExchangeError: different lengths, too few samples, or bad times.
@@ -127,8 +127,8 @@ def read_sensor(
     length = len(time.values) if isinstance(time, Column) else len(time)
     if length != len(column.values):
         raise ExchangeError(
-            f"{option} {column.name}: expected as many values as there are times, got {len(column.values)} and "
-            f"{length}; name its own times: {option} {column.name}:{choice.unit}@TIME:s"
+            f"{field} {column.name}: expected as many values as there are times, got {len(column.values)} and "
+            f"{length}; name its own times: {column.name}:{choice.unit}@TIME:s"
         )
     value = column.values.astype(np.float64)
     present = ~column.absent
@@ -137,16 +137,16 @@ def read_sensor(
         present &= ~(np.isnan(value) & no_time)
     row = np.flatnonzero(present)
     if len(row) < LEAST_ROWS:
-        raise ExchangeError(f"{option} {column.name}: expected at least {LEAST_ROWS} samples, got {len(row)}")
+        raise ExchangeError(f"{field} {column.name}: expected at least {LEAST_ROWS} samples, got {len(row)}")
     if isinstance(time, Column):
         assert time_choice is not None
-        time_ns = times_ns(time.keep(row), time_choice, "--time")
+        time_ns = times_ns(time.keep(row), time_choice, "time")
     else:
         time_ns = time[row]
     value = value[row]
     is_invalid = ~np.isfinite(value) | np.isin(value, np.asarray(invalid, float))
     if is_invalid.all():
-        raise ExchangeError(f"{option} {column.name}: expected readings, every one of {len(row)} is invalid")
+        raise ExchangeError(f"{field} {column.name}: expected readings, every one of {len(row)} is invalid")
     with np.errstate(over="ignore"):  # an infinite value exceeds every limit
         value = np.where(is_invalid, np.nan, value * choice.factor)
     return SensorReadings(time_ns, value, row, int(np.count_nonzero(is_invalid)))
@@ -164,13 +164,13 @@ def find_gaps(time_ns: NDArray[np.int64]) -> list[Gap] | None:
     ]
 
 
-def check_rate(time_ns: NDArray[np.int64], choice: ColumnChoice | None, option: str) -> str | None:
+def check_rate(time_ns: NDArray[np.int64], choice: ColumnChoice | None, field: str) -> str | None:
     """Return a warning if the sampling rate is implausible."""
     rate = 1e9 / float(np.median(np.diff(time_ns)))
     if _MIN_RATE_HZ <= rate <= _MAX_RATE_HZ:
         return None
     span_s = (time_ns[-1] - time_ns[0]) * 1e-9
-    text = f"{option}: sampled at {rate:.3g} Hz, {span_s:.3g} s long; is the unit of time right?"
+    text = f"{field}: sampled at {rate:.3g} Hz, {span_s:.3g} s long; is the unit of time right?"
     if choice is None:
         return text
     per_unit = rate * choice.factor
@@ -180,12 +180,12 @@ def check_rate(time_ns: NDArray[np.int64], choice: ColumnChoice | None, option: 
 
 
 def check_size(
-    readings: SensorReadings, choice: ColumnChoice, quantity: Quantity, limit: float, column: Column, option: str
+    readings: SensorReadings, choice: ColumnChoice, quantity: Quantity, limit: float, column: Column, field: str
 ) -> None:
     """Raise for readings ten times beyond the range of the sensor or the rig.
 
     Args:
-        readings, choice, quantity, column, option: the readings, and how the column was named.
+        readings, choice, quantity, column, field: the readings, and how the column was named.
         limit: largest possible value, SI.
 
     Raises:
@@ -200,21 +200,21 @@ def check_size(
     words = UNITS[quantity]
     meant = next((unit for unit, factor in sorted(words.items(), key=lambda u: -u[1]) if raw * factor <= limit), None)
     value = column.values[readings.row[worst]]
-    hint = f"did you mean {option} {column.name}:{meant}?" if meant else "is the unit right?"
+    hint = f"did you mean {column.name}:{meant}?" if meant else "is the unit right?"
     if raw > 20 * typical and typical > 0:
-        hint += f" Or does {value:g} mean that there was no reading: --invalid {value:g}?"
+        hint += f" Or does {value:g} mean that there was no reading (invalid = {value:g})?"
     raise ExchangeError(
-        f"{option} {column.name}: expected readings within {limit:g} {_SI[quantity]}, got {size[worst]:g} "
+        f"{field} {column.name}: expected readings within {limit:g} {_SI[quantity]}, got {size[worst]:g} "
         f"({value:g} {choice.unit} in {column.place(int(readings.row[worst]))}); {hint}"
     )
 
 
-def check_small(readings: SensorReadings, least: float, option: str, what: str) -> str | None:
+def check_small(readings: SensorReadings, least: float, field: str, what: str) -> str | None:
     """Return a warning if all readings are smaller than a sensor can resolve."""
     span = float(np.nanmax(readings.value) - np.nanmin(readings.value))
     if span >= least:
         return None
-    return f"{option}: the readings span {span:.3g} {what} only; is the unit right, and was the sensor connected?"
+    return f"{field}: the readings span {span:.3g} {what} only; is the unit right, and was the sensor connected?"
 
 
 _SI: dict[Quantity, str] = {"time": "s", "length": "m", "angle": "rad", "speed": "rad/s"}

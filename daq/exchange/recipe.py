@@ -73,16 +73,16 @@ class Recipe(BaseModel, extra="forbid", frozen=True):
     @model_validator(mode="after")
     def _fits_together(self) -> Recipe:
         if not self.test_name:
-            raise ValueError("--test: expected the test's name, such as ring-down-x, or --point NAME")
+            raise ValueError("test: expected the test's name, such as ring-down-x, or the name of a point")
         if not any(getattr(self, name) for name in _SENSORS):
-            raise ValueError(f"expected at least one of --{', --'.join(_SENSORS)}")
-        rotor = [f"--{name}" for name in _ROTOR if getattr(self, name)]
+            raise ValueError(f"expected at least one of {', '.join(_SENSORS)}")
+        rotor = [name for name in _ROTOR if getattr(self, name)]
         if len(rotor) > 1:
-            raise ValueError(f"expected one of --phase, --marks and --speed, got {' and '.join(rotor)}")
+            raise ValueError(f"expected one of phase, marks and speed, got {' and '.join(rotor)}")
         if self.time and self.rate_Hz:
-            raise ValueError("expected --time or --rate, got both: the times are in the column already")
+            raise ValueError("expected a column of times or a rate, got both: the times are in the column already")
         if self.point and self.test not in ("", f"point-{self.point}"):
-            raise ValueError(f"--point {self.point}: expected no --test in addition, or point-{self.point}")
+            raise ValueError(f"point {self.point}: expected no test in addition, or point-{self.point}")
         _ = self.choices, self.start_ns
         return self
 
@@ -95,7 +95,7 @@ class Recipe(BaseModel, extra="forbid", frozen=True):
     def choices(self) -> dict[str, ColumnChoice]:
         """Named columns, by "time", "x", … "speed"."""
         given = {name: getattr(self, name) for name in QUANTITIES}
-        return {name: parse_column(text, QUANTITIES[name], f"--{name}") for name, text in given.items() if text}
+        return {name: parse_column(text, QUANTITIES[name], name) for name, text in given.items() if text}
 
     @property
     def start_ns(self) -> int | None:
@@ -105,16 +105,16 @@ class Recipe(BaseModel, extra="forbid", frozen=True):
         try:
             when = datetime.fromisoformat(self.start)
         except ValueError as fault:
-            raise ExchangeError(f"--start {self.start}: expected a time like 2026-03-01T10:00:00 ({fault})") from fault
+            raise ExchangeError(f"start {self.start}: expected a time like 2026-03-01T10:00:00 ({fault})") from fault
         since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - datetime.fromtimestamp(0, UTC)
         nanoseconds = (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
         if nanoseconds < 0:
-            raise ExchangeError(f"--start {self.start}: expected a time after 1970")
+            raise ExchangeError(f"start {self.start}: expected a time after 1970")
         return nanoseconds
 
 
 def make_recipe(**options: object) -> Recipe:
-    """Make a recipe from options as the command line names them.
+    """Make a recipe from the values of its fields.
 
     Raises:
         ExchangeError: unknown, invalid or contradictory options; the message contains all of them.
@@ -126,11 +126,11 @@ def make_recipe(**options: object) -> Recipe:
         for error in fault.errors(include_url=False):
             place = ".".join(str(part) for part in error["loc"])
             message = re.sub(r"^Value error, ", "", error["msg"])
-            lines.append(f"--{place.replace('_', '-')}: {message}" if place else message)
+            lines.append(f"{place}: {message}" if place else message)
         raise ExchangeError("; ".join(lines)) from fault
 
 
-def parse_numbers(text: str, option: str) -> tuple[float, ...]:
+def parse_numbers(text: str, field: str) -> tuple[float, ...]:
     """Parse numbers separated by commas.
 
     Raises:
@@ -139,7 +139,7 @@ def parse_numbers(text: str, option: str) -> tuple[float, ...]:
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError as fault:
-        raise ExchangeError(f"{option} {text}: expected numbers separated by commas") from fault
+        raise ExchangeError(f"{field} {text}: expected numbers separated by commas") from fault
     if any(math.isinf(number) for number in numbers):
-        raise ExchangeError(f"{option} {text}: expected finite numbers")
+        raise ExchangeError(f"{field} {text}: expected finite numbers")
     return numbers

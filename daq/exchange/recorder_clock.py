@@ -42,7 +42,7 @@ class RecorderClock:
             return None
         return (
             f"the recorder's clock is assumed to be accurate to {self.tolerance_ppm:g} ppm (one standard deviation): "
-            "neither the rig file nor --clock-tolerance-ppm states its accuracy"
+            "neither the rig file nor the import states its accuracy"
         )
 
 

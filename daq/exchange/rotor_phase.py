@@ -26,14 +26,14 @@ def phase_of_angle(angle: SensorReadings) -> tuple[NDArray[np.int64], NDArray[np
     time, phase = angle.time_ns[good], unwrapped(angle.value[good])
     if phase[-1] < phase[0] - 2 * math.pi:
         raise ExchangeError(
-            f"--phase: expected an angle that rises with time, it falls from {phase[0]:.4g} to {phase[-1]:.4g} rad; "
-            "if the rotor turns the other way give the unit a minus sign: --phase NAME:-rad"
+            f"phase: expected an angle that rises with time, it falls from {phase[0]:.4g} to {phase[-1]:.4g} rad; "
+            "if the rotor turns the other way give the unit a minus sign: NAME:-rad"
         )
     step = float(np.max(np.abs(np.diff(phase)))) / (2 * math.pi)
     warnings: list[str] = []
     if step > _MAX_STEP_TURNS:
         warnings.append(
-            f"--phase: the rotor turns up to {step:.2f} revolutions between two rows, so whole turns may be missed; "
+            f"phase: the rotor turns up to {step:.2f} revolutions between two rows, so whole turns may be missed; "
             "is the unit right, and is it sampled fast enough?"
         )
     return time, phase, warnings
@@ -46,7 +46,7 @@ def phase_of_speed(speed: SensorReadings) -> tuple[NDArray[np.int64], NDArray[np
     integral = cast("Any", integrate).cumulative_trapezoid  # scipy has no types
     phase = np.asarray(integral(value, (time - time[0]) * 1e-9, initial=0.0), np.float64)
     warning = (
-        "--speed: the phase is the integral of the speed and starts at 0 for any initial position: it has no absolute "
+        "speed: the phase is the integral of the speed and starts at 0 for any initial position: it has no absolute "
         "reference, so the imbalance's direction and the sense of the pendulums' angles against it are not known"
     )
     return time, phase, [warning]
@@ -59,7 +59,7 @@ def revolutions_of_marks(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.uint32]
     Missed marks among the first three from standstill cannot be detected.
     """
     if len(time_ns) < 2:
-        raise ExchangeError(f"--marks: expected at least two marks, got {len(time_ns)}")
+        raise ExchangeError(f"marks: expected at least two marks, got {len(time_ns)}")
     interval = np.diff(time_ns).astype(np.float64)
     turns = np.ones(len(interval), np.int64)
     for i in range(1, len(interval) - 1):
@@ -67,5 +67,5 @@ def revolutions_of_marks(time_ns: NDArray[np.int64]) -> tuple[NDArray[np.uint32]
         if interval[i] > _TWO_MARKS * around:
             turns[i] = round(interval[i] / around)
     missed = int(turns.sum()) - len(turns)
-    warnings = [f"--marks: {missed} of {missed + len(time_ns)} marks are missing and were counted"] if missed else []
+    warnings = [f"marks: {missed} of {missed + len(time_ns)} marks are missing and were counted"] if missed else []
     return np.r_[0, np.cumsum(turns)].astype(np.uint32), warnings

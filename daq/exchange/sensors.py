@@ -36,23 +36,23 @@ def read_sensors(recording: ColumnFile, recipe: Recipe, rig: Rig, warnings: list
     """
     choices = {name: _settled(recording, name, choice, recipe) for name, choice in recipe.choices.items()}
     marks, time = choices.pop("marks", None), choices.pop("time", None)
-    names = {name: pick(recording, choice.name, f"--{name}") for name, choice in choices.items()}
+    names = {name: pick(recording, choice.name, name) for name, choice in choices.items()}
     own_times = {
-        name: pick(recording, choice.time.name, f"--{name} …@TIME") for name, choice in choices.items() if choice.time
+        name: pick(recording, choice.time.name, f"{name} …@TIME") for name, choice in choices.items() if choice.time
     }
-    time_name = [pick(recording, time.name, "--time")] if time else []
+    time_name = [pick(recording, time.name, "time")] if time else []
     in_file = marks is not None and marks_file(recipe) is None
-    mark_name = [pick(recording, marks.name, "--marks")] if marks and in_file else []
+    mark_name = [pick(recording, marks.name, "marks")] if marks and in_file else []
     columns = recording.read(dict.fromkeys([*names.values(), *own_times.values(), *time_name, *mark_name]))
     found: dict[str, SensorReadings] = {}
     for name, choice in choices.items():
-        column, option = columns[names[name]], f"--{name}"
+        column = columns[names[name]]
         if choice.time:
-            readings = read_sensor(column, choice, columns[own_times[name]], choice.time, recipe.invalid, option)
+            readings = read_sensor(column, choice, columns[own_times[name]], choice.time, recipe.invalid, name)
         elif time:
-            readings = read_sensor(column, choice, columns[time_name[0]], time, recipe.invalid, option)
+            readings = read_sensor(column, choice, columns[time_name[0]], time, recipe.invalid, name)
         else:
-            readings = read_sensor(column, choice, _row_times(recipe, column, option), None, recipe.invalid, option)
+            readings = read_sensor(column, choice, _row_times(recipe, column, name), None, recipe.invalid, name)
         warnings += _check(name, readings, choice, column, choice.time or time, rig)
         found[name] = readings
     if marks is not None:
@@ -64,13 +64,12 @@ def _settled(recording: ColumnFile, name: str, choice: ColumnChoice, recipe: Rec
     """Return a choice with its units as given, or as contained in the file above the columns."""
     if name == "marks" and marks_file(recipe) is not None:
         return choice  # its units are in that file
-    option = f"--{name}"
-    file_unit = recording.units.get(pick(recording, choice.name, option))
+    file_unit = recording.units.get(pick(recording, choice.name, name))
     time = choice.time
     if time is not None:
-        place = f"{option} …@TIME"
+        place = f"{name} …@TIME"
         time = settle_unit(time, recording.units.get(pick(recording, time.name, place)), "time", place)
-    return replace(settle_unit(choice, file_unit, QUANTITIES[name], option), time=time)
+    return replace(settle_unit(choice, file_unit, QUANTITIES[name], name), time=time)
 
 
 def marks_file(recipe: Recipe) -> Path | None:
@@ -79,10 +78,10 @@ def marks_file(recipe: Recipe) -> Path | None:
     return Path(marks.name) if marks and Path(marks.name).is_file() else None
 
 
-def _row_times(recipe: Recipe, column: Column, option: str) -> NDArray[np.int64]:
+def _row_times(recipe: Recipe, column: Column, field: str) -> NDArray[np.int64]:
     """Return the times of all rows in ns, from the rate alone."""
     if recipe.rate_Hz is None:
-        raise ExchangeError(f"{option}: expected --time COLUMN:UNIT or --rate HZ in addition, got neither")
+        raise ExchangeError(f"{field}: expected a column of times or a rate in addition, got neither")
     return np.rint(np.arange(len(column.values)) * (1e9 / recipe.rate_Hz)).astype(np.int64)
 
 
@@ -93,10 +92,10 @@ def _marks(recipe: Recipe, choice: ColumnChoice, column: Column | None) -> Senso
         recording = open_recording(path)
         if len(recording.names) != 1:
             raise ExchangeError(f"{path}: expected a file of one column of times, got {len(recording.names)} columns")
-        choice = settle_unit(choice, recording.units.get(recording.names[0]), "time", "--marks")
+        choice = settle_unit(choice, recording.units.get(recording.names[0]), "time", "marks")
         column = recording.read([recording.names[0]])[recording.names[0]]
     rows = np.flatnonzero(~column.absent & ~np.isnan(column.values.astype(np.float64)))
-    time_ns = times_ns(column.keep(rows), choice, "--marks")
+    time_ns = times_ns(column.keep(rows), choice, "marks")
     return SensorReadings(time_ns, np.zeros(len(rows)), rows, 0)
 
 
@@ -108,13 +107,13 @@ def _check(
     Raises:
         ExchangeError: readings far beyond the possible range.
     """
-    option, quantity = f"--{name}", QUANTITIES[name]
+    quantity = QUANTITIES[name]
     lasers = {sensor.axis: 2 * sensor.reach_m for sensor in rig.roles.displacements}
     limits = {"x": math.inf, "y": math.inf, **lasers, "speed": rig.limits.speed_rpm * RPM}
-    check_size(readings, choice, quantity, limits.get(name, _MAX_PHASE_RAD), column, option)
-    warnings = [check_rate(readings.time_ns, time, option)]
+    check_size(readings, choice, quantity, limits.get(name, _MAX_PHASE_RAD), column, name)
+    warnings = [check_rate(readings.time_ns, time, name)]
     if quantity == "length":
-        warnings.append(check_small(readings, _MIN_SPAN_M, option, "m"))
+        warnings.append(check_small(readings, _MIN_SPAN_M, name, "m"))
     elif name == "phase":
-        warnings.append(check_small(readings, _MIN_SPAN_RAD, option, "rad"))
+        warnings.append(check_small(readings, _MIN_SPAN_RAD, name, "rad"))
     return [warning for warning in warnings if warning]

@@ -59,7 +59,7 @@ class Staging:
         if final.is_dir():
             raise ExchangeError(f"{final}: expected a file's name, this is a folder: name the file in it")
         if final.exists() and not self._force:
-            raise ExchangeError(f"{final}: exists already; give another name, or --force to replace it")
+            raise ExchangeError(f"{final}: exists already; give another name, or permit its replacement (force)")
 
     def __enter__(self) -> Staging:
         return self

@@ -66,27 +66,27 @@ class ColumnChoice:
     time: ColumnChoice | None = None
 
 
-def parse_column(text: str, quantity: Quantity, option: str) -> ColumnChoice:
+def parse_column(text: str, quantity: Quantity, field: str) -> ColumnChoice:
     """Parse a column and its unit: ``NAME:UNIT``, ``NAME:-UNIT``, ``NAME:NUMBER``, each optionally ``@TIME:UNIT``.
 
     The unit may be omitted if the name ends in it (``displacement_m``) or the file contains it above the column.
 
     Args:
-        text: text of the option.
+        text: text of the entry.
         quantity: quantity of the column.
-        option: name of the option, for messages.
+        field: field of the recipe, for messages.
 
     Raises:
         ExchangeError: a unit of another quantity, or a factor of 0.
     """
     own, at, time = text.rpartition("@")
     if not at:
-        return _parse(text, quantity, option)
-    choice = _parse(own, quantity, option)
-    return ColumnChoice(choice.name, choice.unit, choice.factor, _parse(time, "time", f"{option} …@TIME"))
+        return _parse(text, quantity, field)
+    choice = _parse(own, quantity, field)
+    return ColumnChoice(choice.name, choice.unit, choice.factor, _parse(time, "time", f"{field} …@TIME"))
 
 
-def _parse(text: str, quantity: Quantity, option: str) -> ColumnChoice:
+def _parse(text: str, quantity: Quantity, field: str) -> ColumnChoice:
     words = UNITS[quantity]
     name, colon, unit = text.rpartition(":")
     if not colon:
@@ -94,51 +94,51 @@ def _parse(text: str, quantity: Quantity, option: str) -> ColumnChoice:
         if unit not in words:
             return ColumnChoice(name, "", math.nan)
     if not name:
-        raise ExchangeError(f"{option} {text}: expected NAME:UNIT, got no name before the colon")
+        raise ExchangeError(f"{field} {text}: expected NAME:UNIT, got no name before the colon")
     factor = words.get(unit.removeprefix("-"), math.nan) * (-1 if unit.startswith("-") else 1)
     if math.isnan(factor):
         factor = _number(unit)
     if not math.isfinite(factor) or factor == 0:
         raise ExchangeError(
-            f"{option} {text}: expected a unit of {quantity} ({', '.join(words)}) or a number other than 0 "
+            f"{field} {text}: expected a unit of {quantity} ({', '.join(words)}) or a number other than 0 "
             f"after the colon, got {unit!r}{_hint(unit, quantity)}"
         )
     if quantity == "time" and factor < 0:
-        raise ExchangeError(f"{option} {text}: expected a unit of time, got a negative one: time runs forward")
+        raise ExchangeError(f"{field} {text}: expected a unit of time, got a negative one: time runs forward")
     return ColumnChoice(name, unit, factor)
 
 
-def settle_unit(choice: ColumnChoice, file_unit: str | None, quantity: Quantity, option: str) -> ColumnChoice:
+def settle_unit(choice: ColumnChoice, file_unit: str | None, quantity: Quantity, field: str) -> ColumnChoice:
     """Return a choice with its unit, after comparing it with the unit in the file.
 
     Args:
         choice: the column.
         file_unit: unit in the file, a word of UNITS; None if the file contains none.
         quantity: quantity of the column.
-        option: name of the option, for messages.
+        field: field of the recipe, for messages.
 
     Raises:
-        ExchangeError: the unit is given neither by the option nor by the file, or both are different.
+        ExchangeError: the unit is given neither by the recipe nor by the file, or both are different.
     """
     words = UNITS[quantity]
     if file_unit is not None and file_unit not in words:
         raise ExchangeError(
-            f"{option} {choice.name}: expected a column of {quantity} ({', '.join(words)}), the file gives its unit "
+            f"{field} {choice.name}: expected a column of {quantity} ({', '.join(words)}), the file gives its unit "
             f"as {file_unit!r}; is it another column? If the file is wrong give the factor to SI as a number: "
-            f"{option} {choice.name}:0.001"
+            f"{field} {choice.name}:0.001"
         )
     if not choice.unit:
         if file_unit is None:
             raise ExchangeError(
-                f"{option} {choice.name}: expected NAME:UNIT with a unit of {quantity} ({', '.join(words)}), got no "
+                f"{field} {choice.name}: expected NAME:UNIT with a unit of {quantity} ({', '.join(words)}), got no "
                 "unit, and the file does not contain it above the column"
             )
         return replace(choice, unit=file_unit, factor=words[file_unit])
     given = choice.unit.removeprefix("-")
     if file_unit is not None and given in words and words[given] != words[file_unit]:
         raise ExchangeError(
-            f"{option} {choice.name}:{choice.unit}: expected the unit that the file gives the column, {file_unit!r}, "
-            f"got {given!r}; if the file is wrong give the factor to SI as a number: {option} {choice.name}:"
+            f"{field} {choice.name}:{choice.unit}: expected the unit that the file gives the column, {file_unit!r}, "
+            f"got {given!r}; if the file is wrong give the factor to SI as a number: {field} {choice.name}:"
             f"{choice.factor:g}"
         )
     return choice

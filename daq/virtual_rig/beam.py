@@ -51,7 +51,7 @@ class Beam:
         return cls(np.zeros(2), 0.0, 0.0, DeviceClock(0.0, 0.0), np.random.default_rng(0))
 
     def restart(self) -> None:
-        """Begin to count samples anew with the next interval."""
+        """Begin with the first sample of the next interval."""
         self._next = None
 
     def due(self, motion: MotionInterval, period_s: float) -> NDArray[np.int64]:

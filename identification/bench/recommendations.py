@@ -79,7 +79,7 @@ def _of_service(service: str, own: dict[str, dict[str, Precision]]) -> Recommend
             )
     reasoning = "; ".join(reasons + doubts)
     if doubts:
-        advice = f"no recommendation, more records decide (--quick takes few), {usual} is usual"
+        advice = f"no recommendation, more records decide (a quick run takes few), {usual} is usual"
         return Recommendation(service, None, f"{service}: {advice}; {reasoning}", figures)
     return Recommendation(service, chosen, f"{service}: take {chosen}; {reasoning}", figures)
 

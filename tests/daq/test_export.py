@@ -322,7 +322,7 @@ def test_what_a_damaged_log_lacks_is_said(log_path: Path, format: Any) -> None:
         ({"out": "out.xlsx"}, "expected a name ending in .parquet"),
         ({"channels": ["laser/z"]}, "did you mean"),
         ({"signals": True, "channels": ["z"]}, "expected signals of x, y, angles, marks"),
-        ({"from_s": 2.0, "to_s": 1.0}, "expected --from before --to"),
+        ({"from_s": 2.0, "to_s": 1.0}, "expected the beginning before the end"),
         ({"from_s": float("nan")}, "seconds since the log's start"),
         ({"format": "xlsx"}, "expected a format of parquet, csv, mat, hdf5"),
     ],

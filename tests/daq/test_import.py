@@ -102,12 +102,12 @@ def test_units_signs_and_scales(tmp_path: Path, column: str, factor: float) -> N
         (
             "t,disp\n" + rows(","),
             {"x": "dsip:mm", "time": "t:s"},
-            "--x: expected one of the columns 't', 'disp', got 'dsip'; did",
+            "x: expected one of the columns 't', 'disp', got 'dsip'; did",
         ),
         (
             rows(","),
             {"time": "1:s", "x": "2:m"},
-            r"expected readings within 0.025 m, got 2 .*line 1.*did you mean --x 2:mm\?",
+            r"expected readings within 0.025 m, got 2 .*line 1.*did you mean 2:mm\?",
         ),
         (rows(",").replace("0.1,", "0.1,oops", 1), NUMBERS, "line 101: expected a number in column '2'.*'oops"),
         (rows(",") + "0.2\n", NUMBERS, "line 201: expected 2 columns as in line 1, got 1; is the file cut"),
@@ -124,17 +124,17 @@ def test_units_signs_and_scales(tmp_path: Path, column: str, factor: float) -> N
         ("hello\nworld\n", NUMBERS, "expected columns of numbers, found none"),
         ("", NUMBERS, "the file is empty"),
         ("a\0b", NUMBERS, "expected text, parquet, mat or hdf5"),
-        (rows(","), {"x": "2:mm"}, "expected --time COLUMN:UNIT or --rate HZ"),
+        (rows(","), {"x": "2:mm"}, "expected a column of times or a rate in addition"),
         (rows(","), {"x": "2:mm", "time": "1:s", "rate_Hz": 10}, "got both"),
-        (rows(","), {"time": "1:s"}, "at least one of --x"),
+        (rows(","), {"time": "1:s"}, "at least one of x, y"),
         (rows(","), {**NUMBERS, "test": ""}, "expected the test's name"),
-        (rows(","), {**NUMBERS, "start": "yesterday"}, "--start yesterday: expected a time like"),
+        (rows(","), {**NUMBERS, "start": "yesterday"}, "start yesterday: expected a time like"),
         (
             rows(","),
             {**NUMBERS, "release_s": (7.0,)},
-            "--release 7: expected a time within the recording, 0 s to 0.199 s",
+            "release 7: expected a time within the recording, 0 s to 0.199 s",
         ),
-        (rows(","), {**NUMBERS, "phase": "1:rad", "speed": "2:rpm"}, "one of --phase, --marks and --speed"),
+        (rows(","), {**NUMBERS, "phase": "1:rad", "speed": "2:rpm"}, "one of phase, marks and speed"),
         (rows(","), {**NUMBERS, "nonsense": 1}, "nonsense"),
         (
             "".join(f"{i},{7 * i}\n" for i in range(50)),
@@ -328,7 +328,7 @@ def test_the_rotor_by_its_angle_its_marks_or_its_speed(tmp_path: Path) -> None:
 
 def test_a_phase_that_falls_is_refused(tmp_path: Path) -> None:
     path = phase_file(tmp_path / "a.csv", -20 * np.arange(3000) / 1000)
-    with pytest.raises(ExchangeError, match=r"falls from -?0 to -59.98 rad.*--phase NAME:-rad"):
+    with pytest.raises(ExchangeError, match=r"falls from -?0 to -59.98 rad.*minus sign: NAME:-rad"):
         bring_in(path, time="1:s", phase="2:rad")
     assert len(bring_in(path, time="1:s", phase="2:-rad").mark_time_s) == 10
 

@@ -218,7 +218,7 @@ def test_what_is_no_column_is_said_by_its_name(tmp_path: Path) -> None:
         "soft": "a soft link",
         "out": "a link to another file",
     }.items():
-        with pytest.raises(ExchangeError, match=f"--x: expected a column of numbers, '{name}' is .*{words}"):
+        with pytest.raises(ExchangeError, match=f"x: expected a column of numbers, '{name}' is .*{words}"):
             pick(found, name, "--x")
 
 

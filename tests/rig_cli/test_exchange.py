@@ -208,7 +208,7 @@ def test_export_states_what_it_wrote(capsys: pytest.CaptureFixture[str], tmp_pat
     assert result["missing"] == []
     code, _, err = run_rig(capsys, "export", log, "-o", out, "--channels", "laser/x")
     assert code == 2
-    assert "--force" in err
+    assert "(force)" in err
     code, answer, err = run_rig(
         capsys, "export", log, "-o", tmp_path / "s.h5", "--signals", "--from", "0.0", "--to", "2"
     )
@@ -222,8 +222,8 @@ def test_export_states_what_it_wrote(capsys: pytest.CaptureFixture[str], tmp_pat
     [
         (["--x", "d:m"], "did you mean"),
         (["--x", "dd:mm"], "'t', 'd', got 'dd'"),
-        (["--x", "d:mm", "--release", "x"], "--release x: expected numbers"),
-        (["--x", "d:mm", "--point", "B"], "--point B: expected no --test in addition"),
+        (["--x", "d:mm", "--release", "x"], "release x: expected numbers"),
+        (["--x", "d:mm", "--point", "B"], "point B: expected no test in addition"),
     ],
 )
 def test_bad_use_is_explained(
