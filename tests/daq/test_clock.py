@@ -213,7 +213,7 @@ def test_a_line_without_stairs_over_more_than_a_period_is_known_as_well_as_its_r
     assert np.max(np.abs(found)) < 4
 
 
-def test_a_short_record_says_no_more_than_the_data_sheet() -> None:
+def test_a_short_record_adds_nothing_to_the_data_sheet() -> None:
     line = fit_line(np.array([0.0, 0.1, 0.2]), np.array([0.001, 0.1012, 0.2011]), tolerance_ppm=50.0)
     assert line.rate == 0.0
     assert line.rate_std == line.shared_std == pytest.approx(50e-6)

@@ -171,7 +171,7 @@ def test_a_set_up_that_fails_leaves_nothing_watched() -> None:
     assert far.watched[-1] == (0, 0)
 
 
-def test_a_drive_that_is_gone_is_let_go_of() -> None:
+def test_a_drive_that_is_gone_is_released() -> None:
     far = FarEnd()
     far.runs(0)
     far.state = cia402.SWITCH_ON_DISABLED

@@ -124,7 +124,7 @@ def test_a_drive_that_restarts_is_named_at_once(far_end: VirtualRigProcess, rig:
         assert [e["device"] for e in log.events if e["kind"] == "restart"] == ["drive"]
 
 
-def test_a_lone_emergency_is_said_and_kept(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+def test_a_lone_emergency_is_reported_and_kept(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
     messages: list[str] = []
     with Session(rig, far_end.clock, notify=messages.append) as session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
@@ -141,7 +141,7 @@ def test_a_lone_emergency_is_said_and_kept(far_end: VirtualRigProcess, rig: Rig,
     assert summary_of(path)["ended"] == "the test's end"
 
 
-def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+def test_a_fault_is_reported_with_its_emergency(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
     fault = r"drive entered FAULT without a command; emergency 0x3220, DC link under-voltage"
     with pytest.raises(ProcedureError, match=fault), Session(rig, far_end.clock) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
@@ -154,7 +154,7 @@ def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig
     wait_rig_time(far_end, 2.0)  # the boot-up would disturb the next session
 
 
-def test_a_rotor_that_still_turns_at_the_end_is_said(
+def test_a_rotor_that_still_turns_at_the_end_is_reported(
     far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("daq.drivers.run_down._MAX_RUN_DOWN_S", 1.0)
@@ -176,7 +176,7 @@ def test_a_rotor_that_still_turns_at_the_end_is_said(
     ("stop", "words"),
     [(KeyboardInterrupt(), "Ctrl-C"), (KeyboardInterrupt("SIGTERM"), "SIGTERM"), (ValueError("x"), "ValueError: x")],
 )
-def test_the_log_says_what_ended_it(
+def test_the_log_contains_what_ended_it(
     far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, stop: BaseException, words: str
 ) -> None:
     with pytest.raises(type(stop)), Session(rig, far_end.clock) as session:  # noqa: PT012

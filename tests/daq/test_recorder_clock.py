@@ -89,7 +89,7 @@ def test_files_of_one_recorder_share_its_error_and_those_of_two_do_not(tmp_path:
     assert two == pytest.approx(one / np.sqrt(2), rel=0.1)
 
 
-def test_what_nothing_is_said_of_counts_50_ppm_and_is_said(tmp_path: Path) -> None:
+def test_a_recorder_without_a_stated_tolerance_counts_50_ppm_with_a_warning(tmp_path: Path) -> None:
     path = plucked(tmp_path / "a.csv", 0.0)
     recipe = make_recipe(test="ring-down-x", time="t:s", x="x:mm", y="y:mm")
     done = import_recording(path, tmp_path / "untold.mcap", UNTOLD, recipe)
