@@ -94,7 +94,7 @@ def test_a_seed_of_another_clock_counts_for_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "told",
+    "seed",
     [
         3,
         {},
@@ -105,9 +105,9 @@ def test_a_seed_of_another_clock_counts_for_nothing() -> None:
         {"device_ns": 1, "host_ns": 1, "rate": 0.0, "wrap_ns": 0},
     ],
 )
-def test_a_seed_that_no_clock_can_have_is_refused(told: object) -> None:
+def test_a_seed_that_no_clock_can_have_is_refused(seed: object) -> None:
     with pytest.raises(DeviceError, match=r"clocks\.json: expected device_ns"):
-        ClockSeed.of({"clock_seed": told})
+        ClockSeed.of({"clock_seed": seed})
 
 
 def test_samples_that_come_behind_newer_ones_change_nothing() -> None:

@@ -55,7 +55,7 @@ class Node:
 
 @dataclass(frozen=True)
 class Drive:
-    """What a look finds of the drive beside its speed."""
+    """State of the drive as an observation contains it, without the speed."""
 
     state: str = cia402.SWITCH_ON_DISABLED
     code: int | None = None

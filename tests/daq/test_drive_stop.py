@@ -503,10 +503,10 @@ def test_a_rotor_that_brakes_is_not_left_without_torque() -> None:
     far.network = cia402.Heartbeat.OPERATIONAL
     far.control.start()
     far.speak()
-    keeps_saying = HostClock().every(0.02, far.speak, "reports", lambda error: None)
+    repeated = HostClock().every(0.02, far.speak, "reports", lambda error: None)
     with pytest.raises(DeviceError, match="stays in QUICK STOP ACTIVE"):
         far.control.enable()
-    keeps_saying.stop()
+    repeated.stop()
     assert far.state == cia402.QUICK_STOP_ACTIVE
     far.control.stop()
 

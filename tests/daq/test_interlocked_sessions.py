@@ -205,12 +205,12 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
         turning(session, 300)
         recorder = session._recorder
         assert recorder is not None
-        held, let_go = threading.Event(), threading.Event()
+        held, released = threading.Event(), threading.Event()
 
         def hold() -> None:
             with recorder.together(), session._open.unread("drive"):
                 held.set()
-                let_go.wait(20)
+                released.wait(20)
 
         holder = threading.Thread(target=hold)
         holder.start()
@@ -221,7 +221,7 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
         waited = stopping.is_alive()
         while not waited and far_end.line.ask("state")["speed_rpm"] > 0.5:
             threading.Event().wait(0.01)
-        let_go.set()
+        released.set()
         holder.join()
         stopping.join()
         session.wait_for(lambda: session.rotor_at_rest() is True, 5.0, "rest")
@@ -239,7 +239,7 @@ def test_a_faulty_encoder_is_refused_at_the_locks_and_ends_a_test_that_needs_it(
     far_end: VirtualRigProcess, rig: Rig, tmp_path: Path
 ) -> None:
     class Breaks(SimulatedOperator):
-        """Whoever flicks the pendulums hits B's encoder, too."""
+        """The operator who flicks the pendulums also hits B's encoder."""
 
         def flick(self) -> None:
             super().flick()
