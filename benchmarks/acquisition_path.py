@@ -1,4 +1,4 @@
-"""The complete acquisition path, from a device's bytes to the log, beside the same job done with public libraries.
+"""The complete acquisition path, from a device's bytes to the log, against the same job done with public libraries.
 
     python -m benchmarks.acquisition_path [--seconds 20] [--repeats 7]
 

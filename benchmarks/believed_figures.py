@@ -1,4 +1,4 @@
-"""Whether the suite's uncertainties and verdicts can be believed: campaigns on rigs that its own model did not make.
+"""Correctness of the suite's uncertainties and verdicts, from campaigns on rigs that its own model did not make.
 
     python -m benchmarks.believed_figures --seeds A:B [--effect NAME[=STRENGTH]] [--wrong NAME[=N]] [--knowledge exact]
         [--joint] [--run-up-after] [--jobs N] [--out FILE.jsonl] [--resume]
@@ -7,8 +7,8 @@ Each campaign draws a true rig and its sensors (benchmarks.worlds), records two 
 releases at the five points, identifies and validates. Printed: coverage of the 95 % intervals, of parameters and of
 what is predicted at the points, with its own binomial 95 % interval, mean and spread of z (|z| of an amplitude of
 nothing), the share of campaigns that pass, the share whose warnings name the effect, alarms where nothing is wrong,
-and median times. `--knowledge` says what the rig file does not know: "exact" nothing, "usual" zeros, gains, index and
-clocks within what it states, "weighed" masses and lengths to 0.05 % too. Effects: cubic, quadratic, dry, contact,
+and median times. `--knowledge` selects what is uncertain in the rig file: "exact" nothing, "usual" zeros, gains, index
+and clocks within what it states, "weighed" masses and lengths to 0.05 % too. Effects: cubic, quadratic, dry, contact,
 drag, bow, runout, hum, wander, creep, phase_step, speed_noise, turned, noise, gaps. Wrong: k2, zeta1, c3, SP change
 between the tests and the points, by N of the standard deviations that were found; mass_b, length_b, zero_a, gain_x are
 off from the beginning, by N of those stated.

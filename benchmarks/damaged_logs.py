@@ -3,7 +3,7 @@
     python -m benchmarks.damaged_logs --files 10000 --seed 1
 
 Small logs whose samples name themselves are damaged in every way a disk, a cut, a careless copy or a hostile hand
-can; each is opened, read, verified, recovered and read again. Whatever comes out must be what went in.
+can; each is opened, read, verified, recovered and read again. Data that are read must equal those written.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ def hostile_length(data: bytearray, rng: Generator) -> None:
 
 
 def hostile_summary(data: bytearray, rng: Generator) -> None:
-    """A number in the summary or footer is another one, and the CRC says that this is right."""
+    """A number in the summary or footer is another one, and the CRC is that of the changed bytes."""
     footer = bytes(data).rfind(b"\x02" + struct.pack("<Q", 20))
     if not data.endswith(MAGIC) or footer < 0:
         hostile_length(data, rng)
@@ -258,7 +258,7 @@ DAMAGES: tuple[Damager, ...] = (
 
 
 def check_laser(log: Log) -> set[int]:
-    """Laser samples are what they say they are; returns which."""
+    """Check that laser samples equal those written under their numbers; return the numbers."""
     if "laser/x" not in log:
         return set()
     x = log["laser/x"]
@@ -315,7 +315,7 @@ def check_window(log: Log, laser_samples: set[int], rng: Generator) -> None:
 
 def check_file(path: Path, shape: Shape, kind: Damager | None, rng: Generator) -> str:
     """Everything about one file, damaged in a way or not at all; returns what became of it."""
-    # whoever sets a CRC right has changed what nobody reads, or is found out by what is read
+    # a change with a corrected CRC is in bytes that are not read, or the values that are read show it
     changed = kind not in (None, hostile_summary) and path.read_bytes() != shape.data
     try:
         log = open_log(path)
@@ -327,7 +327,7 @@ def check_file(path: Path, shape: Shape, kind: Damager | None, rng: Generator) -
             check_window(log, read[0], rng)
         except (LogError, ChannelMissing):  # a hostile schema with the right CRC
             read = set(), (0, 0, 0)
-        said = log.verify()
+        reported = log.verify()
         verified = check_laser(log), check_others(log)
         whole = (len(verified[0]), *verified[1]) == (shape.laser, shape.marks, shape.raw, shape.events)
         facts = (log.metadata, log.attachments) == (
@@ -336,16 +336,18 @@ def check_file(path: Path, shape: Shape, kind: Damager | None, rng: Generator) -
         )
         assert read[0] <= verified[0], "samples handed out that are not there"
         if not (whole and facts):
-            assert said, "something is gone, and nothing was said"
+            assert reported, "data are missing, and no damage was reported"
         if not whole:
-            assert any(place.messages != 0 for place in said), "samples are gone, and no message was said to be lost"
+            assert any(place.messages != 0 for place in reported), (
+                "samples are missing, no message was reported as lost"
+            )
         if changed:
-            assert said, "bytes were changed, and nothing was said"
-        # one damaged place is told exactly; of several, indexes that do not fit may claim more than was lost
+            assert reported, "bytes were changed, and no damage was reported"
+        # one damaged place is reported exactly; of several, indexes that do not fit may claim more than was lost
         if whole and kind in (flip_one, double_chunk):
-            assert all(place.messages in (0, None) for place in said), f"missed, though there: {said}"
-        assert all(str(place) for place in said)
-        assert log.complete is (not said), "complete, and yet something is missing"
+            assert all(place.messages in (0, None) for place in reported), f"missed, though there: {reported}"
+        assert all(str(place) for place in reported)
+        assert log.complete is (not reported), "complete, and yet something is missing"
         assert log.complete is False or set(log.metadata) <= set(METADATA), "metadata under a wrong name"
     return check_recovered(path, verified[0], verified[1]) + (", all samples" if whole else "")
 

@@ -74,7 +74,7 @@ def draw(rng: np.random.Generator) -> tuple[RotorParameters, float, dict[str, An
     ratio = 1.0 if isotropic else log(1e-2, 1e4)
     k1 = (8.0 + mass_a + mass_b) * (6 * math.pi) ** 2
     speed_ratio = log(1e-3, 100.0)
-    told = dict(  # noqa: C408
+    drawn = dict(  # noqa: C408
         mass_a=mass_a,
         mass_b=mass_b,
         c3=damping_a,
@@ -87,7 +87,7 @@ def draw(rng: np.random.Generator) -> tuple[RotorParameters, float, dict[str, An
         K=ratio,
         speed_ratio=speed_ratio,
     )
-    return RotorParameters(7.0, 1.0, places[place], a, b, k1, ratio * k1, zeta1, zeta2), speed_ratio, told
+    return RotorParameters(7.0, 1.0, places[place], a, b, k1, ratio * k1, zeta1, zeta2), speed_ratio, drawn
 
 
 def _kind_of_refusal(error: BaseException) -> str:
@@ -97,7 +97,7 @@ def _kind_of_refusal(error: BaseException) -> str:
 
 
 def judge_multipliers(
-    p: RotorParameters, ratio: float, told: dict[str, Any], options: argparse.Namespace
+    p: RotorParameters, ratio: float, drawn: dict[str, Any], options: argparse.Namespace
 ) -> dict[str, Any]:
     """One call of `multipliers`; its largest modulus, its error, and the angles' error."""
     speed = p.speed_rad_s(ratio)
@@ -190,22 +190,22 @@ def _propagated(
     return states if len(states) == len(times) and np.all(np.isfinite(states)) else None
 
 
-def _scene(p: RotorParameters, ratio: float, told: dict[str, Any]) -> tuple[Scene, np.ndarray, float, float]:
+def _scene(p: RotorParameters, ratio: float, drawn: dict[str, Any]) -> tuple[Scene, np.ndarray, float, float]:
     """A release at speed, or a ramp from there; over 3 to 30 revolutions."""
-    rng = np.random.default_rng(int(told["number"]) + 7919)
+    rng = np.random.default_rng(int(drawn["number"]) + 7919)
     speed, revolutions = p.speed_rad_s(ratio), float(rng.uniform(3, 30))
     ramp = 0.0 if rng.random() < 0.5 else math.exp(rng.uniform(math.log(0.01), math.log(1000.0))) * math.pi / 30
     turned = 2 * math.pi * revolutions
     duration = turned / speed if ramp == 0 else 2 * turned / (speed + math.sqrt(speed**2 + 2 * ramp * turned))
     start = locked_state(p, speed, 0.0, 0.2 * math.pi / 180, math.pi + 0.1 * math.pi / 180)
     history = SpeedHistory.constant(speed) if ramp == 0 else SpeedHistory.ramp(speed, speed + ramp * duration, duration)
-    told |= {"revolutions": revolutions, "ramp_rpm_per_s": ramp * 30 / math.pi}
+    drawn |= {"revolutions": revolutions, "ramp_rpm_per_s": ramp * 30 / math.pi}
     return Scene(history, start=start), np.linspace(0.0, duration, 65), speed, ramp
 
 
-def judge_motion(p: RotorParameters, ratio: float, told: dict[str, Any], options: argparse.Namespace) -> Row:
+def judge_motion(p: RotorParameters, ratio: float, drawn: dict[str, Any], options: argparse.Namespace) -> Row:
     """One call of `simulate`; the largest error over 65 instants."""
-    scene, times, speed, ramp = _scene(p, ratio, told)
+    scene, times, speed, ramp = _scene(p, ratio, drawn)
     begin = time.perf_counter()
     motion = simulate(p, scene, times, options.accuracy)
     row = {"seconds": time.perf_counter() - begin, "estimate": motion.error_estimate, "method": motion.method}
@@ -259,7 +259,7 @@ def _orbit_through(
     return np.asarray(here - start, float), noise, np.linalg.eigvals(half) ** 2
 
 
-def judge_states(p: RotorParameters, ratio: float, told: dict[str, Any], options: argparse.Namespace) -> Row:
+def judge_states(p: RotorParameters, ratio: float, drawn: dict[str, Any], options: argparse.Namespace) -> Row:
     """One call of `steady_states`; the worst of all states' angles and multipliers as a share of what is allowed."""
     speed = p.speed_rad_s(ratio)
     begin = time.perf_counter()
@@ -301,16 +301,16 @@ JUDGES: dict[str, Callable[..., dict[str, Any]]] = {
 
 def judged(number: int, options: argparse.Namespace) -> Row:
     """One draw of the seed's sequence, its call and its verdict."""
-    p, ratio, told = draw(np.random.default_rng([options.seed, number]))
-    told["number"] = number
+    p, ratio, drawn = draw(np.random.default_rng([options.seed, number]))
+    drawn["number"] = number
     begin = time.perf_counter()
     try:
-        row = JUDGES[options.service](p, ratio, told, options)
+        row = JUDGES[options.service](p, ratio, drawn, options)
     except DynamicsError as error:
         row = {"seconds": time.perf_counter() - begin, "refused": _kind_of_refusal(error), "message": str(error)}
-    except Exception as error:  # whatever else comes out is a finding
+    except Exception as error:  # any other exception is a finding
         row = {"seconds": time.perf_counter() - begin, "crashed": _kind_of_refusal(error), "message": str(error)}
-    return told | row
+    return drawn | row
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -57,18 +57,18 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
     with ExitStack() as stack:
         far = stack.enter_context(VirtualRigProcess(args.rig, [], 1.0))
         rig = load_rig(args.rig, settings=far.port_settings())
-        beside = (
+        connection = (
             None
             if name == "no connection"
             else stack.enter_context(FoxgloveConnection(rig, far.clock.rate, 0, (), print))
         )
         session = stack.enter_context(Session(rig, far.clock))
         pid = 0
-        if beside is not None:
-            beside.follow(session)
-            pid = beside._process.pid or 0
+        if connection is not None:
+            connection.follow(session)
+            pid = connection._process.pid or 0
             for _ in range(args.clients):
-                process = context.Process(target=_client, args=(beside.url, name != "asleep", count), daemon=True)
+                process = context.Process(target=_client, args=(connection.url, name != "asleep", count), daemon=True)
                 process.start()
                 stack.callback(process.kill)
             time.sleep(3.0)
@@ -86,7 +86,7 @@ def _case(name: str, args: argparse.Namespace, folder: Path) -> None:
             os.kill(pid, signal.SIGCONT)
         losses = session.losses()
         path = session.stop_recording({})
-    left_out = beside.left_out if beside is not None else 0
+    left_out = connection.left_out if connection is not None else 0
     print(
         f"{name:14} {reads_of(path, losses)}; recorder {100 * ours / passed:4.1f} %, "
         f"connection {100 * theirs / passed:4.1f} % of a core; "

@@ -121,7 +121,7 @@ class Drawn:
         angle[after] = swings(np.r_[start, 0, 0], np.r_[go, t[after]], p, self.dry)[1:, 2:4]
         turns = 2 * np.pi * np.arange(np.ceil(psi0 / (2 * np.pi)), (psi0 + speed * t[-1]) // (2 * np.pi))
         marks = (turns - psi0) / speed + 1e-6 * self.rng.standard_normal(len(turns))
-        said, none = go + 5e-4 * self.rng.standard_normal(), np.empty(0)
+        release_s, none = go + 5e-4 * self.rng.standard_normal(), np.empty(0)
         return Run(
             f"point-{speed_Hz:g}Hz",
             f"point-{speed_Hz:g}Hz.mcap",
@@ -133,7 +133,7 @@ class Drawn:
             *self._read(t, angle),
             marks,
             turns,
-            (Release(0, said), Release(1, said)),
+            (Release(0, release_s), Release(1, release_s)),
             self.encoders.step_rad,
         )
 
@@ -230,7 +230,7 @@ def campaign(drawn: Drawn, guess, tables: dict[str, Tally], label: str, quick: b
                 done.parameters.values,
                 done.parameters.std,
                 None,
-                any("dry friction beside" in w for w in done.warnings),
+                any("dry friction in addition to" in w for w in done.warnings),
             )
 
         return ask

@@ -9,7 +9,7 @@ dampings are wrong by a factor 2. With --wide the rigs and the recorders leave t
 1e-2, sensors turned by up to 20°, 0.5 to 5 kHz, 1 to 30 µm of noise, up to 1 % outliers, 5 % of the encoders' samples
 lost, 1024 to 16384 counts, ramps of 25 to 100 s. With --change the phase comes in steps, the point has a
 noisy speed in place of it, the pendulums have dry friction (a torque, one that goes with the contact force) or A is
-lighter than the rig file says. Printed per parameter: mean and spread of z = (found − true)/std, the
+lighter than the rig file states. Printed per parameter: mean and spread of z = (found − true)/std, the
 share within 1.96, the largest, and the relative std; the same for each test alone.
 """
 

@@ -52,7 +52,7 @@ def release_run(
     record_s: float = 5.0,
     laser_noise_m: float = 10e-6,
 ) -> Run:
-    """Three seconds locked, then both pendulums let go; speed constant; lasers at 1 kHz, encoders, index marks."""
+    """Three seconds locked, then both pendulums released; speed constant; lasers at 1 kHz, encoders, index marks."""
     speed, psi0 = 2 * np.pi * speed_Hz, rng.uniform(-np.pi, np.pi)
     go = 3.0 + rng.uniform(0, 0.2)
     locked = np.radians(np.array([0.0, 180.0]) + rng.uniform(-0.2, 0.2, 2))
@@ -72,7 +72,7 @@ def release_run(
     angle = encoders.read(state[2:4].T + zeros_rad, rng)[keep]
     turns = 2 * np.pi * np.arange(np.ceil(psi0 / (2 * np.pi)), (psi0 + speed * time[-1]) // (2 * np.pi))
     marks = (turns - psi0) / speed + 1e-6 * rng.standard_normal(len(turns))
-    told = go + 5e-4 * rng.standard_normal()
+    release_s = go + 5e-4 * rng.standard_normal()
     lasers = state[:2] + laser_noise_m * rng.standard_normal((2, len(time)))
     return Run(
         "point-C",
@@ -86,6 +86,6 @@ def release_run(
         angle,
         marks,
         turns,
-        (Release(0, told), Release(1, told)),
+        (Release(0, release_s), Release(1, release_s)),
         encoders.step_rad,
     )

@@ -35,11 +35,11 @@ _MARK_BYTES = 48
 
 
 class _Timed(VirtualRig):
-    """A virtual rig that knows when its bytes left, when the column was too far out and when the drive was stopped."""
+    """A virtual rig that records when its bytes left, the column was too far out and the drive was stopped."""
 
-    def __init__(self, rig: Rig, told: Connection) -> None:
+    def __init__(self, rig: Rig, reports: Connection) -> None:
         super().__init__(rig, link="pty")
-        self._told = told
+        self._reports = reports
         self._limit_m = rig.limits.amplitude_m
         self.out: dict[str, list[tuple[int, bytes]]] = {name: [] for name in self.wires}
         self._far_ns: int | None = None
@@ -62,13 +62,13 @@ class _Timed(VirtualRig):
         if self._far_ns is None and turned and float(np.hypot(*motion.displacement_m)) > self._limit_m:
             self._far_ns = time.monotonic_ns()
         elif self._far_ns is not None and not turned:
-            self._told.send((time.monotonic_ns() - self._far_ns) * 1e-6)
+            self._reports.send((time.monotonic_ns() - self._far_ns) * 1e-6)
             self._far_ns = None
 
 
-def _serve(rig: Rig, told: Connection, path: Path) -> None:
-    virtual = _Timed(rig, told)
-    told.send((virtual.ports(), virtual.control.port, virtual.token))
+def _serve(rig: Rig, reports: Connection, path: Path) -> None:
+    virtual = _Timed(rig, reports)
+    reports.send((virtual.ports(), virtual.control.port, virtual.token))
     virtual.run()
     virtual.close()
     for name, sent in virtual.out.items():

@@ -26,7 +26,7 @@ class Agreement:
         changes: of sign between neighbouring points of the map.
         crossings: of the lines with the grid's lines.
         pairs: crossings that the map can't show, two in one stretch.
-        beside: changes of sign whose crossing lies in another stretch.
+        misplaced: changes of sign whose crossing lies in another stretch.
         worst_pitches: how far it is from the right one at most; infinite where none is left for a change.
         worst_place: where, (along the line, across).
         unseen: crossings that the map denies and that no change of sign wants.
@@ -35,7 +35,7 @@ class Agreement:
     changes: int = 0
     crossings: int = 0
     pairs: int = 0
-    beside: int = 0
+    misplaced: int = 0
     worst_pitches: float = 0.0
     worst_place: Place | None = None
     unseen: list[Place] = field(default_factory=list[Place])
@@ -44,7 +44,8 @@ class Agreement:
         where = f" at {self.worst_place[0]:.5g}, {self.worst_place[1]:.5g}" if self.worst_place else ""
         return (
             f"{self.changes} changes of sign, {self.crossings} crossings, {self.pairs} pairs within a pitch; "
-            f"{self.beside} changes beside their crossing, by {self.worst_pitches:.3f} pitches at most{where}; "
+            f"{self.misplaced} changes with the crossing in another stretch, "
+            f"by {self.worst_pitches:.3f} pitches at most{where}; "
             f"{len(self.unseen)} crossings that the map denies"
         )
 
@@ -94,7 +95,7 @@ def _match(found: Agreement, along: Array, across: float, wanted: NDArray[np.int
     """Give each change of sign the nearest crossing that is left, nearest pairs first."""
     pitch, free = along[1] - along[0], np.ones(len(places), bool)
     off = np.maximum(along[wanted, None] - places, places - along[wanted + 1, None]) / pitch
-    found.beside += len(wanted)
+    found.misplaced += len(wanted)
     for _ in wanted:
         far = float(np.min(off, initial=np.inf))
         which = np.unravel_index(np.argmin(off), off.shape) if off.size else None

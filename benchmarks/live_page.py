@@ -5,7 +5,7 @@
 A virtual rig at the speed of life in a process of its own; a session records it here, with lasers of 2 x 4 kHz. Cases:
 no page; a page that is looked at; viewers that answer nothing; a page whose process stands still. Of each: the longest
 waits between two reads of a laser in the log (the recorder's threads were kept), losses, processor time of the recorder
-and of the page, memory of both. With --browser one viewer is Chromium, its memory beside. Linux only: it reads /proc.
+and of the page, memory of both. With --browser one viewer is Chromium, with its memory. Linux only: it reads /proc.
 
 A real hour: --only "looked at" --seconds 3600 --viewers 1 --browser
 """
@@ -95,7 +95,7 @@ def _viewer(page: LivePage, seen: Seen, answers: bool) -> Iterator[None]:
 
 @contextmanager
 def _chromium(page: LivePage, facts: dict[str, list[float]]) -> Iterator[Callable[[], None]]:
-    """A browser that nobody watches but for a moment now and then: a debugger that listens keeps all it hears."""
+    """A browser with a debugger connected only for moments: a connected debugger keeps all that it receives."""
     from playwright.sync_api import sync_playwright  # only with --browser
 
     program = next(b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if b)
@@ -108,11 +108,11 @@ def _chromium(page: LivePage, facts: dict[str, list[float]]) -> Iterator[Callabl
         )
         stack.callback(browser.terminate)
         player = stack.enter_context(sync_playwright())
-        while not (said := profile / "DevToolsActivePort").exists() or not said.read_text().count("\n"):
+        while not (port_file := profile / "DevToolsActivePort").exists() or not port_file.read_text().count("\n"):
             if browser.poll() is not None:
                 raise RuntimeError(f"{program} ended with {browser.returncode} before it offered a port")
             time.sleep(0.1)
-        port = said.read_text().split()[0]
+        port = port_file.read_text().split()[0]
 
         def look() -> None:
             there = player.chromium.connect_over_cdp(f"http://127.0.0.1:{port}")

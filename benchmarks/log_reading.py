@@ -196,7 +196,7 @@ LASERS, FEW, HOUR = FOLDER / "samples.mcap", FOLDER / "few.mcap", FOLDER / "hour
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--fresh", action="store_true", help="make the files anew")
+    parser.add_argument("--fresh", action="store_true", help="make the files again")
     arguments = parser.parse_args()
     FOLDER.mkdir(exist_ok=True)
     for path, make in ((LASERS, make_samples), (FEW, make_few), (HOUR, make_hour)):
@@ -223,7 +223,7 @@ def main() -> None:
     assert peer_window(HOUR, starts[0]) == read_window(HOUR, starts[0])
     peer = median_s(each(starts, peer_window), 3)
     print(
-        f"1 s window, opened anew: {warm * 1e3:.1f} ms warm, {cold * 1e3:.1f} ms cold; mcap library "
+        f"1 s window, opened again: {warm * 1e3:.1f} ms warm, {cold * 1e3:.1f} ms cold; mcap library "
         f"{peer * 1e3:.0f} ms, {peer / warm:.0f} ×"
     )
     if sys.platform == "linux":

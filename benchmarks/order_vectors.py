@@ -1,9 +1,9 @@
-"""Order vectors through run-ups whose truth is known: coverage, error, time; beside angular resampling.
+"""Order vectors through run-ups whose truth is known: coverage, error, time; against angular resampling.
 
     python -m benchmarks.order_vectors [--runs 20] [--rate 4000]
 
 Truths: the exact motion of one resonance (its free vibration too), and its steady response to each speed. 60 s from 60
-or 300 rpm at 10 rpm/s, offset and second order beside it. Printed per cell: share of rows inside 1.96 deviations,
+or 300 rpm at 10 rpm/s, offset and second order added to it. Printed per cell: share of rows inside 1.96 deviations,
 largest error of size and angle where the vector exceeds 0.3 of its peak, milliseconds for one signal; the same of
 angular resampling over four turns.
 """

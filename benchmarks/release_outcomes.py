@@ -6,8 +6,8 @@ needed for a verdict and calls it locked when the state repeats each revolution 
 
     uv run python -m benchmarks.release_outcomes --draws 60 --seed 1
 
-A claim counts as wrong when a "slipping" release locks, or one said to reach a state ends in no such state. A mirror
-image other than the one claimed counts apart: after a chaotic transient it hangs on rounding, and `same_end` says so.
+A claim counts as wrong when a "slipping" release locks, or one with a predicted state ends in no such state. A mirror
+image other than the one claimed counts apart: after a chaotic transient it depends on rounding; `same_end` is False.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--most", type=int, default=50_000, help="revolutions the referee follows")
     parser.add_argument("--weak", action="store_true", help="weak damping, speeds near the border of slipping")
-    parser.add_argument("--against", type=Path, help="another outcome.py to judge beside this one")
+    parser.add_argument("--against", type=Path, help="another outcome.py to judge in addition to this one")
     asked = parser.parse_args()
     judged: dict[str, Callable[..., Any]] = {"this": release_outcome}
     if asked.against is not None:
@@ -132,7 +132,7 @@ def main() -> None:
                 claims[found.state] += 1
             verdict = judge(found.state, found.reached, end)
             if verdict == "other image" and not getattr(found, "same_end", True):
-                verdict = "other image, and said to be chance"
+                verdict = "other image, and reported as chance"
             counts[name][verdict] += 1
             if verdict != "right":
                 where = f"Ω {speed / p.natural_frequencies_rad_s[0]:.4f} ζ {p.zeta1:.3g}"

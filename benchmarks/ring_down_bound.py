@@ -4,7 +4,7 @@
 
 Signals are made sample by sample in closed form, masks and rails included; the fits average blocks and know nothing of
 it. Bounds come from the numerical Fisher information of all samples, with the same unknowns. Errors are divided by each
-run's own bound, so frequencies, phases and angles are drawn anew in every run. Seeds are fixed and printed. Parts: one,
+run's own bound, so frequencies, phases and angles are drawn for every run. Seeds are fixed and printed. Parts: one,
 gross, pair, unresolved, damage, settings, time, peers.
 """
 
@@ -41,7 +41,7 @@ class Tally:
     of_value: list[list[float]] = field(default_factory=list)
     covered: list[list[bool]] = field(default_factory=list)
     failed: int = 0
-    said: int = 0
+    unresolved: int = 0
 
     def row(self, names: list[str]) -> str:
         z, c = np.array(self.errors), np.array(self.covered)
@@ -52,7 +52,7 @@ class Tally:
             f"{n} {e:5.2f} {b:+.2f} {100 * k:5.1f}"
             for n, e, b, k in zip(names, efficiency, z.mean(axis=0), c.mean(axis=0), strict=True)
         ]
-        return f"{' | '.join(parts)} | worst {np.abs(z).max():4.1f} failed {self.failed} not resolved {self.said}"
+        return f"{' | '.join(parts)} | worst {np.abs(z).max():4.1f} failed {self.failed} not resolved {self.unresolved}"
 
     def damage_row(self, names: list[str]) -> str:
         """Rms over both bounds and bias in per cent of the value, besides."""
@@ -80,7 +80,7 @@ def tally(runs: int, draw: Draw, names: list[str], seed: int, setting: Setting =
             if out.failed < 3:
                 print(f"      run {k}: {error}")
             continue
-        out.said += not fit.axes_resolved or any("not resolved" in w for w in fit.warnings)
+        out.unresolved += not fit.axes_resolved or any("not resolved" in w for w in fit.warnings)
         if any(n not in fit.values for n in names):
             out.failed += 1
             continue

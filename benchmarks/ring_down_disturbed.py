@@ -3,7 +3,7 @@
     python -m benchmarks.ring_down_disturbed [--runs 60] [--seed 1] [--only CASE …] [--dump]
 
 Each draw is a rig of its own (stiffness ±10 %, ζ 0.003 to 0.03, sensors turned by up to 3°) plucked along one axis by
-2 to 5 mm and let go. The motion is the closed form of two uncoupled oscillators in the stiffness axes; nothing of the
+2 to 5 mm and released. The motion is the closed form of two uncoupled oscillators in the stiffness axes; nothing of the
 project's dynamics is used. Printed per case: share refused, share in which a value is of no mode of the rig, and for
 the plucked direction the rms error over the stated standard deviation, its rms over the clean record's stated
 standard deviation and the share of true values within the stated 95 % intervals; besides, the share of fits whose
@@ -247,8 +247,8 @@ def campaign(name: str, runs: int, seed: int, dump: bool) -> str:
             other_z.append(
                 [fit.intervals[n][0] <= world.true[n] <= fit.intervals[n][1] for n in (f"f{cross}_Hz", f"zeta{cross}")]
             )
-        said = " ".join(fit.warnings)
-        named += all(any(f"{f + s:.2f} Hz" in said for s in (-0.01, 0, 0.01)) for f in lines) and bool(lines)
+        warnings = " ".join(fit.warnings)
+        named += all(any(f"{f + s:.2f} Hz" in warnings for s in (-0.01, 0, 0.01)) for f in lines) and bool(lines)
         if dump:
             z = [f"{(fit.values[n] - world.true[n]) / fit.std[n]:+.1f}" for n in fit.values if n in world.true]
             print(f"    {number} z {z} chi2 {fit.chi2_per_dof:.3g} {fit.warnings}")

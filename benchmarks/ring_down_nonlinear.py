@@ -3,7 +3,7 @@
     python -m benchmarks.ring_down_nonlinear [--runs 60] [--seed 1] [--only CASE …] [--setting balanced] [--dump]
 
 Each draw is a rig of its own (stiffness ±10 %, ζ 0.003 to 0.02, sensors turned by up to 3°) plucked along one axis to
-2.5 mm, held, and let go. Each direction follows
+2.5 mm, held, and released. Each direction follows
 
     q̈ + 2 ζ ω q̇ + d2 |q̇| q̇ + ω² (1 + κ q²) q = 0,
 
@@ -81,7 +81,7 @@ class World:
 
 
 def free_motion(omega: float, zeta: float, cubic: float, drag: float, start_m: float, time_s: Floats) -> Floats:
-    """Displacement of one direction let go at rest from a displacement, shape of time_s, m."""
+    """Displacement of one direction released at rest from a displacement, shape of time_s, m."""
 
     def slope(_t: float, y: Floats) -> list[float]:
         q, v = float(y[0]), float(y[1])

@@ -7,7 +7,7 @@ sample to sample (five Gauss points an interval). Every draw has its own noise, 
 twice per revolution and a slow wander), axis angle within ±20°, imbalance direction and offsets. The bound is the
 inverse of a numerical Fisher information of that simulator with free oscillations, amplitudes, offsets and slopes
 unknown too. Printed per cell: converged; rms error over bound (efficiency is its inverse square), bias in standard
-deviations, coverage of the 95 % interval, for f and ζ; then what half-power and Vold–Kalman said of the first axis.
+deviations, coverage of the 95 % interval, for f and ζ; then half-power and Vold–Kalman for the first axis.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class Draw:
 
     @classmethod
     def of(cls, cell: Cell, rng: np.random.Generator) -> Draw:
-        """Drawn anew for every record."""
+        """Return the draw of one record."""
         angle = 0.0 if cell.f_Hz[0] == cell.f_Hz[1] else np.radians(rng.uniform(-20, 20))
         share = rng.dirichlet(np.ones(3)) * RIPPLE
         ripple = np.r_[share, rng.uniform(0, 2 * np.pi, 3), rng.uniform(0.03, 0.3)]

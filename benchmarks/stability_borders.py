@@ -6,8 +6,8 @@ For each damping the borders over Ω = 0.3 … 7, K = 1 … 16, as `rig map --bo
 are held against the signs of a map of columns × rows points along all of its rows and columns (`lines_on_maps`), its
 four sides included. Every n-th point of the borders is held against multipliers over a whole revolution by scipy and
 numpy alone (`independent_multipliers`): whether the largest is the border's own and has the modulus 1, how far the
-point is off the border, whether it is stable on the left hand and not on the right, and whether stability is lost as it
-is said.
+point is off the border, whether it is stable on the left hand and not on the right, and whether stability is lost as
+the border states.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ def seconds_of(engine: Engine, study: Study, place: Path) -> tuple[float, dict[s
 
 
 def client_seconds_per_tile(address: str, content: bytes, tiles: int) -> float:
-    """What a tile costs whoever asks: through the scheduler and onto the disk, the work itself left out."""
+    """Client time of a tile, s: through the scheduler and onto the disk, without the work itself."""
     with tempfile.TemporaryDirectory() as place, distributed.Client(address, set_as_default=False) as client:
         folder = TileFolder(Path(place), study_of(10_000_000))
         held = client.scatter(content, broadcast=True)

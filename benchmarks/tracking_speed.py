@@ -1,4 +1,4 @@
-"""Updates a second of the compiled unscented filter, beside filterpy's with the same compiled motion."""
+"""Updates a second of the compiled unscented filter, against filterpy's with the same compiled motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Does the TypeScript implementation (@mcap/core, of Foxglove and Lichtblick) read our logs, and say the same?
+"""Whether the TypeScript implementation (@mcap/core, of Foxglove and Lichtblick) reads our logs with equal contents.
 
     python -m benchmarks.mcap_core.agreement [LOG]
 
@@ -83,7 +83,7 @@ def messages(path: Path) -> Iterator[tuple[Any, ...]]:
             yield kind, message.log_time, message.publish_time, message.sequence, message.data
 
 
-def beside(path: Path) -> tuple[list[Any], list[Any]]:
+def metadata_and_attachments(path: Path) -> tuple[list[Any], list[Any]]:
     """Metadata and attachments."""
     with path.open("rb") as stream:
         tables = [r for r in StreamReader(stream, validate_crcs=True).records if isinstance(r, Metadata)]
@@ -110,8 +110,8 @@ def compare(ours: Path, theirs: Path, found: dict[str, Any]) -> dict[str, Any]:
         "all found as a stream": found["streamed"]["Message"] == count,
         "all found by the indexes": found["indexed_messages"] == found["announced_messages"] == count,
         "messages equal": all(x == y for x, y in zip(messages(ours), messages(theirs), strict=True)),
-        "metadata equal": beside(ours)[0] == beside(theirs)[0],
-        "attachments equal": beside(ours)[1] == beside(theirs)[1],
+        "metadata equal": metadata_and_attachments(ours)[0] == metadata_and_attachments(theirs)[0],
+        "attachments equal": metadata_and_attachments(ours)[1] == metadata_and_attachments(theirs)[1],
         "our reader: samples equal": same_samples,
         "our reader: raw bytes and events equal": same_raw,
     }

@@ -121,7 +121,7 @@ def campaign(seed: int, plan: Plan) -> dict[str, Any]:
             started = time.perf_counter()
             row["joint"] = _estimates(identified([*before, *points.values()], world.rig, found), world)
             seconds["joint"] = time.perf_counter() - started
-    except Exception as error:  # whatever it is, the series goes on and the summary shows it
+    except Exception as error:  # the series goes on after any error, and the summary shows it
         row["error"] = f"{type(error).__name__}: {error}"
     return row | {"seconds": seconds}
 
@@ -145,7 +145,7 @@ def names_effect(warning: str, effects: Effects) -> bool:
 
 
 def is_routine(warning: str) -> bool:
-    """Whether a warning is that of every campaign: a spin-down alone does not tell friction from damping."""
+    """Whether a warning is that of every campaign: a spin-down alone does not separate friction from damping."""
     return bool(_ROUTINE.search(warning))
 
 

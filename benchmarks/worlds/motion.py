@@ -1,4 +1,4 @@
-"""The rig written down once more, from its Lagrangian, with what a real rig has beside it; Runge's method, fixed steps.
+"""The rig written down once more, from its Lagrangian, with further effects of a real rig; Runge's method, fixed steps.
 
 With φ_i = ψ + θ_i, S_i = m_i R_i and the rotor's phase ψ(t) given, the kinetic energy
 

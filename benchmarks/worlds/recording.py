@@ -92,7 +92,7 @@ def _phase(rng: np.random.Generator) -> float:
 
 
 def _ring_down(world: World, test: str, rng: np.random.Generator) -> _Recorded:
-    """Pulled within 0.1 s, held for 0.4 s, let go."""
+    """Pulled within 0.1 s, held for 0.4 s, released."""
     time, pull, go = _grid(0.7 + 0.5 + _RING_S), 0.7, round(1.2 / STEP_S)
     held = np.array([2.6e-3, 0.25e-3] if test.endswith("x") else [-0.2e-3, 2.4e-3]) * (
         1 + 0.05 * rng.standard_normal(2)
@@ -125,7 +125,7 @@ def _run_up(world: World, rng: np.random.Generator) -> _Recorded:
 
 
 def _point(world: World, test: str, rng: np.random.Generator, settle_s: float | None) -> _Recorded:
-    """Four seconds of the locked orbit, then both pendulums let go."""
+    """Four seconds of the locked orbit, then both pendulums released."""
     name = test.removeprefix("point-")
     ratio, physics = world.rig.points[name].speed_ratio, world.rig.physics
     speed = ratio * math.sqrt(physics.k1_N_per_m / physics.total_mass_kg) * (1 + 0.002 * float(rng.standard_normal()))
@@ -154,8 +154,8 @@ def _read(world: World, seed: int, recorded: _Recorded) -> Run:
     marks, phases, fine = _marks(world, recorded, _stream(seed, f"{recorded.test} marks"))
     releases: tuple[Release, ...] = ()
     if recorded.release_s is not None:
-        told = (recorded.release_s + _RELEASE_S * float(rng.standard_normal())) * rates["encoder"]
-        releases = (Release(0, told), Release(1, told))
+        release_s = (recorded.release_s + _RELEASE_S * float(rng.standard_normal())) * rates["encoder"]
+        releases = (Release(0, release_s), Release(1, release_s))
     roles = world.rig.roles
     ppm = {d.axis: d.clock_tolerance_ppm for d in roles.displacements}
     angles = roles.angles.clock_tolerance_ppm if roles.angles else 0.0

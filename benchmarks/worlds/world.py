@@ -1,6 +1,6 @@
 """One true rig with its sensors, drawn around the numbers of a rig file.
 
-What is drawn and how widely stands in `Spread`, what a real rig has beside the model in `Effects`. A world has numbers
+`Spread` has what is drawn and how widely, `Effects` the effects of a real rig outside the model. A world has numbers
 only: `benchmarks.worlds.recording` makes its campaign's runs.
 """
 
@@ -34,7 +34,7 @@ class Spread:
         zero_deg, index_deg, axis_deg: of each encoder's zero, of the index mark, of the sensors against the springs.
         gain: relative, of each laser.
         clock_ppm: of the rate of each device's clock.
-        lock_play_deg: half the play of a lock, evenly spread, drawn anew for each test.
+        lock_play_deg: half the play of a lock, evenly spread, drawn for each test.
         stiffness, damping, magnets, moment: relative, of what is to be identified.
     """
 
@@ -65,7 +65,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class Effects:
-    """What a rig has beside the model; 0 is none of it. Names are those of `--effect`.
+    """Effects of a rig outside the model; 0 means that the effect is absent. Names are those of `--effect`.
 
     Attributes:
         cubic: relative gain of stiffness at 2.5 mm, both directions.
@@ -134,7 +134,7 @@ class World:
             sensor x; gain: shown over true, lasers x and y; clock: relative rate errors by device.
         lock_play_rad: half the play of a lock.
         rig: the rig file.
-        effects: beside the model.
+        effects: those outside the model.
     """
 
     seed: int
@@ -239,7 +239,7 @@ def draw_world(
     """A true rig and its sensors.
 
     Args:
-        seed: of all draws; the same seed draws the same numbers whatever the effects.
+        seed: of all draws; the same seed draws the same numbers with any effects.
         rig: around whose numbers; None: the shipped `virtual`, with what is drawn stated in its file.
     """
     spread, effects = spread or Spread(), effects or Effects()

@@ -34,7 +34,7 @@ def test_the_maximum_lies_in_the_interval(top: float, left: float, right: float,
 
 
 @pytest.mark.parametrize(("sign", "end"), [(1, 2.0), (-1, 0.0)])
-def test_a_best_end_is_said_to_be_one(sign: int, end: float) -> None:
+def test_a_best_value_at_an_end_of_the_range_is_marked(sign: int, end: float) -> None:
     within = SearchRange(KEYS, 0.0, 2.0)
     found = best_value(lambda value: (0.5 + 0.1 * sign * value, 0.0), lambda value: 1e-9, within, ignored)
     assert found.at_end

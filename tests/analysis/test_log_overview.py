@@ -85,7 +85,7 @@ def test_a_bad_name_is_refused(tmp_path: Path) -> None:
         draw_log_overview(log, tmp_path / "figure.doc")
 
 
-def test_the_band_holds_every_sample_whatever_the_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_band_holds_every_sample_for_any_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     time = np.arange(0, 60, 1e-3)
     values = np.sin(7 * time) * 1e-3
     values[30_001] = 0.005
@@ -181,7 +181,7 @@ def test_a_trace_keeps_the_extremes(samples: list[tuple[float, float]], repeats:
         assert (np.nanmin(low), np.nanmax(high)) == (values.min(), values.max())
 
 
-def test_a_trace_leaves_out_what_is_no_number_and_breaks_at_gaps() -> None:
+def test_a_trace_leaves_out_nan_and_breaks_at_gaps() -> None:
     trace = Trace((0.0, 10.0))
     time = np.concatenate([np.arange(0, 4, 0.01), np.arange(6, 10, 0.01), [11.0, -1.0]])
     values = np.where(time == time[7], np.nan, 1.0)

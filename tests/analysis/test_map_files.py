@@ -60,7 +60,7 @@ def test_what_is_written_comes_back(tmp_path: Path, kept: MapRecord, found: MapA
         assert np.array_equal(line.multiplier, branch.multiplier)
 
 
-def test_the_question_in_a_file_makes_the_map_anew(tmp_path: Path, kept: MapRecord, found: MapAnswer) -> None:
+def test_the_question_in_a_file_makes_the_map_again(tmp_path: Path, kept: MapRecord, found: MapAnswer) -> None:
     write_map(tmp_path / "map.npz", kept)
     question = load_map(tmp_path / "map.npz").question
     assert question.rig.text == found.question.rig.text
@@ -81,7 +81,7 @@ def test_a_table_has_a_row_a_point_under_the_keys(tmp_path: Path, kept: MapRecor
     assert np.abs(np.array(lines["multiplier_real"]) + 1j * np.array(lines["multiplier_imag"])) == pytest.approx(1)
 
 
-def test_borders_of_an_older_map_do_not_stay_beside_a_new_one(tmp_path: Path, kept: MapRecord) -> None:
+def test_borders_of_an_older_map_do_not_stay_next_to_a_new_one(tmp_path: Path, kept: MapRecord) -> None:
     write_map(tmp_path / "map.parquet", kept)
     assert write_map(tmp_path / "map.parquet", MapRecord(kept.provenance, kept.x, kept.y, kept.grid)) == [
         tmp_path / "map.parquet"

@@ -64,7 +64,7 @@ def test_lines_have_their_amplitudes_and_the_density_its_variance() -> None:
     assert white == pytest.approx(1e-10 / 2000, rel=0.03)
 
 
-def test_a_full_spectrum_tells_forward_from_backward() -> None:
+def test_a_full_spectrum_separates_forward_from_backward() -> None:
     t, x, y = signals(1e-6)
     found = full_spectrum(t, x, y, window_s=2.0)
 

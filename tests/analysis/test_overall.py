@@ -95,7 +95,7 @@ def test_what_the_user_grants_the_model_is_in_every_row(rig: Rig, drawn: Drawn, 
     assert compared(runs, granted, drawn, k2_N_per_m=1.01).passed
 
 
-def test_chance_reaches_the_limit_of_causes_as_often_as_it_says() -> None:
+def test_chance_exceeds_the_limit_of_causes_as_often_as_stated() -> None:
     """Independent causes: the level of the largest of k is 1 − (1 − α)^k of one."""
     rng = np.random.default_rng(3)
     for widths in ([1.0], [1.0] * 5, [0.1, 1.0, 1.0, 30.0, 1e4]):

@@ -78,7 +78,7 @@ def test_a_budget_has_the_terms_in_it() -> None:
     assert moved - none == pytest.approx(0.1 * answer.budgets.sensitivities[:, column], rel=1e-2, abs=1e-9)
 
 
-def test_points_say_what_the_terms_do_there() -> None:
+def test_effects_of_the_terms_are_stated_at_each_point() -> None:
     """¾ H a² of stiffness, 8/(3π) Q ω a of damping; what was not found is not named."""
     given = identified(np.array([1600.0, 1600.0, 1.0, 0.3]))
     state = predict_point(RIG, given, SPEED, (0.0, 0.0)).state

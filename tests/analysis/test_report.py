@@ -129,7 +129,7 @@ def test_every_section_and_figure_is_there(html: str) -> None:
         assert words in page.text, words
 
 
-def test_failing_points_say_why_in_the_summary(html: str, hostile: Campaign) -> None:
+def test_the_summary_states_why_points_fail(html: str, hostile: Campaign) -> None:
     summary = Page(html[html.index('id="summary"') - 10 : html.index('<section id="parameters"')]).text
     assert hostile.validation is not None
     for point in hostile.validation.points.values():
@@ -173,7 +173,7 @@ def test_the_same_campaign_gives_the_same_file(html: str, hostile: Campaign, tmp
     assert path.stat().st_size < 6e6
 
 
-def test_what_changed_stands_in_the_result_and_beside_the_parameters(hostile: Campaign) -> None:
+def test_what_changed_stands_in_the_result_and_next_to_the_parameters(hostile: Campaign) -> None:
     rows = [
         ParameterChange("k2_N_per_m", 39000.0, 39390.0, 390.0, 12.0, 1e-9),
         ParameterChange("zeta1", 0.02, 0.02001, 1e-5, 2e-5, 0.9),

@@ -48,7 +48,7 @@ def series_of(found: Validation) -> StartUps:
     return series
 
 
-def test_a_rig_that_ends_where_the_model_says_passes(rig: Rig, drawn: Drawn, runs: list[Run]) -> None:
+def test_a_rig_that_ends_in_the_predicted_state_passes(rig: Rig, drawn: Drawn, runs: list[Run]) -> None:
     found = validate(runs, rig, drawn.identified, drawn.axis_angle_deg)
     assert found.passed
     assert found.points == {}

@@ -208,7 +208,7 @@ def test_dropouts_change_nothing(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -
     assert result.verdict == "pass", result.why
 
 
-def test_no_stable_state_is_a_fail_that_says_so(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
+def test_no_stable_state_is_a_fail_with_that_reason(rig: Rig, drawn: Drawn, runs: dict[str, Run]) -> None:
     """Ten per cent damping between the resonances: the pendulums would slip for ever."""
     values = drawn.identified.values | {"zeta1": 0.1, "zeta2": 0.1}
     outlier = IdentifiedParameters(values, drawn.identified.covariance)

@@ -57,7 +57,7 @@ def test_the_summary_counts() -> None:
     assert "false alarms: 1 of 3" in text
     assert "identification 3.00 s" in text
     assert "1 of 1 warnings name it, in 1 of 3 campaigns" in figures.summary(rows, Effects(dry=0.01))
-    twice = rows[1] | {"joint": rows[1]}  # what both identifications say is one warning
+    twice = rows[1] | {"joint": rows[1]}  # a warning of both identifications is one warning
     assert "1 of 1 warnings name it, in 1 of 1 campaigns" in figures.summary([twice], Effects(dry=0.01))
     broken = figures.summary([*rows, {"seed": 3, "error": "NotIdentifiable: none"}], Effects())
     assert "4 campaigns, 1 broke off" in broken

@@ -21,7 +21,7 @@ from rig_configs.schema import Rig
 
 
 class Clock:
-    """Time that passes only where somebody sleeps."""
+    """Time that passes only while a thread sleeps."""
 
     def __init__(self) -> None:
         self.ns = 1_700_000_000_000_000_000
@@ -205,7 +205,7 @@ def plays(script: Iterable[str], controls: Controls, bench: Bench) -> Callable[[
             controls.note("a word")
         elif step == "pause":
             controls.pause()
-            controls.resume()  # a pause that nobody ends does not end
+            controls.resume()  # without this the pause would not end
         return StateObservation(step.endswith("done"), store={"released_ns": view.memory.get("released_ns", 1)})
 
     return look

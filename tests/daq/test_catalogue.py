@@ -88,7 +88,7 @@ def test_facts_of_a_finished_log(tmp_path: Path) -> None:
     assert (entry.outcome, entry.verdict, entry.judged) == ({"settled": True}, "", None)
 
 
-def test_start_is_the_first_message_where_the_run_does_not_say(tmp_path: Path) -> None:
+def test_start_is_the_first_message_if_the_run_does_not_state_it(tmp_path: Path) -> None:
     make_log(tmp_path / "run.mcap", started="teatime")
     assert only(tmp_path).started_ns == T0
     assert only(tmp_path).started == "2023-11-14T22:13:20Z"
@@ -155,7 +155,7 @@ on_posix = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no na
         pytest.param(named_pipe, "unreadable", "expected a file", marks=on_posix),
     ],
 )
-def test_what_is_no_log_is_listed_as_what_it_is(
+def test_a_file_that_is_not_a_log_is_listed_as_what_it_is(
     tmp_path: Path, make: Callable[[Path], None], state: str, why: str
 ) -> None:
     make(tmp_path / "odd.mcap")
@@ -169,7 +169,7 @@ def test_what_is_no_log_is_listed_as_what_it_is(
 
 
 @pytest.mark.parametrize("losses", ["[]", "7", "{", '{"a": 7}', '{"a": {"b": null}}', '{"a": {"b": "many"}}'])
-def test_losses_that_say_something_else_are_unknown(tmp_path: Path, losses: str) -> None:
+def test_losses_of_another_form_are_unknown(tmp_path: Path, losses: str) -> None:
     hostile = {
         "losses": losses,
         "deep": "[" * 10**5,
@@ -446,7 +446,7 @@ ENDLESS = "CREATE VIEW logs AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT
     "how",
     ["cut", "empty", "junk", "note", "version", "CREATE TABLE logs (path TEXT)", "CREATE TABLE other (a)", ENDLESS],
 )
-def test_a_cache_that_is_none_is_made_anew(tmp_path: Path, how: str) -> None:
+def test_an_invalid_cache_is_made_again(tmp_path: Path, how: str) -> None:
     make_log(tmp_path / "run.mcap", note="true note")
     first = only(tmp_path)
     spoil(tmp_path / NAME, how)
@@ -603,7 +603,7 @@ def test_the_calendar_s_ends_are_dates_too() -> None:
     assert not Query(until_ns=first).admits(entry)
 
 
-def test_a_cache_that_may_not_be_read_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_may_not_be_read_counts_as_empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     make_log(tmp_path / "run.mcap")
     catalogue = settled_catalogue(tmp_path)
     catalogue.search()

@@ -94,7 +94,7 @@ def test_a_seed_of_another_clock_counts_for_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "told",
+    "seed",
     [
         3,
         {},
@@ -105,9 +105,9 @@ def test_a_seed_of_another_clock_counts_for_nothing() -> None:
         {"device_ns": 1, "host_ns": 1, "rate": 0.0, "wrap_ns": 0},
     ],
 )
-def test_a_seed_that_no_clock_can_have_is_refused(told: object) -> None:
+def test_a_seed_that_no_clock_can_have_is_refused(seed: object) -> None:
     with pytest.raises(DeviceError, match=r"clocks\.json: expected device_ns"):
-        ClockSeed.of({"clock_seed": told})
+        ClockSeed.of({"clock_seed": seed})
 
 
 def test_samples_that_come_behind_newer_ones_change_nothing() -> None:
@@ -213,7 +213,7 @@ def test_a_line_without_stairs_over_more_than_a_period_is_known_as_well_as_its_r
     assert np.max(np.abs(found)) < 4
 
 
-def test_a_short_record_says_no_more_than_the_data_sheet() -> None:
+def test_a_short_record_adds_nothing_to_the_data_sheet() -> None:
     line = fit_line(np.array([0.0, 0.1, 0.2]), np.array([0.001, 0.1012, 0.2011]), tolerance_ppm=50.0)
     assert line.rate == 0.0
     assert line.rate_std == line.shared_std == pytest.approx(50e-6)

@@ -229,7 +229,7 @@ def test_a_line_without_jitter_has_the_rate_and_the_offset_of_the_record() -> No
     assert line.shared_std == pytest.approx(line.rate_std**2 / 50e-6, rel=1e-2)
 
 
-def test_a_record_within_one_sample_period_tells_the_rate_to_that_period() -> None:
+def test_a_record_within_one_sample_period_determines_the_rate_to_that_period() -> None:
     """A period of 10 ms over 100 s is 100 ppm; uniformly distributed, its deviation is 100/√3 ppm."""
     device_s, host_s = record(100.0, 2e-5)
     own, prior = 1e-4 / math.sqrt(3), 5e-5

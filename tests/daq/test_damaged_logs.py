@@ -45,7 +45,7 @@ def chunk_places(data):
     return campaign.chunk_spans(data)
 
 
-def test_a_damaged_chunk_is_told_from_the_index(path):
+def test_a_damaged_chunk_is_described_by_the_index(path):
     data = bytearray(SMALL.data)
     start, end = chunk_places(data)[3]
     data[end - 5] ^= 1
@@ -79,7 +79,7 @@ def test_damage_across_the_end_of_a_chunk_is_one_place(path, shape):
     assert ours[0].byte_start == start
 
 
-def test_a_damaged_chunk_of_an_unfinished_log_is_told_from_its_message_indexes(path):
+def test_a_damaged_chunk_of_an_unfinished_log_is_described_by_its_message_indexes(path):
     shape = next(shape for shape in SHAPES if shape.name == "unfinished zstd, 25 samples a chunk")
     data = bytearray(shape.data)
     start, end = chunk_places(data)[3]
@@ -93,7 +93,7 @@ def test_a_damaged_chunk_of_an_unfinished_log_is_told_from_its_message_indexes(p
         assert (cut.byte_start, cut.start_ns, cut.messages) == (len(data), campaign.T0 + 12 * 10**7, None)
 
 
-def test_a_chunk_without_a_trace_is_told_from_its_neighbours(path):
+def test_a_chunk_without_a_trace_is_located_by_its_neighbours(path):
     shape = next(shape for shape in SHAPES if shape.name == "unfinished none, 25 samples a chunk")
     data = bytearray(shape.data)
     (start, _), (following, _) = chunk_places(data)[3:5]
@@ -291,7 +291,7 @@ def test_nested_heads_are_no_reason_to_search_for_ever(path):
         assert any("the rest was not searched" in str(place) for place in log.missing)
 
 
-def test_swapped_chunks_of_an_unfinished_log_are_not_said_to_be_missing(path):
+def test_swapped_chunks_of_an_unfinished_log_are_not_reported_as_missing(path):
     shape = next(shape for shape in SHAPES if shape.name == "unfinished none, 25 samples a chunk")
     data = bytearray(shape.data)
     (a, a_end), (b, b_end) = chunk_places(data)[2:4]
@@ -303,7 +303,7 @@ def test_swapped_chunks_of_an_unfinished_log_are_not_said_to_be_missing(path):
         assert not any(place.messages for place in log.missing)
 
 
-def test_an_index_that_tells_of_a_swapped_chunk_claims_nothing(path):
+def test_an_index_of_a_swapped_chunk_claims_nothing(path):
     """A damaged chunk, followed by the message indexes of another chunk, which is present."""
     shape = next(shape for shape in SHAPES if shape.name == "unfinished none, 25 samples a chunk")
     data = bytearray(shape.data)
@@ -329,7 +329,7 @@ def test_metadata_under_a_damaged_name_is_left_out(path):
             log.verify()
 
 
-def test_a_summary_without_its_channels_is_not_believed(path):
+def test_a_summary_without_its_channels_is_not_used(path):
     """Its CRC is right, but the channel of the samples has another id in it."""
     data = bytearray(SMALL.data)
     footer = len(data) - len(MAGIC) - 29
@@ -358,7 +358,7 @@ def test_a_summary_that_defines_no_schema_hinders_no_recovery(path):
         assert log.verify() == []
 
 
-def test_what_was_read_from_a_foreign_file_without_crcs_is_said(path):
+def test_messages_read_from_a_foreign_file_without_crcs_are_reported(path):
     with path.open("wb") as stream:
         writer = library.Writer(stream, enable_crcs=False)
         writer.start()

@@ -640,7 +640,7 @@ def test_every_code_of_the_standards_has_words_of_its_own() -> None:
     ("code", "same_as"),
     [(0x3211, 0x3210), (0x2FFF, 0x2000), (0x7122, 0x7120), (0x8613, 0x8610), (0x8131, 0x8130), (0x1001, 0x1000)],
 )
-def test_a_code_beside_the_standards_has_the_words_of_its_class(code: int, same_as: int) -> None:
+def test_a_code_outside_the_standards_has_the_words_of_its_class(code: int, same_as: int) -> None:
     def meaning(number: int) -> str:
         return cia.emergency_words(number).partition(", ")[2]
 

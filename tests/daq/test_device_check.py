@@ -55,7 +55,7 @@ class Node:
 
 @dataclass(frozen=True)
 class Drive:
-    """What a look finds of the drive beside its speed."""
+    """State of the drive as an observation contains it, without the speed."""
 
     state: str = cia402.SWITCH_ON_DISABLED
     code: int | None = None
@@ -160,7 +160,7 @@ def test_one_thing_wrong_fails_its_check_and_no_other(what: str, value: Any, dev
     assert [name for name, checks in devices.items() if not passed(checks)] == [device]
 
 
-def test_a_fault_that_is_only_a_gone_hosts_passes_and_is_told() -> None:
+def test_a_fault_by_the_lost_heartbeat_of_a_host_passes_and_is_reported() -> None:
     beat = Drive(cia402.FAULT, cia402.HEARTBEAT_ERROR)
     state = changed(healthy(), "drive", beat).judged()["drive"]["state"]
     assert state.passed

@@ -171,7 +171,7 @@ def test_a_set_up_that_fails_leaves_nothing_watched() -> None:
     assert far.watched[-1] == (0, 0)
 
 
-def test_a_drive_that_is_gone_is_let_go_of() -> None:
+def test_a_drive_that_is_gone_is_released() -> None:
     far = FarEnd()
     far.runs(0)
     far.state = cia402.SWITCH_ON_DISABLED
@@ -503,10 +503,10 @@ def test_a_rotor_that_brakes_is_not_left_without_torque() -> None:
     far.network = cia402.Heartbeat.OPERATIONAL
     far.control.start()
     far.speak()
-    keeps_saying = HostClock().every(0.02, far.speak, "reports", lambda error: None)
+    repeated = HostClock().every(0.02, far.speak, "reports", lambda error: None)
     with pytest.raises(DeviceError, match="stays in QUICK STOP ACTIVE"):
         far.control.enable()
-    keeps_saying.stop()
+    repeated.stop()
     assert far.state == cia402.QUICK_STOP_ACTIVE
     far.control.stop()
 

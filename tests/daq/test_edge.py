@@ -11,7 +11,7 @@ from daq.acquisition.edge import UsbPorts
 
 @dataclass(frozen=True)
 class Port:
-    """What pyserial says of a port."""
+    """Description of a port as pyserial returns it."""
 
     device: str
     vid: int | None = 0x0403

@@ -28,5 +28,5 @@ def test_a_swing_that_only_just_goes_beyond_trips_at_any_rate():
         assert tripped(1.02 * np.sin(2 * np.pi * 10 * time), list(range(0, 2 * rate, 5)))
 
 
-def test_it_tells_the_largest():
+def test_it_returns_the_largest():
     assert Exceedance(1.0).feed(np.array([0.0, 2.0, -7.0, np.nan])) == 7.0

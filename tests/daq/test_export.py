@@ -295,7 +295,9 @@ def test_files_that_are_there_stay(log_path: Path) -> None:
     assert pq.read_table(out).num_rows == 1000
 
 
-def test_a_table_too_large_for_mat_says_what_to_take(log_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_table_too_large_for_mat_is_refused_with_another_format(
+    log_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(mat_file, "_LARGEST_VARIABLE", 10_000)
     with pytest.raises(ExchangeError, match=r"laser/x: expected less than 2 GB.*hdf5"):
         export_log(log_path, log_path.with_name("out.mat"))
@@ -303,7 +305,7 @@ def test_a_table_too_large_for_mat_says_what_to_take(log_path: Path, monkeypatch
 
 
 @pytest.mark.parametrize("format", ["parquet", "hdf5"])
-def test_what_a_damaged_log_lacks_is_said(log_path: Path, format: Any) -> None:
+def test_missing_parts_of_a_damaged_log_are_stated(log_path: Path, format: Any) -> None:
     data = bytearray(log_path.read_bytes())
     data[len(data) // 3] ^= 0xFF
     log_path.write_bytes(data)

@@ -57,7 +57,7 @@ def test_an_abort_leads_to_the_ending_from_every_state(name: str) -> None:
     assert [row.name for row in table.ending][:2] == [FINISH.name, STOP.name]
 
 
-def test_a_speed_that_nothing_shows_yet_is_said_so() -> None:
+def test_a_speed_that_is_not_measured_yet_is_reported() -> None:
     wanted = requested_test(HAND, "point-A", {})
     (up,) = [row for row in wanted.kind.table(wanted).rows if row.name == "spin up"]
     look = up.look(StateView(cast("Measures", None), 0, 0, 0, float("nan"), {}))
@@ -85,7 +85,7 @@ def test_a_point_in_a_resonance_is_not_paused_there() -> None:
     fails_at=st.none() | st.integers(1, 14),
     aborted_at=st.none() | st.integers(1, 14),
 )
-def test_whatever_happens_a_test_ends_at_rest_with_its_log_ended_and_no_wrong_order(
+def test_a_test_always_ends_at_rest_with_its_log_ended_and_no_wrong_order(
     name: str, script: list[str], fails_at: int | None, aborted_at: int | None
 ) -> None:
     controls, bench = Controls(), Bench(RIG, fails_at)
@@ -149,7 +149,7 @@ def test_an_abort_keeps_the_log_with_its_reason_and_brings_the_rotor_to_rest_bef
     assert bench.orders[-4:] == ["release", "end the log", "rest", "lock"]
 
 
-def test_a_test_that_ends_before_its_log_says_so_and_keeps_none(tmp_path: Path) -> None:
+def test_a_test_that_ends_before_its_log_reports_it_and_keeps_no_log(tmp_path: Path) -> None:
     controls, bench = Controls(), Bench(RIG)
     table = scripted(table_of("point"), lambda state, view: StateObservation(state.name != "spin up"))
     done = finished(bench, ASKED["point"], table, controls, tmp_path)
@@ -317,7 +317,7 @@ def test_the_operators_orders_are_the_same_where_no_device_turns_the_rotor() -> 
         ), name
 
 
-def test_a_start_up_from_rest_lets_go_before_the_rotor_turns(tmp_path: Path) -> None:
+def test_a_start_up_from_rest_releases_before_the_rotor_turns(tmp_path: Path) -> None:
     controls, bench = Controls(), Bench(RIG)
     table = scripted(table_of(FROM_REST), lambda state, view: StateObservation(True))
     finished(bench, ASKED[FROM_REST], table, controls, tmp_path)

@@ -68,7 +68,7 @@ def test_a_speed_beyond_the_limit_is_refused_before_the_drive_is_enabled(
         assert not (tmp_path / "out").exists()
 
 
-def test_an_end_that_is_not_reached_is_said_kept_and_exits_1(
+def test_an_end_that_is_not_reached_is_reported_kept_and_exits_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slips = ["virtual.drive.slip=0.05"]  # never at 98.5 % of the top
@@ -180,7 +180,7 @@ class FaultyDrive:
 @pytest.mark.parametrize(
     "reason", [{(0x603F, 0): (0x8130, "<H")}, {(0x1003, 1): (0x00008130, "<I")}, {(0x1001, 0): (0x11, "<B")}]
 )
-def test_a_fault_that_is_only_a_gone_hosts_is_reset_and_said(reason: dict) -> None:
+def test_a_fault_by_the_lost_heartbeat_of_a_host_is_reset_and_reported(reason: dict) -> None:
     drive = FaultyDrive(reason)
     drive.host.enable()
     assert drive.state == cia402.OPERATION_ENABLED

@@ -1,4 +1,4 @@
-"""What a log says its devices had said: taken where a stream can be decoded with it, otherwise refused in words."""
+"""Identities of devices in a log are used if a stream can be decoded with them, and refused in words otherwise."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_identities_that_no_stream_can_be_decoded_with_are_refused(
 
 
 def test_sound_identities_are_taken(tmp_path: Path) -> None:
-    told = {"laser_x": {"range_m": 0.025, "words": [*WORDS, "INTENSITY"], "serial": "1"}, "drive": {"node_id": 5}}
-    with open_log(log_with(tmp_path / "a.mcap", told)) as log:
-        assert identities_of(log) == told
+    identities = {"laser_x": {"range_m": 0.025, "words": [*WORDS, "INTENSITY"], "serial": "1"}, "drive": {"node_id": 5}}
+    with open_log(log_with(tmp_path / "a.mcap", identities)) as log:
+        assert identities_of(log) == identities
         assert make_pipelines(load_rig("virtual").devices, identities_of(log))

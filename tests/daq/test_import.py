@@ -211,7 +211,7 @@ def test_gaps_are_counted_invalid_readings_stay_none_and_empty_cells_are_no_samp
         assert losses_of(log).total == 6
 
 
-def test_the_log_says_what_it_was_made_of(tmp_path: Path) -> None:
+def test_the_log_contains_its_origin(tmp_path: Path) -> None:
     path = text(tmp_path / "a.csv", "t,d\n" + rows(","))
     run = bring_in(path, **NAMES, point="A", test="", note="µ", release_s=(0.1,), counts_per_revolution=1000)
     with open_log(tmp_path / "log.mcap") as log:

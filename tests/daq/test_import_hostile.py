@@ -198,7 +198,7 @@ def test_a_line_without_an_end_is_not_read_whole(tmp_path: Path) -> None:
     refused(path, "x", "line 1002: expected a row of numbers, this line has more than 1,000,000 characters")
 
 
-def test_what_is_no_column_is_said_by_its_name(tmp_path: Path) -> None:
+def test_an_object_that_is_not_a_column_is_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     with h5py.File(path, "w") as file:
         file["x"] = np.arange(50.0)

@@ -133,7 +133,7 @@ def motor(rpm: list[float], target: list[float] | None) -> Batch:
     return Batch(MOTOR, np.zeros(n, np.int64), np.zeros(n, np.uint32), columns)
 
 
-def test_orders_are_told_once_and_in_their_order() -> None:
+def test_orders_are_reported_once_and_in_their_order() -> None:
     speeds: list[float] = []
     orders = LoggedOrders(speeds.append, whole=True)
     orders.sent()
@@ -214,7 +214,7 @@ def test_at_rest_only_what_the_test_needs_trips(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("text", "rate"), [("8.0", 8.0), ("fast", 1.0), ("0", 1.0), (None, 1.0), ("nan", 1.0)])
-def test_the_log_says_how_fast_its_clock_ran(text: str | None, rate: float) -> None:
+def test_the_log_contains_the_rate_of_its_clock(text: str | None, rate: float) -> None:
     assert clock_rate({} if text is None else {"clock_rate": text}) == rate
 
 
@@ -233,7 +233,7 @@ def test_patience_is_that_of_the_log_s_own_clock(tmp_path: Path) -> None:
     assert waits["8.0"] == pytest.approx(3.5, abs=0.9)
 
 
-def test_what_devices_do_as_their_session_lets_go_is_no_trip(tmp_path: Path) -> None:
+def test_what_devices_do_as_their_session_releases_them_is_no_trip(tmp_path: Path) -> None:
     for ended, tripped in (("Ctrl-C", []), ("duration", ["left operation"])):
         with RecordedBench(tmp_path / f"{ended}.mcap") as bench:
             bench.beat()

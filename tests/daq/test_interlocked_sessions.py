@@ -124,7 +124,7 @@ def test_a_drive_that_restarts_is_named_at_once(far_end: VirtualRigProcess, rig:
         assert [e["device"] for e in log.events if e["kind"] == "restart"] == ["drive"]
 
 
-def test_a_lone_emergency_is_said_and_kept(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+def test_a_lone_emergency_is_reported_and_kept(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
     messages: list[str] = []
     with Session(rig, far_end.clock, notify=messages.append) as session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
@@ -141,7 +141,7 @@ def test_a_lone_emergency_is_said_and_kept(far_end: VirtualRigProcess, rig: Rig,
     assert summary_of(path)["ended"] == "the test's end"
 
 
-def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
+def test_a_fault_is_reported_with_its_emergency(far_end: VirtualRigProcess, rig: Rig, tmp_path: Path) -> None:
     fault = r"drive entered FAULT without a command; emergency 0x3220, DC link under-voltage"
     with pytest.raises(ProcedureError, match=fault), Session(rig, far_end.clock) as session:  # noqa: PT012
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
@@ -154,7 +154,7 @@ def test_a_fault_is_told_with_its_emergency(far_end: VirtualRigProcess, rig: Rig
     wait_rig_time(far_end, 2.0)  # the boot-up would disturb the next session
 
 
-def test_a_rotor_that_still_turns_at_the_end_is_said(
+def test_a_rotor_that_still_turns_at_the_end_is_reported(
     far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("daq.drivers.run_down._MAX_RUN_DOWN_S", 1.0)
@@ -176,7 +176,7 @@ def test_a_rotor_that_still_turns_at_the_end_is_said(
     ("stop", "words"),
     [(KeyboardInterrupt(), "Ctrl-C"), (KeyboardInterrupt("SIGTERM"), "SIGTERM"), (ValueError("x"), "ValueError: x")],
 )
-def test_the_log_says_what_ended_it(
+def test_the_log_contains_what_ended_it(
     far_end: VirtualRigProcess, rig: Rig, tmp_path: Path, stop: BaseException, words: str
 ) -> None:
     with pytest.raises(type(stop)), Session(rig, far_end.clock) as session:  # noqa: PT012
@@ -205,12 +205,12 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
         turning(session, 300)
         recorder = session._recorder
         assert recorder is not None
-        held, let_go = threading.Event(), threading.Event()
+        held, released = threading.Event(), threading.Event()
 
         def hold() -> None:
             with recorder.together(), session._open.unread("drive"):
                 held.set()
-                let_go.wait(20)
+                released.wait(20)
 
         holder = threading.Thread(target=hold)
         holder.start()
@@ -221,7 +221,7 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
         waited = stopping.is_alive()
         while not waited and far_end.line.ask("state")["speed_rpm"] > 0.5:
             threading.Event().wait(0.01)
-        let_go.set()
+        released.set()
         holder.join()
         stopping.join()
         session.wait_for(lambda: session.rotor_at_rest() is True, 5.0, "rest")
@@ -239,7 +239,7 @@ def test_a_faulty_encoder_is_refused_at_the_locks_and_ends_a_test_that_needs_it(
     far_end: VirtualRigProcess, rig: Rig, tmp_path: Path
 ) -> None:
     class Breaks(SimulatedOperator):
-        """Whoever flicks the pendulums hits B's encoder, too."""
+        """The operator who flicks the pendulums also hits B's encoder."""
 
         def flick(self) -> None:
             super().flick()

@@ -50,7 +50,7 @@ def test_a_drift_of_temperature_is_no_wander() -> None:
     assert wander_in(TIME, white(1) + 1e-6 * TIME, LEVEL) is None
 
 
-def test_a_record_too_short_tells_nothing() -> None:
+def test_a_record_too_short_yields_nothing() -> None:
     some = TIME < 4.0
     assert wander_in(TIME[some], wandering(0, 1.0, 6e-6)[some], LEVEL) is None
     assert lines_in(TIME[some], white(0)[some], (TIME[some], white(0)[some])) == []
@@ -77,7 +77,7 @@ def test_what_rings_or_is_known_is_no_line() -> None:
     assert lines_of(known, (), 4e-5) == []
 
 
-def test_a_line_that_only_looks_like_one_in_thinned_samples_is_none() -> None:
+def test_an_alias_in_thinned_samples_is_no_line() -> None:
     fast = 3e-5 * np.cos(2 * np.pi * 470.0 * TIME)
     thin = TIME[::4]
     assert lines_in(TIME, white(4) + fast, (thin, (white(4) + fast)[::4])) == []  # appears at 30 Hz

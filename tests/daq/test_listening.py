@@ -84,7 +84,7 @@ def test_the_last_bytes_before_a_cable_is_pulled_are_kept(tmp_path):
             assert b"".join(chunk.data for chunk in log.raw("laser_x")) == b"".join(reads)
 
 
-def test_a_laser_that_told_its_words_before_is_decoded_by_them(tmp_path):
+def test_a_laser_whose_words_are_stored_is_decoded_by_them(tmp_path):
     with cables("tcp") as (wires, rig):
         identities = {"laser_x": {"words": ["DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI"], "range_m": 0.05}}
         pipeline = make_pipelines(rig.devices, identities)["laser_x"]

@@ -28,7 +28,7 @@ def test_a_pendulum_at_its_own_lock_is_plausible_after_any_number_of_turns(turns
 
 
 @given(where=st.floats(-3600, 3600))
-def test_a_counter_zeroed_elsewhere_is_said_with_what_to_do(where: float) -> None:
+def test_a_counter_zeroed_elsewhere_is_reported_with_what_to_do(where: float) -> None:
     off = (where + 180) % 360 - 180
     text = misplacement(where, 180.0)
     if abs(off) > lock_tolerance_deg(ZERO_STD_DEG) + 1e-6:
@@ -45,7 +45,7 @@ def test_a_b_zeroed_at_its_own_lock_and_an_exchange_are_called_by_name() -> None
     assert "moves by" in misplacement(0.0, 180.0, swing_deg=4.0)
 
 
-def test_an_open_lock_says_nothing_of_its_pendulum() -> None:
+def test_an_open_lock_yields_nothing_about_its_pendulum() -> None:
     assert misplacement(77.0, 180.0, flags=B) == ""
     assert misplacement(77.0, 33.0, flags=0) == ""
     assert lock_positions(np.empty((0, 2)), np.empty(0, np.uint32), ZERO_STD_DEG) == ()

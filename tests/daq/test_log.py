@@ -137,7 +137,7 @@ def test_a_log_of_the_librarys_own_writer(tmp_path, compression):
         assert check_samples(log) == 50
 
 
-def test_an_unfinished_log_is_read_and_said_so(tmp_path):
+def test_an_unfinished_log_is_read_and_reported(tmp_path):
     log = open_log(write(tmp_path, record(finish=False), "run.mcap.part"))
     assert check_samples(log) == BLOCKS * PER_BLOCK
     assert not log.complete

@@ -99,7 +99,7 @@ def test_events_alike_but_for_their_numbers_are_taken_together(log: Log) -> None
         st.dictionaries(st.sampled_from(["kind", "device", "text", "span_s"]), st.none() | st.text() | st.floats())
     )
 )
-def test_whatever_events_say_they_are_all_counted(events: list[dict[str, object]]) -> None:
+def test_events_with_any_content_are_all_counted(events: list[dict[str, object]]) -> None:
     found = event_content(({**event, "time_ns": T0} for event in events), T0)
     assert sum(found.kinds.values()) == sum(line.count for line in found.lines) + found.more == len(events)
 

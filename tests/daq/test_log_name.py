@@ -11,7 +11,7 @@ from daq.log import open_log
 from daq.log.file import LogFile, ReservedName
 
 
-def test_a_reserved_name_is_nobody_elses(tmp_path: Path) -> None:
+def test_a_reserved_name_is_refused_to_others(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with ReservedName(path) as name:
         with pytest.raises(LogError, match="about to begin"):

@@ -96,7 +96,7 @@ def test_only_the_chunks_that_are_needed_are_read(path, monkeypatch):
     assert sum(read) - opened < 20 * log.size_bytes / 200
 
 
-def test_what_a_log_knows_of_itself(path):
+def test_attributes_of_a_log_and_of_a_window(path):
     data = record([(5, [1, 2]), (9, [8])])
     path.write_bytes(data)
     with open_log(path) as log:
@@ -154,7 +154,7 @@ def test_a_long_log_is_read_by_several_threads(path):
         assert len(gone) == place.messages == gone[-1] - gone[0] + 1
 
 
-def test_a_file_that_somebody_cuts_while_it_is_open(path):
+def test_a_file_that_is_cut_while_it_is_open(path):
     path.write_bytes(big())
     with open_log(path) as log:
         os.truncate(path, log.size_bytes // 2)

@@ -35,7 +35,7 @@ GAPS = [
 COUNTED = {"laser_x": {"samples": 3, "bytes": 5}, "encoder": {"radio_frames": 2}}
 
 
-def test_a_finished_log_tells_by_its_summary(tmp_path):
+def test_losses_of_a_finished_log_are_those_of_its_summary(tmp_path):
     counted = {"laser_x": {"samples": 3, "invalid": 7}}
     with open_log(write(tmp_path / "a.mcap", {"losses": counted}, [{"losses": {"x": {"samples": 9}}}])) as log:
         losses = losses_of(log)
@@ -44,7 +44,7 @@ def test_a_finished_log_tells_by_its_summary(tmp_path):
     assert losses.words() == "laser_x 3 samples, laser_x 7 invalid"
 
 
-def test_a_cut_log_tells_by_its_last_health_report_or_by_its_events(tmp_path):
+def test_losses_of_a_cut_log_are_those_of_its_last_health_report_or_events(tmp_path):
     reports = [{"losses": {"laser_x": {"samples": 1}}}, {"losses": {"laser_x": {"samples": 2}}}, {"rates": 1}]
     with open_log(write(tmp_path / "a.mcap", None, reports, GAPS)) as log:
         assert losses_of(log).by_device == {"laser_x": {"samples": 2}}

@@ -76,7 +76,7 @@ def recovered(tmp_path: Path) -> Path:
     return recover.recover(holed(tmp_path), tmp_path / "saved" / "good.mcap").path
 
 
-def test_opening_it_tells_what_is_missing(recovered: Path) -> None:
+def test_an_opened_log_lists_what_is_missing(recovered: Path) -> None:
     with open_log(recovered) as log:
         (place,) = log.missing
         assert (log.complete, log.lost_before) == (False, [place])
@@ -127,7 +127,7 @@ def test_the_losses_and_the_run_count_it(recovered: Path) -> None:
     assert missing_warnings([run]) == [f"good.mcap: the log is incomplete: {sentences[0]}"]
 
 
-def test_a_damaged_log_s_run_says_so_and_a_sound_one_s_does_not(tmp_path: Path) -> None:
+def test_a_run_contains_the_damage_of_its_log(tmp_path: Path) -> None:
     run = load_run(holed(tmp_path))
     assert run.losses["log.missing_messages"] == LOST
     assert len(run.metadata["missing"]) == 1
@@ -180,7 +180,7 @@ def test_the_check_ends_where_the_recovered_log_lacks_something(
 
 
 @pytest.mark.parametrize("places", ["[", "5", '[{"text": 3}]', "[" * 100_000, '[{"text": "t", "topics": 4}]'])
-def test_places_that_cannot_be_read_are_told_by_their_sentences(places: str) -> None:
+def test_places_that_cannot_be_read_are_reported_by_their_sentences(places: str) -> None:
     found = {"recovered": {"places": places, "missing": "one\ntwo"}}
     assert [str(place) for place in read_lost(found)] == [
         "lost before it was recovered: one",

@@ -1,7 +1,7 @@
-"""Whatever the operator does, the devices answer and fails: what the simulated rig's truth must never show.
+"""Limits that the simulated rig's truth never violates, for any action of the operator, any answer and any failure.
 
 Whole sessions in lockstep: guided tests in any order, aborted at any time, with faults of any device. Watched at every
-step of the world: no pendulum is let go while a rotor that is to turn stands, none is free while the rotor is brought
+step of the world: no pendulum is released while a rotor that is to turn stands, none is free while the rotor is brought
 up to speed, and the rotor stands with its drive idle when all is over, or the operator was warned.
 """
 

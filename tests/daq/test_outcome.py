@@ -36,7 +36,7 @@ def test_logs_of_earlier_versions_and_broken_off_tests(test: str, outcome: dict,
     assert not_reached(test, outcome) == words
 
 
-def test_numbers_go_on_whatever_lies_in_the_folder() -> None:
+def test_numbers_go_on_with_any_files_in_the_folder() -> None:
     assert next_number([]) == 1
     assert next_number(["99-run-up.mcap", "100-ring-down-x.mcap"]) == 101
     assert next_number(["100-a.mcap", "12-b.mcap.part", "101-c.mcap.part"]) == 102

@@ -84,7 +84,7 @@ def test_a_rotor_at_rest_whose_encoder_stands_on_an_edge_does_not_creep() -> Non
     assert phase_remarks(run_with(flips, "spin-down"), turns=False) == []
 
 
-def test_white_noise_and_a_walk_are_told_apart() -> None:
+def test_white_noise_and_a_walk_are_distinguished() -> None:
     rng = np.random.default_rng(3)
     white = 1e-4 * rng.standard_normal(50_000)
     walk = np.cumsum(1e-4 * rng.standard_normal(50_000))

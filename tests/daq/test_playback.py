@@ -182,7 +182,7 @@ def test_more_than_the_backlog_is_never_held() -> None:
     assert len(slow.got) == sum(len(chunk.data) for _, chunk in pieces)
 
 
-def test_a_reader_that_goes_away_is_told_and_the_others_are_served(log: Log) -> None:
+def test_a_reader_that_goes_away_is_reported_and_the_others_are_served(log: Log) -> None:
     goes, stays = FakeOutlet(goes_after=2000), FakeOutlet()
     reported: set[str] = set()
     playback = Playback({"laser_x": goes, "laser_y": stays}, played_devices(log), 4.0, FakeClock())
@@ -259,7 +259,7 @@ def test_at_the_end_ports_are_held_until_their_readers_close_them() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_port_tells_whether_somebody_has_it_open(kind: str) -> None:
+def test_a_port_reports_whether_a_program_has_it_open(kind: str) -> None:
     wire = PtyWire(notice_host=True) if kind == "pty" else TcpWire()
     assert not wire.connected()
     with pytest.raises(LinkLost):

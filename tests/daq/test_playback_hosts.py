@@ -90,7 +90,9 @@ def set_up(hosts: dict[str, Host], log: Log, clock: FakeClock, speed: float = ma
     return playback
 
 
-def test_nothing_is_played_before_every_device_was_told_and_then_everything(log: Log, hosts: dict[str, Host]) -> None:
+def test_nothing_is_played_before_every_device_is_commanded_and_then_everything(
+    log: Log, hosts: dict[str, Host]
+) -> None:
     waited: list[set[str]] = []
 
     def does(at_s: float) -> None:
@@ -118,7 +120,7 @@ def test_nothing_is_played_before_every_device_was_told_and_then_everything(log:
     assert not state.cut_short
 
 
-def test_who_says_nothing_is_a_listener(log: Log, hosts: dict[str, Host]) -> None:
+def test_a_host_that_sends_nothing_is_a_listener(log: Log, hosts: dict[str, Host]) -> None:
     playback = Playback(hosts, played_devices(log), math.inf, clock := FakeClock())
     playback.wait_for_readers()
     playback.wait_for_setup(lambda waiting: pytest.fail("nothing is waited for"))
@@ -136,9 +138,7 @@ def test_who_opens_its_adapter_only_is_a_listener(log: Log, hosts: dict[str, Hos
     assert hosts["drive"].got == b"\r\r\r"
 
 
-def test_commands_of_somebody_who_left_before_all_ports_were_open_do_not_count(
-    log: Log, hosts: dict[str, Host]
-) -> None:
+def test_commands_of_a_host_that_left_before_all_ports_were_open_do_not_count(log: Log, hosts: dict[str, Host]) -> None:
     hosts["encoder"].open = False
     hosts["laser_x"].next_bytes = b"GETINFO\n"
 
@@ -152,7 +152,9 @@ def test_commands_of_somebody_who_left_before_all_ports_were_open_do_not_count(
     assert clock.ns == pytest.approx(8.3e9, abs=0.1e9)
 
 
-def test_a_host_that_never_gets_that_far_is_told_what_was_expected(log: Log, hosts: dict[str, Host]) -> None:
+def test_a_host_that_never_gets_that_far_raises_an_error_with_what_was_expected(
+    log: Log, hosts: dict[str, Host]
+) -> None:
     playback = Playback(hosts, played_devices(log), 1.0, clock := FakeClock())
     hosts["laser_x"].next_bytes = LASERS[2]
     hosts["drive"].next_bytes = START
@@ -162,7 +164,7 @@ def test_a_host_that_never_gets_that_far_is_told_what_was_expected(log: Log, hos
     assert clock.ns == pytest.approx(65e9, abs=0.1e9)
 
 
-def test_a_host_that_leaves_before_is_told_at_once(log: Log, hosts: dict[str, Host]) -> None:
+def test_a_host_that_leaves_before_raises_an_error_at_once(log: Log, hosts: dict[str, Host]) -> None:
     def does(at_s: float) -> None:
         for host in hosts.values():
             host.open = at_s < 1

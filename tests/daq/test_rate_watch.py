@@ -88,7 +88,7 @@ def test_a_wrong_rate_or_clock_is_an_event_and_counted(rate_Hz: float, clock: fl
     assert words in watches.summary()
 
 
-def test_a_rate_that_comes_back_is_said_too() -> None:
+def test_a_rate_that_comes_back_is_reported_too() -> None:
     watches = RateWatches(DEVICES)
     assert len(laser(watches, 4400.0, 1.1, 12.0)) == 1
     back = laser(watches, 4000.0, 1.0, 50.0, start_s=100.0)
@@ -133,7 +133,7 @@ def test_a_host_that_catches_up_is_no_wrong_rate_however_fast_the_rig_runs(pace:
     assert found == []
 
 
-def test_a_restart_begins_the_rate_anew() -> None:
+def test_a_restart_begins_the_rate_again() -> None:
     """A counter that did not count while the device was set up again does not make its rate wrong."""
     watches = RateWatches(load_rig("virtual").devices)
     restart = DeviceEvent("restart", "laser_x", "its counter restarts")

@@ -22,7 +22,7 @@ from rig_configs.shared_errors import shared_source
 from tests.daq.test_signals import DISPLACEMENT_Y, START, batch
 
 RIG = load_rig("virtual")
-UNTOLD = RIG.model_copy(
+UNSTATED = RIG.model_copy(
     update={
         "devices": {
             name: type(device).model_validate(
@@ -78,10 +78,10 @@ def test_stamps_30_ppm_fast_are_within_the_interval(tmp_path: Path) -> None:
 def test_files_of_one_recorder_share_its_error_and_those_of_two_do_not(tmp_path: Path) -> None:
     def together(*recorders: str) -> float:
         runs = [
-            brought_in(plucked(tmp_path / f"{'-'.join(recorders)}{i}.csv", 0.0, i), UNTOLD, recorder=name)
+            brought_in(plucked(tmp_path / f"{'-'.join(recorders)}{i}.csv", 0.0, i), UNSTATED, recorder=name)
             for i, name in enumerate(recorders)
         ]
-        return identify(runs, UNTOLD).parameters.std["k2_N_per_m"] / (2 * 50e-6 * K2)
+        return identify(runs, UNSTATED).parameters.std["k2_N_per_m"] / (2 * 50e-6 * K2)
 
     unnamed, one, two = together("", ""), together("a", "a"), together("a", "b")
     assert unnamed == pytest.approx(one, rel=0.02)
@@ -89,10 +89,10 @@ def test_files_of_one_recorder_share_its_error_and_those_of_two_do_not(tmp_path:
     assert two == pytest.approx(one / np.sqrt(2), rel=0.1)
 
 
-def test_what_nothing_is_said_of_counts_50_ppm_and_is_said(tmp_path: Path) -> None:
+def test_a_recorder_without_a_stated_tolerance_counts_50_ppm_with_a_warning(tmp_path: Path) -> None:
     path = plucked(tmp_path / "a.csv", 0.0)
     recipe = make_recipe(test="ring-down-x", time="t:s", x="x:mm", y="y:mm")
-    done = import_recording(path, tmp_path / "untold.mcap", UNTOLD, recipe)
+    done = import_recording(path, tmp_path / "unstated.mcap", UNSTATED, recipe)
     assert any("50 ppm" in warning for warning in done.warnings)
     run = load_run(done.path)
     assert run.clock_rate_std["x"] == pytest.approx(50e-6)

@@ -198,7 +198,7 @@ def test_nothing_to_recover(tmp_path, data):
         recover(tmp_path / "nowhere.mcap.part")
 
 
-def test_a_file_that_is_still_written_says_so(part):
+def test_a_file_that_is_still_written_is_refused(part):
     grown = []
 
     def grow(share):
@@ -251,7 +251,7 @@ def test_without_hard_links_it_is_renamed(part, monkeypatch):
         recover(part)
 
 
-def test_the_command_says_what_is_missing(part, capsys):
+def test_the_command_prints_what_is_missing(part, capsys):
     assert command(part, json=True) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["messages"] == 30 * 52 + 8

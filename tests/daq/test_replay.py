@@ -260,14 +260,14 @@ def test_what_differs_before_the_damage_is_still_found(tmp_path: Path) -> None:
     assert [row.topic for row in check(path) if row.difference] == ["laser/x"]
 
 
-def test_a_log_without_raw_bytes_says_that_there_is_nothing_to_decode(tmp_path: Path) -> None:
+def test_a_log_without_raw_bytes_is_refused_as_not_decodable(tmp_path: Path) -> None:
     with LogFile(tmp_path / "a.mcap", {"test": "imported"}, {}, (), START_NS) as log:
         path = log.finish({})
     with pytest.raises(LogError, match="no raw bytes"):
         check(path)
 
 
-def test_a_log_without_its_rig_file_says_so(tmp_path: Path) -> None:
+def test_a_log_without_its_rig_file_is_refused(tmp_path: Path) -> None:
     with LogFile(tmp_path / "a.mcap", {}, {"identities.json": b"{}"}, ("laser_x",), START_NS) as log:
         log.raw("laser_x", 0, b"abc", START_NS)
         path = log.finish({})
@@ -294,7 +294,7 @@ class FakeClock:
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 8.0])
-def test_everything_comes_at_its_time_whatever_the_waits_add_up_to(tmp_path: Path, speed: float) -> None:
+def test_everything_comes_at_its_time_for_any_sum_of_waits(tmp_path: Path, speed: float) -> None:
     clock = FakeClock()
     clock_sleep = clock.sleep
     clock.sleep = lambda seconds: clock_sleep(seconds + 3e-4)  # every sleep is too long
@@ -307,7 +307,7 @@ def test_everything_comes_at_its_time_whatever_the_waits_add_up_to(tmp_path: Pat
     assert reached > START_NS + 59 * STEP_NS
 
 
-def test_after_a_stall_it_catches_up_and_says_how_late_it_was(tmp_path: Path) -> None:
+def test_after_a_stall_it_catches_up_and_reports_how_late_it_was(tmp_path: Path) -> None:
     clock = FakeClock()
     with open_log(write_log(tmp_path / "a.mcap")) as log:
         replayed = paced(log, 2.0, clock)
@@ -332,7 +332,7 @@ def test_max_waits_for_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, math.nan])
-def test_a_speed_that_is_none_is_refused(speed: float) -> None:
+def test_an_invalid_speed_is_refused(speed: float) -> None:
     with pytest.raises(ValueError, match="speed"):
         Pace(speed, FakeClock())
 
@@ -346,7 +346,7 @@ def calibration(tmp_path: Path, text: str) -> Calibration:
     return Calibration.load(path)
 
 
-def test_a_corrected_range_wins_over_what_the_sensor_said(tmp_path: Path) -> None:
+def test_a_corrected_range_replaces_the_range_of_the_sensor(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.mcap")
     better = calibration(tmp_path, "[devices.laser_x]\nrange_m = 0.02505\n")
     made = decode_again(path, tmp_path / "b.mcap", better)
@@ -365,7 +365,7 @@ def test_a_corrected_range_wins_over_what_the_sensor_said(tmp_path: Path) -> Non
 
 
 @pytest.mark.usefixtures("small_slices")
-def test_every_calibration_does_what_it_says_and_the_new_log_replays_exactly(tmp_path: Path) -> None:
+def test_every_calibration_is_applied_as_stated_and_the_new_log_replays_exactly(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.mcap", lost=frozenset({9}))
     text = (
         "[devices.laser_y]\nlever_ratio = 0.9\ngain_std = 0.002\nclock_tolerance_ppm = 10\n"
@@ -415,7 +415,7 @@ def test_without_a_calibration_everything_is_as_it_was_and_names_its_origin(tmp_
         assert third.metadata["run"]["origin.origin"] == "a.mcap"
 
 
-def test_a_cut_and_a_damaged_log_become_whole_ones_that_say_what_was_missing(tmp_path: Path) -> None:
+def test_a_cut_and_a_damaged_log_become_whole_ones_that_list_what_was_missing(tmp_path: Path) -> None:
     part = write_log(tmp_path / "a.mcap", finish=False, unwritten_from=200)
     made = decode_again(part, tmp_path / "b.mcap")
     assert made.missing

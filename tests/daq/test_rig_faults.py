@@ -84,7 +84,7 @@ def test_every_listed_fault_can_be_placed_and_ended_and_the_rig_goes_on(name: st
 
 
 @pytest.mark.parametrize(("name", "laser"), [("virtual", "laser_x"), ("other_devices", "east")])
-def test_a_laser_is_blocked_for_as_long_as_was_said(name: str, laser: str) -> None:
+def test_a_laser_is_blocked_for_the_commanded_time(name: str, laser: str) -> None:
     fed = Fed(name)
     fed.go(0.2)
     fed.taken(laser, "displacement_m")
@@ -138,7 +138,7 @@ def test_a_laser_without_supply_is_silent_and_then_waits_for_its_host() -> None:
     assert 1500 < counters[0] < 1700  # it counts from 0 since its supply came back
 
 
-def test_other_makers_devices_begin_anew_too() -> None:
+def test_other_makers_devices_restart_too() -> None:
     fed = Fed("other_devices")
     speed = {"motor": vesc.set_rpm(7 * 300)}
     fed.go(0.5, speed)

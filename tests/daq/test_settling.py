@@ -150,7 +150,7 @@ def coded(
 
 @pytest.mark.parametrize("counts", [4096, 65536])
 @pytest.mark.parametrize("noise", [0.0, 0.3, 2.0])
-def test_steady_pendulums_are_settled_whatever_the_encoder(counts: int, noise: float) -> None:
+def test_steady_pendulums_are_settled_with_any_encoder(counts: int, noise: float) -> None:
     """Constant counts above all: the means differ by floating point noise only."""
     for seed in range(6):
         data = coded(lambda t: 0 * t, counts, noise, 14.0, ripple=(seed % 3) * 2e-3, seed=seed)
@@ -171,7 +171,7 @@ def test_a_coarse_encoder_that_stands_is_settled_once_it_has_stood_for_long() ->
 
 
 @pytest.mark.parametrize(("rate", "noise"), [(0.12, 0.3), (0.18, 0.0), (0.18, 0.3), (0.35, 0.0)])
-def test_settled_says_no_more_than_the_tolerance_is_to_come(rate: float, noise: float) -> None:
+def test_settled_means_that_no_more_than_the_tolerance_is_to_come(rate: float, noise: float) -> None:
     """Close to the end quantisation dominates; evaluated repeatedly, as in the guided test."""
     for seed in range(1):
         data = coded(lambda t: 2.0 * np.exp(-rate * t), 4096, noise, 75.0, seed=seed)

@@ -49,7 +49,7 @@ def test_without_any_message_the_lock_flags_bracket_the_release(tmp_path: Path) 
         assert 1e-3 < release.time_std_s < 0.02
 
 
-def test_a_log_that_lacks_a_device_says_so(tmp_path: Path) -> None:
+def test_a_log_that_is_absent_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises((LogError, ChannelMissing), match=r"absent\.mcap"):
         load_run(tmp_path / "absent.mcap")
 
@@ -107,7 +107,7 @@ def test_channels_without_a_device_clock_are_on_the_common_clock(tmp_path: Path)
     assert run.metadata["identities"] == {}
 
 
-def test_a_pendulum_that_was_not_recorded_is_none_throughout(tmp_path: Path) -> None:
+def test_a_pendulum_that_was_not_recorded_is_absent_throughout(tmp_path: Path) -> None:
     angles = batch(PENDULUM_ANGLES, 1e-3, theta3_rad=np.array([0.1, np.nan, 0.3]), theta4_rad=np.full(3, np.nan))
     run = load_run(imported_log(tmp_path / "a.mcap", angles))
     assert run.angle_rad[:, 0].tolist() == [0.1, 0.3]
@@ -121,7 +121,7 @@ def test_a_phase_becomes_the_instants_of_its_whole_turns(tmp_path: Path) -> None
     assert np.allclose(run.mark_time_s - 0.5, [0.5, 1 + 4 * 0.5, 5.25, 5.75])
 
 
-def test_a_log_without_rig_file_or_samples_says_so(tmp_path: Path) -> None:
+def test_a_log_without_rig_file_or_samples_is_refused(tmp_path: Path) -> None:
     angles = batch(PENDULUM_ANGLES, 1e-3, theta3_rad=np.zeros(3), theta4_rad=np.zeros(3))
     with pytest.raises(LogError, match=r"rig\.json"):
         load_run(imported_log(tmp_path / "a.mcap", angles, rig=b""))

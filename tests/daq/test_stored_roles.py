@@ -65,7 +65,7 @@ def test_a_log_of_before_roles_were_kept_names_the_driver_that_is_missing(tmp_pa
 
 
 @pytest.mark.parametrize("stored", [b"[]", b'{"east": 3}', b'{"east": [{"role": "dance"}]}', b'{"east": [{}]}'])
-def test_roles_that_are_none_are_refused(tmp_path: Path, stored: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_invalid_roles_are_refused(tmp_path: Path, stored: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     attachments = {"rig.json": OTHER.snapshot_json(), "roles.json": stored}
     with LogFile(tmp_path / "a.mcap", {"test": "record"}, attachments, (), START_NS) as log:
         path = log.finish({"losses": {}})

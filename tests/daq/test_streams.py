@@ -455,7 +455,7 @@ def test_samples_sent_again_fill_the_holes_of_lost_blocks(lost: set[int], own_se
     assert np.all(np.diff(np.concatenate([b.time_ns for b in batches])) > 0)
 
 
-def test_lost_radio_frames_say_how_many_and_over_how_long() -> None:
+def test_lost_radio_frames_are_reported_with_count_and_span() -> None:
     pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
     start_us = 2**32 - 50_000  # across the wrap of the node's clock
     parts = [encoder_wire(i, 20 * i, (start_us + 20_000 * i) % 2**32) for i in (0, 1, 5, 6)]
@@ -467,7 +467,7 @@ def test_lost_radio_frames_say_how_many_and_over_how_long() -> None:
     assert pipeline.losses == {"radio_frames": 3, "cable_frames": 0, "damaged_frames": 0, "samples": 60}
 
 
-def test_lost_cable_frames_say_how_many_and_over_how_long() -> None:
+def test_lost_cable_frames_are_reported_with_count_and_span() -> None:
     pipeline = NodePipeline("encoder", DEVICES["encoder"], {})
     parts = []
     for seq, i in ((7, 0), (8, 1), (11, 4)):

@@ -89,7 +89,7 @@ def test_a_log_that_ends_sooner_has_the_trip_as_far_as_it_goes() -> None:
     assert trips.end(T0 + S, recent) == []
 
 
-def test_all_that_came_together_is_named_and_what_came_later_beside_it() -> None:
+def test_all_that_came_together_is_named_and_what_came_later_is_listed() -> None:
     trips, recent = made(), Recent(10.0)
     trips.tripped("amplitude", "laser/x: 12.1 mm, limits.amplitude_m is 11 mm", T0)
     trips.tripped("amplitude", "laser/x: 12.4 mm, limits.amplitude_m is 11 mm", T0 + 20_000_000)  # the same, again
@@ -127,7 +127,7 @@ def test_the_speed_is_the_last_word_before_the_trip() -> None:
     assert only(trips.end(T0 + S, recent)).facts["speed_rpm"] == 601.5
 
 
-def test_without_a_drive_the_index_marks_tell_the_speed() -> None:
+def test_without_a_drive_the_index_marks_give_the_speed() -> None:
     roles = load_rig("by_hand").roles
     for marks, speed in (([], None), ([-100], None), ([-300, -100, 200], 300.0)):
         trips, recent = made(roles), Recent(10.0)

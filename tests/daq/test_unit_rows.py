@@ -42,7 +42,7 @@ HEADS = {
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "utf-16"])
 @pytest.mark.parametrize("decimal", [".", ","])
 @pytest.mark.parametrize("head", HEADS.values(), ids=HEADS)
-def test_units_are_told_from_names(tmp_path: Path, head: tuple[str, str], decimal: str, encoding: str) -> None:
+def test_units_are_distinguished_from_names(tmp_path: Path, head: tuple[str, str], decimal: str, encoding: str) -> None:
     lines, delimiter = head
     if delimiter == "," and decimal == ",":
         return

@@ -298,7 +298,7 @@ def test_a_rotor_found_turning_is_led_down_the_ramp(bench: Bench) -> None:
 # --- how it ends ----------------------------------------------------------------------------------------------
 
 
-def test_stop_brakes_and_then_lets_go(bench: Bench) -> None:
+def test_stop_brakes_and_then_releases(bench: Bench) -> None:
     bench.runs(600.0)
     bench.commands.clear()
     assert bench.control.stop() is True
@@ -311,7 +311,7 @@ def test_stop_brakes_and_then_lets_go(bench: Bench) -> None:
     assert len(bench.log) > count
 
 
-def test_a_rotor_that_does_not_stop_is_not_let_go_of(bench: Bench) -> None:
+def test_a_rotor_that_does_not_stop_is_not_released(bench: Bench) -> None:
     bench.runs(300.0)
     bench.far.fail("deaf", 1)
     bench.far._timeout_s = math.inf
@@ -362,7 +362,7 @@ def test_without_a_command_there_is_nothing_to_stop(bench: Bench) -> None:
     assert bench.commands == []
 
 
-def test_a_line_that_is_gone_is_let_go_of(bench: Bench) -> None:
+def test_a_line_that_is_gone_is_released(bench: Bench) -> None:
     bench.runs(300.0)
     bench.gone = True
     with pytest.raises(LinkLost):

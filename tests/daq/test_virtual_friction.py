@@ -44,7 +44,7 @@ def test_fixed_steps_follow_the_located_ones(arm_m: float) -> None:
     assert np.abs(own - exact).max() < (1e-6 if arm_m == 0.0 else 5e-4)
 
 
-def test_friction_holds_pendulums_beside_their_balance() -> None:
+def test_friction_holds_pendulums_next_to_their_balance() -> None:
     held, exact = _released(6e-4, 6.0)
     assert np.ptp(held, axis=0).max() == 0.0
     assert held[0] == pytest.approx([_PLAY, math.pi + _PLAY_B])

@@ -89,7 +89,7 @@ def test_a_dead_and_an_unmoved_sensor_are_no_agreement() -> None:
     assert agreement(constant, time, np.sin(20 * time)).verdict == "too little motion"
 
 
-def test_noise_of_the_sensor_beside_it_does_not_make_the_ratio_small() -> None:
+def test_noise_of_the_neighbouring_sensor_does_not_make_the_ratio_small() -> None:
     ratios = [compared(seed, size_m=3e-4, noise_m=4e-5).ratio for seed in range(30)]
     assert np.mean(ratios) == pytest.approx(1.0, abs=4 * np.std(ratios) / np.sqrt(30))
     assert abs(np.mean(ratios) - 1) < 2e-3

@@ -22,7 +22,7 @@ NO_NUMBERS: list[Any] = ["3", None, [1.0, 2.0], 1j, True, {}, np.array([1.0, 2.0
 
 
 @pytest.mark.parametrize("wrong", NO_NUMBERS, ids=repr)
-def test_what_is_no_number_is_refused_by_name(wrong: Any) -> None:
+def test_an_argument_that_is_not_a_number_is_refused_by_name(wrong: Any) -> None:
     p = rig()
     scene = Scene(SpeedHistory.constant(30.0))
     requests = {

@@ -42,7 +42,7 @@ def test_balanced_angles_close_the_triangle(a: float, b: float, share: float) ->
 
 
 @given(moments, st.integers(1, 10), st.floats(0.1, 1.0))
-def test_angles_keep_their_digits_beside_the_border(a: float, ulps: int, ratio: float) -> None:
+def test_angles_keep_their_digits_next_to_the_border(a: float, ulps: int, ratio: float) -> None:
     """A few ulps inside S_A + S_B = S_P the cosine formula has lost half its digits; ours has not."""
     b = ratio * a
     s = a + b

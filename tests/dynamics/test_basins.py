@@ -120,7 +120,7 @@ def test_a_slipping_orbit_solves_its_equation_and_has_the_rate_of_the_motion(sli
     assert np.max(np.abs(gap)) < 1e-5
 
 
-def test_deviations_from_a_slipping_orbit_shrink_as_its_multipliers_say(slipping):
+def test_deviations_from_a_slipping_orbit_shrink_by_its_multipliers(slipping):
     turning, orbit, _ = slipping
     assert orbit.multipliers[0] == pytest.approx(1.0)
     assert orbit.multiplier_across == pytest.approx(0.909, abs=2e-3)
@@ -320,7 +320,7 @@ def test_a_slipping_orbit_whose_period_is_doubled():
     assert orbit.turns_per_revolution == pytest.approx(mean_rates(strobe[:, 2:4]), abs=1e-8)
 
 
-def test_multiplier_across_is_what_motions_beside_the_orbit_shrink_by():
+def test_multiplier_across_is_what_motions_near_the_orbit_shrink_by():
     p = rig(zeta=0.05)
     turning = RevolutionMap.of(p, _speed(p, D))
     strobe = turning.strobed(locked_state(p, turning.speed_rad_s, 0.0, 1.5, 3.6), 1500)[-700:]

@@ -50,7 +50,7 @@ def test_the_curve_between_few_points_is_the_circle(radius: float, count: int, s
     assert np.isin(curve.points, at).all()
 
 
-def test_points_beside_the_border_are_of_no_use_unless_they_are_its_own() -> None:
+def test_points_next_to_the_border_are_of_no_use_unless_they_are_its_own() -> None:
     """Halfway places are moved on to the border, so the curve does not depend on where the points lie on it."""
     few, many = (curve_through(round_the_island(0.3, count), island(0.3)) for count in (25, 97))
     sparse, dense = few.between(0.4 / 4000)[0], many.between(0.4 / 4000)[0]
@@ -89,7 +89,7 @@ def test_a_corner_is_cut_by_no_more_than_its_own_size() -> None:
     assert np.max(np.abs(off)) <= 2e-6
 
 
-def test_where_no_point_is_found_the_curve_says_how_far_it_may_be_off() -> None:
+def test_where_no_point_is_found_the_curve_states_its_possible_error() -> None:
     def with_a_gap(at: Complex) -> tuple[Complex, Complex, Complex]:
         root, along_x, along_y = below_a_wave(at)
         return np.where(np.abs(at.real - 0.505) < 0.004, np.nan, root), along_x, along_y

@@ -133,7 +133,7 @@ def test_the_thin_band_above_the_second_resonance_is_found() -> None:
     assert sorted(on_line) == pytest.approx((x[changes] + x[changes + 1]) / 2, abs=0.0051)
 
 
-def test_points_of_a_border_are_exact_and_say_how_stability_is_lost() -> None:
+def test_points_of_a_border_are_exact_and_contain_how_stability_is_lost() -> None:
     plane, found = borders_of(0.02, (1.0, 4.0), (6.0, 16.0))
     assert found.bare == ()
     for branch in found.branches:
@@ -219,13 +219,13 @@ def test_a_band_as_wide_as_a_cell_of_the_first_grid_is_never_missed(at: float, l
     assert cells_with_a_border(lambda a, b: np.abs(a - at - lean * (b - 0.5)) < half) >= 20
 
 
-def test_an_island_between_the_points_of_the_first_grid_is_missed_as_it_says() -> None:
+def test_an_island_between_the_points_of_the_first_grid_is_missed_as_documented() -> None:
     x, y = 10.5 * CELL[0], 7.5 * CELL[1]
     wide, high = 0.45 * CELL
     assert cells_with_a_border(lambda a, b: (np.abs(a - x) < wide) & (np.abs(b - y) < high), levels=3) == 0
 
 
-def test_a_band_that_is_hardly_wider_than_it_says_is_found() -> None:
+def test_a_band_hardly_wider_than_the_stated_resolution_is_found() -> None:
     """The stable band at ζ = 0.1, Ω = 4.39 … 4.54, in a range of more than a hundred times its width."""
     parameters = rig(zeta=0.1)
     plane = SpeedStiffnessPlane(parameters, balanced_angles(parameters)[0])

@@ -249,7 +249,7 @@ def test_isotropic_matrices_hold_where_the_disk_whirls(kind: str) -> None:
     assert np.allclose(found, expected, rtol=1e-11, atol=1e-11 * np.max(np.abs(expected)))
 
 
-def test_what_the_derivation_says_in_general() -> None:
+def test_general_properties_of_the_derivation() -> None:
     """Symmetric mass matrix; ψ leaves the isotropic matrices; half a revolution is a period of the others."""
     equations = rotating_frame_equations()
     assert equations.mass_matrix == equations.mass_matrix.T

@@ -66,7 +66,7 @@ def test_closed_form_is_the_kernels_jacobian(masses: tuple[float, float], moment
     assert np.array_equal(exact.turn, sampled.turn)
 
 
-def test_half_a_revolution_tells_what_a_whole_one_does() -> None:
+def test_half_a_revolution_gives_the_same_as_a_whole_one() -> None:
     half = balanced_state(rig(), 3.3)
     assert np.allclose(half.at(0.4 + np.pi), half.turn[:, None] * half.at(0.4) * half.turn, rtol=0, atol=1e-9)
     whole = dataclasses.replace(half, turn=None)

@@ -104,7 +104,7 @@ def test_modes_do_not_depend_on_tolerance_or_method() -> None:
         assert np.max(np.abs(run.state - runs[-1].state)[:, 2:4]) <= run.error_estimate + runs[-1].error_estimate
 
 
-def test_sticking_is_exact_and_sliding_has_the_direction_it_says() -> None:
+def test_sticking_is_exact_and_sliding_has_the_stated_direction() -> None:
     p = rig(1e-4)
     motion = simulate(p, stick_slip_scene(p), 4.0, 1e-7, dense=True)
     seen = set()
@@ -175,7 +175,7 @@ def test_modes_at_rest_agree_with_themselves(seed: int) -> None:
         modes_at(y * np.nan, phase, p, free)
 
 
-def test_what_holds_a_pendulum_is_what_moves_it_when_let_go() -> None:
+def test_the_holding_torque_is_what_moves_a_released_pendulum() -> None:
     """Without friction, torque over inertia is the acceleration up to the disk's share in it."""
     p = rig(0.0).packed()
     y, phase, out = np.array([1e-3, 2e-3, 0.4, 2.0, 0.1, 0.2, 0.0, 0.0]), (0.3, 30.0, 5.0), np.empty(8)

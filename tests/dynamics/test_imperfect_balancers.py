@@ -91,7 +91,7 @@ def test_mirrored_positions_refuse_another_rig(p, message: str) -> None:
         mirrored_positions(p, _SPEED, Imperfections())
 
 
-def test_mirrored_positions_refuse_what_is_none() -> None:
+def test_mirrored_positions_refuse_invalid_cases() -> None:
     with pytest.raises(NoBalancedState):
         mirrored_positions(rig(1.0, sp=0.02), _SPEED, Imperfections())
     with pytest.raises(OutsideDomain, match="finite"):
@@ -121,7 +121,7 @@ def test_another_eccentricity_only_scales_the_shift() -> None:
     assert printed.together / own.together == pytest.approx(7.12 / 7.27, rel=1e-5)
 
 
-def test_shifted_pivot_refuses_what_is_none() -> None:
+def test_shifted_pivot_refuses_invalid_cases() -> None:
     with pytest.raises(OutsideDomain, match="eccentricity"):
         shifted_pivot(rig(1.0, sp=0.0), _SPEED, [0, 1])
     with pytest.raises(OutsideDomain, match="0 or more"):

@@ -74,7 +74,7 @@ def test_any_two_numbers_against_single_points() -> None:
         assert abs(found[i, j] - truth) <= errors[i, j] + 2e-11 * max(1, truth)
 
 
-def test_both_planes_say_the_same_of_speed_and_stiffness() -> None:
+def test_both_planes_agree_on_speed_and_stiffness() -> None:
     def at(speed_ratio: float, stiffness_ratio: float) -> tuple[RotorParameters, float]:
         p = dataclasses.replace(NOMINAL, k2_N_per_m=stiffness_ratio * NOMINAL.k1_N_per_m)
         return p, p.natural_frequencies_rad_s[0] * speed_ratio
@@ -100,6 +100,6 @@ def test_the_numbers_of_a_point_are_those_of_the_exact_equations() -> None:
     assert exact[4:6, 6] == pytest.approx(speed * (numbers[9:11] - numbers[4] * numbers[13:15]))
 
 
-def test_a_point_without_a_balanced_state_says_so() -> None:
+def test_a_point_without_a_balanced_state_is_refused() -> None:
     with pytest.raises(NoBalancedState, match=r"x = 0\.2"):
         RigPlane(damped_and_unbalanced).one(0.2, 0.001)

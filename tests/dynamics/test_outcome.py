@@ -157,7 +157,7 @@ def test_undamped_pendulums_do_not_settle_in_the_time_given() -> None:
     assert found.reached is None
 
 
-def test_friction_ends_the_motion_beside_the_balanced_angles() -> None:
+def test_friction_ends_the_motion_next_to_the_balanced_angles() -> None:
     p = rig()
     rubbing = replace(p, a=replace(p.a, friction_arm_m=1e-5), b=replace(p.b, friction_arm_m=1e-5))
     found = release_outcome(rubbing, p.speed_rad_s(2.0))

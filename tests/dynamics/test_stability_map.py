@@ -149,7 +149,7 @@ def test_eigenvalues_of_what_is_not_a_number_are_refused() -> None:
     assert not eigenvalues(np.full((3, 3), np.inf), values)
 
 
-def test_a_point_no_method_serves_to_the_accuracy_says_so() -> None:
+def test_a_point_that_no_method_computes_to_the_accuracy_is_counted_as_missed() -> None:
     """A slow, undamped rotor on a stiff spring: the map goes on, with the bound it could reach."""
     found = stability_map(rig(zeta=0.0, damping=0.0), np.array([0.0016, 1.6]), np.array([1000.0]), 1e-12)
     assert found.multiplier_max.shape == (1, 2)

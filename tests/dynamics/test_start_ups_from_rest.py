@@ -46,7 +46,7 @@ def test_with_friction_each_end_is_one_that_friction_holds_and_its_orbit_the_loc
     assert max(held_share(p, SPEED, (0.5, 1.0))) > 1, "and not every place is one"
 
 
-def test_balls_that_cannot_be_followed_are_said_so_and_end_all_the_same() -> None:
+def test_balls_that_cannot_be_followed_are_marked_and_have_an_end() -> None:
     ball = Pendulum(0.0138, 0.114, 3e-5, ball_radius_m=0.0075)
     p = replace(load_rig("ball_balancer").physics, a=ball, b=ball)
     found = start_ups_from_rest([p], 1500 * math.pi / 30, 12.5, random_starts(1, 3))

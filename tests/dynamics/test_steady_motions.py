@@ -212,7 +212,7 @@ def test_over_the_whole_domain_an_answer_holds_or_is_refused(seed: int) -> None:
         assert s.error_estimate <= 1e-6 * max(1, s.multiplier_max)
 
 
-def test_refusals_say_why() -> None:
+def test_refusals_state_why() -> None:
     p = rig(sp=0.02)
     with pytest.raises(NoBalancedState, match="undersized"):
         multipliers(p, 30.0)

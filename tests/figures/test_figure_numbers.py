@@ -68,7 +68,7 @@ def test_a_wrong_spring_is_no_lag_of_the_stamps() -> None:
 
 
 @pytest.mark.parametrize("kept", [0, 1])
-def test_too_few_vectors_tell_of_no_lag(kept: int) -> None:
+def test_too_few_vectors_yield_no_lag(kept: int) -> None:
     """A run that was cut at its start, or a laser without samples."""
     found = passed_vectors(run_up(), MODEL)
     few = {
@@ -171,7 +171,7 @@ def test_every_order_of_a_cascade_is_named_where_its_line_ends() -> None:
         assert reach > low + 0.85 * (high - low)
 
 
-def test_slip_of_a_locked_run_up_says_so_and_names_each_line_once() -> None:
+def test_slip_of_a_locked_run_up_is_labelled_and_each_line_is_named_once() -> None:
     figure = draw_slip([run_up()], MODEL)
     (legend,) = figure.legends
     looks = [(line.get_color(), line.get_linestyle(), line.get_marker()) for line in legend.get_lines()]

@@ -89,7 +89,7 @@ def test_bands_hold_the_models_own_vectors() -> None:
 
 
 @pytest.mark.parametrize("draw", [draw_polar, draw_orbit])
-def test_intervals_are_drawn_and_told_in_the_plane(draw: object) -> None:
+def test_intervals_are_drawn_and_named_in_the_plane(draw: object) -> None:
     assert callable(draw)
     figure = draw(run_up())
     assert any(patch.get_label() == NAME for axes in figure.axes for patch in axes.patches)
@@ -138,7 +138,7 @@ def test_runs_over_each_other_coincide_where_the_same_happened() -> None:
     assert "begins where this log begins" in found.words
 
 
-def test_a_pluck_is_where_it_was_let_go_however_long_it_was_held() -> None:
+def test_a_pluck_is_where_it_was_released_however_long_it_was_held() -> None:
     run = ring_down()
 
     def held(hold_s: float) -> Run:
@@ -150,7 +150,7 @@ def test_a_pluck_is_where_it_was_let_go_however_long_it_was_held() -> None:
     assert aligned(held(0.4), held(1.9), "b.mcap").shift_s == pytest.approx(-1.5, abs=1e-3)
 
 
-def test_the_time_history_says_what_coincides() -> None:
+def test_the_time_history_states_what_coincides() -> None:
     figure = draw_time(point("A"), None, later(point("A"), 1.25))
     assert "is shifted by −1.250 s so that the first releases coincide" in words(figure)
 
@@ -232,7 +232,7 @@ def test_the_simulated_spectrum_lies_on_its_own_measured_one() -> None:
     assert min(peaks.values()) == pytest.approx(max(peaks.values()), rel=0.03)
 
 
-def test_single_logs_are_seen_beside_the_joint_estimate() -> None:
+def test_single_logs_are_seen_next_to_the_joint_estimate() -> None:
     begun = datetime(2026, 3, 1, 9, 0, tzinfo=UTC)
     joint = [Value("zeta1_1", begun, 0.02, 1e-6, "campaign")]
     near = [Value("zeta1_1", begun + timedelta(minutes=i), 0.02 + 6e-6 * (i - 1), 3e-6, f"log {i}") for i in range(3)]

@@ -15,7 +15,7 @@ def reported(*runs: Run) -> str:
     return render(Campaign(title="Campaign", rig=RIG, runs=runs, identification=found, validation=None))
 
 
-def test_a_run_up_is_drawn_once_with_the_model_beside_it() -> None:
+def test_a_run_up_is_drawn_once_with_the_model() -> None:
     first = run_up()
     text = reported(first, dataclasses.replace(first, source="again.mcap"), point("D"))
     assert text.count('<section id="run-up">') == 1

@@ -182,7 +182,7 @@ class Campaign:
         )
 
     def point(self, name: str, record_s: float = 8.0) -> Run:
-        """Locked for three seconds, then both pendulums let go."""
+        """Locked for three seconds, then both pendulums released."""
         speed = self.rig.physics.speed_rad_s(self.rig.points[name].speed_ratio) * 0.998
         psi0 = self.rng.uniform(-np.pi, np.pi)
         history = SpeedHistory.constant(speed, psi0)

@@ -59,7 +59,7 @@ def test_the_passage_obeys_its_differential_equation() -> None:
     assert (after[1] - before[1]) / 2e-5 == pytest.approx(at[2], rel=1e-6)
 
 
-def test_the_release_moves_as_the_dynamics_say() -> None:
+def test_the_release_moves_as_the_dynamics_predict() -> None:
     physics = load_rig("virtual").physics
     found = physics.identified()
     suspension = np.array([found[n] for n in releases.NAMES])
@@ -151,7 +151,7 @@ def _read(shift: float = 0.0, half_width: float = 1.96) -> Callable[[float], Met
     return lambda y: MethodResult({"a": y + shift}, {"a": (y + shift - half_width, y + shift + half_width)})
 
 
-def test_rms_bias_and_coverage_are_what_they_say() -> None:
+def test_rms_bias_and_coverage_are_correct() -> None:
     plain, shifted, proud = measure(
         _case(Method("plain", "", _read()), Method("shifted", "", _read(2.0)), Method("proud", "", _read(0.0, 0.196))),
         2000,
@@ -193,7 +193,7 @@ def test_failures_are_counted_left_out_and_kept_off_the_front() -> None:
     assert flaky_row.failure in {"RuntimeError: too much", "a = 1e+09 where 10 is true"}
 
 
-def test_the_same_seed_gives_the_same_records_whatever_their_number() -> None:
+def test_the_same_seed_gives_the_same_records_for_any_number() -> None:
     seen: list[float] = []
 
     def keep(value: float) -> MethodResult:
@@ -245,7 +245,7 @@ def test_targets_hold_the_balanced_setting_alone_and_only_when_measured_often() 
     assert not failing["ring-down, gross failures, damaged ones too"].met
 
 
-def test_the_page_tells_figures_failures_and_what_a_bound_is() -> None:
+def test_the_page_contains_figures_failures_and_what_a_bound_is() -> None:
     rows = compared(
         [_row("balanced", 1.234), _row("fast", 41.0, gross=3), _row("p", 1.0, peer=True, seconds=0.2)], 1.15
     )

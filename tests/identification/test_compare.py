@@ -58,7 +58,7 @@ def changed(estimates: list[Estimate], name: str, share: float) -> list[Estimate
     return estimates
 
 
-def test_a_changed_spring_is_said_in_plain_words() -> None:
+def test_a_changed_spring_is_reported_in_plain_words() -> None:
     rng = np.random.default_rng(1)
     old, new = (
         parameters_of(draw(rng, gains=GAINS)[0]),
@@ -363,7 +363,7 @@ def test_history_asks_which_rig_and_refuses_logs(tmp_path: Path) -> None:
         parameter_history([empty])
 
 
-def test_a_file_that_does_not_say_when_has_its_own_time(tmp_path: Path) -> None:
+def test_a_file_without_a_stated_time_has_its_own_time(tmp_path: Path) -> None:
     parameters = parameters_of(draw(np.random.default_rng(12))[0])
     IdentifiedParameters(parameters.values, parameters.covariance).save(tmp_path / "p.toml")
     os.utime(tmp_path / "p.toml", (1.7e9, 1.7e9))

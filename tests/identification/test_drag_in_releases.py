@@ -110,7 +110,7 @@ def test_an_error_of_masses_and_lengths_is_no_part_of_what_damping_and_drag_shar
     assert share == pytest.approx([2.0, 0.0], abs=0.1)  # torques go with m R²
 
 
-def test_releases_and_a_spin_down_find_the_damping_beside_the_drag(dragged: World) -> None:
+def test_releases_and_a_spin_down_find_the_damping_in_addition_to_the_drag(dragged: World) -> None:
     """The torque found by the spin-down then does not count as dry friction, and the releases are not left out."""
     before = [record(dragged, SEED, test) for test in ("ring-down-x", "ring-down-y", "run-up", "spin-down")]
     alone = identify(before, dragged.rig)

@@ -49,7 +49,7 @@ def test_a_result_survives_its_file(tmp_path) -> None:
     assert type(parameters).load(tmp_path / "parameters.toml").values == parameters.values
 
 
-def test_ring_downs_alone_say_what_is_missing() -> None:
+def test_ring_downs_alone_name_what_is_missing() -> None:
     campaign = Campaign(1)
     found = identify([campaign.ring_down("x"), campaign.ring_down("y")], campaign.rig)
     assert list(found.parameters.values) == ["k1_N_per_m", "k2_N_per_m", "zeta1", "zeta2"]

@@ -162,7 +162,7 @@ def test_of_five_recordings_the_bad_one_is_left_out() -> None:
             assert found.parameters.std[parameter] < 1e-3 * true[parameter]
 
 
-def test_what_only_the_bad_log_shows_is_kept_and_said() -> None:
+def test_what_only_the_bad_log_shows_is_kept_and_reported() -> None:
     good, _ = draw(np.random.default_rng(1))
     found = joint_estimate(spoilt(good, 2, "k1_N_per_m", 0.03))
     assert found.left_out.keys() == {2}

@@ -50,7 +50,7 @@ def test_the_rows_that_there_are_select_the_estimators_that_there_are() -> None:
     ]
 
 
-def test_another_ring_down_gives_what_its_row_says(add: Add) -> None:
+def test_another_ring_down_gives_what_its_row_states(add: Add) -> None:
     campaign = Campaign(1)
     struck = dataclasses.replace(campaign.ring_down("x"), test="ring-down-struck")
     along_y = campaign.ring_down("y")
@@ -77,7 +77,7 @@ def test_a_lone_sensor_shows_the_axis_that_the_row_needs(add: Add) -> None:
     assert list(identify([struck], campaign.rig).parameters.values) == ["k2_N_per_m"]
 
 
-def test_a_test_with_the_rotor_turning_gives_what_its_row_says(add: Add) -> None:
+def test_a_test_with_the_rotor_turning_gives_what_its_row_states(add: Add) -> None:
     campaign = Campaign(2)
     passage = dataclasses.replace(campaign.run_up(), test="slow-sweep")
     add(row("slow-sweep", ("x", "y", "phase"), turns=True, gives=("SP_kg_m",)))

@@ -74,7 +74,7 @@ def test_a_test_alone_covers_with_any_friction(size: float) -> None:
     assert inside >= 0.89 * n
 
 
-def test_a_covariance_that_says_nothing_does_not_end_in_an_exception() -> None:
+def test_a_covariance_without_information_does_not_end_in_an_exception() -> None:
     flat = np.ones((6, 6)) * np.outer(UNIT, UNIT)
     assert np.all(np.isfinite(inverse(flat / np.outer(UNIT, UNIT))))
     assert np.all(np.isfinite(alone(OpenFriction(np.zeros(6), flat)).covariance))
@@ -82,7 +82,7 @@ def test_a_covariance_that_says_nothing_does_not_end_in_an_exception() -> None:
         OpenFriction(np.zeros(6), np.full((6, 6), np.nan))
 
 
-def test_a_torque_at_one_speed_says_nothing_of_its_parts() -> None:
+def test_a_torque_at_one_speed_does_not_determine_its_parts() -> None:
     found = OpenFriction.of_torque_at(np.r_[-7.0, -7.0, 1e-4, 1e-4, 0, 0], np.diag([1e-6, 1e-6, 1e-12, 1e-12]), 1e4)
     design = np.array([0, 0, 1.0, 0, 1e4, 0])
     assert design @ found.covariance @ design == pytest.approx(1e-12, rel=1e-3)
@@ -138,7 +138,7 @@ def test_sticking_and_sliding_at_the_limit_goes_on() -> None:
     assert np.all(np.isfinite(by))
 
 
-def test_a_release_after_which_nothing_moves_is_told_so() -> None:
+def test_a_release_after_which_nothing_moves_is_refused() -> None:
     campaign = Campaign(6, clock_rate_std=0.0)
     run = campaign.point("E")
     stuck = np.where(run.angle_time_s[:, None] > 3.0, run.angle_rad[:1] + 1e-4, run.angle_rad)

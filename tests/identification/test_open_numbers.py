@@ -66,7 +66,7 @@ def test_pooling_with_sources_is_least_squares_with_the_mass_as_an_unknown(seed:
     assert np.sqrt(np.diag(found)) == pytest.approx(std, rel=1e-2)
 
 
-def test_friction_that_a_mass_explains_is_not_told_of() -> None:
+def test_friction_that_a_mass_explains_is_not_reported() -> None:
     friction = np.r_[0.0, 0.0, 8.0, 0.0, 0.0, 0.0] * UNIT
     sharp = 0.25 * np.diag(UNIT**2)
     slope = {MASS: np.r_[0.0, 0.0, 8.0, 0.0, 0.0, 0.0] * UNIT / 1e-5}

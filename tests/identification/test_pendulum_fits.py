@@ -108,7 +108,7 @@ def test_release_on_a_rotor_whose_angle_is_not_known(seed: int, angle_rad: float
     assert "half a revolution" in warning
 
 
-def test_gravity_tells_a_rotor_s_angle_from_its_opposite() -> None:
+def test_gravity_distinguishes_a_rotor_s_angle_from_its_opposite() -> None:
     campaign = Campaign(6, {"suspension.gravity_m_per_s2": 9.81}, clock_rate_std=0.0)
     fit, true = fit_release(turned(campaign.point("D"), 3.5), known(campaign), np.radians(0.05)), campaign.truth
     for name, value in fit.values.items():
@@ -180,7 +180,7 @@ def test_readings_that_are_missing_are_left_out() -> None:
     assert all(abs(fit.values[n] - true[n]) < 4 * fit.std[n] for n in fit.values)
 
 
-def test_an_encoder_coarser_than_the_rig_file_says_is_seen() -> None:
+def test_an_encoder_coarser_than_the_rig_file_states_is_seen() -> None:
     campaign = Campaign(6, clock_rate_std=0.0)
     run = campaign.point("E")
     step = 4 * run.angle_step_rad

@@ -71,7 +71,7 @@ def test_released_at_rest_without_friction_it_is_the_free_motion(
     assert dry[:, 2:4] == pytest.approx(smooth[:, 2:4], abs=1e-6)
 
 
-def test_friction_stops_a_pendulum_when_the_closed_form_says() -> None:
+def test_friction_stops_a_pendulum_when_the_closed_form_predicts() -> None:
     packed, time = nominal().truth.packed(), np.arange(0, 2.0, 0.004)
     packed[0] = 1e6  # a disk too heavy to move
     inertia, damping, torque = packed[8], packed[10], 1e-3

@@ -109,7 +109,7 @@ def test_every_value_that_the_loader_refuses_is_left_out(tmp_path: Path, name: s
     assert alone is None
 
 
-def test_a_value_that_is_zero_within_its_uncertainty_is_told_as_such() -> None:
+def test_a_value_that_is_zero_within_its_uncertainty_is_reported_as_such() -> None:
     estimate = Estimate("t", ("a.mcap",), ("c3_Nms_per_rad",), np.array([-1e-6]), np.array([[1e-12]]))
     _, (message,) = keep_physical(estimate, RIG)
     assert "zero within its uncertainty" in message

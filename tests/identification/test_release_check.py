@@ -167,7 +167,7 @@ def test_a_pendulum_that_stays_in_its_lock_fails_plainly(campaign: Campaign, rel
     assert "follow" in rows.sentence
 
 
-def test_a_release_that_was_used_says_for_which_parameters(campaign: Campaign, release_d: Run) -> None:
+def test_a_release_that_was_used_states_for_which_parameters(campaign: Campaign, release_d: Run) -> None:
     found = identified(campaign, 8)
     tests = [
         {"test": "point-D", "log": release_d.source, "values": {"c3_Nms_per_rad": 1.0, "c4_Nms_per_rad": 1.0}},

@@ -63,7 +63,7 @@ def test_equal_frequencies_of_different_damping_are_resolved() -> None:
 
 @pytest.mark.parametrize("split", [0.0, 0.02, 0.06])
 @pytest.mark.parametrize("zeta", [1e-3, 0.01, 0.1])
-def test_a_closer_pair_is_not_resolved_and_said_so(split: float, zeta: float) -> None:
+def test_a_closer_pair_is_reported_as_not_resolved(split: float, zeta: float) -> None:
     t = np.arange(20_000) / 1000
     f2 = 3 * (1 + zeta * split)
     seed = round(1000 * split)  # phases and angle of its own for each split

@@ -229,7 +229,7 @@ def test_every_setting_gives_the_same_answer(setting) -> None:
     assert high - low == pytest.approx(2 * 1.96 * fit.std["zeta1"], rel=0.02)
 
 
-def test_too_little_to_say_is_refused() -> None:
+def test_too_little_information_is_refused() -> None:
     t = np.arange(300) / 1000
     with pytest.raises(NotIdentifiable, match="cycles"):
         fit_ring_down(t, noisy(decay(t, 3.0, 0.01)))

@@ -93,7 +93,7 @@ def test_linear_motion_has_no_such_terms() -> None:
         assert_true_at_zero(fit)
 
 
-def test_a_line_beside_a_mode_is_no_spring() -> None:
+def test_a_line_next_to_a_mode_is_no_spring() -> None:
     t, signal = pluck(4, 1)
     line = 20e-6 * np.cos(2 * np.pi * (F[1] + 0.3) * t)
     fit = fit_ring_down(t, signal + np.column_stack([0.7 * line, line]))

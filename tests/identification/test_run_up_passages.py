@@ -220,7 +220,7 @@ def test_directions_alike_have_no_axes() -> None:
     assert np.abs(z_scores(passage, fit)).max() < 4
 
 
-def test_second_resonance_out_of_reach_is_said() -> None:
+def test_second_resonance_out_of_reach_is_reported() -> None:
     passage = Passage(ramp(0.5, 7.0, 40.0), 40.0, f_Hz=(3.0, 11.6))
     fit = passage.fit()
     assert {"f2_Hz", "zeta2", "amplitude_y_m"}.isdisjoint(fit.values)
@@ -241,7 +241,7 @@ def test_a_resonance_out_of_reach_is_found_where_ripple_passes_it(seed: int) -> 
     assert fit.std["axis_angle_deg"] < 0.006
 
 
-def test_first_resonance_left_below_is_said() -> None:
+def test_first_resonance_left_below_is_not_estimated() -> None:
     passage = Passage(ramp(3.6, 7.0, 30.0), 30.0, f_Hz=(2.0, 5.0), angle_deg=5.0)
     fit = passage.fit()
     assert "f1_Hz" not in fit.values
@@ -272,7 +272,7 @@ def test_rounding_that_beats_with_the_readings_lengthens_intervals() -> None:
     assert np.sqrt(np.mean(np.square(z), axis=0)).max() < 1.4
 
 
-def test_rounding_alone_is_told_from_noise() -> None:
+def test_rounding_alone_is_distinguished_from_noise() -> None:
     passage = Passage(ramp(2.9, 7.0, 10.0), 10.0)
     resolution = 2 * np.pi / 2048
     exact = PhaseHistory.from_samples(passage.time, passage.phase)
@@ -444,7 +444,7 @@ def test_settings_agree() -> None:
     assert high - low == pytest.approx(2 * 1.96 * fits["reference"].std["zeta1"], rel=0.1)
 
 
-def test_ten_kilohertz_say_the_same() -> None:
+def test_ten_kilohertz_give_the_same() -> None:
     slow = Passage(ramp(0.5, 7.0, 15.0), 15.0).fit()
     quick = Passage(ramp(0.5, 7.0, 15.0), 15.0, rate_Hz=10000.0, noise_m=10e-6 * 10**0.5).fit()
     assert quick.std["zeta1"] == pytest.approx(slow.std["zeta1"], rel=0.05)
@@ -519,7 +519,7 @@ def test_shapes_that_do_not_match_are_refused() -> None:
         fit_run_up(np.arange(10.0), np.zeros((9, 2)), np.zeros(10))
 
 
-def test_a_fit_that_has_not_settled_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fit_that_has_not_settled_contains_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = run_up_fit._result
 
     def unsettled(record, phase, solution, *others):
@@ -544,7 +544,7 @@ def test_jitter_of_marks_is_measured() -> None:
     assert quiet.noise_density.max() < 1e-3 * noisy.noise_density.max()
 
 
-def test_white_errors_of_marks_and_a_walk_of_the_phase_are_told_apart() -> None:
+def test_white_errors_of_marks_and_a_walk_of_the_phase_are_distinguished() -> None:
     """A passage to 900 rpm in 40 s, and a second there; mistaken, damping is four times as uncertain, or too sure."""
     rng, slope = np.random.default_rng(2), 900 * np.pi / 30 / 40
     turns = 2 * np.pi * np.arange(1, 300)

@@ -101,7 +101,7 @@ def test_run_out_is_found_and_named() -> None:
     }
 
 
-def test_a_bow_is_found_and_told_from_run_out() -> None:
+def test_a_bow_is_found_and_distinguished_from_run_out() -> None:
     truth = 90e-6 * np.exp(2.0j)
     passage = Crooked(PASSAGE, 25.0, bow_m=truth)
     fit = passage.fit()
@@ -122,7 +122,7 @@ def test_both_at_once() -> None:
 
 
 @pytest.mark.parametrize(("run_out", "bow"), [(6e-6 + 0j, 0j), (0j, 6e-6 + 0j)])
-def test_where_they_are_not_told_apart_the_interval_covers_either(run_out: complex, bow: complex) -> None:
+def test_where_they_are_not_distinguished_the_interval_covers_either(run_out: complex, bow: complex) -> None:
     quick = ramp(0.3, 7.0, 15.0)
     passage = Crooked(quick, 15.0, run_out_m=(run_out, run_out), bow_m=bow)
     fit = passage.fit()

@@ -214,7 +214,7 @@ def test_a_settled_pendulum_teaches_nothing_of_its_damping() -> None:
         assert now.std[name] / now.values[name] > 1.2  # CAUTION times the 0.5 of the start
 
 
-def test_a_flick_of_one_pendulum_is_picked_up_beside_the_other() -> None:
+def test_a_flick_of_one_pendulum_is_found_during_the_motion_of_the_other() -> None:
     campaign = Campaign(5, clock_rate_std=0.0)
     run = campaign.spin_down(
         record_s=6.0, apart_s=2.0

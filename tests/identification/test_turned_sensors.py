@@ -128,7 +128,7 @@ def test_both_clocks_are_in_what_both_sensors_show() -> None:
     }
 
 
-def test_an_angle_that_nobody_has_shown_is_that_of_the_mounting() -> None:
+def test_an_angle_that_no_test_has_shown_is_that_of_the_mounting() -> None:
     nothing = IdentifiedParameters({"zeta1": 0.02}, np.array([[1e-8]]))
     assert known_axis_angle(nothing, load_rig("virtual")) == (0.0, 1.0)
     ends = ("x.direction_deg=-45", "y.direction_deg=45", "y.direction_std_deg=3")

@@ -97,7 +97,7 @@ def test_a_session_is_shown_stopped_and_its_log_whole(
         assert log.metadata["foxglove"] == {"deviceName": "virtual", "deviceId": "virtual"}
 
 
-def test_a_session_that_has_ended_is_said_to_have_and_takes_nothing_more(
+def test_a_session_that_has_ended_is_shown_as_ended_and_takes_nothing_more(
     virtual_rig: VirtualRigProcess, plugged: Rig, tmp_path: Path
 ) -> None:
     with LivePage(plugged, None, "rig file", virtual_rig.clock.rate, "here") as page:
@@ -154,7 +154,7 @@ def test_a_page_that_was_killed_does_not_end_the_session(
         session.wait_for(lambda: len(session.newest("laser/x", (), 0.5)[0]) > 100, 5.0, "samples")
 
 
-def test_a_port_that_is_taken_is_said_before_a_device_is_opened() -> None:
+def test_a_port_that_is_taken_is_reported_before_a_device_is_opened() -> None:
     with bound("", 0) as taken, pytest.raises(LiveError, match=r"the live page: .*another port"):
         LivePage(load_rig("virtual"), None, "", 1.0, "", "", taken.getsockname()[1]).__enter__()
 

@@ -125,7 +125,7 @@ def test_a_connection_that_was_killed_does_not_end_the_session(virtual_rig: Virt
         session.wait_for(lambda: len(session.newest("laser/x", (), 0.5)[0]) > 100, 5.0, "samples")
 
 
-def test_a_port_that_is_taken_is_said_before_a_device_is_opened() -> None:
+def test_a_port_that_is_taken_is_reported_before_a_device_is_opened() -> None:
     with bound("", 0) as taken, pytest.raises(LiveError, match=r"connection for Foxglove: .*another port"):
         FoxgloveConnection(load_rig("virtual"), 1.0, taken.getsockname()[1], (), print).__enter__()
 
@@ -148,7 +148,7 @@ def test_every_sample_is_handed_over_once_and_new_ones_are_kept_back() -> None:
     assert newest.left_out == 0
 
 
-def test_what_nobody_took_for_long_is_left_out_and_counted() -> None:
+def test_what_no_viewer_took_for_long_is_left_out_and_counted() -> None:
     recent, newest = Recent(1e3), Newest({"tacho": ("revolutions",)})
     most = int(MOST_S * 1e9)
     recent.add(_batch([10]))
@@ -168,7 +168,7 @@ def test_events_wait_for_the_samples_of_their_time() -> None:
     assert [(block.time_ns.tolist(), json.loads(block.data)) for block in late.blocks] == [([150], note)]
 
 
-def test_only_what_somebody_wants_is_packed() -> None:
+def test_only_subscribed_channels_are_packed() -> None:
     packing = Packing({"tacho": TACHO})
     batch = _batch([10, 20])
     note = ("events", 15, {"kind": "note"})

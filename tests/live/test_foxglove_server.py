@@ -281,7 +281,7 @@ def test_what_is_no_more_wanted_does_not_come(server: FoxgloveServer, played: Lo
     assert [m[1:3] for m in came] == [m[1:3] for m in others]
 
 
-def test_the_clock_goes_back_only_when_somebody_sought(server: FoxgloveServer, played: LogMessages, log: Log) -> None:
+def test_the_clock_goes_back_only_after_a_seek(server: FoxgloveServer, played: LogMessages, log: Log) -> None:
     start_ns = int(log["motor"].time_ns[50])
     with _client(server) as line:
         _subscribed(line, "motor")

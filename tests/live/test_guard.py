@@ -107,7 +107,7 @@ def _status(place: str, host: str = OURS, origin: str | None = ORIGIN, query: st
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("host", [OURS, "localhost:8123", "[::1]:8123", "LOCALHOST:8123"])
-def test_whoever_has_host_origin_and_token_gets_in(place: str, host: str) -> None:
+def test_a_client_with_host_origin_and_token_gets_in(place: str, host: str) -> None:
     assert _status(place, host, f"http://{host}") == 200
 
 

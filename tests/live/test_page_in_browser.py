@@ -62,7 +62,7 @@ def test_every_panel_draws_what_the_log_holds(page: Page, serving: Serving, repl
             assert drawn >= 25, f"{selector}: {drawn} pixels of {ink}"
 
 
-def test_the_bode_plot_says_what_it_compares_and_tells_x_from_y_in_grey(
+def test_the_bode_plot_states_what_it_compares_and_x_differs_from_y_in_grey(
     page: Page, serving: Serving, replayed: Replayed
 ) -> None:
     _opened(page, serving, replayed, 20.0)

@@ -71,7 +71,7 @@ def test_a_ramp_is_known_by_the_tests_numbers(facts: dict[str, object], wanted: 
     assert SpeedRamp.of(facts) == wanted
 
 
-def test_the_page_is_told_the_numbers_of_the_test_that_runs() -> None:
+def test_the_page_receives_the_numbers_of_the_test_that_runs() -> None:
     controls = Controls()
     controls.status = GuidedTestStatus("run-up", "ramp", numbers={"top_rpm": TOP_RPM, "duration_s": 40.0})
     assert SpeedRamp.of(Asking(controls).facts()) == SpeedRamp(0.0, TOP_RPM, 40.0)

@@ -28,7 +28,7 @@ def test_the_click_halts_the_drive_and_the_run_ends_whole(page: Page, tmp_path: 
     assert 0 < min(late_s) < WITHIN_S, late_s
 
 
-def _says_that_it_ended(page: Page, log: str) -> None:
+def _shows_that_it_ended(page: Page, log: str) -> None:
     """The server has ended: the page keeps its last state and offers no command any more."""
     expect(page.locator("#link")).to_have_text("run ended", timeout=5_000)
     expect(page.locator("#test .step")).to_have_text(f"run ended: {log}")
@@ -68,7 +68,7 @@ def _from_click_to_command_s(page: Page, tmp_path: Path) -> float:
             expect(page.locator("#alert")).to_contain_text("stopped by the button of the live page", timeout=5_000)
             rest, output = running.communicate(timeout=60)
             (path,) = tmp_path.glob("*.mcap")
-            _says_that_it_ended(page, path.name)
+            _shows_that_it_ended(page, path.name)
         finally:
             running.kill()
             running.wait()

@@ -91,7 +91,7 @@ def test_a_new_speed_does_not_move_the_instant() -> None:
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1e6, math.nan, math.inf])
-def test_a_speed_that_is_none_is_refused(speed: float) -> None:
+def test_an_invalid_speed_is_refused(speed: float) -> None:
     transport, _ = made()
     with pytest.raises(ValueError, match="expected a speed"):
         transport.set_speed(speed)

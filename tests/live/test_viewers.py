@@ -59,7 +59,7 @@ def test_a_viewer_that_answers_nothing_gets_no_more_than_a_few(serving: Serving)
         assert serving.page._viewers[1].sent >= 40
 
 
-def test_a_replay_waits_at_its_beginning_until_somebody_looks(point_log: Path) -> None:
+def test_a_replay_waits_at_its_beginning_until_a_viewer_looks(point_log: Path) -> None:
     with open_log(point_log) as log:
         source = Replayed(log, rig_of(log))
     with Serving(source, LiveModel(source.signals.rig)) as serving:
@@ -86,7 +86,7 @@ def test_one_that_wakes_up_sees_the_newest_picture(serving: Serving, replayed: R
         assert [frame["now_s"] for frame in seen] == [5.0] * MOST_UNANSWERED + [30.0]
 
 
-def test_a_viewer_that_is_gone_is_forgotten(serving: Serving) -> None:
+def test_a_viewer_that_is_gone_is_dropped(serving: Serving) -> None:
     with _viewer(serving) as line:
         _frames(line, 2)
     deadline = time.monotonic() + WAIT_S
@@ -172,7 +172,7 @@ def test_what_a_log_cannot_do_is_refused_with_a_reason(serving: Serving, replaye
     assert replayed.transport.at() == 7.0
 
 
-def test_files_beside_the_page_are_not_served(serving: Serving) -> None:
+def test_files_next_to_the_page_are_not_served(serving: Serving) -> None:
     parts = urlsplit(serving.url)
     for path in ("/page/../server.py", "/page/%2e%2e/server.py", "/page/index.html", "/page/nothing.js", "/nothing"):
         connection = HTTPConnection(parts.netloc, timeout=WAIT_S)

@@ -12,7 +12,7 @@ from reproduction.items import balancing_regions
 from tests.reproduction.judged import column, made, verdicts
 
 
-def test_regions_are_where_releases_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_regions_are_where_releases_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(balancing_regions, "GRID", 6)
     monkeypatch.setattr(balancing_regions, "STEP", 0.3)
     found = made("3.2", tmp_path)

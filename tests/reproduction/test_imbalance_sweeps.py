@@ -25,7 +25,7 @@ def _few(module, name: str, monkeypatch: pytest.MonkeyPatch, moments: tuple[floa
     monkeypatch.setattr(module, name, replace(series, recorded_kg_m=moments, count=count))
 
 
-def test_the_truth_is_what_the_file_says() -> None:
+def test_the_truth_is_what_the_file_states() -> None:
     settings = ("imbalance.radius_m=0.03", "suspension.zeta1=0.01")
     found = load_rig("isotropic", settings=list(as_stated("isotropic", settings)))
     assert found.true_physics == found.physics

@@ -57,14 +57,14 @@ def test_a_level_shows_lines_from_it_on() -> None:
     assert "too detailed" not in shown
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="a pipe that nobody reads is made with os.pipe and dup2")
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe without a reader is made with os.pipe and dup2")
 def test_a_held_terminal_delays_no_caller_and_no_end() -> None:
     """Standard error is a full pipe that is never read; the program logs a megabyte and ends."""
     held = (
-        "ours, theirs = os.pipe(); said = os.dup(2); os.dup2(theirs, 2)\n"
+        "ours, theirs = os.pipe(); standard = os.dup(2); os.dup2(theirs, 2)\n"
         "show_log('debug'); log = logging.getLogger('daq.x')\n"
         "for number in range(10_000): log.debug('%d %s', number, 'x' * 100)\n"
-        "os.write(said, b'all logged')\n"
+        "os.write(standard, b'all logged')\n"
     )
     assert run(held) == "all logged"
 

@@ -58,7 +58,7 @@ def test_quick_run_gives_keys_figures_and_small_true_errors(capsys: pytest.Captu
     )
 
 
-def test_identification_writes_every_service_beside_peers(
+def test_identification_writes_every_service_next_to_peers(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from identification.bench import precision

@@ -53,7 +53,7 @@ def test_what_is_no_file_is_refused_without_waiting_for_it(
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
-def test_a_list_of_logs_mentions_what_is_none(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_list_of_logs_mentions_what_is_not_a_log(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     os.mkfifo(folder / "good.mcap.verdict.json")
     try:
         assert run(["logs", str(folder), "--json"]) == 0

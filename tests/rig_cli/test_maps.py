@@ -86,7 +86,7 @@ def test_a_store_is_replaced(capsys: pytest.CaptureFixture[str], tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["m.zarr"]
 
 
-def test_words_say_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
+def test_words_state_what_was_found(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, err = run_rig(
         capsys, "map", "virtual", "--x", "imbalance.radius_m=0.06:0.075:12", "--y", DAMPING, "--speed-ratio", "1.6"
     )
@@ -150,7 +150,7 @@ def test_the_usual_plane_and_any_other_agree() -> None:
     assert same_speed == pytest.approx(speed)
 
 
-def test_a_speed_beside_the_axes_is_taken() -> None:
+def test_a_speed_in_addition_to_the_axes_is_taken() -> None:
     axes = read_axis("--x", "suspension.zeta1=0.01:0.1:3"), read_axis("--y", "suspension.k2_N_per_m=1e4:4e4:3")
     rig, _, speed = plane(axes, ["suspension.zeta2=0.03"], 31.0).one(0.05, 2e4)
     assert (rig.zeta1, rig.zeta2, rig.k2_N_per_m, speed) == (0.05, 0.03, 2e4, 31.0)

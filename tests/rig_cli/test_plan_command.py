@@ -44,7 +44,7 @@ def test_what_cannot_be_reached_is_reported_with_its_reason(capsys: pytest.Captu
     assert json.loads(out)["wants"]["SP_kg_m"]["limited_by"] == "gain"
 
 
-def test_identified_parameters_are_what_is_believed(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_identified_parameters_are_the_prior_estimates(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     IdentifiedParameters({"zeta1": 0.1}, np.array([[1e-8]])).save(tmp_path / "p.toml")
     _, out, _ = run_rig(
         capsys, "plan", "virtual", "--want", "zeta1=0.001", "--parameters", str(tmp_path / "p.toml"), "--json"

@@ -197,7 +197,7 @@ def test_a_trip_stands_on_the_page_with_all_its_reasons(capsys: pytest.CaptureFi
         {"excerpt": {"x": {"y_m": {"t_ms": [0] * 4, "value": [1] * 4}}}, "from_ms": 5, "until_ms": 9},
     ],
 )
-def test_a_page_is_printed_whatever_a_trip_s_event_holds(
+def test_a_page_is_printed_for_any_content_of_a_trip_s_event(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, hostile: dict
 ) -> None:
     assert "\ntrip " in page(capsys, tmp_path / "a.mcap", hostile)

@@ -141,7 +141,7 @@ def test_a_setting_is_laid_over_or_refused_in_words(key: str, value: str) -> Non
         ("pendulums.pivot_shift_compensated=*2", "expected a number at"),
     ],
 )
-def test_what_is_no_number_is_refused(setting: str, words: str) -> None:
+def test_a_value_that_is_not_a_number_is_refused(setting: str, words: str) -> None:
     with pytest.raises(RigFileError, match=words) as caught:
         load_rig("virtual", settings=[setting])
     assert len(str(caught.value)) < 1000

@@ -104,13 +104,13 @@ def test_settings_are_absolute_or_relative() -> None:
     assert parse_setting("a.b=text here") == ("a.b", "text here")
 
 
-def test_truth_follows_the_rig_file_where_it_says_nothing() -> None:
+def test_truth_follows_the_rig_file_where_it_states_nothing() -> None:
     rig = load_rig("virtual", settings=["pendulums.b.mass_kg=0.070"])
     assert rig.true_physics.b.mass_kg == 0.070
     assert rig.true_physics.k1_N_per_m != rig.physics.k1_N_per_m
 
 
-def test_a_snapshot_knows_no_simulation() -> None:
+def test_a_snapshot_contains_no_simulation() -> None:
     snapshot = load_rig("virtual").snapshot_json()
     assert b"truth" not in snapshot
     assert b"0.0208" not in snapshot
@@ -209,7 +209,7 @@ def test_identified_values_lie_over_a_rig_that_was_loaded_with_relative_settings
     assert physics.imbalance_moment_kg_m == pytest.approx(2.6e-3)
 
 
-def test_a_fault_of_the_whole_rig_is_told_in_its_own_words() -> None:
+def test_a_fault_of_the_whole_rig_is_reported_in_its_own_words() -> None:
     with pytest.raises(RigFileError) as refused:
         load_rig("virtual", settings=["suspension.k1_N_per_m=1e-300"])
     assert str(refused.value) == "virtual.toml: k1_N_per_m must lie in 1e-15 … 1e+15, got 1e-300"

@@ -89,7 +89,7 @@ def test_threads_take_turns_the_same_way_each_time() -> None:
     assert all(beats(1.0) == first for _ in range(5))
 
 
-def test_a_thread_of_somebody_else_keeps_the_real_time() -> None:
+def test_a_foreign_thread_keeps_the_real_time() -> None:
     slept: list[float] = []
     go = threading.Event()
 

@@ -42,7 +42,7 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> TileFolder:
     return folder
 
 
-def test_a_campaign_knows_what_it_found_and_what_is_true(campaigns: TileFolder) -> None:
+def test_a_campaign_contains_what_it_found_and_what_is_true(campaigns: TileFolder) -> None:
     found = CampaignResults.of(campaigns)
     assert found.failed == {}
     z = found.parameter_z()
@@ -71,7 +71,7 @@ def test_more_campaigns_go_on_from_those_there_are(campaigns: TileFolder) -> Non
     assert other.name_of(0) != before.name_of(0)
 
 
-def test_a_campaign_that_cannot_be_run_says_why_and_the_others_count(campaigns: TileFolder, tmp_path: Path) -> None:
+def test_a_campaign_that_cannot_be_run_contains_why_and_the_others_count(campaigns: TileFolder, tmp_path: Path) -> None:
     study = campaign_study(with_one_point(), ["limits.speed_rpm=100"], 4, 1)
     folder = TileFolder(tmp_path, study)
     run_study(folder, Threads())

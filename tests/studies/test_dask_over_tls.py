@@ -79,7 +79,7 @@ def test_certificates_on_both_sides_give_the_bytes_of_this_process(
     assert not any("not encrypted" in text for text in messages)
 
 
-def test_without_certificates_it_says_what_to_set(tmp_path: Path) -> None:
+def test_without_certificates_the_error_states_what_to_set(tmp_path: Path) -> None:
     with pytest.raises(StudyInputError, match="expected certificates, none are set; set DASK_DISTRIBUTED__COMM__TLS"):
         DaskWorkers("tls://127.0.0.1:9", print)
     with (

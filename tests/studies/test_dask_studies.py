@@ -183,7 +183,7 @@ def test_workers_with_other_sources_are_refused(processes: DaskProcesses, tmp_pa
         run_study(folder, DaskWorkers(processes.address, lambda text: None))
 
 
-def test_nobody_there_is_said_with_what_to_do(tmp_path: Path) -> None:
+def test_a_missing_scheduler_is_reported_with_what_to_do(tmp_path: Path) -> None:
     folder, messages = TileFolder(tmp_path / "tiles", small_map()), list[str]()
     engine = DaskWorkers(f"tcp://127.0.0.1:{free_port()}", messages.append, patience_s=1.0)
     with pytest.raises(EngineLost, match="start one with `dask scheduler` and give the same command again"):

@@ -139,6 +139,6 @@ def test_a_question_differs_by_all_that_decides_its_answer() -> None:
 
 
 @pytest.mark.parametrize("text", ["local", "local:0", "local:x", "local:-1", "10.0.0.1:8786", "http://a:1", ""])
-def test_an_engine_that_is_none_says_what_was_expected(text: str) -> None:
+def test_an_unknown_engine_is_refused_with_what_was_expected(text: str) -> None:
     with pytest.raises(StudyInputError, match=r"expected local:N .* or a scheduler's address"):
         engine_of(text, ignore)

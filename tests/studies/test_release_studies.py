@@ -129,7 +129,7 @@ def test_the_command_refines_by_other_processes(tmp_path: Path, capsys: pytest.C
     assert not (tmp_path / "r.npz.tiles").exists()
 
 
-def test_the_command_writes_draws_and_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_draws_and_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = tmp_path / "s.npz", tmp_path / "s.html"
     plane = ["--x", "speed_ratio=4.5:6:3", "--y", "stiffness_ratio=4:8:2"]
     written = ["-o", str(files[0]), "--plot", str(files[1])]

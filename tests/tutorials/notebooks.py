@@ -1,7 +1,7 @@
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 """The tutorials: executed in a kernel of their own, and held against what they may use and what is stored in them.
 
-python -m tests.tutorials.notebooks            # all of docs/tutorials anew, outputs kept in the files
+python -m tests.tutorials.notebooks            # all of docs/tutorials again, outputs kept in the files
 python -m tests.tutorials.notebooks first_campaign
 """
 
@@ -31,7 +31,7 @@ from PIL import Image
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "tutorials"
 PACKAGES = ("analysis", "daq", "dynamics", "identification", "rig_configs", "rig_testing", "uncertainty")
-"""Packages whose public names a tutorial may use; what else is the project's is none of its business."""
+"""Packages whose public names a tutorial may use; other packages of the project are not for tutorials."""
 OURS = (*PACKAGES, "benchmarks", "rig_cli", "live", "tests")
 VARIES = "varies"
 DIGEST = "executed_sources_sha256"
@@ -116,7 +116,7 @@ def executed(notebook: NotebookNode, folder: Path) -> NotebookNode:
 
 @contextmanager
 def _own_settings(folder: Path) -> Iterator[None]:
-    """Nobody's own IPython or Jupyter settings have a say, and the kernel's debugger is silent."""
+    """Exclude the user's IPython and Jupyter settings and silence the kernel's debugger."""
     ours = {
         "IPYTHONDIR": str(folder / ".ipython"),
         "JUPYTER_CONFIG_DIR": str(folder / ".jupyter"),
@@ -174,7 +174,7 @@ def _root(module: str) -> str:
 
 
 def _public(module: str) -> Sequence[str]:
-    """The names that a package (not a module in it) says are public."""
+    """Return the public names of a package; a module in a package has none."""
     if _root(module) not in PACKAGES or any(part.startswith("_") for part in module.split(".")):
         return ()
     home = importlib.import_module(module)
@@ -212,7 +212,7 @@ def complaints_printed(notebook: NotebookNode) -> list[str]:
 
 
 def machine_paths(notebook: NotebookNode) -> list[str]:
-    """Places of somebody's machine in outputs and texts."""
+    """Return the lines of outputs and texts that contain a path of one machine."""
     texts = [cell.source for cell in notebook.cells]
     for cell in code_cells(notebook):
         for output in cell.outputs:
@@ -221,15 +221,15 @@ def machine_paths(notebook: NotebookNode) -> list[str]:
 
 
 def main(names: Sequence[str]) -> int:
-    """Execute tutorials anew and keep their outputs."""
+    """Execute tutorials again and keep their outputs."""
     from dynamics.compiled_code import keep_compiled_code
 
     keep_compiled_code()
     for path in [FOLDER / f"{name}.ipynb" for name in names] or tutorials():
         with tempfile.TemporaryDirectory() as folder:
             fresh = executed(read(path), Path(folder))
-        if said := complaints_printed(fresh):
-            print(f"{path.name}: not kept, for it complains: {'; '.join(said)}", file=sys.stderr)
+        if complaints := complaints_printed(fresh):
+            print(f"{path.name}: not kept, for it complains: {'; '.join(complaints)}", file=sys.stderr)
             return 1
         nbformat.write(fresh, path)
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1e3:.0f} kB")

@@ -28,7 +28,7 @@ from tests.tutorials.notebooks import (
 
 LARGEST_BYTES = 500_000
 each = pytest.mark.parametrize("path", tutorials(), ids=lambda path: path.stem)
-ANEW = "run `make tutorials`, look at the outputs, and commit them"
+TO_RENEW = "run `make tutorials`, look at the outputs, and commit them"
 
 
 def test_there_is_one_for_each_reader() -> None:
@@ -42,14 +42,14 @@ def test_it_runs_without_a_warning_and_gives_what_is_stored(path: Path, tmp_path
     fresh = executed(notebook, tmp_path)
     assert complaints_printed(fresh) == []
     for number, (stored, now) in enumerate(zip(code_cells(notebook), code_cells(fresh), strict=True), 1):
-        assert kinds(stored) == kinds(now), f"{path.name}, code cell {number}: stored outputs are stale: {ANEW}"
+        assert kinds(stored) == kinds(now), f"{path.name}, code cell {number}: stored outputs are stale: {TO_RENEW}"
 
 
 @each
 def test_what_is_stored_came_from_this_code_in_order(path: Path) -> None:
     notebook = read(path)
     cells = code_cells(notebook)
-    assert notebook.metadata.get(DIGEST) == sources_digest(notebook), f"{path.name}: the code has changed: {ANEW}"
+    assert notebook.metadata.get(DIGEST) == sources_digest(notebook), f"{path.name}: the code has changed: {TO_RENEW}"
     assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
     assert complaints_printed(notebook) == []
     assert machine_paths(notebook) == []

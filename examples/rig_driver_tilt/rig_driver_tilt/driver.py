@@ -40,13 +40,13 @@ class SimulatedTilt(FarEnd):
 
     def __init__(self, settings: Tilt, clock: Any) -> None:
         self._height_m, self._clock = settings.height_m, clock
-        self._told, self._sends = b"", False
+        self._received, self._sends = b"", False
         self._next: int | None = None
 
     def receive(self, data: bytes, now_s: float) -> bytes:
         """Commands, cut anywhere."""
-        *commands, self._told = (self._told + data).split(b"\n")
-        self._told = self._told[-line.LONGEST :]
+        *commands, self._received = (self._received + data).split(b"\n")
+        self._received = self._received[-line.LONGEST :]
         out = b""
         for command in commands:
             if command == b"ID?":
@@ -70,7 +70,7 @@ class SimulatedTilt(FarEnd):
 
 
 class PlayedTilt(PlayedDevice):
-    """The device of a log while it is played: answers who it was, and is silent until it is told to send."""
+    """The device of a log while it is played: answers with its identity, and is silent until it receives START."""
 
     expects = "START"
 
@@ -123,7 +123,7 @@ class TiltDriver(PlainDriver):
         return PlayedTilt(identity)
 
     def open(self, device: str, settings: Tilt, talk: Talk) -> dict[str, Any]:
-        """Ask who it is, forget what came of a stream before, start."""
+        """Query the identity, drop the rest of an earlier stream, start."""
         talk.send(b"STOP\nID?\n")
         try:
             _, model, serial = talk.replies.get(timeout=_ANSWER_S).split(" ")

@@ -47,7 +47,7 @@ class TiltPipeline:
                 self._last = found
             elif found is not None:
                 out.append(DeviceEvent("reply", self._device, found))
-            elif self._heard:  # the first line may have begun before anybody listened
+            elif self._heard:  # the first line may have begun before the port was open
                 self.losses["damaged_lines"] += 1
                 out.append(DeviceEvent("damage", self._device, "a damaged line was dropped", {"lines": 1}))
             self._heard = True
