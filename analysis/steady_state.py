@@ -332,11 +332,11 @@ def _quantisation(angle: Array, step: float) -> float:
 def _orders(run: Run, time: Array, values: Array, start: float, end: float, name: str) -> tuple[Complex, float]:
     """Return complex amplitudes of orders 1 to 3 in an interval, shape (3,), and the standard deviation of order 1."""
     inside = (time >= start) & (time <= end)
-    psi = np.interp(time[inside], run.mark_time_s, run.mark_phase_rad)
-    speed = (psi[-1] - psi[0]) / (end - start) if inside.sum() > 1 else 0.0
-    turns = max(1, int((end - start) * speed / (2 * np.pi) / 6))
     if np.isfinite(values[inside]).sum() < 0.3 * max(inside.sum(), 200):
         raise NotEnoughData(f"laser {name}: too few valid samples in the last {end - start:.1f} s")
+    psi = np.interp(time[inside], run.mark_time_s, run.mark_phase_rad)
+    speed = (psi[-1] - psi[0]) / (end - start)
+    turns = max(1, int((end - start) * speed / (2 * np.pi) / 6))
     try:
         track = order_track(time[inside], values[inside], psi, (1, 2, 3), revolutions=turns)
     except (ValueError, np.linalg.LinAlgError) as error:

@@ -170,25 +170,29 @@ def mutations(path: Path) -> Iterator[tuple[str, int, int, int]]:
 
 
 def _not_executed(tree: ast.Module) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Spans of annotations, of blocks for type checkers, and of code for speed or against programming errors alone.
+    """Spans of annotations, of blocks and protocols for type checkers, of code for speed or against programming errors.
 
     Annotations with calls are executed: pydantic's limits of a number.
     """
-    nodes: list[ast.expr | ast.If] = []
+    nodes: list[ast.expr | ast.stmt] = []
+    spans: list[tuple[tuple[int, int], tuple[int, int]]] = []
     for node in ast.walk(tree):
         for decorator in getattr(node, "decorator_list", ()):
             if ast.unparse(decorator).startswith(FOR_SPEED):
-                nodes.append(decorator)
+                end = (decorator.end_lineno or 0, decorator.end_col_offset or 0)
+                spans.append(((decorator.lineno, 0), end))  # cosmic-ray's position of a decorator is its `@`
         if isinstance(node, ast.keyword) and node.arg in PROTECTIONS:
             nodes.append(node.value)
         if isinstance(node, ast.arg | ast.AnnAssign) and node.annotation:
             nodes.append(node.annotation)
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.returns:
             nodes.append(node.returns)
-        elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+        elif (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING") or (
+            isinstance(node, ast.ClassDef) and any(ast.unparse(base).startswith("Protocol") for base in node.bases)
+        ):
             nodes.append(node)
-    nodes = [node for node in nodes if isinstance(node, ast.If) or not _is_limit(node)]
-    return [((n.lineno, n.col_offset), (n.end_lineno or 0, n.end_col_offset or 0)) for n in nodes]
+    nodes = [node for node in nodes if isinstance(node, ast.stmt) or not _is_limit(node)]
+    return spans + [((n.lineno, n.col_offset), (n.end_lineno or 0, n.end_col_offset or 0)) for n in nodes]
 
 
 def _is_limit(node: ast.expr) -> bool:

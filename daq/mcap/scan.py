@@ -377,7 +377,7 @@ def chunk_indexes(
         map_bytes = np.int64(_four(block, at + 32))
         name_at = at + 36 + map_bytes + 8
         n = map_bytes // 10
-        if map_bytes != 10 * n or name_at + 4 > end or entry + n > len(channels):
+        if map_bytes % 10 or name_at + 4 > end or entry + n > len(channels):
             return BROKEN
         name_bytes = np.int64(_four(block, name_at))
         behind = np.int64(_eight(block, name_at - 8))

@@ -109,6 +109,7 @@ def test_sentences_round_to_the_smaller_uncertainty() -> None:
         "x amplitude 1.250000 ± 0.000003 mm measured against 1.200000 ± 0.000001 mm predicted, z = -4.5"
     )
     noise = Score(6.14, 3.2e-6, 1e-6, 0.0, 0.0, (1.24e-6, 0.5e-6), 41.26, 1e-8)
+    assert sentence("amplitude", replace(noise, measured=0.02)).startswith("rms amplitude 20000.00 µm measured where")
     assert sentence("amplitude", noise) == (
         "rms amplitude 3.20 µm measured where none is predicted, noise of 1.2 and 0.5 µm alone gives χ² = 41.3 on 4, "
         "z = 6.1"
@@ -260,6 +261,7 @@ def test_each_question_has_its_own_limit() -> None:
     together = made(0.0049, {"A": 0.5}, {})
     assert not together.passed
     assert together.why == "all points together differ from the model: χ² 20 on 10, p = 0.0049"
+    assert made(0.5, {"A": 1e-3}, {}).failing_points == ()  # at the limit
     point = made(0.5, {"A": 0.5, "B": 0.9e-3, "C release": 1e-9}, {})
     assert (point.passed, point.failing_points) == (False, ("B", "C release"))
     assert point.why == "point B, C release differs: χ² 20 on 10, p = 0.5"
@@ -844,6 +846,9 @@ def test_a_point_is_judged_by_its_log(rig: Rig, measured_as: Any) -> None:
     elsewhere = validate_point(log("point-Z", 0.0), rig, identified())
     assert elsewhere.expected is None
     assert elsewhere.because == ""
+    for kind, predicted in (("II", "III"), ("III", "II")):
+        measured_as(measurement(state=kind), prediction(state=SimpleNamespace(type=predicted)))
+        assert validate_point(log("point-Z", 0.0), rig, identified()).because == "bow 60 False"
 
 
 @pytest.mark.parametrize("kind", [Validation, Score, Statistic, Agreement, CauseStatistics, Overall, _Case])

@@ -199,6 +199,7 @@ def test_message_indexes_are_read_up_to_another_record() -> None:
     assert indexed(both[:-1])[:2] == (len(first), [[0x1234, 2]])
     assert indexed(both, room=1)[:2] == (len(first), [[0x1234, 2]])
     assert indexed(index(7, [])) == (15, [[7, 0]], [2**64 - 1, 0], -1)
+    assert indexed(index(7, [(40, 1)]))[2] == [40, 40]
     assert indexed(index(7, [])[:14])[:2] == (0, [])
     for size in (15, 17, 0):
         assert indexed(index(7, [(40, 3)], size))[:2] == (0, [])

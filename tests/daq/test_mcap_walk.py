@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from daq.errors import LogError
 from daq.mcap.checksum import crc32
 from daq.mcap.contents import Contents
 from daq.mcap.file_bytes import FileBytes
@@ -112,6 +113,15 @@ def test_many_messages_outside_of_chunks_are_kept_in_series_of_about_4_MiB(tmp_p
     assert found.table.length.tolist() == [4 * len(each), 2 * len(each)]
 
 
+def test_two_like_series_of_messages_outside_of_chunks_are_both_kept(tmp_path: Path) -> None:
+    """Without a CRC only chunks can show that the same bytes were copied over others."""
+    facts = metadata("facts", {"a": "b"})
+    data = FRONT + LOOSE + facts + LOOSE + data_end()
+    found = walked(tmp_path, data + ending(data, b""))
+    assert (found.counts, found.missing) == ({1: 4, 2: 2}, [])
+    assert found.table.start.tolist() == [len(FRONT), len(FRONT + LOOSE + facts)]
+
+
 def test_messages_outside_of_chunks_are_left_out_where_there_are_chunks(tmp_path: Path) -> None:
     inner = message(1, 40) + message(1, 50)
     data = FRONT + LOOSE + chunk(inner, 40, 50) + data_end()
@@ -175,6 +185,23 @@ def test_bytes_after_the_end_do_not_belong_to_the_log(tmp_path: Path) -> None:
     ]
 
 
+def test_the_statistics_of_other_writers_need_no_crc(tmp_path: Path) -> None:
+    data = FRONT + LOOSE + data_end()
+    found = walked(tmp_path, data + ending(data, channel(1, "a") + statistics(4, {1: 2, 2: 2})))
+    assert faults(found) == [("the statistics count 4 messages", None, None, 1)]
+
+
+def test_a_summary_that_the_disk_does_not_read_again_is_damaged(tmp_path: Path) -> None:
+    class Failing(FileBytes):
+        def crc(self, start: int, end: int, crc: int = 0) -> int:
+            raise LogError(f"expected {end - start} bytes at byte {start}, the disk cannot read them")
+
+    data = FRONT + LOOSE + data_end()
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data + ending(data, channel(1, "a") + statistics(3, {1: 2, 2: 1}), None))
+    assert [place.text.partition(":")[0] for place in walk(Failing(path)).missing] == ["the summary cannot be used"]
+
+
 @pytest.mark.parametrize(("crc", "usable"), [(0, True), (None, True), (1, False)])
 def test_a_summary_with_another_crc_cannot_be_used(tmp_path: Path, crc: int | None, usable: bool) -> None:
     data = FRONT + LOOSE + data_end()
@@ -207,6 +234,28 @@ def test_metadata_are_kept_by_name(tmp_path: Path) -> None:
     found = walked(tmp_path, data + ending(data, b""))
     assert found.metadata == {"one": {"a": "b"}, "two": {"c": "d"}}
     assert "1 metadata records" in [place.text.partition(" without")[0] for place in found.unchecked]
+
+
+def test_metadata_of_more_than_64_MiB_are_damage(tmp_path: Path) -> None:
+    path, size = tmp_path / "a.mcap", 64 * 2**20
+    with path.open("wb") as file:
+        file.write(FRONT + struct.pack("<BQ", 12, size))
+        file.seek(size, 1)  # a hole
+        file.write(LOOSE + data_end() + ending(b"", b""))
+    place = walk(FileBytes(path)).missing[0]
+    assert place.text == f"metadata of {size + 9} bytes"
+    assert place.byte_start == len(FRONT)
+
+
+def test_the_search_for_intact_records_never_returns_to_an_earlier_place(tmp_path: Path) -> None:
+    """An index of 8 bytes has the head of one, so that the search stops at it; the next search begins behind it."""
+    first, last = chunk(INNER, 10, 30), chunk(message(2, 99), 99, 99)
+    broken = bytes(2**22) + record(7, struct.pack("<HI", 1, 8) + bytes(8))
+    data = FRONT + first + broken + last + data_end()
+    found = walked(tmp_path, data + ending(data, b""))
+    assert found.counts == {1: 2, 2: 2}
+    assert found.table.start.tolist() == [len(FRONT), len(FRONT + first + broken)]
+    assert [place[1:3] for place in faults(found)] == [(len(FRONT + first), len(FRONT + first + broken))]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,8 @@ from tests.daq.test_mcap_walk import (
     indexes,
     message,
     metadata,
+    record,
+    text,
 )
 
 BAD = chunk(INNER, 10, 30, crc=5) + indexes(c1=[(10, 0), (30, 70)], c2=[(20, 35)])
@@ -56,6 +59,13 @@ def test_the_new_log_states_what_was_kept_and_what_is_missing(tmp_path: Path) ->
         "origin_library": "another program",
     }
     assert {key: facts[key] for key in expected} == expected
+
+
+def test_a_channel_without_definition_has_no_schema(tmp_path: Path) -> None:
+    schema = record(3, struct.pack("<H", 1) + text("one") + text("") + struct.pack("<I", 0))
+    new = walk(FileBytes(recover(made(tmp_path, schema, GOOD)).path)).definitions
+    assert list(new.schemas) == [1]
+    assert (new.channels[3].topic, new.channels[3].schema_id) == ("unknown/3", 0)
 
 
 def test_an_unknown_number_of_missing_messages_is_unknown(tmp_path: Path) -> None:

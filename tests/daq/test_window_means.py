@@ -196,6 +196,21 @@ def test_order_one_of_lasers_with_its_noise() -> None:
     assert orbit.edges_s[-1] == pytest.approx([20.0 - WINDOW_S, 20.0])
 
 
+def test_noise_near_order_one_is_in_the_noise_of_its_vector() -> None:
+    """A drift of x with a spectrum that falls with the square of the frequency; without it, white noise alone."""
+    t = np.arange(0.0, 20.0, 1 / 2000)
+    steps = 1e-6 * np.random.default_rng(11).standard_normal(len(t))
+    drift = np.convolve(steps, np.exp(-np.arange(2000) / 400))[: len(t)]
+    x = displacement(t, X, 1e-7, 5) + drift
+    times, phase = marks(20.0)
+    edges = whole_revolutions(times, phase, 1.0, 30)
+    found = orbit_means(t, x, t, displacement(t, Y, 1e-7, 6), times, phase, edges, 9)
+    assert found is not None
+    assert found.coloured
+    assert found.noise[:2] == pytest.approx(found.means[:, :2].std(axis=0), rel=0.6)
+    assert found.noise[2:] == pytest.approx([1e-7 * math.sqrt(2 / 2240)] * 2, rel=0.1)
+
+
 def test_both_lasers_must_have_samples() -> None:
     t = np.arange(0.0, 20.0, 1e-3)
     times, phase = marks(20.0)
@@ -225,6 +240,8 @@ def test_covariance_of_windows_that_meet_and_that_do_not() -> None:
     later = edges + np.array([[0, 0], [1e-5, 0], [0, 0], [-1e-5, 0]])
     apart = replace(seen, edges_s=later, neighbours=np.array([0.3, 0.4]))
     assert apart.noise_covariance(0.5)[0] == pytest.approx(4.0 * np.eye(4))
+    long = replace(apart, edges_s=100.0 * edges + [[0, 0], [5e-5, 0], [0, 0], [0, 0]])  # half of 1e-6 of their length
+    assert long.noise_covariance(0.5)[0] == pytest.approx(4.0 * np.eye(4) + 1.2 * pairs)
 
 
 def test_noise_of_a_code_is_the_median_of_three_or_more_windows() -> None:
