@@ -20,8 +20,9 @@ from analysis.dry_friction import LeftOpen
 from analysis.prediction import AXIS_ANGLE, QUANTITIES, Prediction
 from rig_basics.arrays import Array
 from rig_configs import Rig
+from rig_configs.error_label import ErrorLabel
 from rig_configs.known import KnownNumbers
-from rig_configs.shared_errors import EXACT_STEP, is_known, known_source, shared_source
+from rig_configs.shared_errors import EXACT_STEP, known_source, shared_source
 from rig_configs.slow_roll import SlowRoll
 from rig_configs.suspension_terms import TERMS, SuspensionTerms
 from uncertainty import Budgets, ErrorSource, Group
@@ -145,8 +146,8 @@ def predicted_budgets(
     for source, shift in rolled.values():
         roll[:, columns[source.name]] += shift / float(_unit_of(sources, source.name))
     for label, shift in changed.items():
-        if label in columns:
-            term[:, columns[label]] += shift / float(_unit_of(sources, label))
+        if label.text in columns:
+            term[:, columns[label.text]] += shift / float(_unit_of(sources, label.text))
     table = np.array([_through(predictions[q.point], q, (through, roll, term)) for q in quantities])
     table = table.reshape(len(quantities), width)
     for row, q in enumerate(quantities):
@@ -167,7 +168,7 @@ def predicted_budgets(
 def _axis_source(std_deg: float, identified: bool) -> list[ErrorSource]:
     """Return the source of the axis angle's error; an empty list for an exact angle."""
     kind = "A" if identified else "B"
-    return [ErrorSource(AXIS_ANGLE, math.radians(std_deg), "rad", kind)] if std_deg > 0 else []
+    return [ErrorSource(AXIS_ANGLE.text, math.radians(std_deg), "rad", kind)] if std_deg > 0 else []
 
 
 def _with_further_sources(
@@ -175,8 +176,8 @@ def _with_further_sources(
     parameters: Budgets,
     predictions: Mapping[str, Prediction],
     rig: Rig,
-    rolled: Mapping[str, tuple[ErrorSource, Array]],
-    changed: Mapping[str, Array],
+    rolled: Mapping[ErrorLabel, tuple[ErrorSource, Array]],
+    changed: Mapping[ErrorLabel, Array],
 ) -> list[ErrorSource]:
     """Return the sources that the parameters' budgets do not contain.
 
@@ -193,12 +194,13 @@ def _with_further_sources(
     extra = axis + [
         known_source(source)
         for source in rig.known.sources
-        if source.label not in there and (moved & set(source.effects) or source.label in rolled)
+        if source.label.text not in there and (moved & set(source.effects) or source.label in rolled)
     ]
-    extra += [source for label, (source, _) in rolled.items() if source.name not in there and not is_known(label)]
+    found = [source for label, (source, _) in rolled.items() if label.kind != "known"]
+    extra += [source for source in found if source.name not in there]
     there |= {source.name for source in extra}
     return extra + [
-        shared_source(label, rig) for label, shift in changed.items() if label not in there and np.any(shift)
+        shared_source(label, rig) for label, shift in changed.items() if label.text not in there and np.any(shift)
     ]
 
 
@@ -228,7 +230,9 @@ def _friction_source(point: str, friction: LeftOpen) -> Input | None:
             return Group(name, ("θ3", "θ4"), ("rad", "rad"), friction.covariance)
 
 
-def _slow_roll_errors(slow_roll: SlowRoll | None, rig: Rig, there: set[str]) -> dict[str, tuple[ErrorSource, Array]]:
+def _slow_roll_errors(
+    slow_roll: SlowRoll | None, rig: Rig, there: set[str]
+) -> dict[ErrorLabel, tuple[ErrorSource, Array]]:
     """Return label → source and shift of SlowRoll.values per standard deviation of the source, shape (6,).
 
     Args:
@@ -236,9 +240,10 @@ def _slow_roll_errors(slow_roll: SlowRoll | None, rig: Rig, there: set[str]) -> 
     """
     if slow_roll is None:
         return {}
-    found: dict[str, tuple[ErrorSource, Array]] = {}
+    found: dict[ErrorLabel, tuple[ErrorSource, Array]] = {}
     for error in slow_roll.own_errors:
-        name = error.label if error.label in there else f"{error.label}: {error.words}"
+        text = error.label.text
+        name = text if text in there else f"{text}: {error.words}"
         found[error.label] = ErrorSource(name, error.std_m, "m", "A"), error.std_m * error.direction
     for label, shift in slow_roll.errors(rig.roles.gain_stds, rig.known).items():
         if label not in found and np.any(shift):
@@ -287,12 +292,12 @@ def _direct(
     table = np.zeros((len(quantities), sum(source.width for source in sources)))
     for row, q in enumerate(quantities):
         found = predictions[q.point]
-        if AXIS_ANGLE in columns:
+        if AXIS_ANGLE.text in columns:
             shift = float(found.shared[AXIS_ANGLE][q.index])
-            table[row, columns[AXIS_ANGLE]] += q.scale * shift / units[AXIS_ANGLE]
+            table[row, columns[AXIS_ANGLE.text]] += q.scale * shift / units[AXIS_ANGLE.text]
         for source in known.sources:
             for number, step in source.effects.items():
-                if number in found.by_number and source.label in columns:
+                if number in found.by_number and source.label.text in columns:
                     change = q.scale * float(found.by_number[number][q.index]) * step
-                    table[row, columns[source.label]] += change / units[source.label]
+                    table[row, columns[source.label.text]] += change / units[source.label.text]
     return table

@@ -75,8 +75,8 @@ class NonlinearModel:
                 f"Monte Carlo: a draw has impossible parameters: {fault}; use the linear budget alone"
             ) from fault
         beta = self.of.axis_angle_rad
-        if AXIS_ANGLE in self.of.columns:
-            beta += float(error[self.of.columns[AXIS_ANGLE]])
+        if AXIS_ANGLE.text in self.of.columns:
+            beta += float(error[self.of.columns[AXIS_ANGLE.text]])
         physics, run_out = self._bent(physics, error)
         seen = {point: self._at(point, physics, (beta, run_out), error) for point in self.of.predictions}
         return np.array([q.scale * seen[q.point][q.index] for q in self.of.quantities])
@@ -88,8 +88,8 @@ class NonlinearModel:
         physics = self.physics
         moved: dict[str, float] = {}
         for source in self.of.known.sources:
-            if source.label in self.of.columns:
-                share = float(error[self.of.columns[source.label]]) / source.std
+            if source.label.text in self.of.columns:
+                share = float(error[self.of.columns[source.label.text]]) / source.std
                 for number, step in source.effects.items():
                     moved[number] = moved.get(number, 0.0) + share * step
         for number, change in moved.items():

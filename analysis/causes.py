@@ -18,7 +18,8 @@ from analysis.prediction import AXIS_ANGLE
 from analysis.run_out import SLOW_ROLL
 from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters, Rig
-from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B, gain_label, known_label
+from rig_configs.error_label import ErrorLabel
+from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
 
 NOMINAL_SHARE = 1e-3  # relative standard uncertainty of a number without a stated one: usual for such numbers
 PARAMETER_SYMBOLS: Mapping[str, str] = {
@@ -63,7 +64,7 @@ _SETTLES = {
     "encoders": "set the zero again at the lock",
     "phase": "set the index angle again by a slow roll",
     "gain": "calibrate the laser and its lever",
-    AXIS_ANGLE: "another ring-down in both directions",
+    AXIS_ANGLE.text: "another ring-down in both directions",
     "friction": "another spin-down, and clean bearings",
     "drag": "another spin-down from a faster flick",
 }
@@ -137,14 +138,15 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
             found.append(_share(name, _NUMBER_WORDS[name], value, deviation, -moved))
     found += _torques(differences, identified)
     for name in (ZERO_A, ZERO_B, INDEX):
-        shift, deviation = differences.shared.get(known_label(name)), known.std(name)
+        shift, deviation = differences.shared.get(ErrorLabel("known", name)), known.std(name)
         if shift is not None and deviation > 0:
             found.append(_angle(name, _NUMBER_WORDS[name], deviation, -shift / deviation))
     for axis, deviation in zip("xy", rig.roles.gain_stds, strict=True):
-        shift = differences.shared.get(gain_label(axis))
+        gain = ErrorLabel("gain", axis)
+        shift = differences.shared.get(gain)
         if shift is not None and deviation > 0:
             words = f"the gain of laser {axis}"
-            found.append(_share(gain_label(axis), words, 1.0, deviation, shift / deviation))
+            found.append(_share(gain.text, words, 1.0, deviation, shift / deviation))
     for name in SLOW_ROLL:
         if np.any(differences.by_slow_roll.get(name, 0.0)):
             words, direction = _SLOW_ROLL_WORDS[name], differences.by_slow_roll[name]
@@ -152,7 +154,7 @@ def causes(differences: Differences, rig: Rig, identified: IdentifiedParameters)
     angle = identified.axis_angle_deg
     if angle is not None and angle[1] > 0 and AXIS_ANGLE in differences.shared:
         deviation = math.radians(angle[1])
-        found.append(_angle(AXIS_ANGLE, "the axis angle", deviation, -differences.shared[AXIS_ANGLE] / deviation))
+        found.append(_angle(AXIS_ANGLE.text, "the axis angle", deviation, -differences.shared[AXIS_ANGLE] / deviation))
     return tuple(found)
 
 

@@ -23,7 +23,8 @@ from analysis.steady_state import SteadyMeasurement
 from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.drag import Reading
-from rig_configs.known import ZERO_A, ZERO_B, gain_label, known_label
+from rig_configs.error_label import ErrorLabel
+from rig_configs.known import ZERO_A, ZERO_B
 
 _ROWS = ("θ3", "θ4", "x amplitude", "y amplitude")
 _NOISE_ROWS = ("θ3", "θ4", "x real", "x imaginary", "y real", "y imaginary")
@@ -71,7 +72,7 @@ class Rows(Protocol):
         ...
 
     @property
-    def shared(self) -> Mapping[str, Array]:
+    def shared(self) -> Mapping[ErrorLabel, Array]:
         """Label → shift of the values per standard deviation of an error shared with other rows, shape (m,)."""
         ...
 
@@ -133,7 +134,7 @@ class Differences:
     parameter_covariance: Array
     uncertain: Array
     by_number: Mapping[str, Array]
-    shared: Mapping[str, Array]
+    shared: Mapping[ErrorLabel, Array]
     by_slow_roll: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     @cached_property
@@ -222,7 +223,7 @@ def _joined(named: Sequence[tuple[str, _Part]], rig: Rig, identified: Identified
         own[at : at + size, at : at + size] = part.own + np.diag(allowance**2)
         at += size
 
-    def joined(of: str, key: str) -> Array:
+    def joined(of: str, key: str | ErrorLabel) -> Array:
         return np.concatenate([getattr(part, of).get(key, np.zeros(len(part.values))) for part in parts])
 
     names, n = list(identified.values), len(identified.values)
@@ -249,7 +250,7 @@ class _Part:
     own: Array
     by_parameter: Array
     by_number: Mapping[str, Array]
-    shared: Mapping[str, Array]
+    shared: Mapping[ErrorLabel, Array]
     used_for: tuple[str, ...] = ()
     steady: bool = True
     by_slow_roll: Mapping[str, Array] = field(default_factory=dict[str, Array])
@@ -329,7 +330,7 @@ def measured_values(measured: SteadyMeasurement) -> Array:
     return np.array([v.value for v in (*m.theta_rad, m.amplitude_x_m, m.amplitude_y_m, m.amplitude_m)])
 
 
-def measured_shifts(measured: SteadyMeasurement, rig: Rig) -> dict[str, Array]:
+def measured_shifts(measured: SteadyMeasurement, rig: Rig) -> dict[ErrorLabel, Array]:
     """Return label → shift of the measured values per standard deviation of a shared error, shape (5,).
 
     The order is that of analysis.prediction.QUANTITIES.
@@ -339,8 +340,8 @@ def measured_shifts(measured: SteadyMeasurement, rig: Rig) -> dict[str, Array]:
     x, y, radius = measured.amplitude_x_m.value, measured.amplitude_y_m.value, measured.amplitude_m.value
     share = 0.5 / radius if radius > 0 else 0.0
     return {
-        gain_label("x"): gain_x * np.array([0.0, 0.0, x, 0.0, share * x * x]),
-        gain_label("y"): gain_y * np.array([0.0, 0.0, 0.0, y, share * y * y]),
-        known_label(ZERO_A): -zero * np.eye(5)[0],  # a larger zero yields a smaller angle
-        known_label(ZERO_B): -zero * np.eye(5)[1],
+        ErrorLabel("gain", "x"): gain_x * np.array([0.0, 0.0, x, 0.0, share * x * x]),
+        ErrorLabel("gain", "y"): gain_y * np.array([0.0, 0.0, 0.0, y, share * y * y]),
+        ErrorLabel("known", ZERO_A): -zero * np.eye(5)[0],  # a larger zero yields a smaller angle
+        ErrorLabel("known", ZERO_B): -zero * np.eye(5)[1],
     }

@@ -27,12 +27,13 @@ from dynamics.steady.held_band import HeldBand
 from rig_basics.arrays import Array
 from rig_basics.units import TO_RPM
 from rig_configs import IdentifiedParameters, Rig
+from rig_configs.error_label import ErrorLabel
 from rig_configs.known import KnownNumbers, physical_numbers, with_number
 from rig_configs.suspension_terms import TERMS, moved_term
 
 Start = Array
 
-AXIS_ANGLE = "axis angle"
+AXIS_ANGLE = ErrorLabel("axis angle")
 """Label of the axis angle's error, which all points share."""
 _SPEED = "speed"
 BOW = ("bow_x_m", "bow_y_m")
@@ -57,7 +58,7 @@ class Prediction:
         by_number: number of the rig file → derivative of `values` by it at fixed parameters, shape (5,).
         own: part of `covariance` that no other point shares: speed and friction, shape (5, 5).
         shared: label → shift of `values`, shape (5,), per standard deviation of an error shared with other quantities:
-            "gain x", "known rotor.mass_kg", "axis angle".
+            gains, known numbers, the axis angle.
         numerical: estimated error of the integration in `values`, shape (5,).
         by_bow: derivatives of `values` by real and imaginary part of a bow, shape (5, 2), and those of the real and
             imaginary parts of the complex order-1 amplitudes of x and y, shape (4, 2).
@@ -74,7 +75,7 @@ class Prediction:
     by_parameter: Array
     by_number: Mapping[str, Array]
     own: Array
-    shared: Mapping[str, Array]
+    shared: Mapping[ErrorLabel, Array]
     numerical: Array
     by_bow: tuple[Array, Array]
     orbit: tuple[complex, complex]
@@ -130,7 +131,7 @@ def predict_point(
     by_term = {name: slopes.pop(name) for name in terms}
     bow = np.stack([slopes.pop(name) for name in BOW], axis=-1)
     by_run_out_and_bow = np.hstack([by_shown_run_out(shown), bow[:5]])
-    by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE)
+    by_speed, by_angle = slopes.pop(_SPEED), slopes.pop(AXIS_ANGLE.text)
     friction = _friction(identified, physics, speed_rad_s, state, (beta, run_out))
     values = values + friction.shift
     own = np.outer(by_speed, by_speed) * speed_std_rad_s**2 + friction.of_values
@@ -182,7 +183,7 @@ def _friction(
 
 
 def _add_roll_and_term_errors(
-    shared: dict[str, Array],
+    shared: dict[ErrorLabel, Array],
     rig: Rig,
     identified: IdentifiedParameters,
     by_run_out_and_bow: Array,
@@ -198,7 +199,7 @@ def _add_roll_and_term_errors(
 
 def _shared(
     known: KnownNumbers, identified: IdentifiedParameters, by_parameter: Array, by_number: Mapping[str, Array]
-) -> dict[str, Array]:
+) -> dict[ErrorLabel, Array]:
     """Return label → shift of the values per standard deviation of a shared error, shape (5,) each."""
     shared = {label: by_parameter @ shift for label, shift in identified.shared_with(known).items()}
     for source in known.sources:
@@ -303,7 +304,7 @@ def _slopes(
     slopes[_SPEED] = _along([physics, physics], (speed + h, speed - h), same, start, inverse, h)[:5]
     h = 1e-4
     turned = ((beta + h, run_out), (beta - h, run_out))
-    slopes[AXIS_ANGLE] = _along([physics, physics], (speed, speed), turned, start, inverse, h)[:5]
+    slopes[AXIS_ANGLE.text] = _along([physics, physics], (speed, speed), turned, start, inverse, h)[:5]
     values = _shown(physics, speed, start, sensors)
     finer = start + inverse @ (half_turn(physics, speed, start, 0.5) - half_turn(physics, speed, start))
     numerical = np.abs(_shown(physics, speed, finer, sensors, 0.5) - values)[:5]

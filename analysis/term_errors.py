@@ -10,6 +10,7 @@ import numpy as np
 from dynamics import SteadyState
 from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters, Rig
+from rig_configs.error_label import ErrorLabel
 from rig_configs.suspension_terms import TERMS
 
 TERM_STEPS: Mapping[str, float] = dict(zip(TERMS, (10.0, 10.0, 3e-3, 3e-3), strict=True))
@@ -23,7 +24,7 @@ def uncertain_terms(identified: IdentifiedParameters) -> list[str]:
     return [] if terms is None else [n for n, std in zip(TERMS, terms.std.tolist(), strict=True) if std > 0]
 
 
-def term_errors(rig: Rig, identified: IdentifiedParameters, by_term: Mapping[str, Array]) -> dict[str, Array]:
+def term_errors(rig: Rig, identified: IdentifiedParameters, by_term: Mapping[str, Array]) -> dict[ErrorLabel, Array]:
     """Return label → shift of dependent quantities per standard deviation of an error of the suspension's terms.
 
     Args:

@@ -17,26 +17,27 @@ from numpy.typing import NDArray
 from daq.signals.clock_rates import clock_of, clock_rate_std
 from daq.signals.run import Run
 from identification.sources import log_names
+from rig_configs.error_label import ErrorLabel
 
 
-def clock_label(clock: str) -> str:
+def clock_label(clock: str) -> ErrorLabel:
     """Label of the rate error of a clock, by the clock's name."""
-    return f"clock {clock}"
+    return ErrorLabel("clock", clock)
 
 
-def read_label(clock: str, sources: Sequence[str]) -> str:
+def read_label(clock: str, sources: Sequence[str]) -> ErrorLabel:
     """Label of the part of a clock's rate error that comes from the read times of one log.
 
     Args:
         clock: name of the clock.
         sources: logs that were fitted together, usually one.
     """
-    return f"{clock_label(clock)} in {log_names(sources)}"
+    return ErrorLabel("clock", clock, log_names(sources))
 
 
 def clock_errors(
     run: Run, slopes: Mapping[str, NDArray[np.float64]], sources: Sequence[str] = ()
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[ErrorLabel, NDArray[np.float64]]:
     """Shared errors of an estimate that come from clock rates.
 
     Args:
@@ -48,7 +49,7 @@ def clock_errors(
         Label → shift of the values for one standard deviation of the error, shape (n,). The label is "clock NAME" for
         the part that all runs share and "clock NAME in LOG" for the part of this run.
     """
-    shared: dict[str, NDArray[np.float64]] = {}
+    shared: dict[ErrorLabel, NDArray[np.float64]] = {}
     for signal, slope in slopes.items():
         clock, std, alike = clock_of(run, signal), clock_rate_std(run.clock_rate_std, signal), _alike(run, signal)
         own = math.sqrt(max(std**2 - alike**2, 0.0))

@@ -14,11 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate import FOUND_TOGETHER
 from identification.joint.combine import JointEstimate
 from identification.joint.provenance import KeptTest, rebuilt
 from identification.sources import log_names
-from rig_configs.known import LABEL
+from rig_configs.error_label import ErrorLabel
 from rig_configs.parameters_file import IdentifiedParameters
 
 SAME_FIT = 1e-3  # of a standard deviation: largest difference of two values of one log that count as the same fit
@@ -77,7 +76,7 @@ class _Side:
         kept = stretched @ estimate.weighted.own @ stretched.T
         return cls(tests, pulls, _excess(kept, own))
 
-    def shift_by(self, label: str, only: Sequence[int] | None = None) -> np.ndarray:
+    def shift_by(self, label: ErrorLabel, only: Sequence[int] | None = None) -> np.ndarray:
         """Shift of the parameters for one standard deviation of a shared error, through all tests or some of them."""
         total = np.zeros(len(self.excess))
         for i, (test, pull) in enumerate(zip(self.tests, self.pulls, strict=True)):
@@ -86,7 +85,7 @@ class _Side:
         return total
 
     @property
-    def labels(self) -> set[str]:
+    def labels(self) -> set[ErrorLabel]:
         return {label for test in self.tests for label in test.estimate.shared}
 
 
@@ -155,14 +154,16 @@ def _own(before: _Side, after: _Side, pairs: Mapping[int, int]) -> np.ndarray:
     return total
 
 
-def _shared(label: str, before: _Side, after: _Side, pairs: Mapping[int, int]) -> tuple[list[np.ndarray], str | None]:
+def _shared(
+    label: ErrorLabel, before: _Side, after: _Side, pairs: Mapping[int, int]
+) -> tuple[list[np.ndarray], str | None]:
     """Independent shifts of the difference for an error that tests share, and a note about it.
 
     The error is the same through the logs that are in both estimates. For other logs it is the same only if it is the
     gain of the same laser; the line of a device's clock is fitted in every log.
     """
     old, new = before.shift_by(label), after.shift_by(label)
-    device, is_clock = label.partition(" ")[2], label.startswith(("clock", FOUND_TOGETHER))
+    device, is_clock = label.of, label.kind in ("clock", "friction")
     serials = [set[str]() if is_clock else _serials(side.tests, label, device) for side in (before, after)]
     if serials[0] and serials[0] == serials[1] and len(serials[0]) == 1:
         return [new - old], f"the same {device} (serial {min(serials[0])}) both times: its gain's error cancels"
@@ -170,7 +171,7 @@ def _shared(label: str, before: _Side, after: _Side, pairs: Mapping[int, int]) -
     old_rest = old - before.shift_by(label, list(pairs))
     new_rest = new - after.shift_by(label, list(pairs.values()))
     shifts = [in_both, old_rest, new_rest]
-    if label.startswith(f"{LABEL} "):  # a part is weighed and measured only once
+    if label.kind == "known":  # a part is weighed and measured only once
         return [new - old], None
     if is_clock or not (np.any(old_rest) and np.any(new_rest)):
         return shifts, None
@@ -179,7 +180,7 @@ def _shared(label: str, before: _Side, after: _Side, pairs: Mapping[int, int]) -
     return shifts, f"which {device} it was is not known: its gain's error counts twice"
 
 
-def _serials(tests: Sequence[KeptTest], label: str, device: str) -> set[str]:
+def _serials(tests: Sequence[KeptTest], label: ErrorLabel, device: str) -> set[str]:
     """Serial numbers of a device in the tests with its error; empty if one of these tests has no serial number."""
     affected = [t for t in tests if label in t.estimate.shared]
     return {t.devices[device] for t in affected} if all(device in t.devices for t in affected) else set()

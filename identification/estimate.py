@@ -8,10 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from identification.sources import Sources, joined, log_names
-from rig_configs.known import LABEL, KnownSource
-
-FOUND_TOGETHER = "friction"
-"""Prefix of the labels of errors in quantities that all tests find together and that each test then uses."""
+from rig_configs.error_label import ErrorLabel
+from rig_configs.known import KnownSource
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Estimate:
     names: tuple[str, ...]
     values: np.ndarray
     covariance: np.ndarray
-    shared: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
+    shared: Mapping[ErrorLabel, np.ndarray] = field(default_factory=dict[ErrorLabel, np.ndarray])
     method: str = ""
     by_number: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
     with_terms: Mapping[str, np.ndarray] = field(default_factory=dict[str, np.ndarray])
@@ -57,16 +55,16 @@ class Estimate:
 
     @property
     def weighing_covariance(self) -> np.ndarray:
-        """Covariance for the test's weight: own and shared errors except those with the prefix FOUND_TOGETHER."""
+        """Covariance for the test's weight: own and shared errors without friction, which all tests find."""
         found = self.covariance.copy()
         for label, shift in self.shared.items():
-            if not label.startswith(FOUND_TOGETHER):
+            if label.kind != "friction":
                 found = found + np.outer(shift, shift)
         return found
 
     def with_sources(self, sources: Iterable[KnownSource]) -> Estimate:
         """Return the estimate with the errors of the known numbers as shared errors. Former ones are replaced."""
-        shared = {label: v for label, v in self.shared.items() if not label.startswith(f"{LABEL} ")}
+        shared = {label: v for label, v in self.shared.items() if label.kind != "known"}
         for source in sources:
             parts = [self.by_number[name] * step for name, step in source.effects.items() if name in self.by_number]
             if parts:

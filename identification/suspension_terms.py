@@ -19,7 +19,7 @@ from identification.estimate import Estimate
 from identification.ring_down.direction_terms import DirectionTerms
 from identification.run_up.bent_passage import KnownSuspension
 from identification.sources import Sources, log_names
-from rig_configs.suspension_terms import LABEL, TERMS, SuspensionTerms, term_label
+from rig_configs.suspension_terms import TERMS, SuspensionTerms, term_label
 
 
 @dataclass(frozen=True)
@@ -106,10 +106,10 @@ def sharing_terms(estimates: Sequence[Estimate], chosen: ChosenTerms) -> list[Es
 
 def _plain(estimate: Estimate) -> Estimate:
     """Return the estimate with the errors shared with terms moved back to its own covariance."""
-    of_terms = [shift for label, shift in estimate.shared.items() if label.startswith(f"{LABEL} ")]
+    of_terms = [shift for label, shift in estimate.shared.items() if label.kind == "suspension"]
     if not of_terms:
         return estimate
-    shared = {label: shift for label, shift in estimate.shared.items() if not label.startswith(f"{LABEL} ")}
+    shared = {label: shift for label, shift in estimate.shared.items() if label.kind != "suspension"}
     covariance = estimate.covariance + np.sum([np.outer(shift, shift) for shift in of_terms], axis=0)
     return replace(estimate, covariance=covariance, shared=shared)
 

@@ -1,5 +1,6 @@
 """Public names of `rig_configs`; each is imported at its first use."""
 
+from .error_label import ErrorLabel as ErrorLabel
 from .errors import (
     ParametersFileError as ParametersFileError,
     RigConfigError as RigConfigError,

@@ -16,24 +16,25 @@ import numpy as np
 
 from dynamics.equations.parameters import RotorParameters
 from rig_basics.arrays import Array
+from rig_configs.error_label import ErrorLabel
 from rig_configs.known import DRAG, KEPT_FRICTION, KnownSource
 
 Reading = Literal["", "drag", "contact"]
 """Interpretation of a torque that grows with the square of the speed; "" if it is decided or does not exist."""
 
 KEY = "drag"
-"""Key in the provenance, and start of the labels of its shared errors."""
+"""Key in the provenance."""
 NAMES = ("drag_a_Nms2_per_rad2", "drag_b_Nms2_per_rad2")
-LABELS = ("friction drag 1", "friction drag 2")
+LABELS = (ErrorLabel("friction", "drag 1"), ErrorLabel("friction", "drag 2"))
 """Labels of the two independent parts of its error, shared by parameters and predictions."""
 
 
 @dataclass(frozen=True)
 class _DragSource(KnownSource):
     @property
-    def label(self) -> str:
+    def label(self) -> ErrorLabel:
         """Label of the parts, which tests have identified and no rig file contains."""
-        return self.name
+        return ErrorLabel("friction", self.name)
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ class Drag:
     def sources(self) -> tuple[KnownSource, ...]:
         """Error as two independent sources for a release."""
         effects: list[dict[str, float]] = [dict(zip(DRAG, part, strict=True)) for part in self.root.T.tolist()]
-        return tuple(_DragSource(label, 1.0, "1", by, "A") for label, by in zip(LABELS, effects, strict=True))
+        return tuple(_DragSource(label.of, 1.0, "1", by, "A") for label, by in zip(LABELS, effects, strict=True))
 
     def moved_with(self, sources: Sequence[KnownSource]) -> tuple[KnownSource, ...]:
         """Add to each error of a known number its effect on the drag that was identified with it."""

@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from dynamics.equations.parameters import RotorParameters
+from rig_configs.error_label import ErrorLabel
 from rig_configs.table import Positive, RigTable
 
 Kind = Literal["A", "B"]
@@ -44,18 +45,6 @@ KEPT_FRICTION = ("coulomb_a_Nm", "coulomb_b_Nm", "contact_a_kg_m2", "contact_b_k
 """Dry friction in parameters.toml: a torque of A and B at any speed, and one per square of the speed."""
 DRAG = ("drag.a_Nms2_per_rad2", "drag.b_Nms2_per_rad2")
 """Air drag on A and B: torque over the square of the speed relative to the rotor; 0 if none was identified."""
-LABEL = "known"
-"""Start of the labels of a source's errors in estimates."""
-
-
-def gain_label(axis: str) -> str:
-    """Return the label of errors of the displacement's gain along an axis."""
-    return f"gain {axis}"
-
-
-def known_label(name: str) -> str:
-    """Return the label of a source's errors, by the name of the number or the instrument."""
-    return f"{LABEL} {name}"
 
 
 class Instrument(RigTable):
@@ -93,9 +82,9 @@ class KnownSource:
     degrees_of_freedom: float = math.inf
 
     @property
-    def label(self) -> str:
+    def label(self) -> ErrorLabel:
         """Label of its errors in estimates."""
-        return known_label(self.name)
+        return ErrorLabel("known", self.name)
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ import tomlkit
 from dynamics.equations.parameters import RotorParameters
 from rig_basics.arrays import Array
 from rig_configs.drag import Drag
+from rig_configs.error_label import ErrorLabel
 from rig_configs.errors import ParametersFileError, RigFileError
-from rig_configs.known import LABEL, KnownNumbers, KnownSource
+from rig_configs.known import KnownNumbers, KnownSource
 from rig_configs.slow_roll import SlowRoll
 from rig_configs.suspension_terms import SuspensionTerms
 from rig_configs.toml_text import parse_toml, read_text
@@ -46,7 +47,7 @@ class IdentifiedParameters:
         axis_angle_deg: angle from the stiffness x axis to the sensor x axis and its standard uncertainty, degrees, not
             correlated with the values; None if no test identified it.
         shared: label of an error shared with other quantities → shift of the values per standard deviation of it,
-            shape (n,), part of the covariance; for example "gain x" and "known rotor.mass_kg".
+            shape (n,), part of the covariance.
         by_number: known number of the rig file → derivative of the values by it, shape (n,).
         slow_roll: run-out and bow identified by a run-up; None without.
         terms: changes of the suspension with the motion, identified by ring-downs; None without.
@@ -59,7 +60,7 @@ class IdentifiedParameters:
     covariance: Array
     provenance: dict[str, Any] = field(default_factory=dict[str, Any])
     axis_angle_deg: tuple[float, float] | None = None
-    shared: Mapping[str, Array] = field(default_factory=dict[str, Array])
+    shared: Mapping[ErrorLabel, Array] = field(default_factory=dict[ErrorLabel, Array])
     by_number: Mapping[str, Array] = field(default_factory=dict[str, Array])
     slow_roll: SlowRoll | None = None
     terms: SuspensionTerms | None = None
@@ -87,9 +88,9 @@ class IdentifiedParameters:
                 "covariance must have no negative variance in any direction (be positive semidefinite); two parameters "
                 "are correlated by more than 1"
             )
-        for label, shift in (*self.shared.items(), *self.by_number.items()):
+        for name, shift in (*_texts(self.shared).items(), *self.by_number.items()):
             if shift.shape != (n,) or not np.all(np.isfinite(shift)):
-                raise ParametersFileError(f"{label!r}: expected {n} finite numbers, got shape {shift.shape}")
+                raise ParametersFileError(f"{name!r}: expected {n} finite numbers, got shape {shift.shape}")
         angle = self.axis_angle_deg
         if angle is not None and not (all(map(math.isfinite, angle)) and angle[1] >= 0):
             raise ParametersFileError(f"axis_angle: expected finite value_deg and std_deg, not negative, got {angle}")
@@ -136,10 +137,8 @@ class IdentifiedParameters:
         n, m = len(self.values), len(missing)
         covariance = np.zeros((n + m, n + m))
         covariance[:n, :n] = self.covariance
-        shared, by_number = (
-            {label: np.r_[vector, np.zeros(m)] for label, vector in vectors.items()}
-            for vectors in (self.shared, self.by_number)
-        )
+        shared = {label: np.r_[shift, np.zeros(m)] for label, shift in self.shared.items()}
+        by_number = {number: np.r_[slope, np.zeros(m)] for number, slope in self.by_number.items()}
         values = {**self.values, **missing}
         return replace(self, values=values, covariance=covariance, shared=shared, by_number=by_number)
 
@@ -157,14 +156,14 @@ class IdentifiedParameters:
         parts = [self.by_number[number] * step for number, step in source.effects.items() if number in self.by_number]
         return np.sum([np.zeros(len(self.values)), *parts], axis=0)
 
-    def shared_with(self, known: KnownNumbers) -> dict[str, Array]:
+    def shared_with(self, known: KnownNumbers) -> dict[ErrorLabel, Array]:
         """Return the shared errors with the current uncertainties of the rig file's known numbers.
 
         Values without derivatives by these numbers keep the errors of their identification.
         """
         if not self.by_number:
             return dict(self.shared)
-        own = {label: shift for label, shift in self.shared.items() if not label.startswith(f"{LABEL} ")}
+        own = {label: shift for label, shift in self.shared.items() if label.kind != "known"}
         return own | {source.label: self.shift_by(source) for source in known.sources}
 
     def save(self, path: str | Path) -> None:
@@ -174,9 +173,9 @@ class IdentifiedParameters:
         for name, value in self.values.items():
             document[name] = {"value": value, "std": self.std[name], "unit": PARAMETER_UNITS[name]}
         document["covariance"] = {"order": list(self.values), "matrix": self.covariance.tolist()}
-        for key, vectors in (("shared", self.shared), ("by_number", self.by_number)):
+        for key, vectors in (("shared", _texts(self.shared)), ("by_number", self.by_number)):
             if vectors:
-                document[key] = {label: vector.tolist() for label, vector in vectors.items()}
+                document[key] = {name: vector.tolist() for name, vector in vectors.items()}
         if self.axis_angle_deg is not None:
             document["axis_angle"] = dict(zip(("value_deg", "std_deg"), self.axis_angle_deg, strict=True))
         if self.slow_roll is not None:
@@ -226,7 +225,8 @@ class IdentifiedParameters:
             matrix = np.array([[_number(cell) for cell in row] for row in raw["covariance"]["matrix"]])
             angle = raw.get("axis_angle")  # not in older files
             axis = None if angle is None else (_number(angle["value_deg"]), _number(angle["std_deg"]))
-            shared, by_number = (_vectors(raw.get(key, {})) for key in ("shared", "by_number"))
+            shared = {ErrorLabel.read(text): shift for text, shift in _vectors(raw.get("shared", {})).items()}
+            by_number = _vectors(raw.get("by_number", {}))
             slow_roll = SlowRoll.of_table(raw["slow_roll"]) if "slow_roll" in raw else None
             terms = SuspensionTerms.of_table(raw["suspension_terms"]) if "suspension_terms" in raw else None
             return cls(values, matrix, dict(raw.get("provenance", {})), axis, shared, by_number, slow_roll, terms)
@@ -244,8 +244,12 @@ def _no_parameters(path: str | Path, error: RigFileError) -> ParametersFileError
     return ParametersFileError(f"{path}: this is a log; `rig identify` makes parameters of it" if log else str(error))
 
 
+def _texts(shared: Mapping[ErrorLabel, Array]) -> dict[str, Array]:
+    return {label.text: shift for label, shift in shared.items()}
+
+
 def _vectors(table: Mapping[str, Any]) -> dict[str, Array]:
-    return {str(label): np.array([_number(cell) for cell in cells]) for label, cells in table.items()}
+    return {str(name): np.array([_number(cell) for cell in cells]) for name, cells in table.items()}
 
 
 def _number(value: Any) -> float:

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from rig_basics.arrays import Array
-from rig_configs.known import INDEX, KnownNumbers, gain_label
+from rig_configs.error_label import ErrorLabel
+from rig_configs.known import INDEX, KnownNumbers
 
 ORDER = ("run_out_x", "run_out_y", "bow")
 """Names of the complex numbers, in the order of the covariance: real and imaginary part of each."""
-LABEL = "slow roll"
-"""Start of the labels of its errors."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +28,7 @@ class SlowRollError:
         direction: unit vector in the order of SlowRoll.values, shape (6,).
     """
 
-    label: str
+    label: ErrorLabel
     words: str
     std_m: float
     direction: Array
@@ -91,16 +90,16 @@ class SlowRoll:
         sizes, turn = np.linalg.eigh(0.5 * (self.covariance + self.covariance.T))
         kept = [j for j, size in enumerate(sizes.tolist()) if size > 1e-12 * max(float(sizes[-1]), 1e-300)]
         return tuple(
-            SlowRollError(f"{LABEL} {k + 1}", _words(turn[:, j]), math.sqrt(float(sizes[j])), turn[:, j])
-            for k, j in enumerate(kept)
+            SlowRollError(ErrorLabel("slow roll", f"{k}"), _words(turn[:, j]), math.sqrt(float(sizes[j])), turn[:, j])
+            for k, j in enumerate(kept, start=1)
         )
 
     @property
-    def shifts(self) -> dict[str, Array]:
+    def shifts(self) -> dict[ErrorLabel, Array]:
         """Independent errors: label → shift of `values` per standard deviation, shape (6,)."""
         return {error.label: error.std_m * error.direction for error in self.own_errors}
 
-    def errors(self, gain_stds: tuple[float, float], known: KnownNumbers) -> dict[str, Array]:
+    def errors(self, gain_stds: tuple[float, float], known: KnownNumbers) -> dict[ErrorLabel, Array]:
         """Return all errors shared with other quantities: label → shift of `values` per standard deviation, shape (6,).
 
         Args:
@@ -111,7 +110,7 @@ class SlowRoll:
         for k, axis in enumerate("xy"):
             share = np.zeros(6)
             share[2 * k : 2 * k + 2], share[4:] = 1.0, self.bow_shares[k]
-            found[gain_label(axis)] = gain_stds[k] * share * values
+            found[ErrorLabel("gain", axis)] = gain_stds[k] * share * values
         turned = np.array([part for z in values.reshape(3, 2) for part in (z[1], -z[0])])
         for source in known.sources:
             if INDEX in source.effects:

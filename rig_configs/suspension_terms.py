@@ -15,20 +15,18 @@ import numpy as np
 
 from dynamics.equations.parameters import RotorParameters
 from rig_basics.arrays import Array
-from rig_configs.known import gain_label
+from rig_configs.error_label import ErrorLabel
 
 TERMS = ("hardening1_per_m2", "hardening2_per_m2", "damping_growth1_s_per_m", "damping_growth2_s_per_m")
 """Names of the terms in the order of their covariance: H1, H2, Q1, Q2."""
 UNITS: Mapping[str, str] = dict(zip(TERMS, ("1/m²", "1/m²", "s/m", "s/m"), strict=True))
-LABEL = "suspension"
-"""Start of the labels of the terms' errors."""
 _GAIN_POWERS = (2, 2, 1, 1)
 _ROUNDING = 1e-12  # remainder of a variance that is due to rounding
 
 
-def term_label(name: str) -> str:
+def term_label(name: str) -> ErrorLabel:
     """Return the label of a term's error that is independent of the terms before it."""
-    return f"{LABEL} {name}"
+    return ErrorLabel("suspension", name)
 
 
 @dataclass(frozen=True)
@@ -67,9 +65,9 @@ class SuspensionTerms:
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def shifts(self) -> dict[str, Array]:
+    def shifts(self) -> dict[ErrorLabel, Array]:
         """Independent errors: label → shift of `values` per standard deviation, shape (4,)."""
-        left, found = self.covariance.copy(), dict[str, Array]()
+        left, found = self.covariance.copy(), dict[ErrorLabel, Array]()
         for i, name in enumerate(TERMS):
             if left[i, i] <= _ROUNDING * self.covariance[i, i]:
                 continue
@@ -78,7 +76,7 @@ class SuspensionTerms:
             left = left - np.outer(shift, shift)
         return found
 
-    def errors(self, gain_stds: tuple[float, float]) -> dict[str, Array]:
+    def errors(self, gain_stds: tuple[float, float]) -> dict[ErrorLabel, Array]:
         """Return all errors shared with other quantities: label → shift of `values` per standard deviation, shape (4,).
 
         Args:
@@ -88,7 +86,7 @@ class SuspensionTerms:
         found = self.shifts
         for k, axis in enumerate("xy"):
             own = np.array([float(i % 2 == k) * power for i, power in enumerate(_GAIN_POWERS)])
-            found[gain_label(axis)] = -gain_stds[k] * own * self.values
+            found[ErrorLabel("gain", axis)] = -gain_stds[k] * own * self.values
         return found
 
     def applied_to(self, physics: RotorParameters) -> RotorParameters:

@@ -103,8 +103,8 @@ def covariance_of_all(estimates: Sequence[Estimate]) -> np.ndarray:
     for estimate, begin in zip(estimates, edges, strict=False):
         here = slice(begin, begin + len(estimate.names))
         total[here, here] += estimate.covariance
-        total[here, here] += sum(np.outer(v, v) for s, v in estimate.shared.items() if s.startswith("clock"))
-    for label in {s for e in estimates for s in e.shared if not s.startswith("clock")}:
+        total[here, here] += sum(np.outer(v, v) for label, v in estimate.shared.items() if label.kind == "clock")
+    for label in dict.fromkeys(label for e in estimates for label in e.shared if label.kind != "clock"):
         shift = np.concatenate([e.shared.get(label, np.zeros(len(e.names))) for e in estimates])
         total += np.outer(shift, shift)
     return total + np.diag(_TOLERANCE_STD**2 * np.diag(total))

@@ -18,7 +18,7 @@ from rig_basics.arrays import Array
 from rig_configs.known import KnownNumbers
 from rig_configs.parameters_file import PARAMETER_UNITS, IdentifiedParameters
 from rig_configs.schema import Rig
-from rig_configs.shared_errors import EXACT_STEP, is_known, known_source, shared_source
+from rig_configs.shared_errors import EXACT_STEP, known_source, shared_source
 from uncertainty import Budgets, Group
 from uncertainty.group import Input
 
@@ -87,7 +87,7 @@ def parameter_budgets(parameters: IdentifiedParameters, rig: Rig | None = None) 
     known = KnownNumbers({}) if rig is None else rig.known
     replaced = rig is not None and bool(parameters.by_number)
     for label, shift in shared.items():
-        if not (replaced and is_known(label)):
+        if not (replaced and label.kind == "known"):
             columns.add_shift(shared_source(label, rig), shift)
     if replaced:
         for source in known.sources:

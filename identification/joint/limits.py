@@ -14,7 +14,6 @@ import numpy as np
 
 from identification.joint.combine import JointEstimate, joint_estimate
 from identification.joint.provenance import model_share, rebuilt
-from rig_configs.known import LABEL
 from rig_configs.parameters_file import IdentifiedParameters
 
 if TYPE_CHECKING:
@@ -88,8 +87,7 @@ def _limit(i: int, joint: JointEstimate, model: list[float], mass_std: float) ->
         parts["noise"] += own * (1 - share)
         parts["model"] += own * share
     for label, shift in together.shared.items():
-        kind = label.partition(" ")[0]
-        parts[kind if kind in ("clock", "friction", LABEL) else "gain"] += float(shift[i] ** 2)
+        parts[label.kind if label.kind in ("clock", "friction", "known") else "gain"] += float(shift[i] ** 2)
     total = joint.parameters.covariance[i, i]
     parts["disagreement"] = max(0.0, float(total - sum(parts.values())))
     if not name.startswith("zeta"):

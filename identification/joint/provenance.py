@@ -18,6 +18,7 @@ from identification.estimate import Estimate
 from identification.joint.combine import JointEstimate, joint_estimate
 from identification.samples import correlation_inflation
 from identification.sources import parts
+from rig_configs.error_label import ErrorLabel
 from rig_configs.errors import ParametersFileError
 from rig_configs.parameters_file import IdentifiedParameters
 
@@ -74,7 +75,8 @@ def _entry(
     entry: dict[str, Any] = {
         "covariance": estimate.covariance.tolist(),
         "shared": {
-            label: dict(zip(estimate.names, shift.tolist(), strict=True)) for label, shift in estimate.shared.items()
+            label.text: dict(zip(estimate.names, shift.tolist(), strict=True))
+            for label, shift in estimate.shared.items()
         },
         "model_share": model_share(estimate, found),
     }
@@ -123,7 +125,8 @@ def _kept(entry: Mapping[str, Any], number: int) -> KeptTest:
     try:
         names = tuple(entry["values"])
         shared = {
-            str(label): np.array([float(shift[n]) for n in names]) for label, shift in entry.get("shared", {}).items()
+            ErrorLabel.read(str(text)): np.array([float(shift[n]) for n in names])
+            for text, shift in entry.get("shared", {}).items()
         }
         covariance = np.array(entry["covariance"], float)
         if covariance.shape != (len(names), len(names)):

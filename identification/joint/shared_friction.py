@@ -14,12 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.estimate import FOUND_TOGETHER, Estimate
+from identification.estimate import Estimate
 from identification.joint.combine import joint_estimate
 from identification.pendulums.known_numbers import knowing, zeros_std
 from identification.pendulums.open_friction import OpenFriction, Together, together
 from identification.pendulums.transient import TransientFit
 from identification.sources import Sources
+from rig_configs.error_label import ErrorLabel
 from rig_configs.known import KnownSource
 
 _MAX_ROUNDS = 3  # repetitions of leaving out deviating tests and computing the friction without them
@@ -110,7 +111,7 @@ def _alone(estimate: Estimate, fit: TransientFit, zero_std_rad: float) -> Estima
     """Estimate without the friction that it shared with other tests before."""
     if not _is_open(estimate, fit):
         return estimate
-    shared = {label: v for label, v in estimate.shared.items() if not label.startswith(FOUND_TOGETHER)}
+    shared = {label: v for label, v in estimate.shared.items() if label.kind != "friction"}
     values, by_number = np.array(list(fit.values.values())), fit.slopes
     own = knowing(fit.covariance, by_number, {**zeros_std(zero_std_rad), **fit.number_std})
     return replace(estimate, values=values, covariance=own, shared=shared, by_number=by_number)
@@ -118,7 +119,7 @@ def _alone(estimate: Estimate, fit: TransientFit, zero_std_rad: float) -> Estima
 
 def _with(estimate: Estimate, found: Together, at: int) -> Estimate:
     c = np.exp(found.log_damping[at])
-    shared = {**estimate.shared, **{f"{FOUND_TOGETHER} {k + 1}": c * v for k, v in enumerate(found.shared[at].T)}}
+    by_friction = {ErrorLabel("friction", f"{k + 1}"): c * v for k, v in enumerate(found.shared[at].T)}
     by_number = {number: c * v for number, v in found.by_number[at].items()}
     own = found.own[at] * np.outer(c, c)
-    return replace(estimate, values=c, covariance=own, shared=shared, by_number=by_number)
+    return replace(estimate, values=c, covariance=own, shared={**estimate.shared, **by_friction}, by_number=by_number)

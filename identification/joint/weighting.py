@@ -17,6 +17,7 @@ import numpy as np
 
 from identification.errors import NotIdentifiable
 from identification.estimate import Estimate
+from rig_configs.error_label import ErrorLabel
 from rig_configs.parameters_file import PARAMETER_UNITS
 
 
@@ -37,7 +38,7 @@ class Weighted:
     values: np.ndarray
     pulls: list[np.ndarray]
     own: np.ndarray
-    shared: dict[str, np.ndarray]
+    shared: dict[ErrorLabel, np.ndarray]
     by_number: dict[str, np.ndarray]
 
     @property
@@ -81,10 +82,10 @@ def weighted(estimates: Sequence[Estimate]) -> Weighted:
 
 def _moments(
     names: tuple[str, ...], estimates: Sequence[Estimate], pulls: list[np.ndarray]
-) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, dict[ErrorLabel, np.ndarray], dict[str, np.ndarray]]:
     n = len(names)
     values, own = np.zeros(n), np.zeros((n, n))
-    shared: dict[str, np.ndarray] = {}
+    shared: dict[ErrorLabel, np.ndarray] = {}
     by_number: dict[str, np.ndarray] = {}
     for estimate, pull in zip(estimates, pulls, strict=True):
         values += pull @ estimate.values

@@ -15,6 +15,7 @@ from identification.pendulums.open_friction import DAMPING, OpenFriction, profil
 from identification.pendulums.transient import TransientFit
 from rig_basics.arrays import Array
 from rig_configs.drag import LABELS, Drag
+from rig_configs.error_label import ErrorLabel
 
 _DAMPING_NAMES = ("c3_Nms_per_rad", "c4_Nms_per_rad")
 _UNIT = np.array([1e-6, 1e-6, 1e-9, 1e-9])
@@ -32,7 +33,7 @@ class FoundDrag:
     drag: Drag
     correlation: Array
 
-    def shifts(self, values: Mapping[str, float], std: Mapping[str, float]) -> dict[str, Array]:
+    def shifts(self, values: Mapping[str, float], std: Mapping[str, float]) -> dict[ErrorLabel, Array]:
         """Return the shifts of the values for one standard deviation of each part of the drag's error.
 
         Args:

@@ -229,6 +229,6 @@ def _main_limit(experiment: Experiment, name: str, mass: float) -> str:
     value = abs(float(experiment.expected.values[i]))
     parts = {"mass": mass**2, "noise": experiment.noise(name) ** 2 / MOST_RUNS}
     for label, shift in experiment.expected.shared.items():
-        kind = "clock" if label.startswith("clock") else "gain"
+        kind = "clock" if label.kind == "clock" else "gain"
         parts[kind] = parts.get(kind, 0.0) + (float(shift[i]) / value) ** 2
     return max(parts, key=lambda k: parts[k])

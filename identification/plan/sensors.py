@@ -13,6 +13,7 @@ from daq.signals.run import Run
 from identification.clocks import clock_label
 from identification.errors import NotIdentifiable
 from identification.samples import white_noise
+from rig_configs.error_label import ErrorLabel
 from rig_configs.schema import Rig
 
 # A rig file does not contain these values. They are usual ones; a log of the rig gives better ones.
@@ -128,7 +129,7 @@ class SensorProperties:
         prior = self.clock_tolerance[signal]
         return line * prior / math.hypot(line, prior) if line > 0 else 0.0
 
-    def clock_error(self, signal: str, shift: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    def clock_error(self, signal: str, shift: NDArray[np.float64]) -> dict[ErrorLabel, NDArray[np.float64]]:
         """Return a shared error under the label that `identification.clocks` gives it in a recorded test."""
         return {clock_label(self.clocks[signal]): shift}
 

@@ -19,7 +19,7 @@ from identification.plan.sensors import SensorProperties
 from identification.typed_scipy import lfilter
 from rig_basics.arrays import Array, Complex
 from rig_basics.units import TO_RPM
-from rig_configs.known import gain_label
+from rig_configs.error_label import ErrorLabel
 
 _PER_CYCLE = 8  # number of evaluated instants per cycle of the fastest mode
 _SIDE = 0.05  # share of a pluck along one axis that displaces the other axis
@@ -107,7 +107,7 @@ def run_up(
     clock = 2 * sensors.clock_rate_std("phase", ramp_s)
     shared = sensors.clock_error("phase", np.array([clock, clock, 0, 0, 0]))
     for i, axis in enumerate("xy"):
-        shared[gain_label(axis)] = np.array([0, 0, 0, 0, slope * weights[i] * gains[i]])
+        shared[ErrorLabel("gain", axis)] = np.array([0, 0, 0, 0, slope * weights[i] * gains[i]])
     own = reduce @ bound @ reduce.T
     names = (*_FOUR, "SP_kg_m")
     settings = {"top_rpm": top_rad_s * TO_RPM, "ramp_s": ramp_s, "rate_rpm_per_s": top_rad_s * TO_RPM / ramp_s}
@@ -120,7 +120,7 @@ def _estimate(
     test: str,
     names: tuple[str, ...],
     log_covariance: Array,
-    shared: dict[str, Array],
+    shared: dict[ErrorLabel, Array],
 ) -> Estimate:
     """Return an estimate in the parameters' units from the covariance of ln ω, ln ω, ln ζ, …; k grows with ω²."""
     values = np.array([physics.identified()[n] for n in names])

@@ -30,6 +30,7 @@ from identification.release_check.together import agreed, fitted_at
 from identification.sources import parts
 from rig_basics.arrays import Array
 from rig_configs.drag import LABELS, Drag, Reading, read_as
+from rig_configs.error_label import ErrorLabel
 from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION, INDEX, PHYSICAL, ZERO_A, ZERO_B
 from rig_configs.parameters_file import IdentifiedParameters
 from rig_configs.schema import Rig
@@ -78,7 +79,7 @@ class ReleaseRows:
     by_parameter: Array
     parameters: tuple[str, ...]
     by_number: Mapping[str, Array] = field(default_factory=dict[str, Array])
-    shared: Mapping[str, Array] = field(default_factory=dict[str, Array])
+    shared: Mapping[ErrorLabel, Array] = field(default_factory=dict[ErrorLabel, Array])
     used_for: tuple[str, ...] = ()
     chi2_per_dof: float = math.nan
     sentence: str = ""
@@ -241,7 +242,7 @@ class _Case:
         return found if self.attempts.known_friction else found | dict.fromkeys(FRICTION, 0.0)
 
     @property
-    def _bow_errors(self) -> dict[str, Array]:
+    def _bow_errors(self) -> dict[ErrorLabel, Array]:
         """Label → shift of the identified bow for one standard deviation of an error in it, shape (2,), m."""
         roll = self.identified.slow_roll
         if roll is None or roll.bow_m == 0:
@@ -258,7 +259,7 @@ class _Case:
         return {name: std for name, std in zip(TERMS, terms.std.tolist(), strict=True) if std > 0}
 
     @property
-    def _term_errors(self) -> dict[str, dict[str, float]]:
+    def _term_errors(self) -> dict[ErrorLabel, dict[str, float]]:
         """Label → term of the suspension → its shift for one standard deviation of an error."""
         if self.identified.terms is None:
             return {}

@@ -22,8 +22,6 @@ from identification.suspension_terms import known_suspension
 from rig_basics.arrays import Array
 from rig_configs import IdentifiedParameters, Rig
 
-_CLOCK = "clock"
-
 
 def check_run_ups(
     runs: Sequence[Run], rig: Rig, identified: IdentifiedParameters, progress: Callable[[str], None] | None = None
@@ -81,7 +79,7 @@ def _rows(name: str, found: Estimate, rig: Rig, identified: IdentifiedParameters
     shared = {label: by @ shift for label, shift in taken.items()}
     for label, shift in found.shared.items():
         part = shift[places]
-        if label.startswith(_CLOCK):  # a clock's line is fitted separately in every log
+        if label.kind == "clock":  # a clock's line is fitted separately in every log
             own = own + np.outer(part, part)
         else:
             shared[label] = shared.get(label, np.zeros(len(names))) + part

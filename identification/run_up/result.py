@@ -15,7 +15,8 @@ from identification.estimate import Estimate
 from identification.mass_slopes import mass_slopes
 from identification.ring_down.direction_terms import DirectionTerms
 from identification.setting import ModelChoice
-from rig_configs.known import MASSES, ZERO_A, ZERO_B, gain_label
+from rig_configs.error_label import ErrorLabel
+from rig_configs.known import MASSES, ZERO_A, ZERO_B
 from rig_configs.suspension_terms import TERMS
 
 
@@ -108,7 +109,7 @@ def run_up_estimate(run: Run, fit: RunUpFit, physics: RotorParameters, gain_std:
     shared = clock_errors(run, {"phase": np.r_[2 * stiffness, np.zeros(m + 1)]})
     for k, i in enumerate(seen):
         shift = slope * mass * weights[k] * amplitudes[k] * gains[k]
-        shared[gain_label("xy"[i])] = np.r_[np.zeros(2 * m), shift]
+        shared[ErrorLabel("gain", "xy"[i])] = np.r_[np.zeros(2 * m), shift]
     with_terms = jacobian @ fit.with_terms[order] if fit.terms and fit.with_terms is not None else np.empty((0, 0))
     by_number = mass_slopes(names, values, mass)
     for number, change in _imbalance_slopes(_locked_angles(run), physics, locked, slope, moment / mass).items():

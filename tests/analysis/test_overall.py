@@ -18,6 +18,7 @@ from analysis.explanations import explanations
 from analysis.validation import Validation
 from daq.signals.run import Run
 from rig_configs import IdentifiedParameters, Rig, load_rig
+from rig_configs.error_label import ErrorLabel
 
 SETTLED_S = {"A": 45.0, "B": 50.0, "C": 62.0, "D": 30.0, "E": 25.0}
 
@@ -178,7 +179,7 @@ def test_a_cause_that_cannot_be_below_zero_counts_on_its_own_side_only() -> None
 def test_an_error_that_both_sides_share_counts_once() -> None:
     """Two rows that one error moves alike: their difference stays as sharp as each row is by itself."""
     rows = (("A", "θ3"), ("B", "θ3"))
-    shared = {"known rotor.mass_kg": np.array([10.0, 10.0])}
+    shared = {ErrorLabel("known", "rotor.mass_kg"): np.array([10.0, 10.0])}
     found = Differences(
         rows, np.array([8.0, 8.0]), np.eye(2), np.empty((2, 0)), (), np.empty((0, 0)), np.empty((2, 0)), {}, shared
     )

@@ -13,6 +13,7 @@ from analysis.errors import NoStableState
 from analysis.prediction import known_axis_angle, predict_point
 from identification.joint.budget import parameter_budgets
 from rig_configs import IdentifiedParameters, Rig, load_rig
+from rig_configs.error_label import ErrorLabel
 from uncertainty import check_linear, monte_carlo
 from uncertainty.rows import budget_rows
 
@@ -42,7 +43,7 @@ def identified(rig: Rig) -> IdentifiedParameters:
         if set(source.effects) & set(by_number)
     }
     gain = np.array([1e-3 * v if name == "SP_kg_m" else 0.0 for name, v in values.items()])
-    shared["gain x"] = gain
+    shared[ErrorLabel("gain", "x")] = gain
     own = np.diag([(1e-4 * v) ** 2 for v in values.values()])
     covariance = own + np.sum([np.outer(v, v) for v in shared.values()], axis=0)
     return IdentifiedParameters(values, covariance, {}, (1.0, 0.05), shared, by_number)
@@ -74,14 +75,16 @@ def test_the_budgets_hold_the_covariance_of_the_prediction(found: PredictedBudge
 def test_uncertainties_that_a_rig_file_got_after_the_identification_act_through_the_parameters_too(
     rig: Rig, identified: IdentifiedParameters, found: PredictedBudgets
 ) -> None:
-    gains = {label: shift for label, shift in identified.shared.items() if not label.startswith("known ")}
+    gains = {label: shift for label, shift in identified.shared.items() if label.kind != "known"}
     own = identified.own_covariance + np.sum([np.outer(v, v) for v in gains.values()], axis=0)
     before = replace(identified, covariance=own, shared=gains)
     expected = found.predictions["D"]
     prediction = predict_point(rig, before, expected.speed_rad_s)
     np.testing.assert_allclose(prediction.covariance, expected.covariance, rtol=1e-6, atol=1e-20)
-    stale = replace(identified, shared={**identified.shared, "known scales": np.ones(len(identified.values))})
-    assert "known scales" not in stale.shared_with(rig.known)
+    stale = replace(
+        identified, shared={**identified.shared, ErrorLabel("known", "scales"): np.ones(len(identified.values))}
+    )
+    assert ErrorLabel("known", "scales") not in stale.shared_with(rig.known)
     plain = replace(identified, by_number={})
     assert set(plain.shared_with(rig.known)) == set(identified.shared)
 
@@ -91,7 +94,7 @@ def test_a_mass_acts_through_the_parameters_and_directly_in_one_row(found: Predi
     prediction = found.predictions["D"]
     known = next(s for s in found.known.sources if s.name == "balance")
     slope = np.array([prediction.by_number[n][0] * step for n, step in known.effects.items()])
-    through = prediction.shared["known balance"][0] - np.sum(slope)
+    through = prediction.shared[ErrorLabel("known", "balance")][0] - np.sum(slope)
     assert abs(np.sum(slope)) > 1e-6
     assert abs(through) > 1e-6
     assert row.contribution == pytest.approx(np.degrees(through + np.sum(slope)), rel=1e-6)

@@ -13,6 +13,7 @@ from analysis.dry_friction import DryFriction, Sensors, left_open, seen_slopes
 from analysis.prediction import known_axis_angle, predict_point
 from identification.joint.budget import parameter_budgets
 from rig_configs import IdentifiedParameters, Rig, load_rig
+from rig_configs.error_label import ErrorLabel
 from rig_configs.known import KEPT_FRICTION
 from rig_configs.slow_roll import SlowRoll
 from uncertainty.rows import budget_rows
@@ -41,7 +42,7 @@ def identified(rig: Rig, roll: SlowRoll) -> IdentifiedParameters:
         "covariance": np.diag([1e-10, 1e-10, 0.0, 0.0]).tolist(),
     }
     return IdentifiedParameters(
-        values, covariance, {"friction": friction}, (1.0, 0.05), {"gain x": gain}, slow_roll=roll
+        values, covariance, {"friction": friction}, (1.0, 0.05), {ErrorLabel("gain", "x"): gain}, slow_roll=roll
     )
 
 

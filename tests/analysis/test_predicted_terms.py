@@ -13,6 +13,7 @@ from analysis.prediction import Prediction, predict_point
 from analysis.term_errors import effects
 from identification.joint.budget import parameter_budgets
 from rig_configs import IdentifiedParameters, load_rig
+from rig_configs.error_label import ErrorLabel
 from rig_configs.suspension_terms import TERMS, SuspensionTerms
 
 RIG = load_rig("virtual")
@@ -26,7 +27,7 @@ def identified(values: np.ndarray) -> IdentifiedParameters:
     k2 = list(found).index("k2_N_per_m")
     shift = np.zeros(n)
     shift[k2] = -1e-4 * found["k2_N_per_m"]
-    label = f"suspension {TERMS[1]}"
+    label = ErrorLabel("suspension", TERMS[1])
     terms = SuspensionTerms(values, np.diag(STD**2), TERMS)
     return IdentifiedParameters(found, np.outer(shift, shift), shared={label: shift}, terms=terms)
 
@@ -49,11 +50,11 @@ def test_an_error_that_a_term_shares_with_k2_counts_once() -> None:
     values = np.array([1600.0, 1600.0, 1.0, 0.3])
     given = identified(values)
     found = predict_point(RIG, given, SPEED, (0.0, 0.0))
-    label = f"suspension {TERMS[1]}"
+    label = ErrorLabel("suspension", TERMS[1])
     expected = found.by_parameter @ given.shared[label] + found.by_term[TERMS[1]] * STD[1]
     assert found.shared[label] == pytest.approx(expected, rel=1e-9)
-    assert found.shared[f"suspension {TERMS[3]}"] == pytest.approx(found.by_term[TERMS[3]] * STD[3], rel=1e-9)
-    assert set(found.shared) > {f"suspension {name}" for name in TERMS}
+    assert found.shared[ErrorLabel("suspension", TERMS[3])] == pytest.approx(found.by_term[TERMS[3]] * STD[3], rel=1e-9)
+    assert set(found.shared) > {ErrorLabel("suspension", name) for name in TERMS}
 
 
 def budgets(given: IdentifiedParameters, found: Prediction) -> PredictedBudgets:

@@ -26,16 +26,19 @@ from analysis.causes import Cause
 from analysis.differences import Differences
 from analysis.errors import NoStableState, NotEnoughData
 from analysis.overall import Overall, _as_kept, _Case, overall
+from analysis.prediction import AXIS_ANGLE
 from analysis.results import PointResult
 from analysis.scores import DISPLAYED, Score, balanced_z, finite, scores_of, sentence
 from analysis.steady_state import Interval
 from analysis.validation import Validation, _asked_rpm, _compare, _held, _is_test, _judge, validate, validate_point
 from dynamics.errors import DynamicsError
 from rig_configs import IdentifiedParameters, Rig, load_rig
+from rig_configs.error_label import ErrorLabel
 from rig_configs.known import CONTACT_FRICTION, DRAG, FRICTION
 from rig_configs.slow_roll import SlowRoll
 
 DEGREE = math.pi / 180
+GAIN_X = ErrorLabel("gain", "x")
 
 
 @pytest.fixture(scope="module")
@@ -192,11 +195,11 @@ def test_an_error_of_both_sides_counts_with_its_difference(rig: Rig) -> None:
     alone = scores_of(measurement(), prediction(), rig)["amplitude_x"].u_validation ** 2
     shift = np.array([0.0, 0.0, gain_x * 4e-4, 0.0, 0.0])
     covariance = prediction().covariance + np.outer(shift, shift)
-    same = scores_of(measurement(), prediction(shared={"gain x": shift}, covariance=covariance), rig)["amplitude_x"]
+    same = scores_of(measurement(), prediction(shared={GAIN_X: shift}, covariance=covariance), rig)["amplitude_x"]
     assert same.u_validation**2 == pytest.approx(alone - (gain_x * 4e-4) ** 2)
-    other = scores_of(measurement(), prediction(shared={"gain x": -shift}, covariance=covariance), rig)["amplitude_x"]
+    other = scores_of(measurement(), prediction(shared={GAIN_X: -shift}, covariance=covariance), rig)["amplitude_x"]
     assert other.u_validation**2 == pytest.approx(alone + 3 * (gain_x * 4e-4) ** 2)
-    only = scores_of(measurement(), prediction(shared={"axis angle": shift}, covariance=covariance), rig)["amplitude_x"]
+    only = scores_of(measurement(), prediction(shared={AXIS_ANGLE: shift}, covariance=covariance), rig)["amplitude_x"]
     assert only.u_validation**2 == pytest.approx(alone + (gain_x * 4e-4) ** 2)
 
 

@@ -17,6 +17,7 @@ from daq.signals.run import Run, load_run
 from identification.clocks import clock_errors
 from identification.identify import Identification, identify
 from rig_configs import load_rig
+from rig_configs.error_label import ErrorLabel
 from rig_configs.schema import Rig
 from rig_configs.shared_errors import shared_source
 from tests.daq.test_signals import DISPLACEMENT_Y, START, batch
@@ -97,7 +98,7 @@ def test_a_recorder_without_a_stated_tolerance_counts_50_ppm_with_a_warning(tmp_
     run = load_run(done.path)
     assert run.clock_rate_std["x"] == pytest.approx(50e-6)
     assert rate_std_between(run, "x", "phase") == 0.0
-    assert list(clock_errors(run, {"x": np.ones(1), "y": np.ones(1)})) == ["clock recorder"]
+    assert list(clock_errors(run, {"x": np.ones(1), "y": np.ones(1)})) == [ErrorLabel("clock", "recorder")]
     stated = import_recording(path, tmp_path / "stated.mcap", RIG, recipe)
     assert not any("ppm" in warning for warning in stated.warnings)
 
@@ -111,9 +112,9 @@ def test_what_one_log_has_read_of_a_rate_is_an_error_of_its_own(tmp_path: Path) 
     slopes = {"x": np.array([1.0, 0.0]), "y": np.array([0.0, 2.0])}
     found = clock_errors(both, slopes, ("a/1.mcap", "b/2.mcap"))
     assert {label: shift.tolist() for label, shift in found.items()} == {
-        "clock east": pytest.approx([3e-6, 0.0]),
-        "clock east in 1.mcap + 2.mcap": pytest.approx([4e-6, 0.0]),
-        "clock north": pytest.approx([0.0, 1e-5]),
+        ErrorLabel("clock", "east"): pytest.approx([3e-6, 0.0]),
+        ErrorLabel("clock", "east", "1.mcap + 2.mcap"): pytest.approx([4e-6, 0.0]),
+        ErrorLabel("clock", "north"): pytest.approx([0.0, 1e-5]),
     }
     assert [shared_source(label).kind for label in found] == ["B", "A", "B"]
 

@@ -22,6 +22,7 @@ from identification.joint import joint_estimate
 from identification.joint.limits import SOURCES, limits
 from identification.joint.provenance import kept_tests, rebuilt, with_tests
 from rig_configs import IdentifiedParameters, ParametersFileError
+from rig_configs.error_label import ErrorLabel
 
 NAN = float("nan")
 GAINS = np.array([4e-4, -7e-4])  # of lasers that stay the same
@@ -212,7 +213,7 @@ def test_a_clock_common_to_what_stayed_and_what_came_is_no_change() -> None:
             shift = power * rate * true
             values = true + scale * (estimate.values - true) + rng.standard_normal() * shift
             covariance = estimate.covariance * np.outer(scale, scale)
-            shared = {"clock encoder": shift}
+            shared = {ErrorLabel("clock", "encoder"): shift}
             estimates.append(dataclasses.replace(estimate, values=values, covariance=covariance, shared=shared))
         found = compare_parameters(parameters_of(estimates[:2]), parameters_of(estimates))
         p.append(found.p)

@@ -9,6 +9,7 @@ import pytest
 from synthetic import Campaign
 
 from identification import Estimate, NotIdentifiable, combine, identify
+from rig_configs.error_label import ErrorLabel
 from rig_configs.parameters_file import PARAMETER_UNITS
 
 TARGETS = {"k": 5e-4, "z": 1e-2, "c": 1e-2, "S": 5e-3}
@@ -134,7 +135,7 @@ def test_a_log_that_is_not_whole_is_warned_of_once() -> None:
 
 def test_shared_errors_do_not_average_out() -> None:
     name = ("SP_kg_m",)
-    gain = {"gain laser_x": np.array([1e-6])}
+    gain = {ErrorLabel("gain", "laser_x"): np.array([1e-6])}
     tests = [Estimate("run-up", (f"{i}",), name, np.array([2.5e-3]), np.array([[1e-16]]), gain) for i in range(9)]
     together, rows, warnings = combine(tests)
     assert together.std["SP_kg_m"] == pytest.approx(np.hypot(1e-6, 1e-8 / 3), rel=1e-6)

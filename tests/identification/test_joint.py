@@ -12,6 +12,7 @@ from synthetic import Campaign
 from identification import Estimate, NotIdentifiable, combine, identify
 from identification.joint import joint_estimate
 from identification.joint.agreement import verdict
+from rig_configs.error_label import ErrorLabel
 from rig_configs.parameters_file import PARAMETER_UNITS
 
 TRUTH = {
@@ -53,18 +54,18 @@ def draw(
         noise = np.linalg.cholesky(own) @ rng.standard_normal(len(names))
         if heavy_tails:
             noise *= np.sqrt(8 / rng.chisquare(10))
-        shared: dict[str, np.ndarray] = {}
+        shared: dict[ErrorLabel, np.ndarray] = {}
         values = true + noise
         for device, k in (("laser_x", "k1_N_per_m"), ("laser_y", "k2_N_per_m")):
             shift = np.array([2 * 3e-6 * TRUTH[n] if n == k else 0.0 for n in names])
             if shift.any():
-                label = "clock encoder" if test == "run-up" else f"clock {device}"
+                label = ErrorLabel("clock", "encoder") if test == "run-up" else ErrorLabel("clock", device)
                 shared[label] = shared.get(label, 0) + shift
                 values = values + shift * rng.standard_normal()
         if test == "run-up":
             for i, axis in enumerate("xy"):
                 shift = np.array([0.5e-3 * TRUTH[n] if n == "SP_kg_m" else 0.0 for n in names])
-                shared[f"gain laser_{axis}"] = shift
+                shared[ErrorLabel("gain", f"laser_{axis}")] = shift
                 values = values + shift * gains[i] / 1e-3
         out.append(Estimate(test, (f"{number:02d}-{test}.mcap",), names, values, own, shared))
     return out, np.array([TRUTH[n] for n in PARAMETER_UNITS])
@@ -227,12 +228,12 @@ def test_shared_gain_stays_and_own_errors_average_out() -> None:
             ("SP_kg_m",),
             np.array([2.5e-3]),
             np.array([[1e-14]]),
-            {"gain laser_x": np.array([1e-6])},
+            {ErrorLabel("gain", "laser_x"): np.array([1e-6])},
         )
         for i in range(4)
     ]
     found = joint_estimate(tests)
-    assert found.weighted.shared["gain laser_x"] == pytest.approx([1e-6])
+    assert found.weighted.shared[ErrorLabel("gain", "laser_x")] == pytest.approx([1e-6])
     assert np.sqrt(found.weighted.own[0, 0]) == pytest.approx(1e-7 / 2)
 
 

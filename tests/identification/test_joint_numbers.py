@@ -32,10 +32,13 @@ from identification.joint.weighting import Weighted, weighted
 from identification.pendulums.open_friction import OpenFriction, Together
 from identification.pendulums.transient import TransientFit
 from rig_configs import IdentifiedParameters, load_rig
+from rig_configs.error_label import ErrorLabel
 from rig_configs.errors import ParametersFileError
 from rig_configs.known import KnownSource
 
 K1, K2 = "k1_N_per_m", "k2_N_per_m"
+GAIN_X = ErrorLabel("gain", "x")
+FRICTION_1 = ErrorLabel("friction", "1")
 TOLERATED = 1.0025  # variance with the tolerated twentieth of a standard deviation
 
 
@@ -43,7 +46,7 @@ def one(
     value: float,
     std: float = 1.0,
     number: int = 0,
-    shared: dict[str, float] | None = None,
+    shared: dict[ErrorLabel, float] | None = None,
     by_number: dict[str, float] | None = None,
     name: str = K1,
     at: float = 1000.0,
@@ -192,8 +195,8 @@ def test_only_values_of_the_worst_test_are_named() -> None:
 
 
 def test_covariance_of_all_has_common_gains_and_clocks_of_each_log() -> None:
-    a = one(0.0, 1.0, 0, {"gain x": 2.0, "clock laser_x": 3.0})
-    b = one(0.0, 0.5, 1, {"gain x": -1.0, "clock laser_x": 4.0})
+    a = one(0.0, 1.0, 0, {GAIN_X: 2.0, ErrorLabel("clock", "laser_x"): 3.0})
+    b = one(0.0, 0.5, 1, {GAIN_X: -1.0, ErrorLabel("clock", "laser_x"): 4.0})
     variances = np.array([1.0 + 4.0 + 9.0, 0.25 + 1.0 + 16.0])
     expected = np.array([[TOLERATED * variances[0], -2.0], [-2.0, TOLERATED * variances[1]]])
     assert covariance_of_all([a, b]) == pytest.approx(expected)
@@ -236,19 +239,19 @@ def test_a_parameter_of_one_test_has_no_rows() -> None:
 
 
 def test_weights_are_the_inverse_variances_without_the_errors_found_together() -> None:
-    a = one(0.0, 1.0, 0, {"gain x": 2.0, "friction 1": 7.0}, {"rotor.mass_kg": 3.0})
-    b = one(10.0, 3.0, 1, {"gain x": 1.0}, {"rotor.mass_kg": -1.0, "imbalance.mass_kg": 5.0})
+    a = one(0.0, 1.0, 0, {GAIN_X: 2.0, FRICTION_1: 7.0}, {"rotor.mass_kg": 3.0})
+    b = one(10.0, 3.0, 1, {GAIN_X: 1.0}, {"rotor.mass_kg": -1.0, "imbalance.mass_kg": 5.0})
     share = np.array([1 / 5.0, 1 / 10.0]) / (1 / 5.0 + 1 / 10.0)
     found = weighted([a, b])
     assert found.names == (K1,)
     assert found.values == pytest.approx([1000.0 + 10.0 * share[1]])
     assert [float(pull[0, 0]) for pull in found.pulls] == pytest.approx(share.tolist())
     assert found.own == pytest.approx(np.array([[share[0] ** 2 + 9.0 * share[1] ** 2]]))
-    assert found.shared["gain x"] == pytest.approx([2.0 * share[0] + share[1]])
-    assert found.shared["friction 1"] == pytest.approx([7.0 * share[0]])
+    assert found.shared[GAIN_X] == pytest.approx([2.0 * share[0] + share[1]])
+    assert found.shared[FRICTION_1] == pytest.approx([7.0 * share[0]])
     assert found.by_number["rotor.mass_kg"] == pytest.approx([3.0 * share[0] - share[1]])
     assert found.by_number["imbalance.mass_kg"] == pytest.approx([5.0 * share[1]])
-    total = found.own[0, 0] + found.shared["gain x"][0] ** 2 + found.shared["friction 1"][0] ** 2
+    total = found.own[0, 0] + found.shared[GAIN_X][0] ** 2 + found.shared[FRICTION_1][0] ** 2
     assert found.covariance == pytest.approx(np.array([[total]]))
 
 
@@ -267,14 +270,14 @@ def test_parameters_of_very_different_size_and_zero_are_combined() -> None:
 @pytest.mark.parametrize(("apart", "stretched"), [(3.5, False), (3.8, True)])
 def test_a_mild_disagreement_stretches(apart: float, stretched: bool) -> None:
     """p of the difference of two tests is 1 % at 2.58 √(2 · 1.0025) = 3.65."""
-    shared = {"gain x": 0.5}
+    shared = {GAIN_X: 0.5}
     pair = [one(0.0, 1.0, 0, shared), one(apart, 1.0, 1, shared)]
     found = joint_estimate(pair)
     variance = TOLERATED * 1.25
     statistic = apart**2 / (2 * variance - 2 * 0.25)
     factor = math.sqrt(statistic) if stretched else 1.0
     assert found.stretch == pytest.approx([factor])
-    assert found.parameters.shared["gain x"] == pytest.approx([0.5 * factor])
+    assert found.parameters.shared[GAIN_X] == pytest.approx([0.5 * factor])
     assert found.parameters.std[K1] == pytest.approx(factor * math.sqrt(0.5 + 0.25))
     assert found.parameters.values[K1] == pytest.approx(1000.0 + apart / 2)
     assert (found.warnings, found.left_out, found.extra_std) == ([], {}, {})
@@ -352,7 +355,7 @@ def test_reduced_keeps_every_part_of_an_estimate() -> None:
         (K1, K2, "zeta1"),
         np.array([1.0, 2.0, 3.0]),
         np.arange(9.0).reshape(3, 3),
-        {"gain x": np.array([4.0, 5.0, 6.0])},
+        {GAIN_X: np.array([4.0, 5.0, 6.0])},
         "m",
         {"rotor.mass_kg": np.array([7.0, 8.0, 9.0])},
         {"term": np.array([10.0, 11.0, 12.0])},
@@ -361,7 +364,7 @@ def test_reduced_keeps_every_part_of_an_estimate() -> None:
     assert part.names == ("zeta1", K1)
     assert part.values.tolist() == [3.0, 1.0]
     assert part.covariance.tolist() == [[8.0, 6.0], [2.0, 0.0]]
-    assert part.shared["gain x"].tolist() == [6.0, 4.0]
+    assert part.shared[GAIN_X].tolist() == [6.0, 4.0]
     assert part.by_number["rotor.mass_kg"].tolist() == [9.0, 7.0]
     assert part.with_terms["term"].tolist() == [12.0, 10.0]
     assert (part.test, part.source, part.method) == ("t", "s", "m")
@@ -396,11 +399,11 @@ def test_a_nearly_singular_covariance_is_accepted() -> None:
 def test_shares_of_a_variance_by_source() -> None:
     """Own variance 4 (a quarter beyond noise), clock 1, gain 9 + 16, known 25, friction 36; 1 % of the mass."""
     shared = {
-        "clock laser_x": 1.0,
-        "gain x": 3.0,
-        "gain y": 4.0,
-        "known rotor.mass_kg": 5.0,
-        "friction 1": 6.0,
+        ErrorLabel("clock", "laser_x"): 1.0,
+        GAIN_X: 3.0,
+        ErrorLabel("gain", "y"): 4.0,
+        ErrorLabel("known", "rotor.mass_kg"): 5.0,
+        FRICTION_1: 6.0,
     }
     file = kept([one(0.0, 2.0, 0, shared)], 0.25)
     (found,) = limits(file, 0.01)
@@ -446,7 +449,7 @@ def kept(estimates: list[Estimate], share: float) -> IdentifiedParameters:
             "values": dict(zip(e.names, e.values.tolist(), strict=True)),
             "covariance": e.covariance.tolist(),
             "model_share": share,
-            "shared": {label: dict(zip(e.names, v.tolist(), strict=True)) for label, v in e.shared.items()},
+            "shared": {label.text: dict(zip(e.names, v.tolist(), strict=True)) for label, v in e.shared.items()},
         }
         for i, e in enumerate(estimates)
     ]
@@ -663,7 +666,8 @@ def transient(number: int, log_c: np.ndarray, friction: float = 0.0) -> tuple[Es
     )
     source = (f"{number:02d}.mcap",)
     names = ("c3_Nms_per_rad", "c4_Nms_per_rad")
-    return Estimate("spin-down", source, names, c, np.diag((1e-3 * c) ** 2), {"friction 9": c, "gain x": c * 1e-6}), fit
+    shared = {ErrorLabel("friction", "9"): c, GAIN_X: c * 1e-6}
+    return Estimate("spin-down", source, names, c, np.diag((1e-3 * c) ** 2), shared), fit
 
 
 def test_transients_share_the_friction_that_all_of_them_show() -> None:
@@ -680,9 +684,9 @@ def test_transients_share_the_friction_that_all_of_them_show() -> None:
         assert np.log(each.values) == pytest.approx(log_c, abs=1e-8)
         relative = np.sqrt(np.diag(each.covariance)) / each.values
         assert relative == pytest.approx([0.6e-3] * 2, rel=1e-6)
-        labels = {label for label in each.shared if label.startswith("friction")}
-        assert labels == {f"friction {k}" for k in (1, 2, 3, 4)}  # the former one is replaced
-        assert each.shared["gain x"] == pytest.approx(np.exp(LOG_C) * 1e-6)
+        labels = {label for label in each.shared if label.kind == "friction"}
+        assert labels == {ErrorLabel("friction", f"{k}") for k in (1, 2, 3, 4)}  # the former one is replaced
+        assert each.shared[GAIN_X] == pytest.approx(np.exp(LOG_C) * 1e-6)
         by_friction = math.sqrt(sum(float(each.shared[label][0]) ** 2 for label in labels)) / each.values[0]
         assert by_friction == pytest.approx(0.8e-3 / math.sqrt(3), rel=1e-3)
         assert each.by_number["rotor.mass_kg"] == pytest.approx(0.5 * each.values, rel=1e-6)
@@ -692,7 +696,7 @@ def test_one_transient_shares_nothing() -> None:
     estimate, fit = transient(0, LOG_C)
     (found,), shared = with_shared_friction([estimate], {estimate.sources: fit})
     assert shared is None
-    assert set(found.shared) == {"gain x"}
+    assert set(found.shared) == {GAIN_X}
     assert found.by_number["rotor.mass_kg"] == pytest.approx(0.5 * np.exp(LOG_C))
     assert found.covariance == pytest.approx(np.diag((1e-3 * np.exp(LOG_C)) ** 2), rel=1e-9)
     pair = [transient(i, LOG_C) for i in range(2)]

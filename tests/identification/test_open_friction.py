@@ -18,6 +18,7 @@ from identification.joint.weighting import weighted
 from identification.pendulums.frictional_motion import frictional_motion
 from identification.pendulums.open_friction import OpenFriction, alone, inverse, pooled, together
 from identification.pendulums.suspension_knowledge import Knowledge
+from rig_configs.error_label import ErrorLabel
 from rig_configs.load import load_rig
 
 K1, K2, Z1, Z2 = 2469.0683568334575, 38836.57537306929, 0.017445223022521494, 0.03700809357651274
@@ -53,7 +54,7 @@ def test_shared_friction_is_least_squares_over_damping_and_friction() -> None:
         )
     shared, whole = together(tests), pooled(tests)
     estimates = [
-        Estimate(f"t{i}", (f"t{i}",), NAMES, c, own, {f"friction {k}": v for k, v in enumerate(by.T)})
+        Estimate(f"t{i}", (f"t{i}",), NAMES, c, own, {ErrorLabel("friction", f"{k}"): v for k, v in enumerate(by.T)})
         for i, (c, own, by) in enumerate(zip(shared.log_damping, shared.own, shared.shared, strict=True))
     ]
     joint = weighted(estimates)
@@ -156,17 +157,27 @@ def test_two_tests_share_their_friction_and_one_stands_alone() -> None:
         (point.source,): fit_release(point, known(campaign), np.radians(0.05)),
     }
     own = [
-        Estimate("t", s, NAMES, np.array(list(f.values.values())), f.covariance, {"clock e": np.ones(2) * 1e-9})
+        Estimate(
+            "t",
+            s,
+            NAMES,
+            np.array(list(f.values.values())),
+            f.covariance,
+            {ErrorLabel("clock", "e"): np.ones(2) * 1e-9},
+        )
         for s, f in fits.items()
     ]
     both, shared = with_shared_friction(own, fits)
     assert shared is not None
     assert friction_messages(shared) == []
-    assert {label for e in both for label in e.shared} == {"clock e", *(f"friction {k + 1}" for k in range(4))}
+    assert {label for e in both for label in e.shared} == {
+        ErrorLabel("clock", "e"),
+        *(ErrorLabel("friction", f"{k + 1}") for k in range(4)),
+    }
     true, joint = campaign.truth.identified(), weighted(both)
     assert np.all(np.abs(joint.values - [true[n] for n in NAMES]) < 4 * np.sqrt(np.diag(joint.covariance)))
     assert np.sqrt(joint.covariance[0, 0]) < 0.5 * own[0].std[NAMES[0]]
     one, nothing = with_shared_friction(both[:1], fits)
     assert nothing is None
     assert one[0].values == pytest.approx(own[0].values)
-    assert set(one[0].shared) == {"clock e"}
+    assert set(one[0].shared) == {ErrorLabel("clock", "e")}

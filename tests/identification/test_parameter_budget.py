@@ -13,6 +13,7 @@ from identification.estimate import Estimate
 from identification.joint.budget import exact_shifts, parameter_budgets
 from identification.joint.combine import joint_estimate
 from rig_configs import IdentifiedParameters, load_rig
+from rig_configs.error_label import ErrorLabel
 from uncertainty import ErrorSource, Group
 from uncertainty.rows import budget_json, budget_rows
 
@@ -22,7 +23,11 @@ STD = np.array([0.5, 8.0, 2e-5])
 MASSES = ("rotor.mass_kg", "imbalance.mass_kg", "pendulums.a.mass_kg", "pendulums.b.mass_kg")
 TOTAL_KG = load_rig("virtual").physics.total_mass_kg
 BY_MASS = {name: np.array([VALUES[0], VALUES[1], 0.0]) / TOTAL_KG for name in MASSES}
-SHARED = {"clock laser_x": [0.3, 0.0, 0.0], "gain x": [0.0, 2.0, 1e-5], "friction 1": [0.0, 0.0, 5e-6]}
+SHARED = {
+    ErrorLabel("clock", "laser_x"): [0.3, 0.0, 0.0],
+    ErrorLabel("gain", "x"): [0.0, 2.0, 1e-5],
+    ErrorLabel("friction", "1"): [0.0, 0.0, 5e-6],
+}
 
 
 def estimate(number: int, off: Sequence[float], correlation: float = 0.6, spread: float = 1.0) -> Estimate:
@@ -44,7 +49,7 @@ def kept(estimates: Sequence[Estimate], model_share: float = 0.25) -> Identified
             "values": dict(zip(e.names, e.values.tolist(), strict=True)),
             "covariance": e.covariance.tolist(),
             "model_share": model_share,
-            "shared": {label: dict(zip(e.names, v.tolist(), strict=True)) for label, v in e.shared.items()},
+            "shared": {label.text: dict(zip(e.names, v.tolist(), strict=True)) for label, v in e.shared.items()},
         }
         for e in estimates
     ]

@@ -16,6 +16,7 @@ from identification.plan.information import covariance, derivatives, ring_down_b
 from identification.plan.pendulums import release, spin_down
 from identification.plan.suspension import ring_down, run_up
 from rig_configs import RigFileError, load_rig
+from rig_configs.error_label import ErrorLabel
 from tests.identification.added_rows import row
 
 RIG = load_rig("virtual")
@@ -263,16 +264,16 @@ def test_errors_bear_the_labels_that_a_recorded_test_gives_them() -> None:
         release(RIG.physics, other, "point-D", speed, 4.0),
     )
     assert [set(e.expected.shared) for e in planned] == [
-        {"clock east"},
-        {"clock rotor", "gain x", "gain y"},
-        {"clock rotor"},
-        {"clock rotor"},
+        {ErrorLabel("clock", "east")},
+        {ErrorLabel("clock", "rotor"), ErrorLabel("gain", "x"), ErrorLabel("gain", "y")},
+        {ErrorLabel("clock", "rotor")},
+        {ErrorLabel("clock", "rotor")},
     ]
     campaign = Campaign(1)
     devices = {"x": "laser_x", "y": "laser_y", "angles": "encoder", "phase": "encoder"}
     passage = replace(campaign.run_up(), clocks=devices)
     (found,) = identify([passage], campaign.rig).estimates
-    seen = {label for label in found.shared if not label.startswith("known ")}
+    seen = {label for label in found.shared if label.kind != "known"}
     assert seen == set(run_up(RIG.physics, SENSORS, 94.0, 40.0).expected.shared)
 
 

@@ -21,7 +21,8 @@ from identification.release_check.attempts import Attempts
 from identification.release_check.model import Misfit
 from identification.release_check.together import fitted_at
 from rig_configs import PARAMETER_UNITS, IdentifiedParameters, Rig
-from rig_configs.known import FRICTION, ZERO_A, ZERO_B, known_label
+from rig_configs.error_label import ErrorLabel
+from rig_configs.known import FRICTION, ZERO_A, ZERO_B
 from rig_configs.suspension_terms import TERMS
 
 SHARE = {
@@ -82,7 +83,7 @@ def test_what_is_left_after_the_known_errors_is_the_noise_that_was_promised() ->
             zero_std = math.radians(campaign.rig.roles.zero_std_deg)
             noise = rows.values - rows.by_parameter @ error
             for name, zero in zip((ZERO_A, ZERO_B), campaign.zero, strict=True):
-                noise = noise + rows.shared[known_label(name)] / zero_std * zero
+                noise = noise + rows.shared[ErrorLabel("known", name)] / zero_std * zero
             chi2 += float(noise @ np.linalg.solve(rows.own, noise))
             whole += float(rows.values @ np.linalg.solve(covariance(rows, found), rows.values))
             count += len(rows.values)

@@ -13,6 +13,7 @@ from benchmarks.worlds.world import Spread, World, draw_world
 from daq.signals.run import Run
 from identification import Identification, identify
 from identification.release_check import ReleaseRows, check_run_ups
+from rig_configs.error_label import ErrorLabel
 
 SEED = 800_000
 
@@ -51,7 +52,7 @@ def test_a_run_up_that_has_identified_is_not_compared(world: World, before: list
 def test_differences_are_as_large_as_their_covariance_has_them(world: World, found: Identification) -> None:
     """What both share counts once: a mass that is off moves k of both run-ups alike, clocks are each log's own."""
     rows = compared(world, later(world, SEED + 1), found)
-    assert np.all(np.abs(rows.shared["known rotor.mass_kg"][:2]) < 1e-6 * np.array([2500.0, 38000.0]))
+    assert np.all(np.abs(rows.shared[ErrorLabel("known", "rotor.mass_kg")][:2]) < 1e-6 * np.array([2500.0, 38000.0]))
     shared = np.array(list(rows.shared.values()))
     total = rows.own + rows.by_parameter @ found.parameters.own_covariance @ rows.by_parameter.T + shared.T @ shared
     chi2 = float(rows.values @ np.linalg.solve(total, rows.values))

@@ -13,6 +13,7 @@ from identification import identify
 from identification.estimate import Estimate
 from identification.ring_down.direction_terms import DirectionTerms
 from identification.suspension_terms import ChosenTerms, sharing_terms
+from rig_configs.error_label import ErrorLabel
 from rig_configs.suspension_terms import TERMS, SuspensionTerms
 
 RNG = np.random.default_rng(3)
@@ -33,7 +34,7 @@ def estimate() -> Estimate:
         names,
         np.array([2500.0, K, 0.02, 0.02]),
         covariance,
-        {"clock": np.ones(4) * 1e-9},
+        {ErrorLabel("clock"): np.ones(4) * 1e-9},
         "two coupled decays, separable least squares",
         {},
         {
@@ -67,7 +68,7 @@ def test_terms_of_another_ring_down_take_the_place_of_those_before() -> None:
     (first,) = sharing_terms([estimate()], chosen())
     other = ChosenTerms(chosen().terms, {2: (("better.mcap",), replace(OWN, largest_m=3e-3))})
     (after,) = sharing_terms([first], other)
-    assert list(after.shared) == ["clock"]
+    assert list(after.shared) == [ErrorLabel("clock")]
     assert np.allclose(after.covariance, estimate().covariance, rtol=1e-12)
 
 
@@ -85,8 +86,8 @@ def test_ring_downs_of_an_independent_rig(effect: str) -> None:
     std = np.sqrt(sum(shift**2 for shift in terms.errors(world.rig.roles.gain_stds).values()))
     assert np.all(np.abs(terms.values - true)[at] < 4 * std[at])
     assert np.all(std[at] < 0.05 * true[at])
-    assert {label for label in found.shared if label.startswith("suspension ")} == {
-        f"suspension {TERMS[i]}" for i in at
+    assert {label for label in found.shared if label.kind == "suspension"} == {
+        ErrorLabel("suspension", TERMS[i]) for i in at
     }
     left = [i for i in range(4) if i not in at]
     assert not np.any(terms.covariance[left])
@@ -96,4 +97,4 @@ def test_a_rig_without_terms_has_no_table() -> None:
     world = draw_world(7)
     found = identify([record(world, 7, test) for test in ("ring-down-x", "ring-down-y")], world.rig).parameters
     assert found.terms is None
-    assert not [label for label in found.shared if label.startswith("suspension")]
+    assert not [label for label in found.shared if label.kind == "suspension"]

@@ -15,6 +15,7 @@ from identification import NotIdentifiable, identify
 from identification.mounting import as_mounted, mounting_remarks
 from identification.ring_down.fit import fit_ring_down_runs, ring_down_estimate
 from rig_configs import IdentifiedParameters, load_rig
+from rig_configs.error_label import ErrorLabel
 
 
 def turned(run: Run, turn_deg: float) -> Run:
@@ -123,8 +124,8 @@ def test_both_clocks_are_in_what_both_sensors_show() -> None:
     k1 = fit.values["k1_N_per_m"]
     shared = ring_down_estimate(run, fit, 7.27).shared
     assert {label: shift[0] / k1 for label, shift in shared.items()} == {
-        "clock x": pytest.approx(3e-6),
-        "clock y": pytest.approx(3e-6),
+        ErrorLabel("clock", "x"): pytest.approx(3e-6),
+        ErrorLabel("clock", "y"): pytest.approx(3e-6),
     }
 
 

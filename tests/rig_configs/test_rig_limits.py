@@ -13,6 +13,7 @@ import pytest
 from pydantic import ValidationError
 
 from rig_configs import IdentifiedParameters, ParametersFileError, RigFileError, load_rig, parse_setting
+from rig_configs.error_label import ErrorLabel
 from rig_configs.load import apply_setting, refusal, validate, with_truth
 from rig_configs.schema import (
     Imbalance,
@@ -30,6 +31,7 @@ from rig_configs.schema import (
 from rig_configs.table import RigTable
 from rig_configs.toml_text import parse_toml
 
+GAIN_X, ROTOR_MASS = ErrorLabel("gain", "x"), ErrorLabel("known", "rotor.mass_kg")
 ROTOR = {"mass_kg": 7.0}
 WEIGHT = {"mass_kg": 0.12, "radius_m": 0.02}
 PENDULUM = {"mass_kg": 0.075, "length_m": 0.054, "damping_Nms_per_rad": 0.001}
@@ -373,7 +375,7 @@ def test_no_direction_has_a_negative_variance(excess: float, accepted: bool) -> 
         ({"covariance": np.eye(3)}, "finite 2 × 2 matrix, got shape (3, 3)"),
         ({"covariance": np.diag([1.0, -1e-300])}, "no negative variance"),
         ({"covariance": np.array([[0.0, 0.1], [0.1, 1.0]])}, "positive semidefinite"),
-        ({"shared": {"gain x": np.zeros(3)}}, "'gain x': expected 2 finite numbers, got shape (3,)"),
+        ({"shared": {GAIN_X: np.zeros(3)}}, "'gain x': expected 2 finite numbers, got shape (3,)"),
         ({"by_number": {"rotor.mass_kg": np.array([1.0, math.inf])}}, "'rotor.mass_kg': expected 2 finite numbers"),
         ({"axis_angle_deg": (1.0, -0.1)}, "axis_angle: expected finite value_deg and std_deg, not negative"),
         ({"axis_angle_deg": (math.inf, 0.1)}, "axis_angle"),
@@ -396,36 +398,36 @@ def test_exact_values_have_no_correlation_and_an_angle_may_be_exact() -> None:
 def test_completed_parameters_take_the_rest_from_the_rig_as_exact() -> None:
     physics = load_rig("virtual").physics
     covariance = np.array([[4.0, 1e-4], [1e-4, 1e-8]])
-    short = parameters(covariance=covariance, shared={"gain x": np.array([1.0, 2e-5])})
+    short = parameters(covariance=covariance, shared={GAIN_X: np.array([1.0, 2e-5])})
     whole = short.completed(physics)
     assert whole.values == {**physics.identified(), **short.values}
     assert list(whole.values)[:2] == ["k1_N_per_m", "zeta1"]
     assert np.array_equal(whole.covariance[:2, :2], covariance)
     assert not whole.covariance[2:].any()
-    assert whole.shared["gain x"].tolist() == [1.0, 2e-5, 0, 0, 0, 0, 0]
-    assert whole.without(set(physics.identified()) - set(short.values)).shared["gain x"].tolist() == [1.0, 2e-5]
+    assert whole.shared[GAIN_X].tolist() == [1.0, 2e-5, 0, 0, 0, 0, 0]
+    assert whole.without(set(physics.identified()) - set(short.values)).shared[GAIN_X].tolist() == [1.0, 2e-5]
 
 
 def test_the_own_covariance_is_without_the_shared_errors_and_never_indefinite() -> None:
     shift = np.array([1.0, 5e-5])
-    shared = parameters(covariance=np.diag([3.0, 1e-8]) + np.outer(shift, shift), shared={"gain x": shift})
+    shared = parameters(covariance=np.diag([3.0, 1e-8]) + np.outer(shift, shift), shared={GAIN_X: shift})
     assert shared.own_covariance == pytest.approx(np.diag([3.0, 1e-8]), rel=1e-12, abs=1e-16)
     assert np.array_equal(parameters().own_covariance, parameters().covariance)
-    excessive = parameters(shared={"gain x": np.array([3.0, 0.0])})  # a variance of 9, of 4
+    excessive = parameters(shared={GAIN_X: np.array([3.0, 0.0])})  # a variance of 9, of 4
     assert excessive.own_covariance == pytest.approx(np.diag([0.0, 1e-8]), abs=1e-16)
 
 
 def test_errors_of_known_numbers_follow_the_rig_file() -> None:
     rig = load_rig("virtual", settings={"rotor.mass_std_kg": 0.002})
     found = parameters(
-        shared={"gain x": np.array([1.0, 0.0]), "known rotor.mass_kg": np.array([5.0, 0.0])},
+        shared={GAIN_X: np.array([1.0, 0.0]), ROTOR_MASS: np.array([5.0, 0.0])},
         by_number={"rotor.mass_kg": np.array([360.0, 0.001])},
     )
     shared = found.shared_with(rig.known)
-    assert shared["gain x"].tolist() == [1.0, 0.0]
-    assert shared["known rotor.mass_kg"] == pytest.approx([0.72, 2e-6])
-    without = parameters(shared={"known rotor.mass_kg": np.array([5.0, 0.0])})
-    assert without.shared_with(rig.known)["known rotor.mass_kg"].tolist() == [5.0, 0.0]
+    assert shared[GAIN_X].tolist() == [1.0, 0.0]
+    assert shared[ROTOR_MASS] == pytest.approx([0.72, 2e-6])
+    without = parameters(shared={ROTOR_MASS: np.array([5.0, 0.0])})
+    assert without.shared_with(rig.known)[ROTOR_MASS].tolist() == [5.0, 0.0]
 
 
 def test_a_parameters_file_holds_every_fact_and_a_label_of_its_content(tmp_path: Path) -> None:
@@ -433,14 +435,14 @@ def test_a_parameters_file_holds_every_fact_and_a_label_of_its_content(tmp_path:
     found = parameters(
         provenance={"method": "by hand"},
         axis_angle_deg=(1.0, 0.0),
-        shared={"gain x": np.array([1.0, 2e-5])},
+        shared={GAIN_X: np.array([1.0, 2e-5])},
         by_number={"rotor.mass_kg": np.array([360.0, 0.001])},
     )
     found.save(path)
     again = IdentifiedParameters.load(path)
     assert (again.values, again.provenance, again.axis_angle_deg) == (found.values, found.provenance, (1.0, 0.0))
     assert np.array_equal(again.covariance, found.covariance)
-    assert again.shared["gain x"].tolist() == [1.0, 2e-5]
+    assert again.shared[GAIN_X].tolist() == [1.0, 2e-5]
     assert again.by_number["rotor.mass_kg"].tolist() == [360.0, 0.001]
     assert (again.slow_roll, again.terms) == (None, None)
     assert '"N/m"' in path.read_text(encoding="utf-8")

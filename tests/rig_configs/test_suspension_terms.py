@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rig_configs import IdentifiedParameters, load_rig
+from rig_configs.error_label import ErrorLabel
 from rig_configs.errors import ParametersFileError
 from rig_configs.suspension_terms import TERMS, SuspensionTerms, moved_term
 
@@ -56,8 +57,8 @@ def test_a_rig_gets_them() -> None:
 
 def test_independent_errors_make_up_the_covariance_and_a_gain_enters_by_its_power() -> None:
     shifts = FOUND.shifts
-    assert list(shifts) == [f"suspension {TERMS[0]}", f"suspension {TERMS[2]}"]
+    assert list(shifts) == [ErrorLabel("suspension", TERMS[0]), ErrorLabel("suspension", TERMS[2])]
     assert np.allclose(sum(np.outer(s, s) for s in shifts.values()), COVARIANCE, rtol=1e-12, atol=1e-15)
     errors = FOUND.errors((1e-3, 2e-3))
-    assert np.allclose(errors["gain x"], [-3.2, 0.0, -1.06e-3, 0.0])
-    assert not np.any(errors["gain y"])
+    assert np.allclose(errors[ErrorLabel("gain", "x")], [-3.2, 0.0, -1.06e-3, 0.0])
+    assert not np.any(errors[ErrorLabel("gain", "y")])
