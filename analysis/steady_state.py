@@ -13,7 +13,7 @@ from analysis.quantities.order_tracking import order_track
 from analysis.to_come import ToCome, to_come
 from daq.signals.phase_noise import phase_remarks
 from daq.signals.run import Run
-from daq.signals.settling import Settling, settled
+from daq.signals.settling import RotorSignals, Settling, SettlingLimits, settled
 from daq.signals.state_type import state_type
 from dynamics import RotorParameters
 from dynamics.steady.singular_points import bow_moment
@@ -263,7 +263,7 @@ def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
 
     def judged(at: float = end, slack: float = 1.0) -> Settling:
         marks = (run.mark_time_s >= release) & (run.mark_time_s <= at)
-        return settled(
+        signals = RotorSignals(
             run.angle_time_s[angles],
             run.angle_rad[angles],
             run.mark_time_s[marks],
@@ -272,11 +272,10 @@ def _settling(run: Run, release: float, end: float, free: bool) -> Settling:
             run.x_m[x],
             run.y_time_s[y],
             run.y_m[y],
-            release_time_s=None if free else release,
-            angle_step_rad=run.angle_step_rad,
-            average_s=AVERAGE_S,
-            slack=slack,
         )
+        limits = SettlingLimits(average_s=AVERAGE_S, slack=slack)
+        since = None if free else release
+        return settled(signals, limits, release_time_s=since, angle_step_rad=run.angle_step_rad)
 
     def was_settled() -> bool:
         return judged(slack=_SLACK).settled and any(judged(at=end - since).settled for since in _RECENT_S)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.session import Session
-from daq.signals.settling import Settling, locked_settled, settled
-from daq.signals.window_means import amplitude_means, whole_revolutions
+from daq.signals.settling import RotorSignals, Settling, SettlingLimits, locked_settled, settled
+from daq.signals.window_means import whole_revolutions
 from rig_basics.arrays import Array
 
 ANGLE_FIELDS = ("theta3_rad", "theta4_rad")
@@ -88,16 +87,15 @@ class Measures:
         turned: Array = np.array([a[-1] - a[0], b[-1] - b[0]], np.float64)
         return turned / float((time_ns[-1] - time_ns[0]) * 1e-9)
 
-    def signals(self, since_ns: int, lasers_since_ns: int | None = None) -> tuple[Array, ...]:
-        """Return the signals since an instant for `daq.signals.settling.settled`.
+    def signals(self, since_ns: int, lasers_since_ns: int | None = None) -> RotorSignals:
+        """Return the signals since an instant.
 
         Args:
             since_ns: start of angles and index marks, and zero of all times.
             lasers_since_ns: start of the displacements, `since_ns` if None.
 
         Returns:
-            Angle times, s; angles, rad, shape (n, 2); mark times, s; mark phases, rad; times, s, and displacements, m,
-            of x and of y, of which every fourth sample is taken.
+            Angles, marks and displacements; every fourth sample of the displacements is taken.
         """
         recent = self._s.recent
         t, (a, b) = recent.last("pendulums", ANGLE_FIELDS, since_ns)
@@ -108,7 +106,7 @@ class Measures:
         def seconds(ns: NDArray[np.int64]) -> Array:
             return np.asarray((ns - since_ns) * 1e-9, np.float64)
 
-        return (
+        return RotorSignals(
             seconds(t),
             np.column_stack([a, b]),
             seconds(m),
@@ -121,24 +119,21 @@ class Measures:
 
     def locked_steady(self) -> Settling:
         """Return whether the orbit of the turning rotor with locked pendulums is steady."""
-        _, _, marks, phase, tx, x, ty, y = self.signals(self.since(15.0))
-        return locked_settled(marks, phase, tx, x, ty, y)
+        return locked_settled(self.signals(self.since(15.0)))
 
-    def steady(
-        self, released_ns: int, step_rad: float, tolerances: Mapping[str, float], free: bool = False
-    ) -> Settling:
+    def steady(self, released_ns: int, step_rad: float, limits: SettlingLimits, free: bool = False) -> Settling:
         """Return whether pendulums and orbit are steady after a release.
 
         Args:
             released_ns: time of the release, ns since 1970; with `free` the time at which the speed was reached.
             step_rad: resolution of the encoders, rad.
-            tolerances: tolerances that differ from the defaults of `settled`.
+            limits: tolerances and windows of the decision.
             free: whether the pendulums were free before, so that there are no angles of release.
         """
         since = released_ns - (0 if free else 1_500_000_000)  # with the angles before the release
         signals = self.signals(since, max(since, self.since(15.0)))
         release = None if free else (released_ns - since) * 1e-9
-        return settled(*signals, release_time_s=release, angle_step_rad=step_rad, **tolerances)
+        return settled(signals, limits, release_time_s=release, angle_step_rad=step_rad)
 
     def mean_angles_rad(self, seconds: float = 2.0) -> tuple[float, float]:
         """Return the mean pendulum angles over the newest stretch, rad."""
@@ -151,7 +146,7 @@ class Measures:
 
         They are NaN without index marks.
         """
-        _, _, marks, phase, tx, x, ty, y = self.signals(self.since(seconds + 3.0))
-        edges = whole_revolutions(marks, phase, seconds, 1)
-        found = amplitude_means(tx, x, ty, y, marks, phase, edges, 1) if len(edges) == 2 else None
+        signals = self.signals(self.since(seconds + 3.0))
+        edges = whole_revolutions(signals.mark_time_s, signals.mark_phase_rad, seconds, 1)
+        found = signals.amplitude_means(edges, 1) if len(edges) == 2 else None
         return (math.nan, math.nan) if found is None else (float(found.means[-1, 0]), float(found.means[-1, 1]))

@@ -11,14 +11,15 @@ from daq.guided_tests.frame import framed, near_resonance, spin_up
 from daq.guided_tests.orders import RigOrders
 from daq.guided_tests.table import MOTION, State, StateObservation, StateTable, StateView, after
 from daq.guided_tests.test_inputs import speed_refusal
-from daq.signals.settling import Settling
+from daq.signals.settling import Settling, SettlingLimits
 from rig_basics.units import RPM
 from rig_configs.schema import Rig
 
 _POINT_LIMIT_S = 90.0
 _MAX_LOCKED_STEADY_S = 60.0  # wait for a steady orbit before the release, rig s
 # Stricter than the second look and the analysis, so that a steady state here is one in the log too.
-_STEADY = {"angle_tolerance_rad": math.radians(0.05), "amplitude_tolerance_m": 2e-6}
+_FIRST_LIMITS = SettlingLimits(angle_tolerance_rad=math.radians(0.05), amplitude_tolerance_m=2e-6)
+_SECOND_LIMITS = SettlingLimits()
 _BEFORE_RELEASE_S = 4.0
 _AFTER_RELEASE_S = 3.0  # after the release before the first look, rig s
 _AFTER_STEADY_S = 2.5  # steady state in the log before the second look with the tolerances of the analysis, rig s
@@ -95,7 +96,7 @@ def settle_state(
         if since < _AFTER_RELEASE_S or (steady_ns and view.now_ns < steady_ns + _AFTER_STEADY_S * 1e9):
             return StateObservation(False, f"{since:.0f} s {begun}")
         again = steady_ns is not None
-        last = view.measures.steady(since_ns, step_rad, {} if again else _STEADY, free)
+        last = view.measures.steady(since_ns, step_rad, _SECOND_LIMITS if again else _FIRST_LIMITS, free)
         over = (again and last.settled) or (not last.settled and ends(view, last))
         seen: dict[str, Any] = {"last": last, "steady_ns": view.now_ns if last.settled and not again else None}
         facts = {"settled": over and last.settled, "why": last.why}

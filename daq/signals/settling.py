@@ -16,6 +16,7 @@ import numpy as np
 
 from daq.signals.approach import Approach, bound
 from daq.signals.window_means import WindowMeans, amplitude_means, angle_means, whole_revolutions
+from rig_basics.arrays import Array
 
 _SAME_GAP_RAD = math.radians(5.0)  # pendulums this close to their gap at release may still be on an unstable balance
 _MAX_WINDOWS = 30
@@ -58,93 +59,111 @@ class Settling:
     approaching: bool = False
 
 
+@dataclass(frozen=True)
+class RotorSignals:
+    """Signals of a turning rotor on one clock, up to the time of the decision.
+
+    Attributes:
+        angle_time_s, angle_rad: encoder samples, shapes (k,), (k, 2), rad, unwrapped.
+        mark_time_s, mark_phase_rad: tachometer marks and ψ there (rad, unwrapped), shape (n,).
+        x_time_s, x_m, y_time_s, y_m: lasers, each with its own times; NaN if invalid.
+    """
+
+    angle_time_s: Array
+    angle_rad: Array
+    mark_time_s: Array
+    mark_phase_rad: Array
+    x_time_s: Array
+    x_m: Array
+    y_time_s: Array
+    y_m: Array
+
+    def amplitude_means(self, edges_s: Array, newest: int) -> WindowMeans | None:
+        """Order-1 amplitudes of x and y in windows; arguments and result as in daq.signals.window_means."""
+        lasers = (self.x_time_s, self.x_m, self.y_time_s, self.y_m)
+        return amplitude_means(*lasers, self.mark_time_s, self.mark_phase_rad, edges_s, newest)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettlingLimits:
+    """Limits of a decision.
+
+    Attributes:
+        angle_tolerance_rad, amplitude_tolerance_m: largest allowed remaining change.
+        window_s, windows: least length of a window (rounded up to whole revolutions) and the least number of them; up
+            to 30 windows since the release are used.
+        linger_s: time after release before which a pendulum pair that still has its gap at release is not accepted as
+            settled, s: it leaves an unstable balance exponentially, too slowly at first to be detected.
+        average_s: period before the last mark for `mean_off_rad` and `mean_off_m`, s.
+        slack: number of tolerances that the remaining change may have; the width of a mean depends on the tolerances
+            themselves.
+    """
+
+    angle_tolerance_rad: float = math.radians(0.1)
+    amplitude_tolerance_m: float = 3e-6
+    window_s: float = 1.0
+    windows: int = 9
+    linger_s: float = 30.0
+    average_s: float = 2.0
+    slack: float = 1.0
+
+
+_USUAL_LIMITS = SettlingLimits()
+
+
 def settled(
-    time_s: np.ndarray,
-    angles_rad: np.ndarray,
-    mark_time_s: np.ndarray,
-    mark_phase_rad: np.ndarray,
-    x_time_s: np.ndarray,
-    x_m: np.ndarray,
-    y_time_s: np.ndarray,
-    y_m: np.ndarray,
+    signals: RotorSignals,
+    limits: SettlingLimits = _USUAL_LIMITS,
     *,
-    angle_tolerance_rad: float = math.radians(0.1),
-    amplitude_tolerance_m: float = 3e-6,
-    window_s: float = 1.0,
-    windows: int = 9,
     release_time_s: float | None = None,
-    linger_s: float = 30.0,
     angle_step_rad: float | None = None,
-    average_s: float = 2.0,
-    slack: float = 1.0,
 ) -> Settling:
     """Decide whether released pendulums and the orbit have reached their steady state at the end of the signals.
 
     Args:
-        time_s, angles_rad: encoder samples, shapes (k,), (k, 2), rad, unwrapped.
-        mark_time_s, mark_phase_rad: tachometer marks and ψ there (rad, unwrapped), shape (n,).
-        x_time_s, x_m, y_time_s, y_m: lasers, each with its own times; NaN if invalid.
-        angle_tolerance_rad, amplitude_tolerance_m: largest allowed remaining change.
-        window_s, windows: least length of a window (rounded up to whole revolutions) and the least number of them; up
-            to 30 windows since the release are used.
+        signals: angles, tachometer marks and displacements.
+        limits: tolerances and windows.
         release_time_s: time of the pendulums' release; None if unknown.
-        linger_s: time after release before which a pendulum pair that still has its gap at release is not accepted as
-            settled, s: it leaves an unstable balance exponentially, too slowly at first to be detected.
         angle_step_rad: step of the encoders' code; None: the smallest change in the samples.
-        average_s: period before the last mark for `mean_off_rad` and `mean_off_m`, s.
-        slack: number of tolerances that the remaining change may have; the width of a mean depends on the tolerances
-            themselves.
 
     Returns:
         Settling; `settled` is False, with the reason, if the signals are too short or too sparse.
 
     Source: docs/theory/steady_states.md.
     """
-    edges = whole_revolutions(mark_time_s, mark_phase_rad, window_s, _MAX_WINDOWS)
+    time_s, angle_rad, windows = signals.angle_time_s, signals.angle_rad, limits.windows
+    marks = signals.mark_time_s, signals.mark_phase_rad
+    edges = whole_revolutions(*marks, limits.window_s, _MAX_WINDOWS)
     if release_time_s is not None:
         edges = edges[edges >= release_time_s]
     if len(edges) <= windows:
-        return _unknown(f"fewer than {windows} windows of {window_s:g} s since release")
-    if _change(time_s, angles_rad, edges[-4:]) > _FAR * angle_tolerance_rad:
+        return _unknown(f"fewer than {windows} windows of {limits.window_s:g} s since release")
+    if _change(time_s, angle_rad, edges[-4:]) > _FAR * limits.angle_tolerance_rad:
         edges = edges[-windows - 1 :]
-    angles = angle_means(time_s, angles_rad, mark_time_s, mark_phase_rad, edges, angle_step_rad, windows)
-    orbit = amplitude_means(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, windows)
+    angles = angle_means(time_s, angle_rad, *marks, edges, angle_step_rad, windows)
+    orbit = signals.amplitude_means(edges, windows)
     if angles is None or orbit is None:
         missing = "pendulum angles" if angles is None else "displacements"
         return _unknown(f"too many samples of the {missing} are missing")
     held = release_time_s is not None and _still_as_released(
-        time_s, angles_rad, angles.means[-1], edges[-1], release_time_s, linger_s
+        time_s, angle_rad, angles.means[-1], edges[-1], release_time_s, limits.linger_s
     )
-    speed = _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :])
-    tolerances = _Tolerances(angle_tolerance_rad, amplitude_tolerance_m, average_s, slack)
-    return _judged(angles, orbit, windows, tolerances, speed, held)
+    return _judged(angles, orbit, limits, _speed_change(*marks, edges[-windows - 1 :]), held)
 
 
-@dataclass(frozen=True)
-class _Tolerances:
-    """Tolerances of a decision, as in `settled`."""
-
-    angle_rad: float
-    amplitude_m: float
-    average_s: float
-    slack: float
-
-
-def _judged(
-    angles: WindowMeans, orbit: WindowMeans, windows: int, tolerances: _Tolerances, speed: str, held: bool
-) -> Settling:
+def _judged(angles: WindowMeans, orbit: WindowMeans, limits: SettlingLimits, speed: str, held: bool) -> Settling:
     """Return the decision for means of angles and amplitudes.
 
     Args:
         speed: reason against, from the rotor's speed; may be empty.
         held: True if the pendulums still have their gap at release.
     """
-    slip = _slipping(angles.means[-windows:])
-    turning = _worst(angles, tolerances.angle_rad, _MIN_WIDTH_ANGLE, tolerances.average_s)
-    whirling = _worst(orbit, tolerances.amplitude_m, _MIN_WIDTH_AMPLITUDE, tolerances.average_s)
+    slip = _slipping(angles.means[-limits.windows :])
+    turning = _worst(angles, limits.angle_tolerance_rad, _MIN_WIDTH_ANGLE, limits.average_s)
+    whirling = _worst(orbit, limits.amplitude_tolerance_m, _MIN_WIDTH_AMPLITUDE, limits.average_s)
     found = _settling(angles, orbit, turning, whirling)
-    angle_limit = tolerances.slack * tolerances.angle_rad
-    amplitude_limit = tolerances.slack * _visible(orbit, tolerances.amplitude_m)
+    angle_limit = limits.slack * limits.angle_tolerance_rad
+    amplitude_limit = limits.slack * _visible(orbit, limits.amplitude_tolerance_m)
     reasons = [
         speed,
         slip,
@@ -159,29 +178,23 @@ def _judged(
 
 
 def locked_settled(
-    mark_time_s: np.ndarray,
-    mark_phase_rad: np.ndarray,
-    x_time_s: np.ndarray,
-    x_m: np.ndarray,
-    y_time_s: np.ndarray,
-    y_m: np.ndarray,
-    *,
-    amplitude_tolerance_m: float = 5e-6,
-    window_s: float = 1.0,
-    windows: int = 9,
+    signals: RotorSignals, *, amplitude_tolerance_m: float = 5e-6, window_s: float = 1.0, windows: int = 9
 ) -> Settling:
-    """Decide whether the locked orbit is steady, before the pendulums are released; arguments as in `settled`."""
-    edges = whole_revolutions(mark_time_s, mark_phase_rad, window_s, _MAX_WINDOWS)
+    """Decide whether the locked orbit is steady, before the pendulums are released; limits as in `SettlingLimits`.
+
+    The pendulum angles are not used.
+    """
+    edges = whole_revolutions(signals.mark_time_s, signals.mark_phase_rad, window_s, _MAX_WINDOWS)
     if len(edges) <= windows:
         return _unknown(f"fewer than {windows} windows of {window_s:g} s at speed")
-    orbit = amplitude_means(x_time_s, x_m, y_time_s, y_m, mark_time_s, mark_phase_rad, edges, windows)
+    orbit = signals.amplitude_means(edges, windows)
     if orbit is None:
         return _unknown("too many samples of the displacements are missing")
     whirling = _worst(orbit, amplitude_tolerance_m, _MIN_WIDTH_AMPLITUDE, window_s)
     limit = _visible(orbit, amplitude_tolerance_m)
     found = _settling(None, orbit, Approach(math.nan, math.nan, 0.0, 0.0), whirling)
     reasons = [
-        _speed_change(mark_time_s, mark_phase_rad, edges[-windows - 1 :]),
+        _speed_change(signals.mark_time_s, signals.mark_phase_rad, edges[-windows - 1 :]),
         _reason("amplitudes", found.drift_m, whirling, limit, 1e6, " µm"),
     ]
     return _decision(found, reasons, "amplitudes are steady", _more(whirling, limit), slipping=False)
@@ -212,18 +225,10 @@ def _worst(seen: WindowMeans, tolerance: float, min_width: float, average_s: flo
 def _settling(angles: WindowMeans | None, orbit: WindowMeans, turning: Approach, whirling: Approach) -> Settling:
     """Return the figures of a decision, without the decision itself."""
     drift = math.nan if angles is None else float(np.abs(angles.means[-1] - angles.means[-2]).max())
-    return Settling(
-        False,
-        False,
-        "",
-        drift,
-        turning.remaining,
-        float(np.abs(orbit.means[-1] - orbit.means[-2]).max()),
-        whirling.remaining,
-        float(orbit.edges_s[-1, 1] - orbit.edges_s[0, 0]),
-        turning.mean_off,
-        whirling.mean_off,
-    )
+    drift_m = float(np.abs(orbit.means[-1] - orbit.means[-2]).max())
+    span = float(orbit.edges_s[-1, 1] - orbit.edges_s[0, 0])
+    found = Settling(False, False, "", drift, turning.remaining, drift_m, whirling.remaining, span)
+    return replace(found, mean_off_rad=turning.mean_off, mean_off_m=whirling.mean_off)
 
 
 def _decision(found: Settling, reasons: list[str], steady: str, more_s: float, slipping: bool) -> Settling:
@@ -240,14 +245,14 @@ def _more(approach: Approach, tolerance: float) -> float:
     return math.log(approach.remaining / tolerance) / rate if rate > 0 else math.inf
 
 
-def _change(time: np.ndarray, angles: np.ndarray, edges: np.ndarray) -> float:
+def _change(time: Array, angles: Array, edges: Array) -> float:
     """Return the rough change of the mean angles over a few windows, the larger pendulum's; NaN for empty windows."""
     parts = np.split(angles, np.searchsorted(time, edges))[1:-1]
     means = np.array([part.mean(axis=0) for part in parts if len(part)])
     return float(np.ptp(means, axis=0).max()) if len(means) == len(parts) else math.nan
 
 
-def _slipping(angles: np.ndarray) -> str:
+def _slipping(angles: Array) -> str:
     """Return a sentence if a pendulum turns steadily relative to the rotor, otherwise an empty text."""
     for name, column in zip("AB", angles.T, strict=True):
         steps = np.diff(column)
@@ -259,9 +264,7 @@ def _slipping(angles: np.ndarray) -> str:
     return ""
 
 
-def _still_as_released(
-    time: np.ndarray, angles: np.ndarray, now: np.ndarray, end: float, release: float, linger: float
-) -> bool:
+def _still_as_released(time: Array, angles: Array, now: Array, end: float, release: float, linger: float) -> bool:
     if end - release > linger:
         return False
     begin, last = np.searchsorted(time, release - 0.5, "right"), np.searchsorted(time, release)
@@ -274,7 +277,7 @@ def _still_as_released(
     return abs((change + np.pi) % (2 * np.pi) - np.pi) < _SAME_GAP_RAD
 
 
-def _speed_change(mark_time: np.ndarray, mark_phase: np.ndarray, edges: np.ndarray) -> str:
+def _speed_change(mark_time: Array, mark_phase: Array, edges: Array) -> str:
     """Return a sentence if the speed changes by more than 0.1 % over the windows, otherwise an empty text."""
     speeds = np.diff(np.interp(edges, mark_time, mark_phase)) / np.diff(edges)
     change = (speeds[-2:].mean() - speeds[:2].mean()) / speeds.mean()

@@ -17,6 +17,7 @@ from identification.ring_down.model import BETA
 from identification.ring_down.model_table import OTHER_LAW, model_table
 from identification.ring_down.over_amplitude import RatesOverAmplitude, rates_over_amplitude
 from identification.ring_down.reported_values import (
+    Numbers,
     amplitudes_of,
     beyond_terms,
     damping_remark,
@@ -117,25 +118,10 @@ def result(fitted: FittedDecay, findings: Findings, labels: tuple[str, ...], gai
         FitFailed: the fit did not converge, or the model leaves a large part of the signal.
         NotIdentifiable: the damping is below the noise.
     """
-    minimum = fitted.solution.minimum
     chi2 = fitted.solution.chi2_per_dof
     stretch = stretches(fitted)
     warnings = [*findings.warnings, *_disturbance_messages(fitted, labels)]
-    found: Resolution | None = None
-    if fitted.model.turned:
-        # the angle is held: χ² does not depend on it and has no minimum
-        held = not minimum.converged and minimum.iterations == 1
-        found = resolution(fitted, findings.priors, float(stretch[BETA]), 0.0 if held else gain)
-    lost = not minimum.converged and (found is None or found.resolved)  # an unresolved angle has no minimum
-    if lost or not np.all(np.isfinite(minimum.theta)):
-        raise FitFailed(
-            f"ring-down: no convergence in {minimum.iterations} iterations"
-            + (
-                f", and χ²/dof {chi2:.3g} is above 1.3: is it a free decay, and in metres?"
-                if chi2 > _LARGE_CHI2
-                else f"; χ²/dof {chi2:.3g} supports the model, but the data do not determine its values: record longer"
-            )
-        )
+    found = _resolution_of_settled(fitted, findings.priors, stretch, gain)
     curves, rms = _curves(fitted, chi2, _axes(labels))
     numbers = numbers_of(fitted, findings.setting, findings.priors, labels, stretch, found)
     dependence = amplitudes_of(fitted, len(labels), stretch) if findings.setting != "fast" else []
@@ -148,14 +134,8 @@ def result(fitted: FittedDecay, findings: Findings, labels: tuple[str, ...], gai
         widen_for_other_law(numbers, nonlinear, labels)
     changes = widen_for_amplitude(numbers, beyond_terms(fitted, dependence, stretch), labels)
     warnings += changes
-    for label, i in zip(labels, range(1, 2 * len(labels), 2), strict=True):
-        warnings += damping_remark(numbers, label, i)
-    if found is not None and not found.resolved:
-        warnings.append(_unresolved(found))
+    warnings += _doubts(numbers, labels, found, chosen, chi2)
     white = whiteness([r for record in fitted.channel_residuals() for r in record])
-    warnings += [chosen.why] if chosen.missing else []
-    if chi2 > _LARGE_CHI2:
-        warnings.append(f"residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up")
     numbers = with_stiffness(numbers, findings.mass_kg)
     return RingDownFit(
         values=dict(zip(numbers.names, numbers.values.tolist(), strict=True)),
@@ -177,6 +157,42 @@ def result(fitted: FittedDecay, findings: Findings, labels: tuple[str, ...], gai
         setting=findings.setting,
         terms=direction_terms(fitted, labels, stretch),
     )
+
+
+def _resolution_of_settled(fitted: FittedDecay, priors: Priors, stretch: np.ndarray, gain: float) -> Resolution | None:
+    """Return the resolution of the axes, None for free modes; raise `FitFailed` if the fit did not converge."""
+    minimum, chi2 = fitted.solution.minimum, fitted.solution.chi2_per_dof
+    found: Resolution | None = None
+    if fitted.model.turned:
+        # the angle is held: χ² does not depend on it and has no minimum
+        held = not minimum.converged and minimum.iterations == 1
+        found = resolution(fitted, priors, float(stretch[BETA]), 0.0 if held else gain)
+    lost = not minimum.converged and (found is None or found.resolved)  # an unresolved angle has no minimum
+    if lost or not np.all(np.isfinite(minimum.theta)):
+        raise FitFailed(
+            f"ring-down: no convergence in {minimum.iterations} iterations"
+            + (
+                f", and χ²/dof {chi2:.3g} is above 1.3: is it a free decay, and in metres?"
+                if chi2 > _LARGE_CHI2
+                else f"; χ²/dof {chi2:.3g} supports the model, but the data do not determine its values: record longer"
+            )
+        )
+    return found
+
+
+def _doubts(
+    numbers: Numbers, labels: tuple[str, ...], found: Resolution | None, chosen: ModelChoice, chi2: float
+) -> list[str]:
+    """Return the warnings about the values; raise `NotIdentifiable` for a damping ratio that is not positive."""
+    warnings: list[str] = []
+    for label, i in zip(labels, range(1, 2 * len(labels), 2), strict=True):
+        warnings += damping_remark(numbers, label, i)
+    if found is not None and not found.resolved:
+        warnings.append(_unresolved(found))
+    warnings += [chosen.why] if chosen.missing else []
+    if chi2 > _LARGE_CHI2:
+        warnings.append(f"residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up")
+    return warnings
 
 
 def _disturbance_messages(fitted: FittedDecay, labels: tuple[str, ...]) -> list[str]:

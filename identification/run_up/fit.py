@@ -14,33 +14,24 @@ import numpy as np
 from daq.signals.clock_rates import rate_std_between
 from daq.signals.run import Run
 from daq.signals.threads import on_one_thread
-from identification.curve import FittedCurve
-from identification.errors import FitFailed, NotIdentifiable
-from identification.laser_wander import wander_sentences
+from identification.errors import NotIdentifiable
 from identification.least_squares import Solution
-from identification.ring_down.direction_terms import DirectionTerms
 from identification.run_up.bent_passage import KnownSuspension
 from identification.run_up.choice import ModelSelection, compare
 from identification.run_up.design import (
     Design,
     design_at,
-    excess_covariance,
-    imbalance_gains,
-    phase_noise_covariance,
 )
 from identification.run_up.first_solution import Clocks, about_known, first_structure, from_starts, solve
+from identification.run_up.fitted_passage import fit_result
 from identification.run_up.forced_oscillator import Excitation
-from identification.run_up.model import TERMS, RunUpRecord, Structure, run_up_blocks
-from identification.run_up.naive import half_power, vold_kalman
-from identification.run_up.profile import intervals
-from identification.run_up.reported import determined, either, reported, slow_roll_sentences
+from identification.run_up.model import RunUpRecord, Structure, run_up_blocks
 from identification.run_up.result import RunUpFit, run_up_estimate
 from identification.run_up.rotor_phase import PhaseHistory
 from identification.run_up.sensors import sensor_averages
-from identification.run_up.slow_roll_choice import Doubt
 from identification.run_up.smallest_model import smallest_adequate
 from identification.rungs import Rung, held_back
-from identification.samples import Averages, correlation_inflation
+from identification.samples import Averages
 from identification.setting import Setting, check_setting
 from identification.typed_scipy import median_filter
 
@@ -48,7 +39,6 @@ __all__ = ["RunUpFit", "fit_run_up", "fit_run_up_run", "run_up_estimate"]
 
 DELAY_STD_S = 10e-3  # between devices with separate clocks
 _BLOCKS_PER_TURN = {"fast": 12.0, "balanced": 16.0, "reference": 40.0}
-_MAX_RESIDUAL_RATIO = 0.1  # residual over signal; a model above it is rejected
 _MIN_NOISE_RATIO = 0.85  # residuals over noise; 200 residuals of noise are within 5 % of 1
 _MAX_WANDER_RAD2 = 1e-6  # above it, the random walk of the phase hides a lag of the sensors
 _PAD_S = 0.05
@@ -172,7 +162,7 @@ def _fit(
     solution, design, comparison, doubt = smallest_adequate(
         record, solution, design, compared, lambda wanted, phi: solve(record, wanted, phi), slow_roll
     )
-    return _result(record, phase, solution, design, comparison, doubt, warnings, setting)
+    return fit_result(record, phase, solution, design, comparison, doubt, warnings, setting)
 
 
 def _noise_of_residuals(record: RunUpRecord, solution: Solution) -> tuple[RunUpRecord, list[str]]:
@@ -221,119 +211,3 @@ def _without_outlying_blocks(
         if n
     ]
     return record, solution, remarks
-
-
-def _result(
-    record: RunUpRecord,
-    phase: PhaseHistory,
-    solution: Solution,
-    design: Design,
-    comparison: ModelSelection,
-    doubt: Doubt | None,
-    warnings: list[str],
-    setting: Setting,
-) -> RunUpFit:
-    warnings = warnings + comparison.warnings
-    curves, correlated, rests = list[FittedCurve](), 1.0, list[tuple[str, Averages, np.ndarray]]()
-    for axis, channel, residual in zip("xy", record.channels, solution.residuals, strict=True):
-        metres = residual / channel.weight
-        left = np.sqrt(max(0.0, float(np.var(metres) - np.mean(channel.weight**-2.0))))
-        if left > _MAX_RESIDUAL_RATIO * np.std(channel.value) and left > np.median(1 / channel.weight):
-            raise FitFailed(
-                f"run-up: beyond noise the model leaves {left / np.std(channel.value):.0%} of sensor {axis}'s signal; "
-                "is the phase the rotor's, and were the pendulums locked?"
-            )
-        correlated = max(correlated, correlation_inflation(residual))
-        rests.append((axis, channel, metres))
-        curves.append(FittedCurve(f"run-up: {axis}", "m", channel.time_s, channel.value, channel.value - metres))
-    slow = wander_sentences(rests)
-    warnings += slow
-    chi2 = solution.chi2_per_dof
-    stretch = None if slow else max(chi2, 1e-3) * correlated**2
-    names, values, covariance = _values(record, phase, design, stretch)
-    if doubt is not None:
-        other = design_at(record, doubt.structure, doubt.solution.minimum.theta)
-        values, covariance = either(
-            names, (values, covariance), _values(record, phase, other, stretch), doubt.probability
-        )
-    noise = max(1.0, chi2) * correlated**2
-    gains = [gain / noise for gain in imbalance_gains(record, design)]
-    keep, remarks = determined(record.drive, names, values, covariance, (gains[0], gains[1]))
-    warnings += remarks
-    if not solution.minimum.converged:
-        warnings.append(
-            f"the run-up's fit had not settled after {solution.minimum.iterations} iterations; do not use its values"
-        )
-    if chi2 > 1.3 and not slow:
-        warnings.append(
-            f"run-up residuals exceed the sensor noise: χ²/dof {chi2:.3g}; standard deviations are scaled up"
-        )
-    if correlated > 1.0 and not slow:
-        warnings.append(f"run-up residuals are correlated; standard deviations are scaled up by {correlated:.3g}")
-    terms, with_terms = _terms(record, phase, design, 1.0 if stretch is None else stretch)
-    names, values, covariance = [names[i] for i in keep], values[keep], covariance[np.ix_(keep, keep)]
-    warnings += slow_roll_sentences(names, values, covariance)
-    naive = {a: half_power(c, record.drive.history) for a, c in zip("xy", record.channels, strict=True)}
-    tracked = {a: vold_kalman(c, record.drive.history) for a, c in zip("xy", record.channels, strict=True)}
-    fit = RunUpFit(
-        dict(zip(names, values.tolist(), strict=True)),
-        covariance,
-        warnings,
-        curves,
-        naive,
-        [c.noise for c in record.channels],
-        chi2,
-        tracked,
-        {},
-        comparison.model,
-        comparison.table,
-        solution.minimum.converged,
-        terms,
-        with_terms[keep],
-    )
-    return replace(fit, intervals=intervals(record, design, fit, setting))
-
-
-def _terms(
-    record: RunUpRecord, phase: PhaseHistory, design: Design, stretch: float
-) -> tuple[list[DirectionTerms], np.ndarray]:
-    """Terms of the suspension for each direction, and covariance of all values with H1, H2, Q1, Q2, shape (n, 4)."""
-    jacobian = reported(design, phase.mark_rad)[2]
-    if record.bent is None:
-        return [], np.zeros((len(jacobian), 4))
-    spread = design.structure.spread[TERMS]
-    pick = np.pad(spread, ((0, 0), (0, design.unknowns - design.nonlinear)))
-    every = np.concatenate([jacobian, pick])
-    covariance = every @ design.covariance @ every.T * stretch + phase_noise_covariance(record, phase, design, every)
-    own = covariance[len(jacobian) :, len(jacobian) :]
-    values, free, out = (
-        design.structure.theta(design.phi)[TERMS],
-        [bool(row.any()) for row in spread],
-        list[DirectionTerms](),
-    )
-    for mode in range(2):
-        at, both = [mode, 2 + mode], np.zeros((4, 4))
-        both[2:, 2:] = own[np.ix_(at, at)]
-        out.append(DirectionTerms(mode + 1, values[at], both, (free[mode], free[2 + mode]), 0.0))
-    return out, covariance[: len(jacobian), len(jacobian) :]
-
-
-def _values(
-    record: RunUpRecord, phase: PhaseHistory, design: Design, stretch: float | None
-) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Names, values and covariance due to the noise of the sensors and of the phase.
-
-    Args:
-        record: record of the passage.
-        phase: rotor phase with its noise.
-        design: linearised problem at the solution.
-        stretch: factor on the variance from white noise; None for slow noise, which counts by its spectrum. Such noise
-            is far from a resonance, and its effect differs between the values.
-    """
-    names, values, jacobian = reported(design, phase.mark_rad)
-    sensor_part = jacobian @ design.covariance @ jacobian.T
-    if stretch is None:
-        sensor_part = sensor_part + excess_covariance(record, design, jacobian)
-    else:
-        sensor_part = sensor_part * stretch
-    return names, values, sensor_part + phase_noise_covariance(record, phase, design, jacobian)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import FrozenInstanceError, dataclass, field, replace
+from dataclasses import FrozenInstanceError, asdict, dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ from analysis.steady_state import (
 from analysis.to_come import UNEXPLAINED, ToCome, _bends, _radius_and_arc
 from daq.signals.releases import Release
 from daq.signals.run import Run
-from daq.signals.settling import Settling
+from daq.signals.settling import RotorSignals, Settling, SettlingLimits
 from daq.signals.state_type import state_type
 from rig_configs import Rig, load_rig
 
@@ -395,12 +395,14 @@ class Judge:
     span_s: float = 12.0
     calls: list[dict[str, float | None]] = field(default_factory=list)
 
-    def __call__(self, *signals: np.ndarray, **options: float | None) -> Settling:
-        end = float(signals[2][-1])
-        self.calls.append(options | {"end": end, "first": float(signals[2][0]), "angle": float(signals[0][0])})
-        self.calls[-1] |= {"x": float(signals[4][0]), "y": float(signals[6][0])}
-        assert [len(signals[k]) for k in (0, 2, 4, 6)] == [len(signals[k]) for k in (1, 3, 5, 7)]
-        ok = end in self.ends or float(options["slack"] or 0.0) >= self.slack
+    def __call__(self, signals: RotorSignals, limits: SettlingLimits, **options: float | None) -> Settling:
+        end = float(signals.mark_time_s[-1])
+        first = {"first": signals.mark_time_s[0], "angle": signals.angle_time_s[0]}
+        first |= {"x": signals.x_time_s[0], "y": signals.y_time_s[0]}
+        self.calls.append(asdict(limits) | options | {"end": end} | {k: float(at) for k, at in first.items()})
+        parts = list(vars(signals).values())
+        assert [len(time) for time in parts[::2]] == [len(values) for values in parts[1::2]]
+        ok = end in self.ends or limits.slack >= self.slack
         return Settling(
             ok, False, "too short" if self.span_s == 0 else "moves", 0.0, 1.0, 0.0, 1.0, self.span_s, more_s=9.0
         )

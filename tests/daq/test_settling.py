@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from daq.signals.settling import Settling, locked_settled, settled
+from daq.signals.settling import RotorSignals, Settling, SettlingLimits, locked_settled, settled
 
 STEP = 2 * np.pi / 4096
 SPEED = 49.0
@@ -36,7 +36,7 @@ def signals(
 
 
 def judge(*args, **kwargs) -> Settling:
-    return settled(*signals(*args, **kwargs))
+    return settled(RotorSignals(*signals(*args, **kwargs)))
 
 
 def test_standing_pendulums_are_settled() -> None:
@@ -78,9 +78,9 @@ def test_leaving_an_unstable_balance_is_never_settled(rate: float, end_deg: floa
 def test_standing_as_released_is_not_settled_for_a_while() -> None:
     """Nothing moves yet: only the time since release prevents acceptance."""
     data = signals(lambda t: np.where(t > 10.0, math.radians(1.0), 0.0), duration=30.0)
-    assert not settled(*data, release_time_s=10.0).settled
-    assert "unstable balance" in settled(*data, release_time_s=10.0).why
-    assert settled(*data, release_time_s=10.0, linger_s=15.0).settled
+    assert not settled(RotorSignals(*data), release_time_s=10.0).settled
+    assert "unstable balance" in settled(RotorSignals(*data), release_time_s=10.0).why
+    assert settled(RotorSignals(*data), SettlingLimits(linger_s=15.0), release_time_s=10.0).settled
 
 
 def test_creeping_pendulum_is_not_settled_though_the_amplitude_stands() -> None:
@@ -112,29 +112,29 @@ def test_short_or_sparse_signals_are_not_settled() -> None:
     assert "fewer than" in judge(lambda t: 0 * t, duration=5.0).why
     data = list(signals(lambda t: 0 * t))
     data[5] = np.full_like(data[5], np.nan)
-    assert "displacements" in settled(*data).why
+    assert "displacements" in settled(RotorSignals(*data)).why
     data = list(signals(lambda t: 0 * t))
     data[0], data[1] = data[0][:10], data[1][:10]
-    assert "angles" in settled(*data).why
+    assert "angles" in settled(RotorSignals(*data)).why
     empty = np.empty(0)
-    assert not settled(empty, np.empty((0, 2)), empty, empty, empty, empty, empty, empty).settled
+    assert not settled(RotorSignals(empty, np.empty((0, 2)), empty, empty, empty, empty, empty, empty)).settled
 
 
 def test_speed_that_changes_is_not_settled() -> None:
     data = list(signals(lambda t: 0 * t))
     data[3] = data[3] + 0.02 * data[2] ** 2
-    assert "speed" in settled(*data).why
+    assert "speed" in settled(RotorSignals(*data)).why
 
 
 def test_locked_orbit_decays_before_it_is_steady() -> None:
     def decaying(t):  # a free vibration beats with the forced one
         return 1e-3 + 4e-4 * np.exp(-0.38 * t) * np.cos(3.2 * t)
 
-    early = signals(lambda t: 0 * t, duration=9.0, amplitude=decaying)[2:]
-    late = signals(lambda t: 0 * t, duration=26.0, amplitude=decaying)[2:]
-    assert not locked_settled(*early).settled
-    assert locked_settled(*late).settled, locked_settled(*late).why
-    assert math.isnan(locked_settled(*late).remaining_rad)
+    early = signals(lambda t: 0 * t, duration=9.0, amplitude=decaying)
+    late = signals(lambda t: 0 * t, duration=26.0, amplitude=decaying)
+    assert not locked_settled(RotorSignals(*early)).settled
+    assert locked_settled(RotorSignals(*late)).settled, locked_settled(RotorSignals(*late)).why
+    assert math.isnan(locked_settled(RotorSignals(*late)).remaining_rad)
 
 
 def coded(
@@ -154,19 +154,19 @@ def test_steady_pendulums_are_settled_with_any_encoder(counts: int, noise: float
     """Constant counts above all: the means differ by floating point noise only."""
     for seed in range(6):
         data = coded(lambda t: 0 * t, counts, noise, 14.0, ripple=(seed % 3) * 2e-3, seed=seed)
-        result = settled(*data)
+        result = settled(RotorSignals(*data))
         assert result.settled, (seed, result.why)
-        assert settled(*data, angle_step_rad=2 * np.pi / counts).settled
+        assert settled(RotorSignals(*data), angle_step_rad=2 * np.pi / counts).settled
 
 
 def test_a_coarse_encoder_that_stands_is_settled_once_it_has_stood_for_long() -> None:
     for seed in range(4):
         short, long = (coded(lambda t: 0 * t, 256, 0.0, duration, seed=seed) for duration in (11.0, 32.0))
         step = 2 * np.pi / 256
-        early = settled(*short, angle_step_rad=step)
+        early = settled(RotorSignals(*short), angle_step_rad=step)
         assert not early.settled
         assert 5 < early.more_s < 60
-        late = settled(*long, angle_tolerance_rad=math.radians(0.3), angle_step_rad=step)
+        late = settled(RotorSignals(*long), SettlingLimits(angle_tolerance_rad=math.radians(0.3)), angle_step_rad=step)
         assert late.settled, late.why
 
 
@@ -178,14 +178,16 @@ def test_settled_means_that_no_more_than_the_tolerance_is_to_come(rate: float, n
         for end in np.arange(6.0 / rate, 75.0, 1.0):
             inside = [data[j] <= end for j in (0, 2, 4, 6)]
             cut = [data[j][inside[j // 2]] for j in range(8)]
-            result = settled(*cut, angle_tolerance_rad=math.radians(0.05), angle_step_rad=STEP)
+            result = settled(
+                RotorSignals(*cut), SettlingLimits(angle_tolerance_rad=math.radians(0.05)), angle_step_rad=STEP
+            )
             left = math.degrees(2.0 * math.exp(-rate * cut[2][-1]))
             if result.settled:
                 break
             assert math.isfinite(result.remaining_rad), (end, result.why)
         assert result.settled, result.why
         assert left < 0.05
-        again = settled(*(data[j][data[j - j % 2] <= end + 2.5] for j in range(8)), angle_step_rad=STEP)
+        again = settled(RotorSignals(*(data[j][data[j - j % 2] <= end + 2.5] for j in range(8))), angle_step_rad=STEP)
         assert again.settled, again.why  # a state that the test accepted is steady in the log after another 2.5 s
 
 
@@ -196,25 +198,25 @@ def test_two_rates_and_a_pause_are_not_mistaken_for_the_end() -> None:
         def both(t):
             return 0.5 * np.exp(-1.2 * (t - 12.0)).clip(max=4) + 0.02 * np.exp(-0.1 * (t - 20.0))
 
-        result = settled(*coded(both, 4096, 0.3, 20.0, seed=seed))
+        result = settled(RotorSignals(*coded(both, 4096, 0.3, 20.0, seed=seed)))
         assert not result.settled
         assert result.remaining_rad > 0.015
         late = coded(lambda t: 0.3 * np.exp(-0.2 * np.maximum(t - 14.0, 0.0)), 4096, 0.0, 20.0, seed=seed)
-        assert not settled(*late).settled
+        assert not settled(RotorSignals(*late)).settled
 
 
 def test_a_window_without_samples_does_not_hide_the_older_ones() -> None:
     data = list(coded(lambda t: 0 * t, 4096, 0.3, 30.0))
     keep = (data[0] < 8.0) | (data[0] > 9.5)
     data[0], data[1] = data[0][keep], data[1][keep]
-    assert settled(*data).settled
+    assert settled(RotorSignals(*data)).settled
     silent = data[0] < 28.0
-    assert "angles are missing" in settled(data[0][silent], data[1][silent], *data[2:]).why
+    assert "angles are missing" in settled(RotorSignals(data[0][silent], data[1][silent], *data[2:])).why
 
 
 def test_slack_changes_the_decision_and_not_the_bound() -> None:
     data = signals(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 2.5e-6 * np.exp(-0.3 * (t - 30.0)))
-    strict, lenient = settled(*data), settled(*data, slack=2.0)
+    strict, lenient = settled(RotorSignals(*data)), settled(RotorSignals(*data), SettlingLimits(slack=2.0))
     assert (strict.settled, lenient.settled) == (False, True)
     assert strict.remaining_m == lenient.remaining_m
     assert lenient.more_s == 0.0
@@ -235,7 +237,7 @@ def test_lasers_that_wander_are_no_motion() -> None:
         for seed in range(6):
             data = list(signals(lambda t: 1.0 + 0 * t, speed=5 * np.pi, duration=duration, seed=seed))
             data[5], data[7] = (data[j] + _wander(len(data[j]), 4000.0, seed + 10 * j) for j in (5, 7))
-            result = settled(*data, angle_step_rad=STEP)
+            result = settled(RotorSignals(*data), angle_step_rad=STEP)
             assert result.settled, result.why
 
 
@@ -247,6 +249,6 @@ def test_lasers_that_wander_do_not_hide_an_orbit_or_pendulums_that_move() -> Non
         angle = list(signals(lambda t: 1.0 + math.radians(0.5) * np.exp(-0.2 * (t - 30.0)), seed=seed))
         for data, which in ((orbit, "amplitudes"), (angle, "pendulum angles")):
             data[5], data[7] = (data[j] + _wander(len(data[j]), 4000.0, seed + 10 * j) for j in (5, 7))
-            result = settled(*data, angle_step_rad=STEP)
+            result = settled(RotorSignals(*data), angle_step_rad=STEP)
             assert not result.settled
             assert which in result.why

@@ -16,7 +16,17 @@ from daq.signals.approach import (
     _unexplained,
     bound,
 )
-from daq.signals.settling import Settling, _more, _slipping, _Tolerances, _visible, _worst, locked_settled, settled
+from daq.signals.settling import (
+    RotorSignals,
+    Settling,
+    SettlingLimits,
+    _more,
+    _slipping,
+    _visible,
+    _worst,
+    locked_settled,
+    settled,
+)
 from daq.signals.window_means import WindowMeans
 
 SPEED = 49.0
@@ -254,10 +264,10 @@ def test_a_motion_in_one_direction_that_does_not_slow_down_has_no_bound(
 def test_missing_signals_are_named() -> None:
     data = clean(lambda t: 0 * t)
     empty = np.full_like(data[1], np.nan)
-    assert settled(data[0], empty, *data[2:]).why == "too many samples of the pendulum angles are missing"
+    assert settled(RotorSignals(data[0], empty, *data[2:])).why == "too many samples of the pendulum angles are missing"
     silent = np.full_like(data[7], np.nan)
-    assert settled(*data[:7], silent).why == "too many samples of the displacements are missing"
-    assert locked_settled(*data[2:7], silent).why == "too many samples of the displacements are missing"
+    assert settled(RotorSignals(*data[:7], silent)).why == "too many samples of the displacements are missing"
+    assert locked_settled(RotorSignals(*data[:7], silent)).why == "too many samples of the displacements are missing"
 
 
 def test_a_motion_of_fewer_windows_is_compared_by_its_halves() -> None:
@@ -336,7 +346,7 @@ def test_the_width_is_at_least_a_hundredth_of_what_moves() -> None:
 
 def test_span_and_drifts_are_those_of_the_windows() -> None:
     data = clean(lambda t: 0.5 * DEGREE * np.exp(-0.3 * (t - 29.877)), amplitude=lambda t: 1e-3 + 2e-8 * t)
-    found = settled(*data, angle_step_rad=0.0)
+    found = settled(RotorSignals(*data), angle_step_rad=0.0)
     last = data[2][-1]
     step = (
         0.5
@@ -349,36 +359,38 @@ def test_span_and_drifts_are_those_of_the_windows() -> None:
     assert found.drift_rad == pytest.approx(step, rel=1e-3)
     assert found.drift_m == pytest.approx(2e-8 * WINDOW_S, rel=1e-3)
     assert found.span_s == pytest.approx(29 * WINDOW_S)
-    since = settled(*data, angle_step_rad=0.0, release_time_s=10.0)
+    since = settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=10.0)
     assert since.span_s == pytest.approx(19 * WINDOW_S)
 
 
 def test_nine_windows_are_enough_and_eight_are_not() -> None:
     data = clean(lambda t: 1.0 + 0 * t)
     end = data[2][-1]
-    assert settled(*data, release_time_s=end - 9.01 * WINDOW_S, linger_s=0.0).span_s == pytest.approx(9 * WINDOW_S)
-    short = settled(*data, release_time_s=end - 8.99 * WINDOW_S)
+    assert settled(
+        RotorSignals(*data), SettlingLimits(linger_s=0.0), release_time_s=end - 9.01 * WINDOW_S
+    ).span_s == pytest.approx(9 * WINDOW_S)
+    short = settled(RotorSignals(*data), release_time_s=end - 8.99 * WINDOW_S)
     assert (short.settled, short.slipping, short.span_s, short.remaining_rad) == (False, False, 0.0, math.inf)
     assert (short.remaining_m, short.more_s) == (math.inf, math.inf)
     assert math.isnan(short.drift_rad)
     assert math.isnan(short.drift_m)
     assert short.why == "fewer than 9 windows of 1 s since release"
     signals = [part[data[j - j % 2] <= 8.9 * WINDOW_S] for j, part in enumerate(data)]
-    assert locked_settled(*signals[2:]).why == "fewer than 9 windows of 1 s at speed"
+    assert locked_settled(RotorSignals(*signals)).why == "fewer than 9 windows of 1 s at speed"
     enough = [part[data[j - j % 2] <= 9.2 * WINDOW_S] for j, part in enumerate(data)]
-    assert locked_settled(*enough[2:]).span_s == pytest.approx(9 * WINDOW_S)
+    assert locked_settled(RotorSignals(*enough)).span_s == pytest.approx(9 * WINDOW_S)
 
 
 def test_pendulums_that_move_far_are_judged_by_the_newest_windows() -> None:
     """Far: more than 20 tolerances, 2°, over three windows."""
     for per_window, count in ((1.05, 9), (0.95, 29)):
         data = clean(lambda t, rate=per_window * DEGREE / WINDOW_S: rate * t)
-        assert settled(*data, angle_step_rad=0.0).span_s == pytest.approx(count * WINDOW_S)
+        assert settled(RotorSignals(*data), angle_step_rad=0.0).span_s == pytest.approx(count * WINDOW_S)
 
 
 def test_the_sentence_has_remaining_change_limit_and_time() -> None:
     data = clean(lambda t: DEGREE * np.exp(-0.2 * (t - 30.0)))
-    found = settled(*data, angle_step_rad=0.0)
+    found = settled(RotorSignals(*data), angle_step_rad=0.0)
     left, rate = math.degrees(found.remaining_rad), 0.2
     assert found.more_s == pytest.approx(math.log(left / 0.1) / rate, rel=0.1)
     assert found.why == (
@@ -386,14 +398,14 @@ def test_the_sentence_has_remaining_change_limit_and_time() -> None:
     )
     assert found.approaching
     orbit = clean(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 5e-5 * np.exp(-0.2 * (t - 30.0)))
-    found = settled(*orbit, angle_step_rad=0.0)
+    found = settled(RotorSignals(*orbit), angle_step_rad=0.0)
     left = 1e6 * found.remaining_m
     assert left == pytest.approx(50.0, rel=0.4)
     assert found.more_s == pytest.approx(math.log(left / 3.0) / rate, rel=0.1)
     assert found.why == (
         f"amplitudes may still change by {left:.2g} µm, the limit is 3 µm; about {math.ceil(found.more_s)} s more"
     )
-    locked = locked_settled(*orbit[2:])
+    locked = locked_settled(RotorSignals(*orbit))
     left = 1e6 * locked.remaining_m
     assert locked.more_s == pytest.approx(math.log(left / 5.0) / rate, rel=0.1)
     assert locked.why == (
@@ -405,28 +417,31 @@ def test_the_sentence_has_remaining_change_limit_and_time() -> None:
 
 def test_the_longer_of_both_times_counts() -> None:
     slow, fast = (lambda t: 1e-3 + 5e-5 * np.exp(-0.1 * (t - 30.0))), (lambda t: DEGREE * np.exp(-0.4 * (t - 30.0)))
-    both = settled(*clean(fast, amplitude=slow), angle_step_rad=0.0)
-    orbit = settled(*clean(lambda t: 0 * t, amplitude=slow), angle_step_rad=0.0)
-    angle = settled(*clean(fast), angle_step_rad=0.0)
+    both = settled(RotorSignals(*clean(fast, amplitude=slow)), angle_step_rad=0.0)
+    orbit = settled(RotorSignals(*clean(lambda t: 0 * t, amplitude=slow)), angle_step_rad=0.0)
+    angle = settled(RotorSignals(*clean(fast)), angle_step_rad=0.0)
     assert both.more_s == pytest.approx(orbit.more_s)
     assert both.more_s > 2 * angle.more_s > 0
     assert both.why == angle.why.partition(";")[0] + both.why[both.why.index(";") :]
 
 
 def test_a_drift_is_named_per_window() -> None:
-    found = settled(*clean(lambda t: 0.2 * DEGREE * t), angle_step_rad=0.0)
+    found = settled(RotorSignals(*clean(lambda t: 0.2 * DEGREE * t)), angle_step_rad=0.0)
     assert found.why == f"pendulum angles drift by {0.2 * WINDOW_S:.2g}° per window and the drift does not shrink"
     assert (found.more_s, found.approaching) == (math.inf, False)
-    moving = settled(*clean(lambda t: 0 * t, amplitude=lambda t: 1e-3 + 2e-6 * t), angle_step_rad=0.0)
+    moving = settled(RotorSignals(*clean(lambda t: 0 * t, amplitude=lambda t: 1e-3 + 2e-6 * t)), angle_step_rad=0.0)
     assert moving.why == f"amplitudes drift by {2.0 * WINDOW_S:.2g} µm per window and the drift does not shrink"
 
 
 def test_slack_multiplies_both_limits() -> None:
     angle = clean(lambda t: DEGREE * np.exp(-0.2 * (t - 30.0)))
     orbit = clean(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 5e-5 * np.exp(-0.2 * (t - 30.0)))
-    assert "the limit is 0.3°" in settled(*angle, angle_step_rad=0.0, slack=3.0).why
-    assert "the limit is 9 µm" in settled(*orbit, angle_step_rad=0.0, slack=3.0).why
-    assert settled(*angle, angle_step_rad=0.0, slack=20.0).why == "angles and amplitudes are steady"
+    assert "the limit is 0.3°" in settled(RotorSignals(*angle), SettlingLimits(slack=3.0), angle_step_rad=0.0).why
+    assert "the limit is 9 µm" in settled(RotorSignals(*orbit), SettlingLimits(slack=3.0), angle_step_rad=0.0).why
+    assert (
+        settled(RotorSignals(*angle), SettlingLimits(slack=20.0), angle_step_rad=0.0).why
+        == "angles and amplitudes are steady"
+    )
 
 
 def test_mean_off_is_that_of_the_stated_period() -> None:
@@ -434,11 +449,13 @@ def test_mean_off_is_that_of_the_stated_period() -> None:
         lambda t: DEGREE * np.exp(-0.2 * (t - 30.0)), amplitude=lambda t: 1e-3 + 5e-5 * np.exp(-0.2 * (t - 30.0))
     )
     for seconds in (2.0, 6.0):
-        found = settled(*data, angle_step_rad=0.0, average_s=seconds)
+        found = settled(RotorSignals(*data), SettlingLimits(average_s=seconds), angle_step_rad=0.0)
         more = average(0.2, -seconds, 0.0)
         assert found.mean_off_rad / found.remaining_rad == pytest.approx(more, rel=0.1)
         assert found.mean_off_m / found.remaining_m == pytest.approx(more, rel=0.1)
-    assert settled(*data, angle_step_rad=0.0) == settled(*data, angle_step_rad=0.0, average_s=2.0)
+    assert settled(RotorSignals(*data), angle_step_rad=0.0) == settled(
+        RotorSignals(*data), SettlingLimits(average_s=2.0), angle_step_rad=0.0
+    )
 
 
 @pytest.mark.parametrize("gain", [2.2e-4, -2.2e-4])
@@ -448,12 +465,12 @@ def test_the_change_of_speed_is_signed_and_limited_to_a_thousandth(gain: float) 
     def phase(per_s: float):
         return lambda t: SPEED * (t + 0.5 * per_s * (t - 25.0) ** 2)
 
-    found = settled(*clean(lambda t: 0 * t, speed=phase(gain)), angle_step_rad=0.0)
+    found = settled(RotorSignals(*clean(lambda t: 0 * t, speed=phase(gain))), angle_step_rad=0.0)
     percent = float(found.why.partition("by ")[2].partition(" %")[0])
     assert percent == pytest.approx(100 * gain * 7 * WINDOW_S, abs=0.01)
     assert found.why.startswith("the speed still changes, by ")
     assert (found.settled, found.approaching) == (False, False)
-    less = settled(*clean(lambda t: 0 * t, speed=phase(0.55 * gain)), angle_step_rad=0.0)
+    less = settled(RotorSignals(*clean(lambda t: 0 * t, speed=phase(0.55 * gain))), angle_step_rad=0.0)
     assert less.settled, less.why
 
 
@@ -482,7 +499,9 @@ def released(change_a: float, change_b: float = 0.0, *, at: float = 15.0, earlie
     ],
 )
 def test_a_pair_with_its_gap_at_release_is_not_accepted(change_a: float, change_b: float, held: bool) -> None:
-    found = settled(*released(DEGREE * change_a, DEGREE * change_b), angle_step_rad=0.0, release_time_s=15.0)
+    found = settled(
+        RotorSignals(*released(DEGREE * change_a, DEGREE * change_b)), angle_step_rad=0.0, release_time_s=15.0
+    )
     assert found.settled != held, found.why
     assert ("unstable balance" in found.why) == held
     assert not found.approaching
@@ -490,25 +509,25 @@ def test_a_pair_with_its_gap_at_release_is_not_accepted(change_a: float, change_
 
 def test_the_gap_at_release_is_that_of_the_last_half_second() -> None:
     data = released(0.0, earlier=DEGREE * 90)
-    assert not settled(*data, angle_step_rad=0.0, release_time_s=15.0).settled
+    assert not settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=15.0).settled
     data[1][(data[0] > 14.7) & (data[0] < 14.9), 1] = np.nan
-    assert not settled(*data, angle_step_rad=0.0, release_time_s=15.0).settled
+    assert not settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=15.0).settled
     data[1][data[0] <= 15.0] = np.nan
-    assert settled(*data, angle_step_rad=0.0, release_time_s=15.0).settled
+    assert settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=15.0).settled
 
 
 def test_a_pair_that_stays_for_half_a_minute_is_accepted() -> None:
     data = clean(lambda t: 0 * t, duration=41.0)
     end = data[2][-1]
-    assert settled(*data, angle_step_rad=0.0, release_time_s=end - 30.5).settled
-    assert not settled(*data, angle_step_rad=0.0, release_time_s=end - 29.5).settled
+    assert settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=end - 30.5).settled
+    assert not settled(RotorSignals(*data), angle_step_rad=0.0, release_time_s=end - 29.5).settled
 
 
 def test_a_turning_pendulum_is_named_with_its_turns() -> None:
     for rate, sign in ((1.3, "+"), (-1.3, "−".replace("−", "-"))):
         data = list(clean(lambda t: 0 * t))
         data[1] = data[1] + np.stack([0 * data[0], rate * data[0]], axis=1)
-        found = settled(*data, angle_step_rad=0.0)
+        found = settled(RotorSignals(*data), angle_step_rad=0.0)
         turns = 1.3 * 8 * WINDOW_S / (2 * math.pi)
         assert found.why == f"pendulum B slips: {sign}{turns:.1f} turns relative to the rotor in the last windows"
         assert (found.slipping, found.settled, found.more_s, found.approaching) == (True, False, math.inf, False)
@@ -562,19 +581,23 @@ def test_the_worse_quantity_counts_with_the_least_width() -> None:
     assert wide == bound(windows(12), np.zeros(12), 0.2, 2.0)
 
 
-@pytest.mark.parametrize("kind", [Settling, _Tolerances, Approach, WindowMeans])
+@pytest.mark.parametrize("kind", [Settling, SettlingLimits, RotorSignals, Approach, WindowMeans])
 def test_a_result_cannot_be_changed(kind: type) -> None:
     with pytest.raises(FrozenInstanceError):
         object.__new__(kind).name = 1
 
 
 def test_options_are_given_by_name() -> None:
-    data = clean(lambda t: 0 * t)
+    signals = RotorSignals(*clean(lambda t: 0 * t))
     with pytest.raises(TypeError):
-        settled(*data, 0.1)
+        SettlingLimits(0.1)
     with pytest.raises(TypeError):
-        locked_settled(*data[2:], 0.1)
-    steady = locked_settled(
-        mark_time_s=data[2], mark_phase_rad=data[3], x_time_s=data[4], x_m=data[5], y_time_s=data[6], y_m=data[7]
-    )
-    assert steady == locked_settled(*data[2:])
+        settled(signals, SettlingLimits(), 0.1)
+    with pytest.raises(TypeError):
+        locked_settled(signals, 5e-6)
+
+
+def test_a_locked_orbit_is_judged_without_angles() -> None:
+    signals = RotorSignals(*clean(lambda t: 0 * t))
+    silent = replace(signals, angle_time_s=np.empty(0), angle_rad=np.empty((0, 2)))
+    assert locked_settled(silent) == locked_settled(signals)

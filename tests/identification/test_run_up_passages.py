@@ -520,14 +520,14 @@ def test_shapes_that_do_not_match_are_refused() -> None:
 
 
 def test_a_fit_that_has_not_settled_contains_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = run_up_fit._result
+    whole = run_up_fit.fit_result
 
     def unsettled(record, phase, solution, *others):
         return whole(record, phase, replace(solution, minimum=replace(solution.minimum, converged=False)), *others)
 
     passage = Passage(ramp(0.5, 7.0, 10.0), 10.0)
     assert passage.fit().settled
-    monkeypatch.setattr(run_up_fit, "_result", unsettled)
+    monkeypatch.setattr(run_up_fit, "fit_result", unsettled)
     fit = passage.fit()
     assert not fit.settled
     assert any("had not settled" in w for w in fit.warnings)
