@@ -170,7 +170,11 @@ class IdentifiedParameters:
     def save(self, path: str | Path) -> None:
         """Write parameters.toml."""
         document = tomlkit.document()
-        document.add(tomlkit.comment("Identified parameters. Values of a rig, with their covariance, in place of those of its rig file."))
+        document.add(
+            tomlkit.comment(
+                "Identified parameters. Values of a rig, with their covariance, in place of those of its rig file."
+            )
+        )
         for name, value in self.values.items():
             document[name] = {"value": value, "std": self.std[name], "unit": PARAMETER_UNITS[name]}
         document["covariance"] = {"order": list(self.values), "matrix": self.covariance.tolist()}

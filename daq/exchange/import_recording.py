@@ -171,9 +171,7 @@ def _attachments(recording: ColumnFile, rig: Rig, recipe: Recipe, noticed: Impor
 def _with_counts(rig: Rig, counts_per_revolution: int) -> Rig:
     """Return the rig with other encoders."""
     if rig.roles.angles is None:
-        raise ExchangeError(
-            f"counts_per_revolution: rig {rig.name} has no device that measures the pendulums' angles"
-        )
+        raise ExchangeError(f"counts_per_revolution: rig {rig.name} has no device that measures the pendulums' angles")
     name = rig.roles.angles.device
     encoder = rig.devices[name].model_copy(update={"counts_per_revolution": counts_per_revolution})
     return rig.model_copy(update={"devices": {**rig.devices, name: encoder}})
