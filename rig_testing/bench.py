@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.drivers.contract import (
+    AnswersOnRequest,
     Driver,
     FarEnd,
     LockControl,
     MovesLocks,
     Pipeline,
+    Poller,
     RotorGuard,
     SpeedControl,
     TurnsRotor,
@@ -131,6 +133,7 @@ class DriverBench:
         self.gone = False
         self.control: SpeedControl | None = None
         self.locks: LockControl | None = None
+        self.poller: Poller | None = None
         self.permitted: list[float | None] = []
         self.refuse: Exception | None = None
         self.identity: dict[str, Any] = {}
@@ -165,6 +168,8 @@ class DriverBench:
         if data and not self.gone:
             self._bytes_in += len(data)
             self._feed(RX, data)
+            if self.poller is not None:
+                self.poller.heard(data)
 
     def _feed(self, direction: int, data: bytes) -> None:
         host_ns = self.clock.now_ns()
@@ -209,6 +214,19 @@ class DriverBench:
         if isinstance(self.driver, MovesLocks):
             self.locks = self.driver.locks(self.settings, self.send, self.clock)
         self.restart_decoding()
+        if isinstance(self.driver, AnswersOnRequest):
+            self.poller = self.driver.poller(self.settings, self.send, self.clock)
+            self.poller.start()
+
+    def end(self) -> None:
+        """Stop the device as a session does: first its requests.
+
+        Raises:
+            LinkLost, DeviceError: the device is disconnected.
+        """
+        if self.poller is not None:
+            self.poller.stop()
+        self.driver.stop(self)
 
     @property
     def guard(self) -> RotorGuard:

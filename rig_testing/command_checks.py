@@ -59,7 +59,7 @@ def check_speed_source(subject: Subject) -> str:
         bench.time.pass_time(1.0)
         need(control.stop() is True, f"stop: expected True, the rotor turns at {_rpm(bench):.1f} rpm")
         need(abs(_rpm(bench)) < 1.0, f"stop returned True, the rotor turns at {_rpm(bench):.1f} rpm")
-        subject.driver.stop(bench)
+        bench.end()
         return f"quick stop in {stopped_s:.2f} s"
 
 

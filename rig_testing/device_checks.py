@@ -177,7 +177,7 @@ def check_stop(subject: Subject) -> str:
         for _ in range(2):
             if bench.control is not None:
                 need(bench.control.stop() is True, "stop of the speed source: expected True at rest")
-            subject.driver.stop(bench)
+            bench.end()
         came = bench.bytes_in
         bench.time.pass_time(0.3)
         silent = bench.bytes_in == came
@@ -224,7 +224,7 @@ def _stop(bench: DriverBench) -> None:
         if bench.control is not None:
             bench.control.stop()
     finally:
-        bench.driver.stop(bench)
+        bench.end()
 
 
 def _open(bench: DriverBench) -> None:

@@ -14,7 +14,7 @@ from daq.acquisition.core import Core, Note, Order
 from daq.acquisition.edge import Edge
 from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.acquisition.rotor_command import RotorCommand
-from daq.drivers.contract import claims_of
+from daq.drivers.contract import AnswersOnRequest, Poller, claims_of
 from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
@@ -57,6 +57,7 @@ class Links:
         self._identities, self._taken, self._lost = identities, take, lost
         self._reported: dict[str, frozenset[str]] = {}  # keys of the identity that a device reports when it is opened
         self._readers: dict[str, DeviceReader] = {}
+        self._pollers: dict[str, Poller] = {}
         self._attending = False
         self._retry_at_s = 0.0
 
@@ -90,7 +91,12 @@ class Links:
             self._read(name)
 
     def _read(self, name: str) -> None:
-        self._readers[name].start(partial(self._taken, name), partial(self._lost, name))
+        self._readers[name].start(partial(self._take, name), partial(self._lost, name))
+
+    def _take(self, name: str, sent: Sequence[tuple[bytes, int]], data: bytes, host_ns: int) -> None:
+        self._taken(name, sent, data, host_ns)
+        if data and (poller := self._pollers.get(name)) is not None:
+            poller.heard(data)
 
     def start_streams(self) -> None:
         """Query the identity of every device and start its stream.
@@ -102,9 +108,14 @@ class Links:
         for name, device in self._devices.items():
             self._identities[name] = device.driver.open(name, device.settings, self._talk(name))
             self._reported[name] = frozenset(self._identities[name]) - {"port"}
+            if isinstance(device.driver, AnswersOnRequest):
+                self._pollers[name] = device.driver.poller(device.settings, partial(self.send, name), self._clock)
+                self._pollers[name].start()
 
     def stop_streams(self) -> None:
         """End the streams. A lost device does not prevent the end of the others."""
+        for poller in self._pollers.values():
+            poller.stop()
         for name, device in self._devices.items():
             with ignoring(_log, f"ending the stream of {name}", LinkLost, DeviceError):
                 device.driver.stop(self._talk(name))

@@ -442,3 +442,28 @@ class MovesLocks(Protocol):
     def locks(self, settings: Any, send: Callable[[bytes], None], clock: HostClock) -> LockControl:
         """Make the command interface of an open device."""
         ...
+
+
+class Poller(Protocol):
+    """Sends the requests of an open device that answers only on request."""
+
+    def start(self) -> None:
+        """Begin to send requests, after the device was opened."""
+        ...
+
+    def heard(self, data: bytes) -> None:
+        """Take bytes of the device. The device's reader calls this after the bytes were logged; it must not wait."""
+        ...
+
+    def stop(self) -> None:
+        """End the requests, before the device is stopped."""
+        ...
+
+
+@runtime_checkable
+class AnswersOnRequest(Protocol):
+    """A driver of devices that answer only on request."""
+
+    def poller(self, settings: Any, send: Callable[[bytes], None], clock: HostClock) -> Poller:
+        """Make the poller of an open device."""
+        ...

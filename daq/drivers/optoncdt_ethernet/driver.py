@@ -1,0 +1,51 @@
+"""optoNCDT 2300 sensors on Ethernet as a driver."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from daq.drivers.contract import DeviceLine, Pipeline, Talk
+from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
+from daq.drivers.plain import DisplacementDriver
+from daq.drivers.simulated import FarEnd
+
+
+class EthernetDriver(DisplacementDriver):
+    """See Driver."""
+
+    name = "optoncdt_ethernet"
+    settings = EthernetLaser
+    count_wrap: int = 2**32
+    example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
+    claims: frozenset[str] = frozenset({"counts exactly"})
+
+    def line(self, settings: EthernetLaser) -> DeviceLine:
+        """See Driver. The line is a TCP connection, which has no rate."""
+        return DeviceLine(settings.port, 0)
+
+    def pipeline(self, device: str, settings: EthernetLaser, identity: Mapping[str, Any]) -> Pipeline:
+        """See Driver."""
+        from daq.drivers.optoncdt_ethernet.stream import EthernetPipeline
+
+        (channel,) = self.channels(settings)
+        return EthernetPipeline(device, settings, channel, identity)
+
+    def far_end(self, device: str, settings: EthernetLaser, world: Any) -> FarEnd:
+        """See Driver."""
+        from daq.drivers.optoncdt_ethernet.far_end import SimulatedEthernetLaser
+
+        return SimulatedEthernetLaser.of(device, settings, world)
+
+    def prepare(self) -> None:
+        """See Driver."""
+        from daq.clock import compile_line
+
+        compile_line()
+
+    def open(self, device: str, settings: EthernetLaser, talk: Talk) -> dict[str, Any]:
+        """See Driver; the sensor sends as soon as it is connected, and its packets have its serial number."""
+        return {"driver": self.name, "port": settings.port}
+
+
+DRIVER = EthernetDriver()

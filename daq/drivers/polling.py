@@ -1,0 +1,85 @@
+"""Polling of a device that answers one message to one request."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from daq.errors import LinkLost
+from daq.transports.host_clock import HostClock, Repeated
+from rig_basics.ignoring import ignoring
+
+_log = logging.getLogger(__name__)
+
+_LEAST_BEAT_S = 0.001  # wall s, shortest period of the thread
+_BEATS = 4  # beats in a period: a request is late by at most a quarter of it
+
+
+@dataclass(frozen=True)
+class Request:
+    """A request that is repeated.
+
+    Attributes:
+        data: its bytes.
+        end: byte that ends an answer.
+        period_s: time from one request to the next, rig s.
+        answer_s: wall time after which a request counts as unanswered and the next one is sent, s.
+    """
+
+    data: bytes
+    end: bytes
+    period_s: float
+    answer_s: float
+
+
+class RequestLoop:
+    """Sends a request periodically, and never before the last one is answered or given up; see Poller.
+
+    Args:
+        request: the request.
+        send: writes bytes to the device's link, and to the log.
+        clock: clock for the periods and the time-out.
+    """
+
+    def __init__(self, request: Request, send: Callable[[bytes], None], clock: HostClock) -> None:
+        self._request, self._send, self._clock = request, send, clock
+        self._lock = threading.Lock()
+        self._asked_s: float | None = None  # wall time of the request that is not answered yet
+        self._due_s = 0.0
+        self._repeated: Repeated | None = None
+
+    def start(self) -> None:
+        """See Poller."""
+        self.stop()
+        self._due_s = self._clock.wall_s()
+        beat_s = max(_LEAST_BEAT_S, self._clock.wall(self._request.period_s) / _BEATS)
+        self._repeated = self._clock.every(beat_s, self._beat, "polls", self._failed)
+
+    def heard(self, data: bytes) -> None:
+        """See Poller."""
+        if self._request.end in data:
+            with self._lock:
+                self._asked_s = None
+            self._beat()
+
+    def stop(self) -> None:
+        """See Poller."""
+        repeated, self._repeated = self._repeated, None
+        if repeated is not None:
+            repeated.stop()
+
+    def _beat(self) -> None:
+        now, period = self._clock.wall_s(), self._clock.wall(self._request.period_s)
+        with self._lock:
+            given_up = self._asked_s is not None and now - self._asked_s < self._request.answer_s
+            if self._repeated is None or given_up or now < self._due_s:
+                return
+            self._asked_s = now
+            self._due_s = max(self._due_s + period, now)  # requests that are overdue are not made up for
+        with ignoring(_log, "polling a device without a link", LinkLost):
+            self._send(self._request.data)
+
+    def _failed(self, error: Exception) -> None:
+        _log.error("polling ended: %s", error)
