@@ -288,7 +288,7 @@ rate_Hz = 50
 """
 
 
-def test_a_session_polls_it_beside_the_other_devices(tmp_path: Path) -> None:
+def test_a_session_polls_it_while_it_reads_the_other_devices(tmp_path: Path) -> None:
     """It is asked at its rate, and decoding the log's bytes gives the same samples again."""
     file = tmp_path / "rig.toml"
     file.write_text((resources.files("rig_configs") / "virtual.toml").read_text() + GAUGE)

@@ -1,4 +1,4 @@
-"""A simulated optoNCDT 2300 on Ethernet: it sends packets as soon as somebody is connected."""
+"""A simulated optoNCDT 2300 on Ethernet: it sends packets as soon as a program is connected."""
 
 from __future__ import annotations
 
