@@ -24,8 +24,7 @@ from daq.exchange.recipe import Recipe
 from daq.exchange.recorder_clock import RecorderClock, recorder_clock
 from daq.exchange.recordings import open_recording
 from daq.exchange.sensors import marks_file, read_sensors
-from daq.guided_test_kinds import KINDS, kind_of
-from daq.signals.run import point_of
+from daq.guided_test_kinds import KINDS, kind_of, point_of
 from daq.version import software_version
 from rig_configs.schema import Rig
 
@@ -171,9 +170,7 @@ def _attachments(recording: ColumnFile, rig: Rig, recipe: Recipe, noticed: Impor
 def _with_counts(rig: Rig, counts_per_revolution: int) -> Rig:
     """Return the rig with other encoders."""
     if rig.roles.angles is None:
-        raise ExchangeError(
-            f"counts_per_revolution: rig {rig.name} has no device that measures the pendulums' angles"
-        )
+        raise ExchangeError(f"counts_per_revolution: rig {rig.name} has no device that measures the pendulums' angles")
     name = rig.roles.angles.device
     encoder = rig.devices[name].model_copy(update={"counts_per_revolution": counts_per_revolution})
     return rig.model_copy(update={"devices": {**rig.devices, name: encoder}})
