@@ -31,7 +31,8 @@ from analysis.scores import NAMES, Z_LIMIT, Score, scores_of, sentence
 from analysis.start_ups import START_UPS, StartUps, start_ups
 from analysis.steady_state import SteadyMeasurement, locked_radius_m, measure
 from analysis.term_errors import effects
-from daq.signals.run import Run, point_of
+from daq.guided_test_kinds import point_of
+from daq.signals.run import Run
 from daq.signals.threads import on_one_thread
 from rig_configs import IdentifiedParameters, Rig
 from rig_configs.drag import Reading, read_as

@@ -179,6 +179,12 @@ def kind_of(test: str) -> TestKind | None:
     return next((KINDS[name] for name in named), None)
 
 
+def point_of(test: str) -> str:
+    """Return the name of the validation point in a test's name in a log; empty for any other test."""
+    kind = kind_of(test)
+    return test.removeprefix(f"{kind.name}-") if kind is not None and kind.point == "named" else ""
+
+
 def lacking(kind: TestKind, roles: Roles) -> tuple[str, ...]:
     """Return the descriptions of the signals that a test needs and the rig does not measure."""
     sources = {"x": roles.along("x"), "y": roles.along("y"), "angles": roles.angles, "phase": roles.phase}

@@ -14,6 +14,7 @@ from cyclopts import Parameter
 
 from daq.acquisition.session import Session
 from daq.errors import OperatorStop
+from daq.guided_test_kinds import point_of
 from daq.guided_tests.controls import Controls
 from daq.guided_tests.procedure import Procedures, TestDone
 from daq.guided_tests.test_inputs import possible_tests
@@ -98,7 +99,7 @@ def demo(
     faults = [_parse_fault(text, loaded) for text in simulation.fault or []]
     folder = _fresh(out)
     steps = _steps(loaded)
-    progress = StepProgress({s: _USUAL_S.get(s, 7.0 if s.startswith("point") else 2.0) for s in steps})
+    progress = StepProgress({s: _USUAL_S.get(s, 7.0 if point_of(s) else 2.0) for s in steps})
     workbench = Workbench()
     try:
         with (
@@ -125,14 +126,14 @@ def _far_end(name: str, rig: Rig, changes: list[str], simulation: Simulation) ->
 
 def _steps(rig: Rig) -> list[str]:
     tests = possible_tests(rig)
-    points = [test for test in tests if test.startswith("point-")]
+    points = [test for test in tests if point_of(test)]
     return ["start", *(test for test in _BEFORE_POINTS if test in tests), "identify", *points, "report"]
 
 
 def _parse_fault(text: str, rig: Rig) -> TruthChange:
     setting, sign, step = text.rpartition("@")
     known = _steps(rig)
-    names = {s.removeprefix("point-"): s for s in known} | {s: s for s in known}
+    names = {point_of(s) or s: s for s in known} | {s: s for s in known}
     if not sign or step not in names:
         raise RigFileError(f"--fault {text!r}: expected KEY=VALUE@STEP with a step of {', '.join(known)}")
     key, value = parse_setting(setting)
@@ -220,7 +221,7 @@ class _Campaign:
         self._workbench.wait(self._workbench.identify(plugged, self._logs, parameters), self._progress.update)
         tests.parameters = IdentifiedParameters.label(parameters)
         identified = with_parameters(plugged, IdentifiedParameters.load(parameters))
-        for point in (step for step in self._steps if step.startswith("point-")):
+        for point in (step for step in self._steps if point_of(step)):
             self._record(tests, identified, point)
             self._refinements.append(self._workbench.refine(plugged, self._logs[-1]))
 

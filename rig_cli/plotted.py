@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 
 from analysis.figures.kinds import KINDS, FigureKind
 from analysis.rig_model import RigModel
+from daq.guided_test_kinds import point_of
 from daq.log import open_log
 from daq.log.snapshot import rig_of
-from daq.signals.run import Run, load_run, point_of
+from daq.signals.run import Run, load_run
 from rig_cli.console import STDERR
 from rig_configs import IdentifiedParameters, Rig, RigFileError, overridden, with_parameters
 

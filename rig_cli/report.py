@@ -38,7 +38,7 @@ def report(
     Args:
         places: folders of a campaign, and logs.
     """
-    from daq.signals.run import point_of
+    from daq.guided_test_kinds import point_of
     from rig_cli.offline import print_points  # matplotlib and numba take seconds to import
     from rig_cli.reporting import reported
     from studies.runs import load_runs

@@ -69,13 +69,14 @@ def _refine(rig: Rig, log: Path) -> None:
 
 def _conclude(rig: Rig, out: Path, report: Path, facts: dict[str, Any]) -> dict[str, Any]:
     """Validate the points with the parameters identified before them; write joint parameters and report."""
+    from daq.guided_test_kinds import point_of
     from daq.guided_tests.test_inputs import possible_tests
     from rig_cli import results
     from rig_cli.reporting import reported
     from studies.validated_runs import keep_verdicts, validated
 
     runs, before, joint = _worker["runs"], _worker["before"], _worker["joint"]
-    points = {test.removeprefix("point-") for test in possible_tests(rig)}
+    points = {point_of(test) for test in possible_tests(rig)}
     tested = rig.model_copy(update={"points": {name: point for name, point in rig.points.items() if name in points}})
     validation = validated(runs, tested, before.parameters, _notify)
     keep_verdicts(validation, runs, facts["validated_with"])

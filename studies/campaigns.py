@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from analysis.errors import AnalysisError
 from daq.errors import AcquisitionError
+from daq.guided_test_kinds import point_of
 from daq.guided_tests.test_inputs import possible_tests
 from daq.lockstep.rehearsal import Rehearsal
 from identification import IdentificationError, identify
@@ -94,7 +95,7 @@ def _campaign(rig_file: Path, settings: list[str]) -> Answer:
         before = load_runs([rehearsal.record(test).log for test in _BEFORE_POINTS if test in tests])
         found = identify(before, rig)
         known = found.parameters
-        logs = [rehearsal.record(test, known).log for test in tests if test.startswith("point-")]
+        logs = [rehearsal.record(test, known).log for test in tests if point_of(test)]
     judged = validated(load_runs(logs), rig, known, _ignore)
     names, std = list(known.values), known.std
     z = {(point, name): z for point, one in judged.points.items() for name, z in one.z_scores.items()}

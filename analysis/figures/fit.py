@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.figures.style import GREY, MEASURED, MODEL, band, bins_for, drawing, label, outline, pin, to_svg
-from daq.signals.run import point_of
+from daq.guided_test_kinds import point_of
 from rig_basics.arrays import Array
 
 _FINE_RATIO = 1e3  # curve over residual above which the residual is shown in thousandths of the unit

@@ -17,7 +17,8 @@ from analysis.figures.steady_part import steady_part
 from analysis.figures.steady_sweep import SweptState, steady_sweep
 from analysis.figures.style import GREY, label
 from analysis.rig_model import RigModel
-from daq.signals.run import Run, point_of
+from daq.guided_test_kinds import point_of
+from daq.signals.run import Run
 from dynamics import SteadyState, steady_states
 from dynamics.errors import DynamicsError
 from rig_basics.units import TO_RPM

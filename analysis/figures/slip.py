@@ -20,6 +20,7 @@ from analysis.figures.style import GREY, MEASURED, label
 from analysis.quantities.rotor_phase import phase_at
 from analysis.quantities.slip import SlipTrack, slip_track
 from analysis.rig_model import RigModel
+from daq.guided_test_kinds import point_of
 from daq.signals.run import Run
 from rig_basics.units import TO_RPM
 
@@ -105,7 +106,7 @@ def _end(run: Run) -> _End:
     spread = np.minimum(0.5 * np.ptp(own, axis=0), math.pi)
     slip = np.mean(track.slip_order[late], axis=0)
     return _End(
-        run.test.removeprefix("point-"),
+        point_of(run.test) or run.test,
         part.speed_rad_s,
         (float(means[0]), float(means[1])),
         (float(spread[0]), float(spread[1])),

@@ -28,7 +28,8 @@ from analysis.results import PointResult
 from analysis.rig_model import RigModel
 from analysis.rounding import plain
 from analysis.scores import Z_LIMIT
-from daq.signals.run import Run, point_of
+from daq.guided_test_kinds import point_of
+from daq.signals.run import Run
 from dynamics.errors import DynamicsError
 
 _log = logging.getLogger(__name__)

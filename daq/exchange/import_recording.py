@@ -24,8 +24,7 @@ from daq.exchange.recipe import Recipe
 from daq.exchange.recorder_clock import RecorderClock, recorder_clock
 from daq.exchange.recordings import open_recording
 from daq.exchange.sensors import marks_file, read_sensors
-from daq.guided_test_kinds import KINDS, kind_of
-from daq.signals.run import point_of
+from daq.guided_test_kinds import KINDS, kind_of, point_of
 from daq.version import software_version
 from rig_configs.schema import Rig
 

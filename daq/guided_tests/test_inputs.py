@@ -102,7 +102,7 @@ def requested_test(rig: Rig, test: str, given: Mapping[str, float] | None = None
     name = f"{test}-{point}" if named and point else test
     if kind is None or (named and name not in test_names(rig)):
         raise GuidedTestRefused(f"{name!r}: no such test. Known: {', '.join(_names(rig, separator=' '))}")
-    point = point or (name.removeprefix(f"{kind.name}-") if named else "")
+    point = point or kinds.point_of(name)
     if point and (not kind.point or point not in rig.points):
         takes = f"one of {', '.join(rig.points)}" if kind.point else "no point"
         raise GuidedTestRefused(f"{test} {point}: the test takes {takes}. Nothing was turned")

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from daq.errors import LogError
-from daq.guided_test_kinds import KINDS, kind_of
 from daq.log import Log, open_log
 from daq.log.losses import losses_of
 from daq.log.outcome import not_reached_of
@@ -37,7 +36,7 @@ from daq.signals.witnesses import Witness, WitnessAgreement, agreement
 from rig_basics.arrays import Array
 from rig_configs.roles import Roles
 
-__all__ = ["Release", "Run", "disagreements", "load_run", "point_of"]
+__all__ = ["Release", "Run", "disagreements", "load_run"]
 
 
 @dataclass(frozen=True)
@@ -107,12 +106,6 @@ class Run:
 def disagreements(run: Run) -> list[str]:
     """Return one sentence for each witness that disagrees with its reference sensor."""
     return [found.text for found in run.agreements() if found.verdict == "disagree"]
-
-
-def point_of(test: str) -> str:
-    """Return the name of the validation point of a test; empty for any other test."""
-    kind, _, name = test.partition("-")
-    return name if kind in KINDS and kind_of(test) is KINDS[kind] else ""
 
 
 def load_run(path: str | Path) -> Run:

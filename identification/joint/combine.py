@@ -118,7 +118,7 @@ def _settled(
     """
     kept, out, names_of = list(given), dict[int, str](), dict[int, set[str]]()
     extra: dict[str, float] = {}
-    undecided: list[str] = []
+    undecided: dict[tuple[str, ...], str] = {}
     for _ in range(_MAX_ROUNDS):
         found = verdict(kept)
         if not found.alarm:
@@ -135,10 +135,9 @@ def _settled(
             del out[i], names_of[i]
         suspects = found.suspects if len(found.suspects) > 1 and not back else tuple(range(len(given)))
         who = _widen(kept, found.names, suspects, extra)
-        message = _undecided(given, who, found)
-        undecided += [message] if not any(w.startswith(message.partition(" (p")[0]) for w in undecided) else []
+        undecided.setdefault(found.names, _undecided(given, who, found))
     warnings = [_left_out(given[i], kept[i], why) for i, why in out.items()]
-    return kept, out, extra, warnings + undecided
+    return kept, out, extra, [*warnings, *undecided.values()]
 
 
 def _majority_remains(given: list[Estimate], kept: list[Estimate], found: AgreementVerdict) -> bool:

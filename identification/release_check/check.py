@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from daq.signals.run import Run, point_of
+from daq.guided_test_kinds import point_of
+from daq.signals.run import Run
 from daq.signals.threads import on_one_thread
 from identification.clocks import clock_errors
 from identification.errors import FitFailed, NotIdentifiable

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from daq.guided_test_kinds import KINDS, kind_of, refusal
+from daq import guided_test_kinds
+from daq.guided_test_kinds import KINDS, kind_of, point_of, refusal
 from daq.guided_tests import test_inputs as inputs
 from rig_cli.main import run
 from rig_configs import load_rig
@@ -45,3 +48,11 @@ def test_a_points_kind_is_found_by_its_name() -> None:
     assert kind_of("point-Z9") is KINDS["point"]
     assert kind_of("dance") is None
     assert KINDS["point"].channels == {"laser/x", "laser/y", "pendulums", "tacho"}
+
+
+def test_a_points_name_follows_the_name_of_any_kind_with_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ("point-A", "point-two-of", "point", "point-", "run-up", "dance-A", "slow-roll-B", "slow-roll")
+    assert [point_of(name) for name in names] == ["A", "two-of", "", "", "", "", "", ""]
+    kinds = {**KINDS, "slow-roll": replace(KINDS["point"], name="slow-roll")}
+    monkeypatch.setattr(guided_test_kinds, "KINDS", kinds)
+    assert [point_of(name) for name in names] == ["A", "two-of", "", "", "", "", "B", ""]
