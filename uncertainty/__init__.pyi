@@ -25,7 +25,10 @@ from .linear_check import (
     LinearCheck as LinearCheck,
     check_linear as check_linear,
 )
-from .monte_carlo import monte_carlo as monte_carlo
+from .monte_carlo import (
+    TrialLimits as TrialLimits,
+    monte_carlo as monte_carlo,
+)
 from .sensitivities import (
     linear_budgets as linear_budgets,
     second_order_variance as second_order_variance,

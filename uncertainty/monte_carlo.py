@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
@@ -24,24 +25,42 @@ BATCH = 10_000
 """Smallest number of trials in a batch (JCGM 101, 7.9.4)."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class TrialLimits:
+    """Limits of a Monte Carlo calculation.
+
+    Attributes:
+        digits: number of significant digits of the standard deviation that must be stable.
+        interval: kind of interval whose ends must be stable. Ends of the shortest interval need many more trials.
+        most_trials: largest number of trials of the adaptive procedure, which then ends with `stabilised` False.
+        most_bytes: largest memory for the stored values, 8 bytes per trial and quantity; limits adaptive trials too.
+        rows: largest number of trials in one call of the model.
+    """
+
+    digits: int = 2
+    interval: IntervalKind = "symmetric"
+    most_trials: int = 2_000_000
+    most_bytes: int = 512 * 2**20
+    rows: int = BATCH
+
+
+_USUAL_LIMITS = TrialLimits()
+
+
 def monte_carlo(
     model: Model,
     sources: Sequence[Input],
     *,
     seed: int,
     trials: int | None = None,
-    digits: int = 2,
     level: float = 0.95,
-    interval: IntervalKind = "symmetric",
     names: Sequence[str] | None = None,
     progress: Progress | None = None,
-    most_trials: int = 2_000_000,
-    most_bytes: int = 512 * 2**20,
-    rows: int = BATCH,
+    limits: TrialLimits = _USUAL_LIMITS,
 ) -> MonteCarlo:
     """Return the joint distribution of a model's quantities for the errors of its sources.
 
-    The errors that a seed gives to a source are independent of `rows`, of `trials` and of the sources after it.
+    The errors that a seed gives to a source are independent of `limits`, of `trials` and of the sources after it.
 
     Args:
         model: maps errors (n, columns) in the sources' units to values (n, quantities). The first call has one row of
@@ -49,41 +68,38 @@ def monte_carlo(
         sources: sources of error; a group occupies as many columns as it has members.
         seed: seed of the random numbers, at least 0.
         trials: number of trials; None: batches of 10⁴ or, if that is more, 100/(1 − level) until results are stable.
-        digits: number of significant digits of the standard deviation that must be stable.
         level: coverage probability of the intervals.
-        interval: kind of interval whose ends must be stable. Ends of the shortest interval need many more trials.
         names: names of the quantities; None selects their numbers from 0.
         progress: called after each call of the model with trials.
-        most_trials: largest number of trials of the adaptive procedure, which then ends with `stabilised` False.
-        most_bytes: largest memory for the stored values, 8 bytes per trial and quantity; limits adaptive trials too.
-        rows: largest number of trials in one call of the model.
+        limits: end of the adaptive procedure, and memory.
 
     Raises:
         BadInput: a number or a name is outside its domain.
         BadModel: the model's values have another shape or are not finite.
-        TooManyTrials: the values of `trials` trials, or of one batch, exceed `most_bytes`.
+        TooManyTrials: the values of `trials` trials, or of one batch, exceed the memory.
     Source: JCGM 101, 7.2 … 7.9; JCGM 102, 7.
     """
-    _check(sources, seed, digits, level, interval, rows)
-    wanted = _checked_trials(most_trials if trials is None else trials, level)
+    _check(sources, seed, level, limits)
+    wanted = _checked_trials(limits.most_trials if trials is None else trials, level)
     size = max(BATCH, math.ceil(100.0 / (1.0 - level)))
     quantities = values_of(model, np.zeros((1, sum(s.width for s in sources)))).shape[1]
     given = quantity_names(names, quantities)
-    wanted = min(wanted, _trials_in_memory(quantities, min(size, wanted) if trials is None else trials, most_bytes))
+    least = min(size, wanted) if trials is None else trials
+    wanted = min(wanted, _trials_in_memory(quantities, least, limits.most_bytes))
     batches: list[NDArray[np.float64]] = []
-    stability, done, settled = Stability(digits, level, interval), 0, False
+    stability, done, settled = Stability(limits.digits, level, limits.interval), 0, False
     while done < wanted and not (trials is None and settled):
         errors = _errors(sources, (seed, len(batches)), size)[: wanted - done]
         parts: list[NDArray[np.float64]] = []
-        for start in range(0, len(errors), rows):
-            parts.append(values_of(model, errors[start : start + rows], quantities))
+        for start in range(0, len(errors), limits.rows):
+            parts.append(values_of(model, errors[start : start + limits.rows], quantities))
             done += len(parts[-1])
             if progress is not None:
                 progress(done, trials)
         batches.append(np.concatenate(parts))
         if len(errors) == size:
             settled = stability.settled_with(batches[-1])
-    return summary(batches, given, level, settled, digits)
+    return summary(batches, given, level, settled, limits.digits)
 
 
 def _trials_in_memory(quantities: int, trials: int, most_bytes: int) -> int:
@@ -98,7 +114,7 @@ def _trials_in_memory(quantities: int, trials: int, most_bytes: int) -> int:
     return room
 
 
-def _check(sources: Sequence[Input], seed: int, digits: int, level: float, interval: str, rows: int) -> None:
+def _check(sources: Sequence[Input], seed: int, level: float, limits: TrialLimits) -> None:
     """Check the arguments before the first trial.
 
     Raises:
@@ -106,11 +122,11 @@ def _check(sources: Sequence[Input], seed: int, digits: int, level: float, inter
     """
     check_level(level)
     check_names(sources)
-    for name, number, least in (("seed", seed, 0), ("digits", digits, 1), ("rows", rows, 1)):
+    for name, number, least in (("seed", seed, 0), ("digits", limits.digits, 1), ("rows", limits.rows, 1)):
         if number < least:
             raise BadInput(f"{name} is {number}; it must be at least {least}")
-    if interval not in get_args(IntervalKind):
-        raise BadInput(f"interval is {interval!r}; it must be one of {', '.join(get_args(IntervalKind))}")
+    if limits.interval not in get_args(IntervalKind):
+        raise BadInput(f"interval is {limits.interval!r}; it must be one of {', '.join(get_args(IntervalKind))}")
 
 
 def _checked_trials(trials: int, level: float) -> int:

@@ -6,11 +6,7 @@ out its orders: it writes to the log, warns the operator and stops the drive.
 
 from __future__ import annotations
 
-import json
-import threading
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -26,19 +22,18 @@ from daq.acquisition.links import Links
 from daq.acquisition.rate_watch import RateWatches
 from daq.acquisition.reader import keep_heap_whole
 from daq.acquisition.recent import Recent
-from daq.acquisition.recorder import DiskState, Recorder
+from daq.acquisition.recorder import DiskState
 from daq.acquisition.rotor_command import RotorCommand
-from daq.clock import CLOCK_RULES, NEWEST_RULES, compile_line
+from daq.acquisition.session_log import SessionLog, keep
+from daq.clock import compile_line
 from daq.drivers.checks import Checks
-from daq.drivers.contract import DescribesItself, HasClockSeed, ObservesIdentity, SpeedControl
-from daq.drivers.devices import channels_of, devices_of, make_pipelines
+from daq.drivers.contract import DescribesItself, SpeedControl
+from daq.drivers.devices import devices_of
 from daq.errors import AcquisitionError, DeviceError, OperatorStop
-from daq.items import RX, TX, Batch, DeviceEvent
+from daq.items import RX, TX, DeviceEvent
 from daq.log.file import ReservedName
-from daq.log.outcome import ENDED, tripping
 from daq.transports import HostClock
 from daq.transports.host_clock import Repeated
-from daq.version import software_version
 from rig_configs.ports import refuse_shared_ports
 from rig_configs.schema import Rig
 
@@ -66,7 +61,6 @@ class Session:
         host_event_observers: called with every event of the host and its time, ns.
         health_observers: called with every health report and its time, ns.
         rotor_warning: after `close`, the warning that the rotor may turn or the drive may hold it; empty if neither.
-        log: path of the newest recording; None before the first.
     """
 
     def __init__(
@@ -84,19 +78,16 @@ class Session:
         self.host_event_observers: list[Callable[[DeviceEvent, int], None]] = []
         self.health_observers: list[Callable[[Mapping[str, Any], int], None]] = []
         self.rotor_warning: str = ""
-        self.log: Path | None = None
         self._edge = edge or real_edge()
-        self._channels = tuple(channels_of(rig.devices).values())
         self._known = devices_of(rig.devices)
         refuse_shared_ports(rig.devices)  # the rig may come from a log and not from a checked file
         self._notify = notify
         self._core = Core(rig, clock.patience, driving=True)
+        self._log = SessionLog(rig, clock, self.identities, self._core, self._edge.disk)
         self._links: Links | None = None
-        self._recorder: Recorder | None = None
         self._command: RotorCommand | None = None
         self._ticking: Repeated | None = None
         self._opened = False
-        self._log_changes = threading.RLock()  # excludes ticks between the last events of a log and its end
 
     # --- beginning and end ---------------------------------------------------------------------------------------
 
@@ -111,7 +102,9 @@ class Session:
             if self._command.drive is not None:
                 self._command.drive.start()
             self._wait_alive("every device to send samples")
-            self._renew_pipelines(None)  # bytes from the port buffers were delayed and would disturb the clock maps
+            self._log.renew_pipelines(
+                links, None
+            )  # bytes from the port buffers were delayed and would disturb the clock maps
             self._wait_alive("every device to continue to send samples")
             self._start_watching()
         except BaseException as error:
@@ -129,7 +122,7 @@ class Session:
             path: of the log.
             metadata: facts of the run.
         """
-        self._core = Core(self.rig, self.clock.patience, driving=False)
+        self._core = self._log.core = Core(self.rig, self.clock.patience, driving=False)
         try:
             links = self._open_links()
             self.start_recording(path, metadata)
@@ -186,7 +179,7 @@ class Session:
             at_rest, self.rotor_warning = self._stop_devices()
         finally:
             try:
-                if self._recorder is not None:
+                if self._log.recorder is not None:
                     ended = self._ended(because) or "session closed"
                     self.stop_recording({"ended": f"{ended}; {self.rotor_warning}" if self.rotor_warning else ended})
             finally:
@@ -296,8 +289,8 @@ class Session:
         self._execute(self._core.fail(error, self.clock.now_ns()))
 
     def _tick(self) -> None:
-        with self._log_changes:
-            recorder, command = self._recorder, self._command
+        with self._log.changes:
+            recorder, command = self._log.recorder, self._command
             self._execute(
                 self._core.tick(
                     self.clock.now_ns(),
@@ -309,11 +302,11 @@ class Session:
 
     def _execute(self, orders: Iterable[Order]) -> None:
         for order in orders:
-            recorder = self._recorder
+            recorder = self._log.recorder
             match order:
                 case Keep():
                     if recorder is not None:
-                        _keep(recorder, order)
+                        keep(recorder, order)
                     if self._command is not None and order.direction == RX:
                         self._command.notice(order.device, self._core.pipelines[order.device])
                 case Happened(event):
@@ -465,9 +458,14 @@ class Session:
 
     # --- recording -----------------------------------------------------------------------------------------------
 
+    @property
+    def log(self) -> Path | None:
+        """Path of the newest recording; None before the first."""
+        return self._log.path
+
     def disk(self) -> DiskState | None:
         """Return the state of the disk, or None if no log is recorded."""
-        recorder = self._recorder
+        recorder = self._log.recorder
         return None if recorder is None else recorder.state()
 
     def losses(self) -> dict[str, dict[str, int]]:
@@ -479,7 +477,7 @@ class Session:
         self._note(event, self.clock.now_ns())
 
     def _note(self, event: DeviceEvent, host_ns: int) -> None:
-        recorder = self._recorder
+        recorder = self._log.recorder
         if recorder is not None:
             recorder.event(event, host_ns)
         for notify in self.host_event_observers:
@@ -493,77 +491,13 @@ class Session:
             metadata: facts of the run.
             before_s: length of the pre-trigger, s; at most `daq.acquisition.core.PAST_S`.
         """
-        if self._recorder is not None:
+        if self._log.recorder is not None:
             self.stop_recording({"ended": self._ended(None) or "another recording began"})
-        self._store_identities()
-        facts = {
-            "rig": self.rig.name,
-            "software": software_version(),
-            "clock_rate": repr(self.clock.rate),
-            CLOCK_RULES: str(NEWEST_RULES),
-            "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self.clock.now_s())),
-            **metadata,
-        }
-        attachments = {
-            "rig.json": self.rig.snapshot_json(),
-            "identities.json": json.dumps(self.identities).encode(),
-            "roles.json": self.rig.roles_json(),
-        }
-        seeds = self._seeds()
-        if seeds:
-            attachments["clocks.json"] = json.dumps(seeds).encode()
-        devices = tuple(self._known)
-        self.log = path if isinstance(path, Path) else path.path
-        recorder = Recorder(path, self.clock, facts, attachments, devices, self._channels, self._edge.disk)
-        self._renew_pipelines(recorder, before_s, seeds)
-
-    def _store_identities(self) -> None:
-        """Add to the identities what the pipelines have learnt from the bytes, for the next log."""
-        for name, pipeline in self._core.pipelines.items():
-            if isinstance(pipeline, ObservesIdentity):
-                with self._open.unread(name):
-                    self.identities.setdefault(name, {}).update(pipeline.learned)
-
-    def _seeds(self) -> dict[str, dict[str, Any]]:
-        """Return the states of the device clocks, so that the clock maps of the next log start with them."""
-        seeds: dict[str, dict[str, Any]] = {}
-        for name, pipeline in self._core.pipelines.items():
-            with self._open.unread(name):
-                seed = pipeline.clock_seed if isinstance(pipeline, HasClockSeed) else None
-            if seed is not None:
-                seeds[name] = asdict(seed)
-        return seeds
-
-    def _renew_pipelines(
-        self, recorder: Recorder | None, before_s: float = 0.0, seeds: Mapping[str, Mapping[str, Any]] | None = None
-    ) -> None:
-        """Give every device a new pipeline, at a boundary between two reads."""
-        pipelines = make_pipelines(self.rig.devices, self.identities, seeds=seeds)
-        with self._log_changes, self._open.between_reads():
-            self._recorder = recorder
-            for order in self._core.begin(pipelines, self.clock.now_ns(), before_s):
-                if recorder is None:
-                    continue
-                if isinstance(order, Keep):
-                    _keep(recorder, order)
-                else:
-                    recorder.event(order.event, order.host_ns)
+        self._log.begin(self._open, path, metadata, before_s)
 
     def stop_recording(self, summary: Mapping[str, Any]) -> Path:
         """End the log and return its path. Losses and the reason of the end are written to its summary."""
-        recorder = self._recorder
-        assert recorder is not None
-        with self._log_changes, self._open.between_reads():
-            now_ns = self.clock.now_ns()
-            for order in self._core.finish(now_ns):
-                _keep(recorder, order)
-            facts, events = self._core.end(now_ns)
-            for event in events:
-                recorder.event(event, now_ns)
-            self._recorder = None
-        facts = {**facts, ENDED: self._ended(None) or "the test's end", **summary}
-        reasons = [(reason.interlock, reason.text) for reason in self._core.trips.reasons]
-        return recorder.close({**facts, **tripping(facts[ENDED], reasons)})
+        return self._log.end(self._open, lambda: self._ended(None) or "the test's end", summary)
 
     # --- waiting and commands ------------------------------------------------------------------------------------
 
@@ -648,14 +582,3 @@ class Session:
 
 def _not_at_rest(at_rest: bool | None) -> str:
     return "the state of the rotor is unknown" if at_rest is None else "the rotor still turns"
-
-
-def _keep(recorder: Recorder, order: Keep) -> None:
-    """Record bytes with their items. After the end of the run the recorder accepts neither."""
-    with recorder.together():
-        if recorder.raw(order.device, order.direction, order.data, order.host_ns):
-            for item in order.items:
-                if isinstance(item, Batch):
-                    recorder.batch(item, order.host_ns)
-                else:
-                    recorder.event(item, order.host_ns)

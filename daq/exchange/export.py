@@ -1,7 +1,7 @@
 """Export of a log's channels, or of the signals of its run, to files of other programs.
 
     export_log("run.mcap", "run.h5")                                      # every channel, one file
-    export_log("run.mcap", "x.csv", channels=["laser/x"], from_s=2.0, to_s=5.0)
+    export_log("run.mcap", "x.csv", channels=["laser/x"], span_s=(2.0, 5.0))
     export_log("run.mcap", "run.mat", signals=True)                       # x, y, angles, marks on the common clock
 
 Parquet and CSV contain one table per file: several channels become OUT-CHANNEL.csv … and a file OUT.csv.json. No file
@@ -71,9 +71,9 @@ class _Window:
     to_s: float | None
 
     def __post_init__(self) -> None:
-        for name, value in (("from_s", self.from_s), ("to_s", self.to_s)):
+        for name, value in (("begin", self.from_s), ("end", self.to_s)):
             if value is not None and not np.isfinite(value):
-                raise ExchangeError(f"{name} {value}: expected seconds since the log's start")
+                raise ExchangeError(f"{name} of the span, {value}: expected seconds since the log's start")
         if self.from_s is not None and self.to_s is not None and self.from_s >= self.to_s:
             raise ExchangeError(f"expected the beginning before the end, got {self.from_s:g} s and {self.to_s:g} s")
 
@@ -98,8 +98,7 @@ def export_log(
     *,
     format: Format | None = None,
     channels: Sequence[str] = (),
-    from_s: float | None = None,
-    to_s: float | None = None,
+    span_s: tuple[float | None, float | None] = (None, None),
     signals: bool = False,
     force: bool = False,
     progress: Progress | None = None,
@@ -111,7 +110,7 @@ def export_log(
         out: file name; parquet and csv put a channel's name after its stem when there are several.
         format: None: from the ending of the name.
         channels: topics; empty: every channel with samples. With `signals` x, y, angles, marks.
-        from_s, to_s: samples with from_s ≤ t < to_s, s since the log's start.
+        span_s: begin and end, s since the log's start: samples with begin ≤ t < end; None is open.
         signals: export the signals of `daq.signals.run.load_run`, on one clock, instead of the channels.
         force: replace existing files of these names.
         progress: called with the completed share, 0 … 1.
@@ -123,7 +122,7 @@ def export_log(
     """
     path, out = Path(path), Path(out)
     chosen = _format(out, format)
-    window = _Window(from_s, to_s)
+    window = _Window(*span_s)
     with open_log(path) as log, Staging(force) as staging:
         job = _Job(log, chosen, out if out.suffix else out.with_suffix(_SUFFIX_OF[chosen]), staging, window)
         rows, facts = job.signals(load_run(path), channels) if signals else job.channels(channels, progress)

@@ -54,16 +54,30 @@ class BentResponse:
     by_bow: np.ndarray | None = None
 
 
+@dataclass(frozen=True)
+class BentDirection:
+    """One direction of the suspension and its motion.
+
+    Attributes:
+        oscillator: ω, rad/s, and ζ.
+        terms: H, 1/m², and Q, s/m.
+        amplitude, free: B and F, m.
+        bow: W, m; None for a straight shaft, without derivatives by W.
+    """
+
+    oscillator: tuple[float, float]
+    terms: tuple[float, float]
+    amplitude: complex
+    free: complex
+    bow: complex | None = None
+
+
 def bent_response(
     spread_s2: np.ndarray,
     turn: PhasorMeans,
     drive: Excitation,
     force: np.ndarray,
-    oscillator: tuple[float, float],
-    terms: tuple[float, float],
-    amplitude: complex,
-    free: complex,
-    bow: complex | None = None,
+    direction: BentDirection,
 ) -> BentResponse:
     """Compute the motion of one direction in a sensor's blocks.
 
@@ -72,12 +86,10 @@ def bent_response(
         turn: block means of p.
         drive: drive over the span of the blocks.
         force: force of the drive by `forcing`.
-        oscillator: ω, rad/s, and ζ.
-        terms: H, 1/m², and Q, s/m.
-        amplitude, free: B and F, m.
-        bow: W, m; None for a straight shaft, without derivatives by W.
+        direction: oscillator and amplitudes.
     """
-    omega, zeta = oscillator
+    (omega, zeta), terms = direction.oscillator, direction.terms
+    amplitude, free, bow = direction.amplitude, direction.free, direction.bow
     unknowns = _STRAIGHT if bow is None else _BOWED
     lam, by_rate = rate(omega, zeta), rate_derivatives(omega, zeta)
     damp, (p, p_rate) = 2 * zeta * omega, force[0]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from identification.run_up.bent_oscillator import bent_response, forcing
+from identification.run_up.bent_oscillator import BentDirection, bent_response, forcing
 from identification.run_up.forced_oscillator import Excitation, Instants, Response
 from identification.run_up.slow_roll import turning
 from rig_basics.arrays import Array, Complex
@@ -117,7 +117,7 @@ class BentPassage:
             powers = (mode - axis) * np.array([2.0, 1.0])  # exponents of the ratio: H scales with its square
             scale = gain_ratio**powers
             h, q = (scale * terms[[mode, 2 + mode]]).tolist()
-            seen = bent_response(instants[1], turn, drive, self.force, oscillator, (h, q), b, free, bow)
+            seen = bent_response(instants[1], turn, drive, self.force, BentDirection(oscillator, (h, q), b, free, bow))
             plain = (b * seen.by_drive).real + (free * seen.by_free).real
             if bow is not None and seen.by_bow is not None:
                 plain += (bow * seen.by_bow).real

@@ -290,9 +290,10 @@ def _sensor_block(
     columns = [np.real(signal), -np.imag(signal)]
     for one in seen:
         columns += [np.real(one.decay), -np.imag(one.decay)]
-    slow = _slow_roll(
-        structure, record.when(theta, axis), channel, drive, oscillators, seen, axis, (mix, turned), given
-    )
+    slow: list[_Slow] = []
+    if structure.run_out or structure.bow:
+        turn = turning(drive, record.when(theta, axis), channel.spread_s2)
+        slow = _slow_roll(structure, turn, oscillators, seen, axis, (mix, turned), given)
     for one in slow:
         columns += [np.real(one.signal), -np.imag(one.signal)]
     weight = channel.weight
@@ -360,9 +361,7 @@ def slow_roll_columns(record: RunUpRecord, structure: Structure, phi: np.ndarray
 
 def _slow_roll(
     structure: Structure,
-    when_s: np.ndarray,
-    channel: Averages,
-    drive: Excitation,
+    turn: PhasorMeans,
     oscillators: list[tuple[float, float]],
     seen: list[Response],
     axis: int,
@@ -373,15 +372,12 @@ def _slow_roll(
 
     Args:
         structure: model.
-        when_s, channel: times and blocks of the sensor.
-        drive, oscillators, seen: drive, oscillators and their responses.
+        turn: means of e^{iψ} in the sensor's blocks.
+        oscillators, seen: oscillators and their responses.
         axis: 0 for sensor x, 1 for y.
         mixes: factors of both oscillators in the sensor, and their derivatives by β.
         given: motion of a bent passage. The bow is part of it, and its derivatives are those of its amplitude.
     """
-    if not (structure.run_out or structure.bow):
-        return []
-    turn: PhasorMeans = turning(drive, when_s, channel.spread_s2)
     found: list[_Slow] = []
     if structure.run_out:
         own = (1.0, -1j)[axis]  # sensor x shows Re(r e^{iψ}), sensor y Im(r e^{iψ})

@@ -80,8 +80,7 @@ def track(
     damping_std: float = 1.0,
     imbalance_std: float = 0.05,
     batch_s: float = 0.05,
-    lasers: bool = False,
-    run_out_m: tuple[complex, complex] = (0j, 0j),
+    laser_run_out_m: tuple[complex, complex] | None = None,
     setting: TrackingSetting = "fast",
     progress: Callable[[float], None] | None = None,
 ) -> TrackedRun:
@@ -93,9 +92,9 @@ def track(
         damping_std: standard deviation of ln c3, ln c4 at the start.
         imbalance_std: relative standard deviation of S_P.
         batch_s: duration of one batch of readings, s.
-        lasers: whether to use the lasers. Their signals must have no offset, lie along the stiffness axes and have the
-            encoders' clock to a fraction of a millisecond: 2 ms turn the orbit by six degrees and bias the damping.
-        run_out_m: run-out of the surfaces that the lasers measure, as in `Tracker`.
+        laser_run_out_m: run-out of the surfaces that the lasers measure, as in `Tracker`; None: lasers are not used.
+            Their signals must have no offset, lie along the stiffness axes and have the encoders' clock to a fraction
+            of a millisecond: 2 ms turn the orbit by six degrees and bias the damping.
         setting: "reference" adds smoothed estimates and computes the rows by filterpy.
         progress: called with the completed share, 0 … 1.
     Raises:
@@ -116,14 +115,14 @@ def track(
         damping_std,
         (0 not in released, 1 not in released),
         imbalance_std=imbalance_std,
-        run_out_m=run_out_m,
+        run_out_m=laser_run_out_m or (0j, 0j),
         filtering=reference or filter_readings,
     )
     for release in run.releases:
         tracker.release(release.pendulum, int(_ns(release.time_s)))
     batches, begin, end = _Batches(), float(run.angle_time_s[0]), float(run.angle_time_s[-1])
     for start in np.arange(begin, end, batch_s):
-        _hand_over(tracker, run, (float(start), float(start + batch_s)), lasers)
+        _hand_over(tracker, run, (float(start), float(start + batch_s)), laser_run_out_m is not None)
         added = batches.add(tracker, reference.steps if reference else 0)
         if added and progress is not None:
             progress((_FILTERING if reference else 1.0) * (start - begin) / (end - begin))

@@ -164,7 +164,7 @@ def test_an_independent_reader_finds_the_log_bit_for_bit(
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_units_and_provenance_go_with_the_numbers(log_path: Path, format: Any) -> None:
-    done = export_log(log_path, log_path.with_name("out"), format=format, from_s=-1.0, to_s=0.1)
+    done = export_log(log_path, log_path.with_name("out"), format=format, span_s=(-1.0, 0.1))
     if format == "hdf5":
         with h5py.File(done.files[0]) as file:
             facts: dict[str, Any] = json.loads(file["provenance"][()])
@@ -219,7 +219,7 @@ def test_units_of_every_field_the_rig_logs() -> None:
 
 
 def test_one_channel_in_a_span_of_time(log_path: Path) -> None:
-    done = export_log(log_path, log_path.with_name("x.csv"), channels=["laser/x"], from_s=0.05, to_s=0.1)
+    done = export_log(log_path, log_path.with_name("x.csv"), channels=["laser/x"], span_s=(0.05, 0.1))
     assert [file.name for file in done.files] == ["x.csv", "x.csv.json"]
     time = read_csv(done.files, ["laser/x"])["laser/x"]["time_s"]
     with open_log(log_path) as log:
@@ -324,8 +324,8 @@ def test_missing_parts_of_a_damaged_log_are_stated(log_path: Path, format: Any) 
         ({"out": "out.xlsx"}, "expected a name ending in .parquet"),
         ({"channels": ["laser/z"]}, "did you mean"),
         ({"signals": True, "channels": ["z"]}, "expected signals of x, y, angles, marks"),
-        ({"from_s": 2.0, "to_s": 1.0}, "expected the beginning before the end"),
-        ({"from_s": float("nan")}, "seconds since the log's start"),
+        ({"span_s": (2.0, 1.0)}, "expected the beginning before the end"),
+        ({"span_s": (float("nan"), None)}, "seconds since the log's start"),
         ({"format": "xlsx"}, "expected a format of parquet, csv, mat, hdf5"),
     ],
 )

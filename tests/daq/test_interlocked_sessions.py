@@ -203,7 +203,7 @@ def test_a_quick_stop_waits_for_neither_log_nor_decoder(far_end: VirtualRigProce
     with Session(rig, far_end.clock) as session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         turning(session, 300)
-        recorder = session._recorder
+        recorder = session._log.recorder
         assert recorder is not None
         held, released = threading.Event(), threading.Event()
 

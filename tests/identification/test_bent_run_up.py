@@ -11,7 +11,7 @@ import pytest
 from benchmarks.worlds.recording import record
 from benchmarks.worlds.world import Effects, World, draw_world, with_effect
 from dynamics.equations.speed_history import SpeedHistory
-from identification.run_up.bent_oscillator import bent_response, forcing
+from identification.run_up.bent_oscillator import BentDirection, bent_response, forcing
 from identification.run_up.bent_passage import BentPassage, KnownSuspension
 from identification.run_up.fit import fit_run_up_run
 from identification.run_up.forced_oscillator import Excitation, responses_at
@@ -31,7 +31,9 @@ def response(
     own: tuple[float, float] = OWN,
     bow: complex | None = None,
 ):
-    return bent_response(SPREAD, turning(DRIVE, TIMES, SPREAD), DRIVE, forcing(DRIVE), own, terms, b, f, bow)
+    return bent_response(
+        SPREAD, turning(DRIVE, TIMES, SPREAD), DRIVE, forcing(DRIVE), BentDirection(own, terms, b, f, bow)
+    )
 
 
 def drawn(seed: int, effects: list[str]) -> World:

@@ -76,9 +76,9 @@ def out_of_round() -> tuple[World, Run, complex]:
 
 def test_run_out_is_taken_off_the_lasers(out_of_round: tuple[World, Run, complex]) -> None:
     world, run, r = out_of_round
-    round_ = track(run, true_physics(world, bow=False), imbalance_std=1e-3, lasers=True, run_out_m=(r, r))
+    round_ = track(run, true_physics(world, bow=False), imbalance_std=1e-3, laser_run_out_m=(r, r))
     assert np.abs(off(round_, world)).max() < 2
-    shown = track(run, true_physics(world, bow=False), imbalance_std=1e-3, lasers=True)
+    shown = track(run, true_physics(world, bow=False), imbalance_std=1e-3, laser_run_out_m=(0j, 0j))
     x = [np.sqrt(np.mean(f.states[-40:, :2] ** 2)) for f in (round_, shown)]
     assert x[1] > x[0] + 1e-5  # balanced: what the filter takes for motion is the surface's
     assert np.abs(off(shown, world)).max() > 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from uncertainty import (
     MonteCarlo,
     Spread,
     TooManyTrials,
+    TrialLimits,
     check_linear,
     ellipsoid_factor,
     linear_budgets,
@@ -42,7 +43,7 @@ def same(one: MonteCarlo, other: MonteCarlo) -> bool:
 
 def test_a_seed_repeats_its_trials() -> None:
     found = monte_carlo(both, TWO, seed=1, trials=25_000)
-    assert same(found, monte_carlo(both, TWO, seed=1, trials=25_000, rows=999))
+    assert same(found, monte_carlo(both, TWO, seed=1, trials=25_000, limits=TrialLimits(rows=999)))
     assert not same(found, monte_carlo(both, TWO, seed=2, trials=25_000))
 
 
@@ -53,7 +54,7 @@ def errors_seen(sources: list[Any], trials: int, rows: int = 10_000) -> Array:
         seen.append(errors.copy())
         return errors[:, :1]
 
-    monte_carlo(model, sources, seed=1, trials=trials, rows=rows)
+    monte_carlo(model, sources, seed=1, trials=trials, limits=TrialLimits(rows=rows))
     assert not np.any(seen[0])  # one row of zeros shows the shape
     return np.concatenate(seen[1:])
 
@@ -120,7 +121,11 @@ def test_adaptive_procedure_reaches_the_digits_asked_for() -> None:
     calls: list[tuple[int, int | None]] = []
     for digits, tolerance in ((1, 0.5), (2, 0.05)):
         found = monte_carlo(
-            lambda e: e[:, :1], [ErrorSource("a", 3.0)], seed=5, digits=digits, progress=lambda *x: calls.append(x)
+            lambda e: e[:, :1],
+            [ErrorSource("a", 3.0)],
+            seed=5,
+            progress=lambda *x: calls.append(x),
+            limits=TrialLimits(digits=digits),
         )
         assert found.stabilised
         y = found.quantities[0]
@@ -133,14 +138,14 @@ def test_adaptive_procedure_reaches_the_digits_asked_for() -> None:
 
 
 def test_more_digits_take_more_trials() -> None:
-    fewer, more = (monte_carlo(both, TWO, seed=6, digits=d, most_trials=400_000) for d in (1, 3))
+    fewer, more = (monte_carlo(both, TWO, seed=6, limits=TrialLimits(digits=d, most_trials=400_000)) for d in (1, 3))
     assert (fewer.trials, fewer.stabilised) == (100_000, True)
     assert (more.trials, more.stabilised) == (400_000, False)
 
 
 def test_shortest_interval_takes_more_trials() -> None:
     symmetric, shortest = (
-        monte_carlo(lambda e: e, [ErrorSource("a", 4.0)], seed=7, interval=i, most_trials=400_000)
+        monte_carlo(lambda e: e, [ErrorSource("a", 4.0)], seed=7, limits=TrialLimits(interval=i, most_trials=400_000))
         for i in ("symmetric", "shortest")
     )
     assert (symmetric.stabilised, shortest.stabilised) == (True, False)
@@ -156,18 +161,20 @@ def test_high_levels_have_larger_batches() -> None:
         return both(errors)
 
     monte_carlo(both, TWO, seed=7, trials=150_000, level=0.999, progress=lambda *x: calls.append(x))
-    monte_carlo(model, TWO, seed=7, trials=150_000, level=0.999, rows=10**9)
+    monte_carlo(model, TWO, seed=7, trials=150_000, level=0.999, limits=TrialLimits(rows=10**9))
     assert calls == [(n * 10_000, 150_000) for n in range(1, 16)]
     assert batches == [1, 100_000, 50_000]
 
 
 def test_fixed_trials_are_stable_only_where_ten_batches_show_it() -> None:
-    assert not monte_carlo(both, TWO, seed=8, digits=1, trials=99_999).stabilised
-    assert monte_carlo(both, TWO, seed=8, digits=1, trials=100_000).stabilised
+    assert not monte_carlo(both, TWO, seed=8, trials=99_999, limits=TrialLimits(digits=1)).stabilised
+    assert monte_carlo(both, TWO, seed=8, trials=100_000, limits=TrialLimits(digits=1)).stabilised
 
 
 def test_constant_quantity() -> None:
-    found = monte_carlo(lambda e: np.column_stack([np.full(len(e), 0.1), e[:, 0]]), TWO, seed=9, digits=1)
+    found = monte_carlo(
+        lambda e: np.column_stack([np.full(len(e), 0.1), e[:, 0]]), TWO, seed=9, limits=TrialLimits(digits=1)
+    )
     assert found.stabilised
     assert found.quantities[0].std == 0
     assert found.quantities[0].symmetric == found.quantities[0].shortest == (0.1, 0.1)
@@ -175,37 +182,43 @@ def test_constant_quantity() -> None:
 
 
 def test_digits_beyond_the_rounding_of_the_values_are_not_waited_for() -> None:
-    found = monte_carlo(lambda e: 1e9 + 1e-7 * e[:, :1], TWO, seed=9, digits=6, most_trials=200_000)
+    found = monte_carlo(lambda e: 1e9 + 1e-7 * e[:, :1], TWO, seed=9, limits=TrialLimits(digits=6, most_trials=200_000))
     assert (found.stabilised, found.trials) == (True, 100_000)
     assert found.quantities[0].mean == pytest.approx(1e9, abs=1e-6)
 
 
 def test_heavy_tails_do_not_stabilise() -> None:
     cauchy = [ErrorSource("a", 1.0, "", "A", "t", 1.0)]
-    found = monte_carlo(lambda e: e, cauchy, seed=10, most_trials=200_000)
+    found = monte_carlo(lambda e: e, cauchy, seed=10, limits=TrialLimits(most_trials=200_000))
     assert not found.stabilised
     assert found.quantities[0].symmetric == pytest.approx((-12.71, 12.71), abs=0.5)
 
 
 def test_bound_on_memory() -> None:
     with pytest.raises(TooManyTrials, match="hold 20000 trials of 2 quantities; 20001 are"):
-        monte_carlo(both, TWO, seed=1, trials=20_001, most_bytes=320_000)
-    found = monte_carlo(both, TWO, seed=1, digits=4, most_bytes=320_000)
+        monte_carlo(both, TWO, seed=1, trials=20_001, limits=TrialLimits(most_bytes=320_000))
+    found = monte_carlo(both, TWO, seed=1, limits=TrialLimits(digits=4, most_bytes=320_000))
     assert (found.trials, found.stabilised) == (20_000, False)
     rows: list[int] = []
-    monte_carlo(lambda e: both(e) if rows.append(len(e)) is None else e, TWO, seed=1, trials=10_001, rows=3000)
+    monte_carlo(
+        lambda e: both(e) if rows.append(len(e)) is None else e,
+        TWO,
+        seed=1,
+        trials=10_001,
+        limits=TrialLimits(rows=3000),
+    )
     assert rows == [1, 3000, 3000, 3000, 1000, 1]
 
 
 def test_one_batch_needs_its_memory() -> None:
     with pytest.raises(TooManyTrials, match="hold 9999 trials of 2 quantities; 10000 are"):
-        monte_carlo(both, TWO, seed=1, most_bytes=16 * 9_999)
-    assert monte_carlo(both, TWO, seed=1, most_bytes=16 * 9_999, most_trials=9_999).trials == 9_999
+        monte_carlo(both, TWO, seed=1, limits=TrialLimits(most_bytes=16 * 9_999))
+    assert monte_carlo(both, TWO, seed=1, limits=TrialLimits(most_bytes=16 * 9_999, most_trials=9_999)).trials == 9_999
 
 
 def test_progress_of_a_slow_model_is_seen_within_a_batch() -> None:
     calls: list[tuple[int, int | None]] = []
-    monte_carlo(both, TWO, seed=1, trials=250, rows=100, progress=lambda *x: calls.append(x))
+    monte_carlo(both, TWO, seed=1, trials=250, progress=lambda *x: calls.append(x), limits=TrialLimits(rows=100))
     assert calls == [(100, 250), (200, 250), (250, 250)]
 
 
@@ -216,7 +229,10 @@ def test_model_may_fill_one_array_again() -> None:
         out[: len(errors)] = both(errors)
         return out[: len(errors)]
 
-    assert same(monte_carlo(model, TWO, seed=1, trials=5000, rows=1000), monte_carlo(both, TWO, seed=1, trials=5000))
+    assert same(
+        monte_carlo(model, TWO, seed=1, trials=5000, limits=TrialLimits(rows=1000)),
+        monte_carlo(both, TWO, seed=1, trials=5000),
+    )
 
 
 def test_no_sources() -> None:
@@ -255,13 +271,13 @@ def test_bad_models(model: Any, why: str) -> None:
     "wrong",
     [
         {"seed": -1},
-        {"digits": 0},
+        {"limits": TrialLimits(digits=0)},
         {"level": 1.0},
         {"trials": 5},
         {"trials": 0},
-        {"trials": None, "most_trials": 5},
-        {"rows": 0},
-        {"interval": "widest"},
+        {"trials": None, "limits": TrialLimits(most_trials=5)},
+        {"limits": TrialLimits(rows=0)},
+        {"limits": TrialLimits(interval=cast(Any, "widest"))},
         {"names": ["one"]},
         {"names": ["one", "one"]},
         {"sources": [TWO[0], TWO[0]]},
