@@ -75,7 +75,8 @@ def _edge(
 
 def compile_line() -> None:
     """Compile `lower_line`, or load it from the cache, so that no read is delayed by the compilation."""
-    lower_line(np.arange(3.0), np.zeros(3))
+    points = np.arange(3.0)
+    lower_line(points, points)
 
 
 def clock_rules(identity: Mapping[str, Any]) -> int:

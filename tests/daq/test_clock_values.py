@@ -87,14 +87,18 @@ def test_the_rate_is_fitted_after_two_seconds_and_limited_to_five_tolerances(dri
     assert rate_after(clock) == pytest.approx(rate, rel=1e-3)
 
 
-def test_the_line_at_the_limit_of_the_rate_lies_below_all_reads() -> None:
-    """The clock drifts by 1000 ppm and the limit is 250 ppm: the line starts at the first read."""
+@pytest.mark.parametrize(("drift", "lag_ms"), [(1e-3, 2.5e-4 * 2000), (-1e-3, -1e-3 * 1950 - 2.5e-4 * 50)])
+def test_the_line_at_the_limit_of_the_rate_lies_below_all_reads(drift: float, lag_ms: float) -> None:
+    """The clock drifts by 1000 ppm and the limit is 250 ppm: the line goes through the first read, or the last one.
+
+    The last one of a complete bin comes at 1950 ms, the state is that at 2000 ms.
+    """
     clock = ClockMap(50.0)
     for k in range(41):
-        mapped(clock, 50.0 * k, 0.05 * k)
+        mapped(clock, 50.0 * k, drift * 50.0 * k)
     seed = clock.seed(2**50)
     assert seed is not None
-    assert (seed.host_ns - START_NS) - (seed.device_ns - DEVICE0_NS) == pytest.approx(2.5e-4 * 2000 * MS, abs=100)
+    assert (seed.host_ns - START_NS) - (seed.device_ns - DEVICE0_NS) == pytest.approx(lag_ms * MS, abs=100)
 
 
 @pytest.mark.parametrize(("bins", "seen"), [(120, True), (121, False)])

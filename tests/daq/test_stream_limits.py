@@ -127,6 +127,12 @@ def test_refusals_of_frames_are_those_beyond_the_orders(orders: bytes, answers: 
     assert pipeline.losses["refused_lines"] == refused
 
 
+def test_a_refusal_at_the_start_of_a_log_is_one() -> None:
+    """No command to the adapter was seen to which it could be the answer."""
+    pipeline = DrivePipeline("drive", DRIVE)
+    assert [event.facts for event in events(pipeline.feed(RX, b"\x07", 0))] == [{"lines": 1}]
+
+
 # --- VESC ------------------------------------------------------------------------------------------------------
 
 MOTOR = Vesc(driver="vesc", port="-", pole_pairs=7, timeout_s=1.0, brake_A=10.0, min_erpm=700.0, follow_s=0.1)
@@ -527,6 +533,7 @@ def test_lost_results_have_their_number_span_and_place() -> None:
     assert gap.text == "2 samples lost (4.00 ms)"
     assert values(found, "counter") == [0, 1, 4, 5]
     assert pipeline.losses["samples"] == 2
+    assert values(rf60x().feed(RX, riftek.results([9, 9, 9], [2, 3, 1]), START_NS), "counter") == [0, 1, 3]
     more = pipeline.feed(RX, riftek.results([9], [3]), START_NS + 7 * MS)
     assert (values(more, "counter"), events(more)[0].facts["device_ticks"]) == ([7], 7 * 200)
 
