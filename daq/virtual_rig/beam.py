@@ -54,6 +54,11 @@ class Beam:
         """Begin with the first sample of the next interval."""
         self._next = None
 
+    def power_up(self, now_s: float) -> None:
+        """Start the clock at 0 and begin to count samples, as after a loss of the supply."""
+        self.clock.reset(now_s)
+        self.restart()
+
     def due(self, motion: MotionInterval, period_s: float) -> NDArray[np.int64]:
         """Return the numbers of the samples that the clock takes in the interval.
 

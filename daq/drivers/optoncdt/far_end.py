@@ -98,8 +98,7 @@ class SimulatedLaser(FarEnd):
         """See FarEnd. After power-up the sensor answers commands, does not stream, and counts from 0."""
         super().power(on, now_s)
         if on:
-            self._beam.clock.reset(now_s)
-            self._beam.restart()
+            self._beam.power_up(now_s)
             self._counter = 0
             self._commands = self._fresh_commands()
 

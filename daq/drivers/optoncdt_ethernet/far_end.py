@@ -93,6 +93,5 @@ class SimulatedEthernetLaser(FarEnd):
         """See FarEnd. After power-up the sensor counts from 0."""
         super().power(on, now_s)
         if on:
-            self._beam.clock.reset(now_s)
-            self._beam.restart()
             self._counter = 0
+            self._beam.power_up(now_s)
