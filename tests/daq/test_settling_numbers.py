@@ -181,6 +181,16 @@ def test_trial_rates_of_two_terms_are_dense_enough() -> None:
         assert _two_terms(windows(9, 0.5), means, 1e-12, 0.01 * range_, 2.0) is not None
 
 
+def test_oscillations_at_the_trial_rates_are_fitted_exactly() -> None:
+    """Nine decays from 0.08 to 2 1/s and 14 angular frequencies from 0.25 to 2.8 rad/s, each with a constant ratio."""
+    for decay in 0.08 * 25.0 ** (np.arange(4) / 8):
+        for turn in 0.25 * 11.2 ** (np.arange(14) / 13):
+            means = swinging(decay, turn, 0.8)
+            found = _two_terms(windows(12), means, 1e-12, 1e-6 * float(np.ptp(means)), 2.0)
+            assert found is not None
+            assert found.rate_per_s == pytest.approx(decay)
+
+
 def test_a_bound_of_two_terms_grows_with_the_width_and_needs_a_fit() -> None:
     means = approach(SLOWEST_PER_S, 1.0, 9, 0.3) - approach(4.0, 0.8, 9, 0.3)
     sizes = [_two_terms(windows(9, 0.3), means, width, 1e3, 2.0) for width in (1e-12, 1e-4, 1e-3, 1e-2)]
@@ -540,6 +550,7 @@ def test_slipping_is_a_steady_turn_by_more_than_half() -> None:
         return np.stack([np.zeros(9), np.cumsum([0.0, *steps])], axis=1)
 
     assert not _slipping(column(*[0.39] * 8))  # 3.12 rad
+    assert not _slipping(np.stack([np.zeros(9), np.linspace(0.0, np.pi, 9)], axis=1))  # half a turn
     assert _slipping(column(*[0.40] * 8))
     assert _slipping(column(*[-0.40] * 8))
     assert _slipping(column(*[1.0] * 4, *[0.55] * 4))
