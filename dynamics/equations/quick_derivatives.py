@@ -28,6 +28,28 @@ from dynamics.equations.quick_rates import real_sine_cosine
 
 
 @compiled(contract=True)
+def _pendulum_row(
+    i: int, y: Array, p: Array, free: float, sine: float, cosine: float, px: float, py: float, out: Array
+) -> None:
+    """Write the derivatives of θ̈ of one pendulum, shape (8,), to row 2 + i of out.
+
+    Args:
+        i: 0 for A, 1 for B.
+        y, p: state and packed parameters.
+        free: 1.0 for a released pendulum, 0.0 for a locked one.
+        sine, cosine: of the pendulum's angle.
+        px, py: acceleration of the pivot, with gravity.
+        out: derivatives; those of the disk are in rows 0 and 1.
+    """
+    share = free / p[JA + i] * p[SA + i]
+    for j in range(8):
+        out[2 + i, j] = share * (sine * out[0, j] - cosine * out[1, j])
+    out[2 + i, 2 + i] += share * (cosine * px + sine * py)
+    loss = p[CA + i] + 2.0 * p[AA + i] * abs(y[6 + i])
+    out[2 + i, 6 + i] -= free / p[JA + i] * loss
+
+
+@compiled(contract=True)
 def rate_derivatives(y: Array, psi: float, omega: float, p: Array, free_a: float, free_b: float, out: Array) -> None:
     """Write the derivatives of the accelerations of dynamics.equations.quick_rates by the state, shape (4, 8), to out.
 
@@ -86,9 +108,4 @@ def rate_derivatives(y: Array, psi: float, omega: float, p: Array, free_a: float
         gy = 2.0 * s * speed * free * sin - s * drag * cos
         out[0, 6 + i], out[1, 6 + i] = wxx * gx + wxy * gy, wxy * gx + wyy * gy
     for i in range(2):
-        share = (free_a if i == 0 else free_b) / p[JA + i] * p[SA + i]
-        for j in range(8):
-            out[2 + i, j] = share * (sines[i] * out[0, j] - cosines[i] * out[1, j])
-        out[2 + i, 2 + i] += share * (cosines[i] * (ax + rx) + sines[i] * (ay + ry))
-        loss = p[CA + i] + 2.0 * p[AA + i] * abs(y[6 + i])
-        out[2 + i, 6 + i] -= (free_a if i == 0 else free_b) / p[JA + i] * loss
+        _pendulum_row(i, y, p, free_a if i == 0 else free_b, sines[i], cosines[i], ax + rx, ay + ry, out)

@@ -62,12 +62,7 @@ def fit_result(
     correlated = max(1.0, *(correlation_inflation(residual) for residual in solution.residuals))
     chi2 = solution.chi2_per_dof
     stretch = None if slow else max(chi2, 1e-3) * correlated**2
-    names, values, covariance = _values(record, phase, design, stretch)
-    if doubt is not None:
-        other = design_at(record, doubt.structure, doubt.solution.minimum.theta)
-        values, covariance = either(
-            names, (values, covariance), _values(record, phase, other, stretch), doubt.probability
-        )
+    names, values, covariance = _values_of_both(record, phase, design, doubt, stretch)
     noise = max(1.0, chi2) * correlated**2
     gains = [gain / noise for gain in imbalance_gains(record, design)]
     keep, remarks = determined(record.drive, names, values, covariance, (gains[0], gains[1]))
@@ -160,6 +155,19 @@ def _terms(
         both[2:, 2:] = own[np.ix_(at, at)]
         out.append(DirectionTerms(mode + 1, values[at], both, (free[mode], free[2 + mode]), 0.0))
     return out, covariance[: len(jacobian), len(jacobian) :]
+
+
+def _values_of_both(
+    record: RunUpRecord, phase: PhaseHistory, design: Design, doubt: Doubt | None, stretch: float | None
+) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Names, values and covariance as `_values`, with the model that is not excluded, if there is one."""
+    names, values, covariance = _values(record, phase, design, stretch)
+    if doubt is not None:
+        other = design_at(record, doubt.structure, doubt.solution.minimum.theta)
+        values, covariance = either(
+            names, (values, covariance), _values(record, phase, other, stretch), doubt.probability
+        )
+    return names, values, covariance
 
 
 def _values(
