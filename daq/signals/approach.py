@@ -12,8 +12,8 @@ The longest series of newest windows that some rate fits is used, so that the ra
 possible. For this a width below 1 % of the newest windows' range counts as 1 %, because approaches are only nearly
 exponential. A mixture of two rates also fits one rate within 1 % of a large movement, and its slow part can leave far
 more than that rate would. Therefore two rates together and decaying oscillations are fitted as well, unless one rate
-explains the means within ± w, and the larger bound is valid. If neither fits, the whole range of the newest means is
-taken as a change at the slowest rate.
+explains the means within ± w or the newest means move by less than 10 w, and the larger bound is valid. If neither
+fits, the whole range of the newest means is taken as a change at the slowest rate.
 Source: docs/theory/steady_states.md.
 """
 
@@ -38,7 +38,10 @@ _GRID_FACTOR = 1.15  # on the bound of a drift, for rates between the trial rate
 _FASTEST_PER_S = 4.0
 _SLOWEST_SINGLE_PER_S = 0.05
 _MARGIN = 1.5  # on the width for a drift that ends, for rates between the trial rates
-_RESIDUALS = 3.0  # times the least residual of two terms: other trial rates that may be the true ones
+# Times the least residual of two terms: other trial rates that may be the true ones. Fewer if no single rate fits: the
+# least residual is then that of the nearest shape.
+_RESIDUALS, _FEW_RESIDUALS = 3.0, 1.5
+_FAINT = 10.0  # widths: of means that move by less, two rates would describe the noise
 _RIDGE = 1e-9  # regularises two nearly equal shapes
 _MIN_WIDTH_SHARE = 0.01  # of the newest windows' range: approaches are only nearly exponential, and rates are a grid
 _MAX_RESIDUAL_SHARE = 0.1  # of the newest windows' range: residual up to which two rates or an oscillation are accepted
@@ -78,10 +81,11 @@ def bound(edges_s: Array, means: Array, width: float, average_s: float, far: flo
     longest, one = next(((count, found) for count, found in fits if found is not None), (len(means), None))
     near = float(np.ptp(means[-3:])) < far and (one is None or math.isfinite(one.remaining))
     for count in (each for each in tails if near and each <= longest):
-        if one is not None and _misfit(edges_s[-count:], means[-count:]) <= width:
+        if one is not None and (newest < _FAINT * width or _misfit(edges_s[-count:], means[-count:]) <= width):
             return one
         most = max(width, _MAX_RESIDUAL_SHARE * newest)
-        two = _two_terms(edges_s[-count:], means[-count:], wide if one is None else width, most, average_s)
+        fit = (wide, _FEW_RESIDUALS) if one is None else (width, _RESIDUALS)
+        two = _two_terms(edges_s[-count:], means[-count:], *fit, most, average_s)
         if two is not None:
             return _larger(one, two)
     return one or _unexplained(edges_s[-MIN_WINDOWS:], means[-MIN_WINDOWS:], wide, average_s)
@@ -243,16 +247,21 @@ def _solved(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, right), np.float64)
 
 
-def _two_terms(edges_s: Array, means: Array, width: float, most: float, average_s: float) -> Approach | None:
+def _two_terms(
+    edges_s: Array, means: Array, width: float, residuals: float, most: float, average_s: float
+) -> Approach | None:
     """Fit two rates, or a decaying oscillation, by least squares; None if every fit leaves more than `most`.
 
     The two terms of a pair may cancel now and not later. Therefore their absolute values are added.
+
+    Args:
+        residuals: least residual of all fits to that of a fit that counts.
     """
     pairs, waves = _terms()
     design, inverse = _designs(edges_s.tobytes())
     found = np.asarray(inverse @ means, np.float64)
     rest = np.abs(means - (design @ found[:, :, None])[:, :, 0]).max(axis=1)
-    width = max(width, _RESIDUALS * float(rest.min()))
+    width = max(width, residuals * float(rest.min()))
     if width > most:
         return None
     fits = rest <= width

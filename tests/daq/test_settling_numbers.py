@@ -134,7 +134,7 @@ def test_terms_that_cancel_now_are_added_with_their_absolute_values(fast: float,
     length = 1.0 if fast < 1.0 else 0.3
     slow, fast = min(_terms()[0], key=lambda pair: math.dist(pair, (SLOWEST_PER_S, fast)))
     means = sign * (5.0 + approach(slow, 1.0, 9, length) - approach(fast, 0.8, 9, length))
-    found = _two_terms(windows(9, length), means, 1e-12, 1.0, 2.0)
+    found = _two_terms(windows(9, length), means, 1e-12, 1.5, 1.0, 2.0)
     assert found is not None
     assert found.remaining == pytest.approx(1.8, rel=0.02)
     assert found.mean_off == pytest.approx(average(slow, -2.0, 0.0) + 0.8 * average(fast, -2.0, 0.0), rel=0.02)
@@ -163,7 +163,7 @@ def swinging(decay: float, turn: float, phase: float) -> np.ndarray:
 )
 def test_an_oscillation_is_bounded_by_its_amplitude(decay: float, turn: float, sides: float, phase: float) -> None:
     """One that does not decay moves to both sides."""
-    found = _two_terms(windows(12), 3.0 + swinging(decay, turn, phase), 1e-12, 1.0, 2.0)
+    found = _two_terms(windows(12), 3.0 + swinging(decay, turn, phase), 1e-12, 1.5, 1.0, 2.0)
     assert found is not None
     assert found.remaining == pytest.approx(sides, rel=0.03)
     assert found.rate_per_s == pytest.approx(max(decay, 0.0))
@@ -178,7 +178,7 @@ def test_trial_rates_of_two_terms_are_dense_enough() -> None:
     for slow, fast in ((0.1, 0.5), (0.13, 1.0), (0.3, 1.5), (0.6, 2.5)):
         means = approach(slow, 1.0, 9, 0.5) + approach(fast, 1.0, 9, 0.5)
         range_ = float(np.ptp(means))
-        assert _two_terms(windows(9, 0.5), means, 1e-12, 0.01 * range_, 2.0) is not None
+        assert _two_terms(windows(9, 0.5), means, 1e-12, 1.5, 0.01 * range_, 2.0) is not None
 
 
 def test_oscillations_at_the_trial_rates_are_fitted_exactly() -> None:
@@ -186,23 +186,23 @@ def test_oscillations_at_the_trial_rates_are_fitted_exactly() -> None:
     for decay in 0.08 * 25.0 ** (np.arange(4) / 8):
         for turn in 0.25 * 11.2 ** (np.arange(14) / 13):
             means = swinging(decay, turn, 0.8)
-            found = _two_terms(windows(12), means, 1e-12, 1e-6 * float(np.ptp(means)), 2.0)
+            found = _two_terms(windows(12), means, 1e-12, 1.5, 1e-6 * float(np.ptp(means)), 2.0)
             assert found is not None
             assert found.rate_per_s == pytest.approx(decay)
 
 
 def test_a_bound_of_two_terms_grows_with_the_width_and_needs_a_fit() -> None:
     means = approach(SLOWEST_PER_S, 1.0, 9, 0.3) - approach(4.0, 0.8, 9, 0.3)
-    sizes = [_two_terms(windows(9, 0.3), means, width, 1e3, 2.0) for width in (1e-12, 1e-4, 1e-3, 1e-2)]
+    sizes = [_two_terms(windows(9, 0.3), means, width, 1.5, 1e3, 2.0) for width in (1e-12, 1e-4, 1e-3, 1e-2)]
     bounds = [each.remaining for each in sizes if each is not None]
     assert len(bounds) == 4
     assert bounds[1] > bounds[0] + 1e-4
     assert bounds[2] > bounds[1] + 1e-3
     assert bounds[3] > bounds[2] + 1e-2
     rough = 0.1 * np.array([1, -1, -1, 1, 1, 1, -1, 1, -1])
-    assert _two_terms(windows(9), rough, 1e-12, 0.05, 2.0) is None
-    assert _two_terms(windows(9), rough, 1e-12, 0.4, 2.0) is not None
-    assert _two_terms(windows(9), rough, 0.21, 0.2, 2.0) is None
+    assert _two_terms(windows(9), rough, 1e-12, 1.5, 0.05, 2.0) is None
+    assert _two_terms(windows(9), rough, 1e-12, 1.5, 0.2, 2.0) is not None
+    assert _two_terms(windows(9), rough, 0.21, 1.5, 0.2, 2.0) is None
 
 
 def test_a_crude_bound_is_enough_for_what_moves_far() -> None:

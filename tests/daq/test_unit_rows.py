@@ -85,7 +85,7 @@ def test_names_that_carry_their_unit_may_be_given_with_or_without_it(tmp_path: P
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"x": "Weg x:um"}, r"--x Weg x:um: expected the unit that the file gives the column, 'mm', got 'um'"),
+        ({"x": "Weg x:um"}, r"x Weg x:um: expected the unit that the file gives the column, 'mm', got 'um'"),
         ({"time": "Zeit:s"}, "expected the unit that the file gives the column, 'ms'"),
         ({"x": "A"}, "expected a column of length .* the file gives its unit as 'deg'"),
         ({"theta3": "Weg x:deg"}, "expected a column of angle"),
