@@ -163,27 +163,27 @@ def _shared(
     gain of the same laser; the line of a device's clock is fitted in every log.
     """
     old, new = before.shift_by(label), after.shift_by(label)
-    device, is_clock = label.of, label.kind in ("clock", "friction")
-    serials = [set[str]() if is_clock else _serials(side.tests, label, device) for side in (before, after)]
+    is_gain, laser = label.kind == "gain", f"laser along {label.of}"
+    serials = [_serials(side.tests, label) if is_gain else set[str]() for side in (before, after)]
     if serials[0] and serials[0] == serials[1] and len(serials[0]) == 1:
-        return [new - old], f"the same {device} (serial {min(serials[0])}) both times: its gain's error cancels"
+        return [new - old], f"the same {laser} (serial {min(serials[0])}) both times: its gain's error cancels"
     in_both = after.shift_by(label, list(pairs.values())) - before.shift_by(label, list(pairs))
     old_rest = old - before.shift_by(label, list(pairs))
     new_rest = new - after.shift_by(label, list(pairs.values()))
     shifts = [in_both, old_rest, new_rest]
     if label.kind == "known":  # a part is weighed and measured only once
         return [new - old], None
-    if is_clock or not (np.any(old_rest) and np.any(new_rest)):
+    if not is_gain or not (np.any(old_rest) and np.any(new_rest)):
         return shifts, None
     if serials[0] and serials[1]:
-        return shifts, f"another {device}: its gain's error counts twice"
-    return shifts, f"which {device} it was is not known: its gain's error counts twice"
+        return shifts, f"another {laser}: its gain's error counts twice"
+    return shifts, f"the serial number of the {laser} is not known: its gain's error counts twice"
 
 
-def _serials(tests: Sequence[KeptTest], label: ErrorLabel, device: str) -> set[str]:
-    """Serial numbers of a device in the tests with its error; empty if one of these tests has no serial number."""
+def _serials(tests: Sequence[KeptTest], label: ErrorLabel) -> set[str]:
+    """Serial numbers of the laser in the tests with its gain's error; empty if one of these tests has none."""
     affected = [t for t in tests if label in t.estimate.shared]
-    return {t.devices[device] for t in affected} if all(device in t.devices for t in affected) else set()
+    return {t.lasers[label.of] for t in affected} if all(label.of in t.lasers for t in affected) else set()
 
 
 def _residue(joint: JointEstimate, parameters: IdentifiedParameters) -> float:

@@ -81,6 +81,7 @@ def _cannot(answer: PlanAnswer) -> str:
         return f"{name} to {wanted} cannot be reached: no test on this rig shows it"
     remedy = {
         "gain": "a better calibration of the lasers and the lever between laser and disk",
+        "known": "weighing and measuring the parts better, and setting zeros and the index angle better",
         "clock": "better known clocks: a smaller clock_tolerance_ppm, or longer logs",
         "mass": "weighing the rotor more exactly",
         "noise": "less noise, or larger motion",

@@ -19,6 +19,7 @@ from rig_configs.parameters_file import IdentifiedParameters
 if TYPE_CHECKING:
     from identification.identify import Identification
 
+_SOURCE_OF = {"clock": "clock", "friction": "friction", "known": "known", "suspension": "model"}
 SOURCES = ("noise", "model", "clock", "gain", "known", "friction", "disagreement", "mass")
 _ADVICE = {
     "noise": "record longer, at a larger amplitude, or more often",
@@ -87,7 +88,7 @@ def _limit(i: int, joint: JointEstimate, model: list[float], mass_std: float) ->
         parts["noise"] += own * (1 - share)
         parts["model"] += own * share
     for label, shift in together.shared.items():
-        parts[label.kind if label.kind in ("clock", "friction", "known") else "gain"] += float(shift[i] ** 2)
+        parts[_SOURCE_OF.get(label.kind, "gain")] += float(shift[i] ** 2)
     total = joint.parameters.covariance[i, i]
     parts["disagreement"] = max(0.0, float(total - sum(parts.values())))
     if not name.startswith("zeta"):

@@ -34,7 +34,7 @@ class KeptTest:
         estimate: values with own covariance and shared errors. Its sources are the names of the logs.
         digest: digest of the log; "" if unknown.
         recorded: start of the recording; None if unknown.
-        devices: device → serial number, for devices that report one.
+        lasers: axis → serial number of the laser that measured along it, if it reports one.
         model_share: share of the own variance that is due to residuals beyond sensor noise, 0 to 1.
         left_out: reason why the joint estimate excludes the test; "" if it does not.
     """
@@ -42,7 +42,7 @@ class KeptTest:
     estimate: Estimate
     digest: str
     recorded: datetime | None
-    devices: Mapping[str, str]
+    lasers: Mapping[str, str]
     model_share: float
     left_out: str = ""
 
@@ -93,6 +93,11 @@ def _entry(
     }
     if devices:
         entry["devices"] = devices
+    lasers = {
+        axis: serial for run in runs for axis in "xy" if (serial := devices.get(run.clocks.get(axis, ""))) is not None
+    }
+    if lasers:
+        entry["lasers"] = lasers
     return entry
 
 
@@ -144,7 +149,7 @@ def _kept(entry: Mapping[str, Any], number: int) -> KeptTest:
             ),
             str(entry.get("digest", "")),
             None if recorded is None else datetime.fromisoformat(str(recorded)),
-            {str(k): str(v) for k, v in entry.get("devices", {}).items()},
+            {str(k): str(v) for k, v in entry.get("lasers", {}).items()},
             float(entry.get("model_share", 0.0)),
             str(entry.get("left_out", "")),
         )

@@ -53,8 +53,8 @@ class PlanAnswer:
         possible: whether the plan reaches the requirement with these sensors.
         best: best single run of every kind of test, as (experiment, relative standard deviation).
         floor: relative standard deviation after MOST_RUNS runs of the best experiment, errors of the masses included.
-        limited_by: largest part of that floor: "gain", "clock", "mass", or "noise" if more runs would help. "no test"
-            if no test of the rig shows the parameter.
+        limited_by: largest part of that floor: "gain", "clock", "known", "mass", or "noise" if more runs would help.
+            "no test" if no test of the rig shows the parameter.
     """
 
     want: Requirement
@@ -229,6 +229,6 @@ def _main_limit(experiment: Experiment, name: str, mass: float) -> str:
     value = abs(float(experiment.expected.values[i]))
     parts = {"mass": mass**2, "noise": experiment.noise(name) ** 2 / MOST_RUNS}
     for label, shift in experiment.expected.shared.items():
-        kind = "clock" if label.kind == "clock" else "gain"
+        kind = label.kind if label.kind in ("clock", "known") else "gain"
         parts[kind] = parts.get(kind, 0.0) + (float(shift[i]) / value) ** 2
     return max(parts, key=lambda k: parts[k])

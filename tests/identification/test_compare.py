@@ -44,7 +44,7 @@ def parameters_of(
             "method": "made up",
             "values": dict(zip(e.names, e.values.tolist(), strict=True)),
             "recorded": f"2026-03-{day:02d}T10:00:00+00:00",
-            **({"devices": {"laser_x": f"{serial}x", "laser_y": f"{serial}y"}} if serial else {}),
+            **({"lasers": {"x": f"{serial}x", "y": f"{serial}y"}} if serial else {}),
         }
         for test, e in zip(kept.provenance["tests"], estimates, strict=True)
     ]
@@ -120,7 +120,7 @@ def test_the_same_laser_s_gain_is_no_change() -> None:
     assert std[0] == pytest.approx(own, rel=1e-3)
     assert std[1] == std[2] == pytest.approx(np.hypot(own, gain), rel=1e-3)
     assert any("cancels" in note for note in same.notes)
-    assert any("another laser_x" in note for note in other.notes)
+    assert any("another laser along x" in note for note in other.notes)
     assert any("not known" in note for note in unknown.notes)
 
 
@@ -304,7 +304,12 @@ def test_what_a_file_keeps_gives_the_same_joint_estimate_again(tmp_path: Path) -
     runs = [campaign.ring_down("x"), campaign.ring_down("y")]
     identities = {"laser_x": {"serial": "123", "name": "ILD"}, "laser_y": {"serial": "124"}}
     runs = [
-        dataclasses.replace(r, start_s=1.77e9 + i, metadata={"identities": identities, "rig": "virtual"})
+        dataclasses.replace(
+            r,
+            start_s=1.77e9 + i,
+            metadata={"identities": identities, "rig": "virtual"},
+            clocks={"x": "laser_x", "y": "laser_y"},
+        )
         for i, r in enumerate(runs)
     ]
     found = identify(runs, campaign.rig)
@@ -314,7 +319,7 @@ def test_what_a_file_keeps_gives_the_same_joint_estimate_again(tmp_path: Path) -
     assert again is not None
     assert again[0].parameters.values == pytest.approx(found.parameters.values, rel=1e-12)
     assert [t.estimate.test for t in again[1]] == [e.test for e in found.estimates]
-    assert again[1][0].devices == {"laser_x": "123", "laser_y": "124"}
+    assert again[1][0].lasers == {"x": "123", "y": "124"}
     assert again[1][0].recorded is not None
     assert loaded.provenance["rig"] == "virtual"
     direct, kept = limits(found) or [], limits(loaded) or []

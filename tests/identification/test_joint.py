@@ -65,7 +65,7 @@ def draw(
         if test == "run-up":
             for i, axis in enumerate("xy"):
                 shift = np.array([0.5e-3 * TRUTH[n] if n == "SP_kg_m" else 0.0 for n in names])
-                shared[ErrorLabel("gain", f"laser_{axis}")] = shift
+                shared[ErrorLabel("gain", axis)] = shift
                 values = values + shift * gains[i] / 1e-3
         out.append(Estimate(test, (f"{number:02d}-{test}.mcap",), names, values, own, shared))
     return out, np.array([TRUTH[n] for n in PARAMETER_UNITS])
