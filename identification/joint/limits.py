@@ -7,8 +7,9 @@ of the masses' uncertainty, to which k, c and S_P are proportional.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -19,8 +20,14 @@ from rig_configs.parameters_file import IdentifiedParameters
 if TYPE_CHECKING:
     from identification.identify import Identification
 
-_SOURCE_OF = {"clock": "clock", "friction": "friction", "known": "known", "suspension": "model"}
-SOURCES = ("noise", "model", "clock", "gain", "known", "friction", "disagreement", "mass")
+Source = Literal["noise", "model", "clock", "gain", "known", "friction", "disagreement", "mass"]
+SOURCES: tuple[Source, ...] = ("noise", "model", "clock", "gain", "known", "friction", "disagreement", "mass")
+_SOURCE_OF: Mapping[str, Source] = {
+    "clock": "clock",
+    "friction": "friction",
+    "known": "known",
+    "suspension": "model",
+}
 _ADVICE = {
     "noise": "record longer, at a larger amplitude, or more often",
     "model": "the residuals are more than sensor noise: look at the fit, dry friction and amplitude dependence",
@@ -88,7 +95,8 @@ def _limit(i: int, joint: JointEstimate, model: list[float], mass_std: float) ->
         parts["noise"] += own * (1 - share)
         parts["model"] += own * share
     for label, shift in together.shared.items():
-        parts[_SOURCE_OF.get(label.kind, "gain")] += float(shift[i] ** 2)
+        source: Source = _SOURCE_OF.get(label.kind, "gain")
+        parts[source] += float(shift[i] ** 2)
     total = joint.parameters.covariance[i, i]
     parts["disagreement"] = max(0.0, float(total - sum(parts.values())))
     if not name.startswith("zeta"):

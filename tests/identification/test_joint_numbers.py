@@ -487,13 +487,15 @@ def test_the_tests_in_a_file_have_their_logs_times_and_devices() -> None:
 
     def run(source: str, start: float, serial: str, rig: str) -> SimpleNamespace:
         identities = {"laser": {"serial": serial}, "motor": {"serial": ""}, "radio": "none"}
-        return SimpleNamespace(source=source, start_s=start, metadata={"identities": identities, "rig": rig})
+        clocks = {"x": "laser", "y": "motor", "phase": "radio"}
+        facts = {"identities": identities, "rig": rig}
+        return SimpleNamespace(source=source, start_s=start, metadata=facts, clocks=clocks)
 
     runs = [
         run("logs/00.mcap", 0.0, "7", "two"),
         run("logs/b.mcap", 2e9, "8", "one"),
         run("logs/a.mcap", 1e9, "8", "one"),
-        SimpleNamespace(source="other", start_s=5e8, metadata={}),
+        SimpleNamespace(source="other", start_s=5e8, metadata={}, clocks={}),
     ]
     facts = with_tests(found, runs).provenance
     assert facts["by"] == "me"
@@ -501,8 +503,10 @@ def test_the_tests_in_a_file_have_their_logs_times_and_devices() -> None:
     assert "widened" not in facts
     first, second, third, pair = facts["tests"]
     assert first["devices"] == {"laser": "7"}
+    assert first["lasers"] == {"x": "7"}
     assert "recorded" not in first
     assert "devices" not in second
+    assert "lasers" not in second
     assert "left_out" not in second
     assert third["left_out"].startswith("stands apart")
     assert pair["recorded"] == datetime.fromtimestamp(1e9, UTC).isoformat(timespec="seconds")
@@ -517,10 +521,10 @@ def test_the_tests_in_a_file_have_their_logs_times_and_devices() -> None:
 
 def test_tests_are_read_from_a_file_as_they_were_written() -> None:
     file = kept(several(0.0, 1.0), 0.25)
-    file.provenance["tests"][1] |= {"recorded": "2026-01-02T03:04:05+00:00", "devices": {"laser": 7}, "left_out": "bad"}
+    file.provenance["tests"][1] |= {"recorded": "2026-01-02T03:04:05+00:00", "lasers": {"x": 7}, "left_out": "bad"}
     first, second = kept_tests(file) or []
     assert (first.estimate.test, first.estimate.source, first.estimate.method) == ("test-0", "logs/00.mcap", "by hand")
-    assert (first.digest, first.recorded, first.devices, first.model_share, first.left_out) == (
+    assert (first.digest, first.recorded, first.lasers, first.model_share, first.left_out) == (
         "d0",
         None,
         {},
@@ -528,7 +532,7 @@ def test_tests_are_read_from_a_file_as_they_were_written() -> None:
         "",
     )
     assert second.recorded == datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
-    assert (second.devices, second.left_out) == ({"laser": "7"}, "bad")
+    assert (second.lasers, second.left_out) == ({"x": "7"}, "bad")
     bare = {"test": "t", "log": "l", "values": {K1: 1.0}, "covariance": [[1.0]]}
     (least,) = kept_tests(replace(file, provenance={"tests": [bare]})) or []
     assert (least.digest, least.model_share, least.estimate.method, least.estimate.shared) == ("", 0.0, "", {})
