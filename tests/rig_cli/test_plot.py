@@ -87,7 +87,7 @@ def test_health_of_a_recorded_log(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_a_figure_is_not_replaced_unasked(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "time.svg"
     out.write_text("mine", encoding="utf-8")
-    assert "--force" in plotted(capsys, "time", log, "-o", out, code=2)["error"]
+    assert "(force)" in plotted(capsys, "time", log, "-o", out, code=2)["error"]
     assert out.read_text(encoding="utf-8") == "mine"
     plotted(capsys, "time", log, "-o", out, "--force")
     assert out.read_text(encoding="utf-8").startswith("<?xml")
