@@ -102,9 +102,8 @@ class Session:
             if self._command.drive is not None:
                 self._command.drive.start()
             self._wait_alive("every device to send samples")
-            self._log.renew_pipelines(
-                links, None
-            )  # bytes from the port buffers were delayed and would disturb the clock maps
+            # bytes from the port buffers were delayed and would disturb the clock maps
+            self._log.renew_pipelines(links, None)
             self._wait_alive("every device to continue to send samples")
             self._start_watching()
         except BaseException as error:
