@@ -114,14 +114,18 @@ class Links:
 
     def stop_streams(self) -> None:
         """End the streams. A lost device does not prevent the end of the others."""
-        for poller in self._pollers.values():
-            poller.stop()
+        self._stop_pollers()
         for name, device in self._devices.items():
             with ignoring(_log, f"ending the stream of {name}", LinkLost, DeviceError):
                 device.driver.stop(self._talk(name))
 
+    def _stop_pollers(self) -> None:
+        for poller in self._pollers.values():
+            poller.stop()
+
     def close(self) -> None:
         """Close every link."""
+        self._stop_pollers()
         for reader in self._readers.values():
             reader.stop()
 

@@ -73,8 +73,8 @@ class RequestLoop:
     def _beat(self) -> None:
         now, period = self._clock.wall_s(), self._clock.wall(self._request.period_s)
         with self._lock:
-            given_up = self._asked_s is not None and now - self._asked_s < self._request.answer_s
-            if self._repeated is None or given_up or now < self._due_s:
+            waits = self._asked_s is not None and now - self._asked_s < self._request.answer_s
+            if self._repeated is None or waits or now < self._due_s:
                 return
             self._asked_s = now
             self._due_s = max(self._due_s + period, now)  # requests that are overdue are not made up for
