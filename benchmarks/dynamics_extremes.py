@@ -74,19 +74,19 @@ def draw(rng: np.random.Generator) -> tuple[RotorParameters, float, dict[str, An
     ratio = 1.0 if isotropic else log(1e-2, 1e4)
     k1 = (8.0 + mass_a + mass_b) * (6 * math.pi) ** 2
     speed_ratio = log(1e-3, 100.0)
-    drawn = dict(  # noqa: C408
-        mass_a=mass_a,
-        mass_b=mass_b,
-        c3=damping_a,
-        c4=damping_b,
-        ball_radius=ball,
-        sp=places[place],
-        place=place,
-        zeta1=zeta1,
-        zeta2=zeta2,
-        K=ratio,
-        speed_ratio=speed_ratio,
-    )
+    drawn = {
+        "mass_a": mass_a,
+        "mass_b": mass_b,
+        "c3": damping_a,
+        "c4": damping_b,
+        "ball_radius": ball,
+        "sp": places[place],
+        "place": place,
+        "zeta1": zeta1,
+        "zeta2": zeta2,
+        "K": ratio,
+        "speed_ratio": speed_ratio,
+    }
     return RotorParameters(7.0, 1.0, places[place], a, b, k1, ratio * k1, zeta1, zeta2), speed_ratio, drawn
 
 

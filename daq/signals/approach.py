@@ -101,11 +101,13 @@ def _larger(one: Approach | None, two: Approach) -> Approach:
 
 def _misfit(edges_s: Array, means: Array) -> float:
     """Return the largest residual of the best single rate: 0 for means that do not move."""
-    shape = decay_means(_single_rates(), edges_s)
-    shape -= shape.mean(axis=1, keepdims=True)
-    centred = means - means.mean()
-    size = (shape @ centred) / (shape**2).sum(axis=1)
-    return float(np.abs(centred - size[:, None] * shape).max(axis=1).min())
+    with np.errstate(over="ignore", invalid="ignore"):  # fast rates over long windows
+        shape = decay_means(_single_rates(), edges_s)
+        shape -= shape.mean(axis=1, keepdims=True)
+        centred = means - means.mean()
+        size = (shape @ centred) / (shape**2).sum(axis=1)
+        rest = np.abs(centred - size[:, None] * shape).max(axis=1)
+    return float(np.where(np.isnan(rest), np.inf, rest).min())
 
 
 @lru_cache(maxsize=1)
@@ -145,7 +147,7 @@ def _spans(edges: bytes) -> tuple[Array, Array]:
     """
     shape = decay_means(_rates(), np.frombuffer(edges).reshape(-1, 2))
     early, late = np.triu_indices(shape.shape[1], 1)
-    with np.errstate(over="ignore", divide="ignore"):
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         inverse = 1 / (shape[:, early] - shape[:, late])
     return inverse, np.abs(inverse)
 
@@ -236,10 +238,11 @@ def _designs(edges: bytes) -> tuple[Array, Array]:
         ]
     )
     design = np.concatenate([np.ones((*shapes.shape[:2], 1)), shapes], axis=2)
-    scale = np.abs(design).max(axis=1, keepdims=True)
-    scaled = design / scale
-    across = scaled.transpose(0, 2, 1)
-    inverse = _solved(across @ scaled + _RIDGE * np.eye(3), across) / scale.transpose(0, 2, 1)
+    with np.errstate(over="ignore", invalid="ignore"):  # fast rates over long windows
+        scale = np.abs(design).max(axis=1, keepdims=True)
+        scaled = design / scale
+        across = scaled.transpose(0, 2, 1)
+        inverse = _solved(across @ scaled + _RIDGE * np.eye(3), across) / scale.transpose(0, 2, 1)
     return design, inverse
 
 
@@ -259,8 +262,10 @@ def _two_terms(
     """
     pairs, waves = _terms()
     design, inverse = _designs(edges_s.tobytes())
-    found = np.asarray(inverse @ means, np.float64)
-    rest = np.abs(means - (design @ found[:, :, None])[:, :, 0]).max(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = np.asarray(inverse @ means, np.float64)
+        rest = np.abs(means - (design @ found[:, :, None])[:, :, 0]).max(axis=1)
+    rest[np.isnan(rest)] = np.inf  # fast rates over long windows: no shape, so no fit
     width = max(width, residuals * float(rest.min()))
     if width > most:
         return None

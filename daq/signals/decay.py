@@ -21,7 +21,8 @@ def decay_means(rates: NDArray[Any], edges_s: NDArray[np.float64]) -> NDArray[An
     middle = edges_s.mean(axis=1) - edges_s[-1, 1]
     half = 0.5 * np.diff(edges_s, axis=1)[:, 0]
     x = rates[:, None] * half
-    return np.exp(-rates[:, None] * middle) * np.sinh(x) / x
+    with np.errstate(over="ignore", invalid="ignore"):  # a fast rate over long windows is not finite
+        return np.exp(-rates[:, None] * middle) * np.sinh(x) / x
 
 
 def newest_counts(count: int) -> list[int]:

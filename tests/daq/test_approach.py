@@ -95,6 +95,16 @@ def test_the_longer_means_stand_the_less_can_be_to_come() -> None:
     assert left[0] == pytest.approx(2 / math.expm1(0.08 * 8 * WINDOW_S), rel=0.2)
 
 
+@pytest.mark.parametrize("length_s", [10.0, 60.0])
+def test_long_windows_of_a_slow_rotor_have_a_bound(length_s: float) -> None:
+    """Fast trial rates overflow there: they are no fit, and what remains is not taken for 0."""
+    edges = np.arange(31.0) * length_s
+    edges = np.stack([edges[:-1], edges[1:]], axis=1)
+    slow = 1.0 / edges[-1, 1]
+    values = means(lambda t: np.exp(-slow * t) + 0.1 * np.exp(-3 * slow * t), edges)
+    assert bound(edges, values, 1e-5, 2.0).remaining > 0.5
+
+
 def test_identical_means_leave_no_drift() -> None:
     """Constant counts: their floating point noise is not treated as a drift."""
     edges = windows(12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import asdict
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -106,8 +107,9 @@ def test_missing_frames_are_counted_exactly_and_keep_their_time() -> None:
     assert isinstance(gap, DeviceEvent)
     assert isinstance(batch, Batch)
     assert (gap.kind, gap.facts["samples"], gap.facts["span_s"]) == ("gap", 10, pytest.approx(0.01))
-    assert batch.columns["counter"].tolist() == [13, 14]
-    assert batch.columns["device_ticks"].tolist() == [1300, 1400]
+    assert batch.columns["counter"].tolist() == [11, 12]
+    first = 100 * (2**32 + 11)
+    assert batch.columns["device_ticks"].tolist() == [first, first + 100]
     assert line.losses["samples"] == 10
 
 
@@ -133,13 +135,40 @@ def test_another_sensor_gives_no_samples() -> None:
     assert line.has_reported is False
     assert kinds(line.feed(RX, packet(0, [1]), S)) == ["fault"]
     assert line.has_reported
-    assert "serial number 77, the rig file 78" in line.complaint
+    assert "serial number 77, expected 78" in line.complaint
     assert line.feed(RX, packet(1, [1]), S) == []
     (batch,) = line.feed(RX, packet(2, [1], serial=78), 2 * S)
     assert isinstance(batch, Batch)
     assert line.complaint == ""
     assert line.learned == {"order": 4120175, "serial": 78}
     assert line.feed(TX, packet(3, [1]), 3 * S) == []
+
+
+def test_a_sensor_that_takes_the_place_of_another_gives_no_samples() -> None:
+    """In the same log, and in the next one of the session."""
+    line = pipeline()
+    line.feed(RX, packet(0, [1]), S)
+    assert kinds(line.feed(RX, packet(1, [1], serial=78), S)) == ["fault"]
+    assert len(line.feed(RX, packet(1, [1]), S)) == 1
+    later = EthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"serial": 77})
+    assert kinds(later.feed(RX, packet(1, [1], serial=78), S)) == ["fault"]
+
+
+@pytest.mark.parametrize("wait_s", [0.2, 2.0, 100.0])
+def test_the_next_log_continues_the_clock(wait_s: float) -> None:
+    """Its first read arrives late: by the state of the clock before, its samples keep their time."""
+    line = pipeline(rate_Hz=1000.0)
+    for i in range(100):
+        line.feed(RX, packet(10 * i, [1] * 10), S + i * 10_000_000)
+    seed = line.clock_seed
+    assert seed is not None
+    identity = {"serial": 77, "clock_seed": asdict(seed)}
+    later = EthernetPipeline("laser", settings(rate_Hz=1000.0), displacement_channel("laser/x"), identity)
+    number = 1000 + round(1000 * wait_s)
+    true_ns = S + (number - 9) * 1_000_000
+    (batch,) = later.feed(RX, packet(number, [1]), true_ns + 30_000_000)
+    assert isinstance(batch, Batch)
+    assert batch.time_ns.tolist() == [pytest.approx(true_ns, abs=1_000_000)]
 
 
 @pytest.mark.parametrize("words", [(), ("COUNTER",), ("DIST", "DIST"), ("DIST", "COUNTER", "COUNTER")])

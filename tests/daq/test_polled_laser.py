@@ -192,6 +192,17 @@ def test_a_request_without_an_answer_is_a_lost_sample_reported_once() -> None:
     assert line.losses["unasked"] == 1
 
 
+def test_an_answer_that_is_too_late_has_no_known_time_and_is_dropped() -> None:
+    line = pipeline()
+    line.feed(TX, b"M1\r", 0)
+    assert samples(line.feed(RX, b"M1,+01.0000\r", 501 * MS)) == []
+    assert line.losses["unasked"] == 1
+    line.feed(TX, b"M1\r", 600 * MS)
+    (batch,) = [item for item in line.feed(RX, b"M1,+01.0000\r", 1100 * MS) if isinstance(item, Batch)]
+    assert (batch.time_ns.tolist(), batch.sequence.tolist()) == ([850 * MS], [1])
+    assert line.losses["samples"] == 0
+
+
 def test_damage_and_refusals_are_counted_and_a_first_line_that_was_cut_is_not() -> None:
     line = pipeline()
     assert line.feed(RX, b"0000\r", 0) == []

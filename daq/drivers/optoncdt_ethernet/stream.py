@@ -22,7 +22,6 @@ from daq.items import TX, Batch, DeviceEvent
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 _RESTART_FRAMES = 2**31  # a larger step of the counter is one backwards: the sensor started again
-_CLOCK_WRAP_NS = 2**62  # the counter is unwrapped
 
 Items = list[Batch | DeviceEvent]
 
@@ -48,6 +47,8 @@ class EthernetPipeline:
         self._decoder = wire.PacketDecoder(len(settings.words))
         self._rules = clock_rules(identity)
         self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules, ClockSeed.of(identity))
+        known = identity.get("serial")
+        self._wanted = settings.serial or (known if isinstance(known, int) else 0)  # serial number; 0: the first one
         self._serial: tuple[int, int] | None = None  # order and serial number
         self._counter: int | None = None  # counter of the newest packet
         self._previous = 0  # number of its frames
@@ -62,7 +63,9 @@ class EthernetPipeline:
     @property
     def clock_seed(self) -> ClockSeed | None:
         """See HasClockSeed."""
-        return None if self._settings.counts == "packets" else self._clock.seed(_CLOCK_WRAP_NS)
+        return (
+            None if self._settings.counts == "packets" else self._clock.seed(round(wire.COUNTER_WRAP * self._period_ns))
+        )
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
@@ -100,10 +103,11 @@ class EthernetPipeline:
         if own == self._serial:
             return []
         self._serial, self.has_reported = own, True
-        wanted = self._settings.serial
+        self._wanted = self._wanted or packet.serial
         self.complaint = (
-            f"the sensor has serial number {packet.serial}, the rig file {wanted}: correct its serial or its port"
-            if wanted and packet.serial != wanted
+            f"the sensor has serial number {packet.serial}, expected {self._wanted}, that of the rig file or of the "
+            "sensor before: look at its port"
+            if packet.serial != self._wanted
             else ""
         )
         if not self.complaint:
@@ -116,12 +120,14 @@ class EthernetPipeline:
         of_frames = self._settings.counts == "frames"
         expected, self._previous = (self._previous if of_frames else 1), len(packet.frames)
         if before is None:
+            self._next = packet.counter if of_frames else 0  # the clock continues from one log to the next
             return []
         missing = (packet.counter - before) % wire.COUNTER_WRAP - expected
         if missing == 0:
             return []
         if missing < 0 or missing >= _RESTART_FRAMES:
             self._clock = ClockMap(self._settings.clock_tolerance_ppm, self._rules)
+            self._next = packet.counter if of_frames else self._next
             return [DeviceEvent("restart", self._device, "its counter does not continue: the sensor started again")]
         lost = missing if of_frames else missing * self._previous
         self.losses["samples"] += lost

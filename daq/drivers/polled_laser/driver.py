@@ -44,11 +44,11 @@ class PolledLaserDriver(PlainDriver):
     def poller(self, settings: PolledLaser, send: Callable[[bytes], None], clock: HostClock) -> Poller:
         """See AnswersOnRequest."""
         from daq.drivers.polled_laser import wire
-        from daq.drivers.polled_laser.dialogue import ANSWER_S
+        from daq.drivers.polled_laser.stream import LATEST_S
         from daq.drivers.polling import Request, RequestLoop
 
         data = wire.DIALECTS[settings.dialect].request(settings.output)
-        return RequestLoop(Request(data, b"\r", 1.0 / settings.rate_Hz, ANSWER_S), send, clock)
+        return RequestLoop(Request(data, b"\r", 1.0 / settings.rate_Hz, 2 * LATEST_S), send, clock)
 
     def far_end(self, device: str, settings: PolledLaser, world: Any) -> FarEnd:
         """See Driver."""

@@ -2,7 +2,7 @@
 
 The sensor has no clock. The time of a sample is the middle between its request and the read with its answer, less
 `delay_s`: the error is at most half of the time between the two. A request without an answer is a lost sample. An
-answer without a request, after one that was given up, belongs to no known time and is dropped.
+answer without a request, or later than `LATEST_S` after it, belongs to no known time and is dropped.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from daq.drivers.polled_laser.settings import PolledLaser
 from daq.items import TX, Batch, DeviceEvent
 
 COUNTER_WRAP = 2**32
+LATEST_S = 0.5
+"""Latest answer after its request, s. The host waits twice as long for it, so that it is not taken for the next one."""
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 
 Items = list[Batch | DeviceEvent]
@@ -28,8 +30,8 @@ class PolledPipeline:
 
     Attributes:
         losses: see Pipeline. "samples": requests without an answer; "damaged_lines": lines that are no answer;
-            "unasked": answers without a request; "refused": requests that the sensor refused; "invalid": answers
-            without a reading.
+            "unasked": answers without a request or too late; "refused": requests that the sensor refused; "invalid":
+            answers without a reading.
     """
 
     def __init__(self, device: str, settings: PolledLaser, channel: channels.Channel) -> None:
@@ -89,9 +91,15 @@ class PolledPipeline:
                 return []
             self.losses["damaged_lines"] += 1
             return [DeviceEvent("damage", self._device, f"not an answer: {line[:40]!r}", {"lines": 1})]
-        if self._asked_ns is None:
+        if self._asked_ns is None or host_ns - self._asked_ns > LATEST_S * 1e9:
+            self._counter += self._asked_ns is not None
+            self._asked_ns = None
             self.losses["unasked"] += 1
-            return [DeviceEvent("damage", self._device, f"an answer without a request: {line[:40]!r}", {"lines": 1})]
+            return [
+                DeviceEvent(
+                    "damage", self._device, f"an answer too late, or without a request: {line[:40]!r}", {"lines": 1}
+                )
+            ]
         asked_ns, self._asked_ns = self._asked_ns, None
         reply = DeviceEvent("reply", self._device, line.decode("latin-1"))
         if isinstance(found, wire.Refusal):
