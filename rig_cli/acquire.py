@@ -11,25 +11,32 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from daq.acquisition.device_check import common_factor, device_checks, passed
+from daq.acquisition.observation import observe, plain_rates
 from daq.acquisition.session import Session
+from daq.acquisition.tap import NoTap, tap_test
+from daq.drivers.checks import Checks, DeviceCheck
 from daq.guided_tests.procedure import zero_counters
 from daq.log.file import ReservedName
 from daq.log.losses import Losses
 from daq.transports import HostClock
-from rig_cli.check_page import look_at, plain_rates, print_checks
+from rig_cli.check_page import print_checks
 from rig_cli.console import notify, print_json
 from rig_cli.foxglove import follow_session, foxglove_of_session
 from rig_cli.live import TERMINAL_ONLY, Displays, follow, page_of_session
 from rig_cli.numbers import LookSeconds, PositiveSeconds, TimeScale
 from rig_cli.options import Json, Settings, load_rig_or_log, warn_of_unusual_settings
 from rig_cli.recording import RecordingStatus
+from rig_cli.share_progress import share_progress
 from rig_configs import load_rig
 
 
 def check(
     rig: str,
     *,
-    seconds: LookSeconds = 2.0,
+    seconds: LookSeconds = 10.0,
+    tap: Annotated[
+        bool, Parameter(negative="", help="then tap the disk by hand along +x and +y: are the lasers in their places?")
+    ] = False,
     zero: Annotated[
         bool, Parameter(negative="", help="first close both locks and zero the node's counters there")
     ] = False,
@@ -37,7 +44,7 @@ def check(
     settings: Settings = None,
     json: Json = False,
 ) -> int:
-    """Validate a rig file, open its devices, compare them with the file; exit 1 when a device fails a check."""
+    """Validate a rig file, open its devices, compare them with the file; exit 3 when a device fails a check."""
     loaded = load_rig(rig, settings=settings or [])
     warnings = warn_of_unusual_settings(loaded)
     session = Session(loaded, HostClock(time_scale))
@@ -46,9 +53,12 @@ def check(
         if zero:
             zero_counters(session)
         started = session.clock.now_ns()
-        look = look_at(session, seconds)
-        devices = device_checks(loaded, look)
+        with share_progress(f"{loaded.name} is observed", seconds, "s") as progress:
+            look = observe(session, seconds, progress)
         rates = plain_rates(session, started)
+        devices = device_checks(loaded, look)
+        if tap:
+            devices = _with_taps(session, devices)
     if session.rotor_warning:
         warnings.append(session.rotor_warning)
         notify(f"warning: {session.rotor_warning}")
@@ -81,7 +91,17 @@ def check(
         )
     else:
         print_checks(devices, session.identities, look.seconds)
-    return 3 if session.rotor_warning else 0 if good else 1
+    return 0 if good and not session.rotor_warning else 3
+
+
+def _with_taps(session: Session, devices: dict[str, Checks]) -> dict[str, Checks]:
+    """Return the checks with those of the tap test added."""
+    try:
+        found = tap_test(session, lambda text: notify(f"now {text}"))
+    except NoTap as error:
+        lasers = {sensor.device for sensor in session.rig.roles.displacements}
+        found = {name: {"direction_deg": DeviceCheck(None, "a tap", False, str(error))} for name in lasers}
+    return {name: checks | found.get(name, {}) for name, checks in devices.items()}
 
 
 @Parameter(name="*")

@@ -25,17 +25,23 @@ from rig_configs.roles import (
 from rig_configs.table import Finite, NotNegative, Positive, RigTable
 
 
+def _as_text(serial: object) -> object:
+    return str(serial) if isinstance(serial, int) and not isinstance(serial, bool) else serial
+
+
 class DeviceSettings(RigTable):
     """Settings of every device.
 
     Attributes:
         calibration: names of the settings that a calibration may correct in an old log.
+        serial: serial number of the device, digits or text; any other device is refused. "": any.
     """
 
     calibration: ClassVar[tuple[str, ...]] = ()
 
     driver: str
     port: str
+    serial: Annotated[str, BeforeValidator(_as_text), Field(max_length=80)] = ""
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """Return the roles of the device.

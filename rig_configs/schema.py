@@ -158,9 +158,14 @@ class ValidationTable(RigTable):
 
 
 class SimulatedSensors(RigTable):
-    """Imperfections of the simulated sensors and wires; random values depend on the seed."""
+    """Imperfections of the simulated sensors and wires; random values depend on the seed.
+
+    `hum_m` is the amplitude of the hum of a noisy supply in the readings of the displacement sensors.
+    """
 
     laser_noise_m: NotNegative = 4e-6
+    hum_m: NotNegative = 0.0
+    hum_Hz: Positive = 50.0
     axis_angle_deg: Finite = 1.0
     encoder_noise_counts: NotNegative = 0.3
     clock_drift_ppm: NotNegative = 30.0

@@ -16,14 +16,33 @@ from numpy.typing import NDArray
 from daq.acquisition.lock_positions import flagged, lock_positions, lock_tolerance_deg, misplaced
 from daq.acquisition.rate_watch import Rate
 from daq.drivers.checks import Checks, DeviceCheck
-from daq.drivers.contract import FOREIGN
+from daq.drivers.contract import FOREIGN, TimeOut
 from daq.items import DeviceEvent
+from daq.signals.laser_disturbances import SteadyLine, lines_in, thinned
 from rig_configs.roles import DisplacementSensor, PendulumAngles
 from rig_configs.schema import Limits, Rig
 
 _MAX_INVALID_SHARE = 0.01  # of a laser's samples at rest; single flashes of light are allowed
 _MAX_RADIO_LOSS_SHARE = 0.05  # of the samples sent by radio; larger losses make long gaps in the angles
 _MIN_SPEED_REPORTS_HZ = 10.0  # for the interlocks of the drive's speed
+_MAX_NOISE_SHARE = 5e-4  # rms of the white noise, of the measuring range
+_MAX_LINE_SHARE = 2e-4  # amplitude of a steady line, of the measuring range
+_MAX_ANGLE_NOISE_COUNTS = 2.0  # rms, in closed locks
+_MAX_TIME_OUT_SHARE, _MAX_TIME_OUT_S = 0.1, 0.03  # deviation of the time-out, of what the drive states, and in addition
+_MIN_SPECTRUM = 256  # samples for a level of noise
+
+
+@dataclass(frozen=True)
+class ObservedDisplacement:
+    """Samples of a displacement sensor in the observation.
+
+    Attributes:
+        time_s: times from the start of the observation, shape (n,), ascending, s.
+        value_m: displacement of the disk centre, shape (n,), m; NaN for invalid samples.
+    """
+
+    time_s: NDArray[np.floating]
+    value_m: NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -61,43 +80,51 @@ class RigObservation:
         rates: rates of the channels with a device clock, by topic; None if unknown.
         losses: losses during the observation, by device and kind.
         events: events of all devices.
-        displacement_m: displacement of the disk centre, m, by axis; NaN for invalid samples.
+        displacements: samples of the displacement sensors, by topic.
         angles, speed: None if the rig has no such device.
+        time_out: time-out of the speed source, or the reason why it was not measured; None without a speed source.
         own: checks of the devices' drivers, by device.
+        unopened: reasons why devices are not open, by device.
+        complaints: contradictions between what devices report of themselves and the rig file, by device.
     """
 
     seconds: float
     rates: Mapping[str, Rate | None]
     losses: Mapping[str, Mapping[str, int]]
     events: Sequence[DeviceEvent]
-    displacement_m: Mapping[str, NDArray[np.floating]]
+    displacements: Mapping[str, ObservedDisplacement]
     angles: ObservedAngles | None = None
     speed: ObservedSpeed | None = None
+    time_out: TimeOut | str | None = None
     own: Mapping[str, Checks] = field(default_factory=dict[str, Checks])
+    unopened: Mapping[str, str] = field(default_factory=dict[str, str])
+    complaints: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
-    """Return all checks by the device's name in the rig file."""
+    """Return all checks by the device's name in the rig file. A device that is not open has only the check `opened`."""
     out: dict[str, Checks] = {name: {} for name in rig.devices}
     roles = rig.roles
-    for sensor in roles.displacements:
+    for sensor in (*roles.displacements, *roles.witnesses):
         out[sensor.device] |= _rate_checks(look.rates.get(sensor.topic), sensor.rate_Hz)
-        out[sensor.device] |= _displacement(sensor, rig.limits, look.displacement_m[sensor.axis])
+        out[sensor.device] |= _displacement(sensor, rig.limits, look.displacements[sensor.topic])
     if roles.angles is not None and look.angles is not None:
         out[roles.angles.device] |= _rate_checks(look.rates.get(roles.angles.topic), roles.angles.rate_Hz)
         out[roles.angles.device] |= _encoders(look.angles)
     if roles.speed is not None and look.speed is not None:
-        out[roles.speed.device] |= _speed(look.speed, roles.rest_rpm)
+        out[roles.speed.device] |= _speed(look.speed, roles.rest_rpm) | _time_out(look.time_out)
     for name, checks in look.own.items():
         out[name] |= checks
     if roles.angles is not None and roles.locks is not None and look.angles is not None:
         out[roles.locks.device] |= _locks(roles.angles, look.angles)
-    for name in out:
+    for name, checks in out.items():
         lost = look.losses.get(name, {})
         by_air = "radio_frames" in lost and roles.angles is not None
-        out[name] |= _losses(lost, roles.angles.rate_Hz * look.seconds if by_air and roles.angles is not None else 0.0)
-        out[name] |= _restarts([e for e in look.events if e.device == name])
-    return out
+        checks |= _losses(lost, roles.angles.rate_Hz * look.seconds if by_air and roles.angles is not None else 0.0)
+        checks |= _restarts([e for e in look.events if e.device == name])
+        if name in look.complaints and passed(checks):
+            checks["identity"] = DeviceCheck("differs", "as in the rig file", False, look.complaints[name])
+    return out | {name: {"opened": DeviceCheck("no", "yes", False, why)} for name, why in look.unopened.items()}
 
 
 def passed(checks: Checks) -> bool:
@@ -128,7 +155,8 @@ def _rate_checks(rate: Rate | None, nominal_Hz: float) -> Checks:
     }
 
 
-def _displacement(sensor: DisplacementSensor, limits: Limits, x: NDArray[np.floating]) -> Checks:
+def _displacement(sensor: DisplacementSensor, limits: Limits, seen: ObservedDisplacement) -> Checks:
+    x = seen.value_m
     if not len(x):
         return {"samples": DeviceCheck(0, "some", False, "no samples received")}
     invalid = float(np.mean(np.isnan(x)))
@@ -143,7 +171,40 @@ def _displacement(sensor: DisplacementSensor, limits: Limits, x: NDArray[np.floa
     note = "" if ok else "move the sensor: limits.amplitude_m exceeds its range at this position"
     out["from_mid_range_mm"] = DeviceCheck(round(at_mm, 3), f"within ± {room_mm:.3g}", ok, note)
     out["peak_to_peak_mm"] = DeviceCheck(round(float(np.nanmax(x) - np.nanmin(x)) * 1e3, 4), None, True)
+    return out | _noise(sensor, seen)
+
+
+def _noise(sensor: DisplacementSensor, seen: ObservedDisplacement) -> Checks:
+    """Check the noise of the readings: its white part, and steady lines. Slow motion of the column is neither."""
+    good = np.isfinite(seen.value_m)
+    time, reading = seen.time_s[good], seen.value_m[good] * sensor.lever_ratio
+    if len(time) < _MIN_SPECTRUM or time[-1] <= time[0]:
+        return {}
+    noise_um, most_um = _white_rms(reading) * 1e6, _MAX_NOISE_SHARE * sensor.range_m * 1e6
+    quiet = noise_um <= most_um
+    note = "" if quiet else "look at supply, shield, surface and exposure"
+    out = {"noise_um": DeviceCheck(float(f"{noise_um:.2g}"), f"at most {most_um:.3g} rms", quiet, note)}
+    lines = lines_in(time, reading, thinned(time, reading))
+    least_um = _MAX_LINE_SHARE * sensor.range_m * 1e6
+    strong = [line for line in lines if line.amplitude_m * 1e6 > least_um]
+    advice = "look at the supply, its earth and the shield of the cable, and at machines that shake the floor"
+    worst_um = max((line.amplitude_m * 1e6 for line in lines), default=0.0)
+    out["steady_lines_um"] = DeviceCheck(
+        round(worst_um, 1), f"at most {least_um:.3g}", not strong, f"{_words_of(strong)}. {advice}" if strong else ""
+    )
     return out
+
+
+def _words_of(lines: Sequence[SteadyLine]) -> str:
+    return "; ".join(line.words for line in lines)
+
+
+def _white_rms(value: NDArray[np.floating]) -> float:
+    """Return the rms of the white part of evenly spaced values, from the median of the upper half of the spectrum."""
+    window = np.hanning(len(value))
+    power = np.abs(np.fft.rfft((value - value.mean()) * window)) ** 2
+    level = float(np.median(power[len(power) // 2 :])) / math.log(2)
+    return math.sqrt(level / float(window @ window))
 
 
 def _encoders(seen: ObservedAngles) -> Checks:
@@ -166,6 +227,11 @@ def _locks(angles: PendulumAngles, seen: ObservedAngles) -> Checks:
             advice = "" if place.plausible else misplaced(tuple(known.values()))
             angle = round(expected + place.off_deg, 2)
             out[f"locked_{name}_deg"] = DeviceCheck(angle, f"{expected} ± {tolerance:.2g}", place.plausible, advice)
+            noise = float(np.std(seen.theta_rad[:, "AB".index(name)])) / angles.step_rad
+            steady = noise <= _MAX_ANGLE_NOISE_COUNTS
+            note = "" if steady else "the counts of a locked encoder change: look at its supply and cable, and the lock"
+            most = f"at most {_MAX_ANGLE_NOISE_COUNTS:g} rms"
+            out[f"noise_{name}_counts"] = DeviceCheck(round(noise, 2), most, steady, note)
     return out
 
 
@@ -177,6 +243,23 @@ def _speed(seen: ObservedSpeed, rest_rpm: float) -> Checks:
         "speed_reports_Hz": DeviceCheck(round(seen.reports_Hz, 1), f"at least {_MIN_SPEED_REPORTS_HZ:g}", frequent),
         "speed_rpm": DeviceCheck(None if math.isnan(seen.speed_rpm) else round(seen.speed_rpm, 1), 0, at_rest, note),
     }
+
+
+def _time_out(found: TimeOut | str | None) -> Checks:
+    """Check that the speed source stops by itself when the host is silent for as long as it states."""
+    if found is None:
+        return {}
+    if isinstance(found, str):
+        return {"time_out_s": DeviceCheck(None, None, True, f"not measured: {found}")}
+    if found.measured_s is None:
+        note = "it did not report a missing host: it would not stop by itself. Do not turn the rotor"
+        return {"time_out_s": DeviceCheck(None, found.stated_s, False, note)}
+    if found.stated_s is None:
+        return {"time_out_s": DeviceCheck(round(found.measured_s, 3), None, True, "the device states none")}
+    most = _MAX_TIME_OUT_SHARE * found.stated_s + _MAX_TIME_OUT_S + found.resolution_s
+    ok = abs(found.measured_s - found.stated_s) <= most
+    note = "" if ok else "not what the drive states: it acts on another setting; look it up in its manual"
+    return {"time_out_s": DeviceCheck(round(found.measured_s, 3), f"{found.stated_s:.3g} ± {most:.2g}", ok, note)}
 
 
 def _losses(lost: Mapping[str, int], on_air: float) -> Checks:

@@ -14,7 +14,7 @@ from daq.acquisition.core import Core, Note, Order
 from daq.acquisition.edge import Edge
 from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.acquisition.rotor_command import RotorCommand
-from daq.drivers.contract import AnswersOnRequest, Poller, claims_of
+from daq.drivers.contract import AnswersOnRequest, ObservesIdentity, Poller, claims_of
 from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
@@ -41,6 +41,10 @@ class Links:
         identities: identities by device. The identity that a device reports when it is opened is added.
         take: see `Taken`.
         lost: called with the name of a device whose link failed, and the error.
+
+    Attributes:
+        refused: reason why a device was not opened, by device. It is only filled if the core is `lenient`; otherwise
+            the first such device raises.
     """
 
     def __init__(
@@ -60,6 +64,7 @@ class Links:
         self._pollers: dict[str, Poller] = {}
         self._attending = False
         self._retry_at_s = 0.0
+        self.refused: dict[str, str] = {}
 
     # --- beginning and end ---------------------------------------------------------------------------------------
 
@@ -72,9 +77,22 @@ class Links:
         for device in self._devices.values():
             device.driver.prepare()
         for name, device in self._devices.items():
-            link = self._edge.connect(device.line, device.line.port)
-            self._readers[name] = self._reader(name, link)
+            with self.refusing(name, LinkLost):
+                link = self._edge.connect(device.line, device.line.port)
+                self._readers[name] = self._reader(name, link)
             self._core.renew(name, device.pipeline({}))
+
+    @contextlib.contextmanager
+    def refusing(self, name: str, *errors: type[Exception]) -> Generator[None]:
+        """Context of the opening of a device. Its errors are raised, or kept in `refused` if the core is lenient."""
+        try:
+            yield
+        except errors as error:
+            if not self._core.lenient:
+                raise
+            self.refused[name] = str(error)
+            if name in self._readers:
+                self._readers[name].stop()
 
     def _reader(self, name: str, link: Link) -> DeviceReader:
         """Make a reader. It may collect bytes only if the device counts its samples and host times are not used."""
@@ -88,7 +106,8 @@ class Links:
     def read(self) -> None:
         """Start reading every device."""
         for name in self._readers:
-            self._read(name)
+            if name not in self.refused:
+                self._read(name)
 
     def _read(self, name: str) -> None:
         self._readers[name].start(partial(self._take, name), partial(self._lost, name))
@@ -106,16 +125,44 @@ class Links:
             LinkLost: the link of a device is lost.
         """
         for name, device in self._devices.items():
-            self._identities[name] = device.driver.open(name, device.settings, self._talk(name))
-            self._reported[name] = frozenset(self._identities[name]) - {"port"}
-            if isinstance(device.driver, AnswersOnRequest):
-                self._pollers[name] = device.driver.poller(device.settings, partial(self.send, name), self._clock)
-                self._pollers[name].start()
+            if name not in self.refused:
+                with self.refusing(name, DeviceError, LinkLost):
+                    self._start_stream(name, device)
+
+    def _start_stream(self, name: str, device: Device) -> None:
+        self._identities[name] = device.driver.open(name, device.settings, self._talk(name))
+        self._check_serial(name, device)
+        self._reported[name] = frozenset(self._identities[name]) - {"port"}
+        if isinstance(device.driver, AnswersOnRequest):
+            self._pollers[name] = device.driver.poller(device.settings, partial(self.send, name), self._clock)
+            self._pollers[name].start()
+
+    def _check_serial(self, name: str, device: Device) -> None:
+        """Compare the serial number that a device reported when it was opened with that of the rig file.
+
+        Raises:
+            DeviceError: they differ, or the device reports none.
+        """
+        wanted, found = device.settings.serial, self._identities[name].get("serial")
+        if not wanted or str(found) == wanted:
+            return
+        if found is not None:
+            raise DeviceError(
+                f"{name} on {device.line.port}: serial number {wanted} is expected by the rig file, and {found} was "
+                f"found. Plug in the right device, or correct devices.{name}.serial"
+            )
+        if not isinstance(self._core.pipelines[name], ObservesIdentity):  # such a pipeline compares by itself
+            raise DeviceError(
+                f"{name}: serial number {wanted} is expected by the rig file, but such a device reports none. Remove "
+                f"devices.{name}.serial"
+            )
 
     def stop_streams(self) -> None:
         """End the streams. A lost device does not prevent the end of the others."""
         self._stop_pollers()
         for name, device in self._devices.items():
+            if name in self.refused:
+                continue
             with ignoring(_log, f"ending the stream of {name}", LinkLost, DeviceError):
                 device.driver.stop(self._talk(name))
 
@@ -137,6 +184,8 @@ class Links:
         Raises:
             LinkLost: the link of the device is lost.
         """
+        if name not in self._readers:
+            raise LinkLost(self.refused[name])
         self._readers[name].send(data)
 
     def answered(self, name: str, text: str) -> None:
@@ -145,7 +194,7 @@ class Links:
 
     def unread(self, name: str) -> contextlib.AbstractContextManager[object]:
         """Return a context in which a device is not read."""
-        return self._readers[name].lock
+        return self._readers[name].lock if name in self._readers else contextlib.nullcontext()
 
     @contextlib.contextmanager
     def between_reads(self) -> Generator[None]:
@@ -158,7 +207,7 @@ class Links:
 
     def heard_s(self) -> float:
         """Return the time of the last byte of any device, wall s."""
-        return max(reader.heard_s for reader in self._readers.values())
+        return max((reader.heard_s for reader in self._readers.values()), default=self._clock.wall_s())
 
     def _talk(self, name: str) -> OpenDevice:
         return OpenDevice(self._readers[name], self._clock, partial(self._renew_pipeline, name))

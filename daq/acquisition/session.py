@@ -29,7 +29,7 @@ from daq.clock import compile_line
 from daq.drivers.checks import Checks
 from daq.drivers.contract import DescribesItself, SpeedControl
 from daq.drivers.devices import devices_of
-from daq.errors import AcquisitionError, DeviceError, OperatorStop
+from daq.errors import AcquisitionError, DeviceError, LinkLost, OperatorStop
 from daq.items import RX, TX, DeviceEvent
 from daq.log.file import ReservedName
 from daq.transports import HostClock
@@ -99,8 +99,9 @@ class Session:
             self._command = RotorCommand(self._core, self._known, self.send, self.clock, self.check)
             links.read()
             links.start_streams()
-            if self._command.drive is not None:
-                self._command.drive.start()
+            if self._command.drive is not None and self._command.drive_name not in links.refused:
+                with links.refusing(self._command.drive_name, DeviceError, LinkLost):
+                    self._command.drive.start()
             self._wait_alive("every device to send samples")
             # bytes from the port buffers were delayed and would disturb the clock maps
             self._log.renew_pipelines(links, None)
@@ -226,6 +227,9 @@ class Session:
         if self._command is None or self._links is None:
             return True, ""
         drive = self._command.drive_name
+        if drive in self._links.refused:  # it was never commanded
+            self._links.stop_streams()
+            return True, ""
         released = self._command.bring_to_rest(self._notify, self._opened, self._reach_drive)
         self._links.stop_streams()
         at_rest = self.rotor_at_rest()
@@ -246,6 +250,9 @@ class Session:
             silent = self._silent()
             if self.trouble is not None or not silent:
                 raise
+            if self.lenient:
+                self._open.refused.update({name: self._received(name) for name in silent})
+                return
             raise DeviceError(f"{error}: {'; '.join(map(self._received, silent))}") from error
 
     def _silent(self) -> list[str]:
@@ -253,7 +260,8 @@ class Session:
         return [
             name
             for name, device in self._known.items()
-            if not all(len(self.recent.last(channel.topic, ())[0]) for channel in device.channels)
+            if name not in self._open.refused
+            and not all(len(self.recent.last(channel.topic, ())[0]) for channel in device.channels)
         ]
 
     def _received(self, name: str) -> str:
@@ -365,6 +373,11 @@ class Session:
     @lenient.setter
     def lenient(self, value: bool) -> None:
         self._core.lenient = value
+
+    @property
+    def unopened(self) -> Mapping[str, str]:
+        """Reasons why devices are not open, by device; only a `lenient` session has such devices."""
+        return {**self._core.gone, **self._open.refused}
 
     @property
     def drive(self) -> SpeedControl:

@@ -403,6 +403,35 @@ class SpeedControl(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class TimeOut:
+    """Time-out of a speed source: the silence of the host after which it stops the rotor by itself.
+
+    Attributes:
+        measured_s: time from the last sign of life to the report that it is missing, s; None without such a report.
+        stated_s: time-out that the device states, s; None if it states none.
+        resolution_s: uncertainty of `measured_s` from the periods of messages and reports, s.
+    """
+
+    measured_s: float | None
+    stated_s: float | None
+    resolution_s: float
+
+
+@runtime_checkable
+class MeasuresTimeOut(Protocol):
+    """A speed source that reports a missing host also while the rotor stands without torque."""
+
+    def measure_time_out(self) -> TimeOut:
+        """Withhold the signs of life until the device reports that they are missing, then send them again.
+
+        Raises:
+            DeviceError: the rotor turns or is held, or the device does not answer.
+            LinkLost: the connection to the device is lost.
+        """
+        ...
+
+
 class LockControl(Protocol):
     """An open device that locks and releases the pendulums."""
 

@@ -27,6 +27,7 @@ class Beam:
         noise_m: standard deviation of one sample, m.
         clock: clock of the sensor.
         rng: source of the noise.
+        hum_m, hum_Hz: amplitude, m, and frequency of the hum that a noisy supply adds to the reading.
     """
 
     sensitivity: Array
@@ -34,6 +35,8 @@ class Beam:
     noise_m: float
     clock: DeviceClock
     rng: np.random.Generator
+    hum_m: float = 0.0
+    hum_Hz: float = 50.0
     _next: int | None = field(default=None, init=False)  # number of the next sample on the clock; None before the first
 
     @classmethod
@@ -42,8 +45,8 @@ class Beam:
         gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
         sensitivity = gain * world.direction(config.axis, config.direction_deg)
         offset = _OFFSET_STD_M * world.calibration.standard_normal()
-        noise, rng = world.virtual.sensors.laser_noise_m, world.rng(f"noise {device}")
-        return cls(sensitivity, offset, noise, world.clock(device), rng)
+        sensors, rng = world.virtual.sensors, world.rng(f"noise {device}")
+        return cls(sensitivity, offset, sensors.laser_noise_m, world.clock(device), rng, sensors.hum_m, sensors.hum_Hz)
 
     @classmethod
     def unmoved(cls) -> Beam:
@@ -77,4 +80,7 @@ class Beam:
         """Return the displacements from mid-range at times of the sensor's clock, m."""
         times = np.clip(self.clock.rig_s(device_s), motion.time_s[0], motion.time_s[-1])
         moved = self.sensitivity[0] * motion.at(times, 0, 4) + self.sensitivity[1] * motion.at(times, 1, 5)
-        return moved + self.offset_m + self.noise_m * self.rng.standard_normal(len(device_s))
+        noise = self.noise_m * self.rng.standard_normal(len(device_s))
+        if self.hum_m:
+            noise += self.hum_m * np.sin(2 * np.pi * self.hum_Hz * times)
+        return moved + self.offset_m + noise

@@ -14,7 +14,7 @@ from daq.drivers.cia402.process_data import map_process_data
 from daq.drivers.cia402.ramps import set_ramps
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.cia402.stream import DrivePipeline
-from daq.drivers.contract import Pipeline, RotorGuard
+from daq.drivers.contract import Pipeline, RotorGuard, TimeOut
 from daq.drivers.run_down import wait_for_rest
 from daq.errors import DeviceError, LinkLost
 from daq.transports import slcan
@@ -26,6 +26,7 @@ _log = logging.getLogger(__name__)
 _RESET_S = 0.05  # wall s for which each controlword is held while a fault is reset
 _MAX_BEAT_AGE_S = 0.3  # wall s by which a heartbeat may be late on a busy host
 _OFF_S, _OFF_REPEAT_S = 0.5, 0.1  # wall s to wait for the end of the torque, and between two commands
+_MOST_TIME_OUTS = 4  # stated time-outs for which the measured one is awaited
 _MAX_WATCH_RATIO = 2  # of the drive's heartbeat timeout to the requested one; a drive may round it
 _TORQUE = (cia402.OPERATION_ENABLED, cia402.QUICK_STOP_ACTIVE, cia402.FAULT_REACTION)
 _MAX_EMERGENCIES = 30  # emergencies that are kept for a message
@@ -353,6 +354,24 @@ class DriveControl:
     def _pdo(self, control: int, rpm: int) -> None:
         self._ordered = True
         self._objects.send(cia402.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
+
+    def measure_time_out(self) -> TimeOut:
+        """See MeasuresTimeOut: withhold the heartbeat until the drive's emergency 0x8130, or its fault, arrives."""
+        if not self._guarded.at_rest() or self._recent_state in (*_TORQUE, cia402.UNKNOWN):
+            raise DeviceError(f"the rotor must stand and the drive be off, it is in {self._recent_state}")
+        stated_ms = (self._objects.read(cia402.CONSUMER_HEARTBEAT, 1) or 0) & 0xFFFF
+        assert self._beat is not None
+        self.emergencies = [code for code in self.emergencies if code != cia402.HEARTBEAT_ERROR]
+        self._beat.stop()
+        end_s = self._beat_s + self._clock.wall(_MOST_TIME_OUTS * stated_ms * 1e-3) + 1.0
+        while (heard := cia402.HEARTBEAT_ERROR in self.emergencies) is False and self._clock.wall_s() < end_s:
+            self._clock.wait(0.002)
+        silent_s = self._clock.wall_s() - self._beat_s
+        self._start_heartbeat()
+        if self._recent_state == cia402.FAULT:
+            self._reset_if_only_heartbeat(self._clock.wall_s() + 3.0)
+        measured_s = self._clock.patience(silent_s) if heard else None
+        return TimeOut(measured_s, stated_ms * 1e-3, self._clock.patience(_MAX_BEAT_AGE_S * 0.1))
 
     def _start_heartbeat(self) -> None:
         identifier, operational = cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL])

@@ -57,6 +57,9 @@ class SimulatedDrive(FarEnd):
             "it is in another network state", 4, end=5, meaning="4 stopped, 5 operational", limits=(4, 5)
         ),
         "silent reports": FaultKind("it reports neither state nor speed; its heartbeat continues"),
+        "time-out": FaultKind(
+            "its time-out is not the one it states", 3.0, end=1, meaning="ratio to it", limits=(0.01, 1e3)
+        ),
         "second host": FaultKind("another node on the bus sends the host's heartbeat"),
         "reported share": FaultKind(
             "it reports a wrong speed", 0.5, end=1, meaning="share of the true speed", limits=(-2, 2)
@@ -75,6 +78,7 @@ class SimulatedDrive(FarEnd):
         self.frames_sent: int = 0
         self.emergencies: list[int] = []
         self._reports = True
+        self._watch_ratio = 1.0
         self._reported_share = 1.0
         self._second_host, self._second_due_s = False, 0.0
         self._adapter = Adapter()
@@ -127,6 +131,8 @@ class SimulatedDrive(FarEnd):
                 self._nmt.state = cia402.Heartbeat(int(value))
             case "silent reports":
                 self._reports = not value
+            case "time-out":
+                self._watch_ratio = float(value)
             case "second host":
                 self._second_host = bool(value)
             case "reported share":
@@ -269,7 +275,7 @@ class SimulatedDrive(FarEnd):
 
     def _watch(self, now_s: float) -> None:
         limit_ms = self.watchdog_ms
-        if not limit_ms or self._heard_s is None or now_s - self._heard_s <= limit_ms * 1e-3:
+        if not limit_ms or self._heard_s is None or now_s - self._heard_s <= limit_ms * 1e-3 * self._watch_ratio:
             return
         self._heard_s = None
         if self.state == cia402.OPERATION_ENABLED:

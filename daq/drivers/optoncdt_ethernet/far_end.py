@@ -37,7 +37,7 @@ class SimulatedEthernetLaser(FarEnd):
 
     def __init__(self, settings: EthernetLaser, beam: Beam, serial: int) -> None:
         self._settings, self._beam = settings, beam
-        self._serial = settings.serial or serial
+        self._serial = settings.serial_number or serial
         self._scaling = distance_words.SCALINGS[settings.scaling]
         self._counter = int(beam.rng.integers(0, wire.COUNTER_WRAP))  # of the next frame, or packet
         self._blocked = False

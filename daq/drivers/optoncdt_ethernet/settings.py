@@ -22,7 +22,6 @@ class EthernetLaser(DisplacementSettings):
         rate_Hz: measuring rate to which the sensor is set, Hz.
         words: values of a frame in their order, DIST among them, as set on the sensor's web page.
         scaling: model whose formula converts the distance words.
-        serial: serial number of the sensor; any other is refused. 0: any.
         counts: what the counter of a packet counts. Not verified: the manual does not state it.
     """
 
@@ -33,8 +32,19 @@ class EthernetLaser(DisplacementSettings):
         "DIST",
     )
     scaling: Literal["ILD1420", "ILD1900"] = "ILD1420"
-    serial: Annotated[int, Field(ge=0, lt=2**32)] = 0
     counts: Literal["frames", "packets"] = "frames"
+
+    @field_validator("serial")
+    @classmethod
+    def _is_a_number(cls, serial: str) -> str:
+        if serial and not (serial.isdecimal() and serial.isascii() and int(serial) < 2**32):
+            raise ValueError(f"expected a serial number of 32 bits, as the packets contain it, got {serial!r}")
+        return serial
+
+    @property
+    def serial_number(self) -> int:
+        """Serial number of the sensor; 0: any."""
+        return int(self.serial or 0)
 
     @field_validator("words")
     @classmethod

@@ -48,7 +48,9 @@ class EthernetPipeline:
         self._rules = clock_rules(identity)
         self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules, ClockSeed.of(identity))
         known = identity.get("serial")
-        self._wanted = settings.serial or (known if isinstance(known, int) else 0)  # serial number; 0: the first one
+        self._wanted = settings.serial_number or (
+            known if isinstance(known, int) else 0
+        )  # serial number; 0: the first one
         self._serial: tuple[int, int] | None = None  # order and serial number
         self._counter: int | None = None  # counter of the newest packet
         self._previous = 0  # number of its frames

@@ -1,0 +1,103 @@
+"""Observation of an open rig for `rig check`: newest samples, rates, losses, events and the drive's time-out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from daq.acquisition.device_check import ObservedAngles, ObservedDisplacement, ObservedSpeed, RigObservation
+from daq.acquisition.session import Session
+from daq.drivers.checks import Checks, DeviceCheck
+from daq.drivers.contract import MeasuresTimeOut, TimeOut
+from daq.errors import DeviceError, LinkLost
+from daq.items import DeviceEvent
+from rig_configs.roles import PendulumAngles, Roles, SpeedSource
+
+_LOCKED_S = 0.1  # duration of the newest pendulum angles that are checked
+_STATUS_WAIT_S = 3.0  # devices that report their status do so each second; longest wait for one report, rig time
+_STEP_S = 0.1  # wall s between two calls of `progress`
+
+Progress = Callable[[float], None]
+"""Called with the completed share, 0 … 1."""
+
+
+def observe(session: Session, seconds: float, progress: Progress = lambda share: None) -> RigObservation:
+    """Observe an open rig.
+
+    Args:
+        session: the open session; `lenient`, so that devices that could not be opened are reported.
+        seconds: duration, wall s. It is longer only for status reports, which devices send each second, and for the
+            drive's time-out.
+        progress: see `Progress`.
+    """
+    events: list[DeviceEvent] = []
+    session.device_event_observers.append(events.append)
+    before, started = session.losses(), session.clock.now_ns()
+    begun_s = session.clock.wall_s()
+    while (passed := session.clock.wall_s() - begun_s) < seconds:
+        progress(passed / seconds)
+        session.clock.wait(min(_STEP_S, seconds - passed))
+    wait = session.clock.now_ns() + int(_STATUS_WAIT_S * 1e9)
+    while not session.all_identified() and session.clock.now_ns() < wait:
+        session.clock.sleep(_STEP_S)
+    session.device_event_observers.remove(events.append)
+    roles, plain, unopened = session.rig.roles, plain_rates(session, started), session.unopened
+    speed, lasers = roles.speed, (*roles.displacements, *roles.witnesses)
+    return RigObservation(
+        seconds=(session.clock.now_ns() - started) * 1e-9,
+        rates=session.rates.rates(),
+        losses={name: _more(lost, before[name]) for name, lost in session.losses().items()},
+        events=events,
+        displacements={sensor.topic: _displacement(session, sensor.topic, started) for sensor in lasers},
+        angles=roles.angles and _angles(session, roles.angles, started),
+        speed=speed and ObservedSpeed(plain[speed.topic], session.drive.actual_rpm),
+        time_out=None if speed is None or speed.device in unopened else _time_out(session, speed),
+        own=_with_duties(session.own_checks(events), roles),
+        unopened=unopened,
+        complaints={name: text for name in session.rig.devices if (text := session.identification_of(name)[1])},
+    )
+
+
+def _displacement(session: Session, topic: str, started_ns: int) -> ObservedDisplacement:
+    time_ns, (value,) = session.recent.last(topic, ("displacement_m",), started_ns)
+    return ObservedDisplacement((time_ns - started_ns) * 1e-9, value)
+
+
+def _angles(session: Session, role: PendulumAngles, started_ns: int) -> ObservedAngles:
+    _, (a, b, flags) = session.recent.last(role.topic, ("theta3_rad", "theta4_rad", "flags"), started_ns)
+    return ObservedAngles(np.column_stack([a, b])[-max(1, round(_LOCKED_S * role.rate_Hz)) :], flags)
+
+
+def _time_out(session: Session, speed: SpeedSource) -> TimeOut | str:
+    """Measure the time-out of the speed source, or return why it was not measured."""
+    drive = session.drive
+    if not isinstance(drive, MeasuresTimeOut):
+        return "such a device does not report a missing host while the rotor stands"
+    try:
+        return drive.measure_time_out()
+    except (DeviceError, LinkLost) as error:
+        return str(error)
+
+
+def _with_duties(own: Mapping[str, Checks], roles: Roles) -> dict[str, Checks]:
+    """Return the checks of the devices' drivers, with what each displacement sensor measures for the rig."""
+    out = {name: dict(checks) for name, checks in own.items()}
+    for device, words in roles.duties.items():
+        out.setdefault(device, {})["measures"] = DeviceCheck(words, None, True)
+    return out
+
+
+def _more(now: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:
+    return {kind: count - before.get(kind, 0) for kind, count in now.items()}
+
+
+def plain_rates(session: Session, started_ns: int) -> dict[str, float]:
+    """Return the samples per second of every channel since an instant, without lost ones."""
+    rates: dict[str, float] = {}
+    for topic in session.topics:
+        times, _ = session.recent.last(topic, (), started_ns)
+        span = float(times[-1] - times[0]) * 1e-9 if len(times) > 1 else 0.0
+        rates[topic] = (len(times) - 1) / span if span > 0 else math.nan
+    return rates

@@ -1,0 +1,172 @@
+"""`rig check` on simulated rigs, through their bytes: every fault is found, and healthy rigs pass."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+
+import pytest
+
+from daq.acquisition.device_check import device_checks
+from daq.acquisition.observation import observe
+from daq.acquisition.session import Session
+from daq.acquisition.tap import tap_test
+from daq.drivers.checks import Checks
+from daq.lockstep.rig import LockstepRig
+from rig_configs import load_rig
+
+SECONDS = 2.0
+LONG_S = 10.0  # the default of `rig check`
+Prepare = Callable[[LockstepRig], None]
+
+
+def checked(
+    true: Sequence[str] = (),
+    stated: Sequence[str] = (),
+    prepare: Prepare = lambda far: None,
+    tap: bool = False,
+    swapped: bool = False,
+    name: str = "virtual",
+    seconds: float = SECONDS,
+) -> dict[str, Checks]:
+    """Return the checks of a simulated rig.
+
+    Args:
+        true: settings of the simulated rig.
+        stated: settings of the rig file that differ from them.
+        prepare: called before the devices are opened.
+        tap: whether the operator is asked to tap the disk.
+        name: name of the rig.
+        seconds: length of the observation.
+        swapped: whether the ports of the lasers are exchanged in the rig file.
+    """
+    far = LockstepRig(load_rig(name, settings=list(true)))
+    ports = far.port_settings()
+    if swapped:
+        x, y = (json.dumps(far.cables[laser].port) for laser in ("laser_y", "laser_x"))
+        ports += [f"devices.laser_x.port={x}", f"devices.laser_y.port={y}"]
+    rig = load_rig(name, settings=[*true, *ports, *stated])
+    session = Session(rig, far.clock, edge=far.edge)
+    session.lenient = True
+    prepare(far)
+    with session:
+        found = device_checks(rig, observe(session, seconds))
+        if tap:
+            taps = tap_test(session, lambda text: _tap(far, text[-1]))
+            found = {device: checks | taps.get(device, {}) for device, checks in found.items()}
+    return found
+
+
+def _tap(far: LockstepRig, axis: str) -> None:
+    x, y = (0.8, 0.1) if axis == "x" else (-0.1, 0.8)
+    far.clock.after(1.0, lambda: far.ask("pluck", x_mm=x, y_mm=y, hold_s=0.05), world=True)
+
+
+def failed(found: dict[str, Checks]) -> dict[str, str]:
+    """Return the notes of all failed checks by "device check"."""
+    notes = [(f"{name} {what}", one) for name, checks in found.items() for what, one in checks.items()]
+    return {what: one.note for what, one in notes if not one.passed}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_healthy_rig_passes(seed: int) -> None:
+    assert failed(checked([f"virtual.seed={seed}"], tap=True, seconds=LONG_S)) == {}
+
+
+def test_swapped_lasers_are_found_by_a_tap() -> None:
+    found = failed(checked(swapped=True, tap=True))
+    assert set(found) == {"laser_x direction_deg", "laser_y direction_deg"}
+    assert "exchange the ports of laser_x and laser_y" in found["laser_x direction_deg"]
+
+
+def test_a_laser_that_looks_the_other_way_is_found_by_a_tap() -> None:
+    found = failed(
+        checked(
+            ["devices.laser_x.direction_deg=180", "devices.laser_y.direction_deg=270"],
+            ["devices.laser_x.direction_deg=0", "devices.laser_y.direction_deg=90"],
+            tap=True,
+        )
+    )
+    assert set(found) == {"laser_x direction_deg", "laser_y direction_deg"}
+    assert "direction_deg = 180" in found["laser_x direction_deg"]
+
+
+def test_a_wrong_range_is_found_and_the_other_devices_are_still_checked() -> None:
+    found = checked(stated=["devices.laser_x.range_m=0.05"])
+    assert set(failed(found)) == {"laser_x opened"}
+    assert "25 mm in the sensor" in failed(found)["laser_x opened"]
+    assert found["laser_y"]["rate_Hz"].passed
+
+
+def test_a_wrong_serial_number_is_found() -> None:
+    found = failed(checked(stated=["devices.laser_y.serial=12345"]))
+    assert set(found) == {"laser_y opened"}
+    assert "serial number 12345 is expected" in found["laser_y opened"]
+
+
+def test_a_missing_device_is_found_and_the_others_are_still_checked() -> None:
+    found = checked(prepare=lambda far: far.cables["encoder"].cut())
+    assert set(failed(found)) == {"encoder opened"}
+    assert found["laser_x"]["rate_Hz"].passed
+
+
+@pytest.mark.parametrize("device", ["laser_x", "encoder", "drive"])
+def test_a_silent_device_is_found_and_the_others_are_still_checked(device: str) -> None:
+    found = failed(checked(prepare=lambda far: _fault(far, device, "mute")))
+    assert set(found) == {f"{device} opened"}
+
+
+def _fault(far: LockstepRig, device: str, what: str, **more: float) -> None:
+    far.ask("fail", device=device, what=what, **more)
+
+
+def test_a_time_out_that_is_not_what_the_drive_states_is_found() -> None:
+    found = checked(prepare=lambda far: _fault(far, "drive", "time-out", value=3.0))
+    assert set(failed(found)) == {"drive time_out_s"}
+    assert found["drive"]["time_out_s"].value == pytest.approx(1.5, abs=0.05)
+    never = checked(prepare=lambda far: _fault(far, "drive", "time-out", value=100.0))
+    assert "would not stop by itself" in failed(never)["drive time_out_s"]
+
+
+def test_the_heartbeat_is_sent_again_after_the_measurement() -> None:
+    rig = load_rig("virtual")
+    far = LockstepRig(rig)
+    with Session(load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge) as session:
+        assert observe(session, 1.0).time_out.measured_s == pytest.approx(0.5, abs=0.05)
+        session.drive.enable()
+        session.clock.wait(2.0)
+        assert session.drive.enabled
+
+
+def test_b_locked_at_the_place_of_a_is_found() -> None:
+    found = failed(checked(prepare=lambda far: far.far.motion.lock(1, -math.pi)))
+    assert set(found) == {"encoder locked_B_deg"}
+
+
+def test_a_clock_off_by_500_ppm_is_found() -> None:
+    found = failed(checked(prepare=lambda far: _drift(far, "laser_x", 500e-6), seconds=LONG_S))
+    assert set(found) == {"laser_x clock_ppm", "laser_x rate_Hz"}
+
+
+def _drift(far: LockstepRig, device: str, drift: float) -> None:
+    far.far.far_ends[device]._beam.clock.drift = drift
+
+
+def test_a_wrong_rate_is_found() -> None:
+    found = failed(checked(["devices.encoder.rate_Hz=500"], ["devices.encoder.rate_Hz=1000"]))
+    assert set(found) == {"encoder rate_Hz"}
+
+
+def test_a_noisy_supply_is_found() -> None:
+    found = failed(checked(["virtual.sensors.hum_m=20e-6"], seconds=LONG_S))
+    assert set(found) == {"laser_x steady_lines_um", "laser_y steady_lines_um"}
+    assert "mains hum" in found["laser_x steady_lines_um"]
+    wide = failed(checked(["virtual.sensors.laser_noise_m=30e-6"]))
+    assert set(wide) == {"laser_x noise_um", "laser_y noise_um"}
+
+
+def test_a_radio_that_loses_a_fifth_is_found() -> None:
+    lossy = ["virtual.radio.burst_start=0.1", "virtual.radio.burst_stop=0.3", "virtual.radio.loss_in_burst=0.8"]
+    found = set(failed(checked(lossy)))
+    assert {"encoder lost_samples"} <= found <= {"encoder lost_samples", "encoder lost_radio_frames"}
