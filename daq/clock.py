@@ -24,8 +24,8 @@ from daq.errors import DeviceError
 
 CLOCK_RULES = "clock_rules"
 """Key of a device's identity and of a log's facts: number of the rules for decoding. See `clock_rules`."""
-FIRST_RULES, NEWEST_RULES = 1, 3
-_IN_ORDER_RULES = 3
+FIRST_RULES, NEWEST_RULES = 1, 4
+_IN_ORDER_RULES, _STEP_RULES = 3, 4
 CLOCK_SEED = "clock_seed"
 """Key of a device's identity: state of the device clock at the start of the log. See `ClockSeed`."""
 _SEED_EARLY_NS, _SEED_LATE_NS = 5_000_000, 1_000_000_000
@@ -33,6 +33,15 @@ _BIN_NS = 250_000_000
 _BINS = 120
 _MAX_SLEW = 0.5  # largest relative correction of the mapped clock's rate; below 1, so that mapped times increase
 _MAX_STRAIGHT_JITTER = 0.15  # mean distance of the least lags from their line, sample periods; a staircase has ≥ 0.25
+_EARLY_STEP_NS, _LATE_STEP_NS = 5e6, 20e6  # least steps of the host's clock that are recognised
+_STEP_READS, _STEP_BINS = 20, 4  # reads, and quarters of a second, after which lateness is a step
+_STEP_SPREAD = 0.25  # of the least lags in these bins, of the step
+_FIRST_STD_NS = 10e6  # of the delay of the first reads
+_LEAST_JITTER_NS = 20e3  # wake-up of a thread
+_MEMORY = 1 / 64  # weight of a read in the mean lateness
+_LEAST_STD_NS = 3e3  # of a time stamp
+_LATE_SHARE, _LATE_READS = 0.5, 10  # of the mean lateness, above which each of so many reads shows a delay or a step
+_GAPS = 8.0  # standard uncertainty of the line at its newest end, mean lateness over the number of reads
 _SETTLE_NS = 300_000_000  # time constant of a correction, short: the error of a delayed first read decays in about 1 s
 
 
@@ -82,7 +91,7 @@ def compile_line() -> None:
 def clock_rules(identity: Mapping[str, Any]) -> int:
     """Return the number of the rules by which a pipeline decodes and maps its clock.
 
-    From 3 on, encoder blocks after a gap wait for retransmitted blocks. For 1 and 2 see `ClockMap`.
+    From 3 on, encoder blocks after a gap wait for retransmitted blocks. For the others see `ClockMap`.
 
     Args:
         identity: identity of the device; if a log is decoded again, it contains the log's rules.
@@ -138,7 +147,10 @@ class ClockMap:
     Args:
         tolerance_ppm: standard uncertainty of the device's rate. The estimated rate is limited to ± 5 of them.
         rules: 1: a correction is applied until the next read. From 2 on: it is applied at most for its time constant.
-            From 3 on: samples that are older than earlier samples do not change the map.
+            From 3 on: samples that are older than earlier samples do not change the map. From 4 on: a step of the
+            host's clock (a computer that slept, a clock that was set) starts the estimate again. After a step forward
+            the mapped time jumps; after a step back it runs at half its rate until it is right, since it never steps
+            back.
         seed: earlier state of the clock. Without it the first read is assumed to have no delay.
     """
 
@@ -146,8 +158,12 @@ class ClockMap:
         self._seed = seed
         self._limit = 5e-6 * tolerance_ppm
         self._correct_ns = np.inf if rules == FIRST_RULES else float(_SETTLE_NS)
-        self._in_order = rules >= _IN_ORDER_RULES
-        self._bins: deque[tuple[int, float, float]] = deque(maxlen=_BINS)  # bin, device ns, lag ns (relative)
+        self._in_order, self._steps = rules >= _IN_ORDER_RULES, rules >= _STEP_RULES
+        self._tolerance = 1e-6 * tolerance_ppm
+        self._bins: deque[tuple[int, float, float, int]] = deque(maxlen=_BINS)  # bin, device ns, lag ns, reads
+        self._late: list[tuple[int, float, float, int]] = []  # bins of the newest reads, if all of them are late
+        self._lateness = _FIRST_STD_NS  # mean, ns
+        self._reads = 0
         self._device0 = 0
         self._host0 = 0
         self._at = 0.0  # start of the current segment of the mapped line, device ns (relative)
@@ -185,7 +201,7 @@ class ClockMap:
         early = self._host0 - self._seed.host_at(self._device0, self._host0)
         if -_SEED_EARLY_NS < early < _SEED_LATE_NS:
             self._lag, self._slope = float(-max(early, 0)), self._seed.rate
-            self._bins.append((-1, 0.0, self._lag))
+            self._bins.append((-1, 0.0, self._lag, 1))
 
     def seed(self, wrap_ns: int) -> ClockSeed | None:
         """Return the present state of the clock for the map of the next log, or None before the first read.
@@ -198,25 +214,80 @@ class ClockMap:
         lag, rate = self._target(self._at)  # the fitted line, to which the mapped time still converges
         return ClockSeed(self._device0 + round(self._at), self._host0 + round(self._at + lag), float(rate), wrap_ns)
 
+    @property
+    def std_ns(self) -> float:
+        """Standard uncertainty of the time of the newest sample, without the least delay of its path, ns.
+
+        It consists of the uncertainty of the line, the correction that is in progress, and the lateness of the newest
+        reads as far as it may be a step of the host's clock.
+        """
+        if not self._started or not self._bins:
+            return _FIRST_STD_NS
+        reads = sum(entry[3] for entry in self._bins)
+        line = _LEAST_STD_NS + _GAPS * max(self._lateness, _LEAST_JITTER_NS) / reads
+        if self._line is None:
+            line += self._tolerance * (self._at - min(self._bins, key=_lag_of)[1])
+        unexplained = 0.0
+        if sum(entry[3] for entry in self._late) >= _LATE_READS:
+            unexplained = max(0.0, min(map(_lag_of, self._late)) - self._target(self._at)[0])
+        return float(line + abs(self._target(self._at)[0] - self._lag) + unexplained)
+
     def _learn(self, device: float, lag: float) -> None:
         number = int(device // _BIN_NS)
+        if self._steps and self._bins:
+            self._look_for_step(number, device, lag)
         if self._bins and self._bins[-1][0] == number:
-            if lag < self._bins[-1][2]:
-                self._bins[-1] = (number, device, lag)
+            self._bins[-1] = _with_read(self._bins[-1], device, lag)
         else:
             self._fit_closed_bins()
-            self._bins.append((number, device, lag))
+            self._bins.append((number, device, lag, 1))
         target, slope = self._target(device)
+        self._reads += 1
+        self._lateness += (abs(lag - target) - self._lateness) * max(_MEMORY, 1 / self._reads)
         ahead = device - self._at
         here = self._lag + self._slope * ahead - self._correction * max(ahead - self._correct_ns, 0.0)
         self._correction = max(-_MAX_SLEW, min(_MAX_SLEW, (target - here) / _SETTLE_NS))
         self._at, self._lag, self._slope = device, here, slope + self._correction
 
+    def _look_for_step(self, number: int, device: float, lag: float) -> None:
+        """Begin the estimate again if the host's clock has stepped.
+
+        A read cannot be early, so one early read is a step back, or the earlier reads were late. Late reads are a step
+        forward if none of many was in time and their least lags are equal: a delay would change.
+        """
+        late = lag - self._target(device)[0]
+        if late < -_EARLY_STEP_NS:
+            self._begin_again([])
+        if late < _LEAST_JITTER_NS + _LATE_SHARE * self._lateness:
+            self._late.clear()
+            return
+        if self._late and self._late[-1][0] == number:
+            self._late[-1] = _with_read(self._late[-1], device, lag)
+        else:
+            self._late.append((number, device, lag, 1))
+        del self._late[: -_STEP_BINS - 1]
+        closed = self._late[:-1]
+        if len(closed) < _STEP_BINS or sum(entry[3] for entry in closed) < _STEP_READS:
+            return
+        least = [entry[2] for entry in closed]
+        step = min(least) - self._target(device)[0]
+        if step > _LATE_STEP_NS and max(least) - min(least) < _STEP_SPREAD * step:
+            self._begin_again(closed)
+            ahead = device - self._at
+            self._lag += max(0.0, self._target(device)[0] - self._lag - self._slope * ahead)
+
+    def _begin_again(self, bins: list[tuple[int, float, float, int]]) -> None:
+        """Discard what was learned before a step, except these bins after it."""
+        self._bins.clear()
+        self._bins.extend(bins)
+        self._late.clear()
+        self._line = None
+
     def _fit_closed_bins(self) -> None:
         """Fit the line each time a bin is complete. A crystal drifts slowly enough for that."""
         if len(self._bins) < 8:
             return
-        points = np.array([b[1:] for b in self._bins])
+        points = np.array([b[1:3] for b in self._bins])
         offset, slope = lower_line(points[:, 0], points[:, 1])
         if abs(slope) > self._limit:
             slope = float(np.copysign(self._limit, slope))
@@ -225,9 +296,19 @@ class ClockMap:
 
     def _target(self, device: float) -> tuple[float, float]:
         if self._line is None:
-            return min(b[2] for b in self._bins), 0.0
+            return min(map(_lag_of, self._bins), default=self._lag), 0.0
         offset, slope = self._line
         return offset + slope * device, slope
+
+
+def _lag_of(entry: tuple[int, float, float, int]) -> float:
+    return entry[2]
+
+
+def _with_read(entry: tuple[int, float, float, int], device: float, lag: float) -> tuple[int, float, float, int]:
+    """Return a bin with one more read; it keeps the least lag."""
+    number, at, least, reads = entry
+    return (number, device, lag, reads + 1) if lag < least else (number, at, least, reads + 1)
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def test_an_early_map_is_delayed_with_half_the_clock_s_rate_at_most() -> None:
     assert mapped(clock, 40.0 + 250.0 * 122, 900.0) > 100.0
 
 
-@pytest.mark.parametrize(("rules", "expected"), [(1, 50.0 - 1000.0 / 6), (2, 0.0), (3, 0.0)])
+@pytest.mark.parametrize(("rules", "expected"), [(1, 50.0 - 1000.0 / 6), (2, 0.0), (3, 0.0), (4, 0.0)])
 def test_a_correction_ends_after_its_time_constant_from_the_second_rules_on(rules: int, expected: float) -> None:
     clock = ClockMap(50.0, rules)
     mapped(clock, 0.0, 50.0)
@@ -62,7 +62,7 @@ def test_a_correction_ends_after_its_time_constant_from_the_second_rules_on(rule
     assert mapped(clock, 1010.0) == pytest.approx(expected, abs=1e-4)
 
 
-@pytest.mark.parametrize(("rules", "same"), [(1, False), (2, False), (3, True)])
+@pytest.mark.parametrize(("rules", "same"), [(1, False), (2, False), (3, True), (4, True)])
 def test_older_samples_change_the_map_before_the_third_rules(rules: int, same: bool) -> None:
     plain, disturbed = ClockMap(50.0, rules), ClockMap(50.0, rules)
     for k in range(3):
@@ -73,7 +73,7 @@ def test_older_samples_change_the_map_before_the_third_rules(rules: int, same: b
 
 
 def test_the_rules_of_a_log_are_those_of_its_identity_or_the_newest() -> None:
-    assert [clock_rules({}), clock_rules({"clock_rules": 1}), clock_rules({"clock_rules": 2})] == [3, 1, 2]
+    assert [clock_rules({}), clock_rules({"clock_rules": 1}), clock_rules({"clock_rules": 2})] == [4, 1, 2]
 
 
 @pytest.mark.parametrize(("drift", "rate"), [(1e-4, 1e-4), (-1e-4, -1e-4), (1e-3, 2.5e-4), (-1e-3, -2.5e-4)])
@@ -278,3 +278,81 @@ def test_steps_and_unwrapping() -> None:
     assert unwrap.feed(np.array([69], np.uint8)).tolist() == [169]
     assert unwrap.feed(np.array([19], np.uint8)).tolist() == [119]  # half a turn: backwards
     assert unwrap.feed(np.array([68, 18], np.uint8)).tolist() == [168, 118]
+
+
+# --- steps of the host's clock, and the stated uncertainty ----------------------------------------------------------
+
+
+def with_step(
+    step_ms: float, rules: int = 4, at_s: float = 10.0, seconds: float = 20.0
+) -> tuple[ClockMap, list[float]]:
+    """Errors of the mapped times, ms, of reads every 10 ms with 1 ms of jitter; the host's clock steps by `step_ms`."""
+    clock, rng = ClockMap(50.0, rules), np.random.default_rng(1)
+    errors: list[float] = []
+    for k in range(round(100 * seconds)):
+        shown_ms = step_ms if k >= 100 * at_s else 0.0
+        errors.append(mapped(clock, 10.0 * k, shown_ms + rng.exponential(1.0)) - shown_ms)
+    return clock, errors
+
+
+def test_a_step_forward_is_followed_after_a_second() -> None:
+    _, errors = with_step(300.0)
+    assert min(errors[1000:1010]) < -299.0
+    assert max(map(abs, errors[1140:])) < 0.1
+    _, old = with_step(300.0, rules=3)
+    assert min(old[1900:]) < -100.0  # the rules of old logs absorb it in half a minute
+
+
+def test_a_step_back_is_followed_at_half_the_clock_s_rate() -> None:
+    _, errors = with_step(-300.0)
+    assert errors[1000] == pytest.approx(300.0, abs=1.0)
+    assert errors[1030] == pytest.approx(150.0, abs=10.0)
+    assert max(map(abs, errors[1300:])) < 0.1
+
+
+def test_lateness_that_may_be_a_delay_is_no_step() -> None:
+    """A busy host delays reads by milliseconds, also for seconds."""
+    _, errors = with_step(15.0)
+    assert errors[1100] == pytest.approx(-15.0, abs=1.0)
+
+
+def test_reads_that_are_a_little_early_are_followed_at_once() -> None:
+    _, errors = with_step(-4.0)
+    assert max(map(abs, errors[1150:])) < 0.2
+
+
+def test_the_mapped_time_of_a_step_ascends() -> None:
+    for step_ms in (300.0, -300.0):
+        _, errors = with_step(step_ms)
+        shown = [10.0 * k + error + (step_ms if k >= 1000 else 0.0) for k, error in enumerate(errors)]
+        assert min(np.diff(shown)) > 0
+
+
+def test_a_host_that_was_busy_for_a_second_is_no_step() -> None:
+    """Reads that are late by less and less, as a backlog is read."""
+    clock = ClockMap(50.0)
+    for k in range(1000):
+        mapped(clock, 10.0 * k, 0.1)
+    errors = [mapped(clock, 10_000.0 + 10.0 * k, max(0.1, 1500.0 - 9.0 * k)) for k in range(200)]
+    assert max(map(abs, errors)) < 1.0
+
+
+def test_the_stated_uncertainty_falls_with_the_reads_and_rises_with_the_jitter() -> None:
+    rng = np.random.default_rng(2)
+
+    def std_us(jitter_ms: float, reads: int) -> float:
+        clock = ClockMap(50.0)
+        for k in range(reads):
+            mapped(clock, 10.0 * k, rng.exponential(jitter_ms))
+        return clock.std_ns / 1e3
+
+    assert ClockMap(50.0).std_ns == 10e6
+    assert std_us(1.0, 5) > 500.0
+    assert std_us(1.0, 3000) < 12.0
+    assert std_us(5.0, 3000) > 3 * std_us(0.5, 3000)
+
+
+def test_reads_that_are_all_late_are_part_of_the_stated_uncertainty() -> None:
+    clock, errors = with_step(15.0, seconds=11.0)
+    assert abs(errors[-1]) > 14.0
+    assert clock.std_ns > 14e6

@@ -10,6 +10,7 @@ import pytest
 
 from daq.acquisition.device_check import (
     ObservedAngles,
+    ObservedDisplacement,
     ObservedSpeed,
     RigObservation,
     common_factor,
@@ -20,6 +21,7 @@ from daq.acquisition.rate_watch import Rate
 from daq.drivers.checks import Checks
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.status_checks import drive_checks
+from daq.drivers.contract import TimeOut
 from daq.drivers.rotorlink import wire as rotorlink
 from daq.drivers.rotorlink.status_checks import node_checks
 from daq.drivers.rotorlink.stream import NodePipeline
@@ -77,8 +79,12 @@ class Seen(RigObservation):
         return device_checks(RIG, replace(self, own=own))
 
 
+def displaced(value_m: np.ndarray) -> ObservedDisplacement:
+    return ObservedDisplacement(np.arange(len(value_m)) / 4000.0, value_m)
+
+
 def healthy() -> Seen:
-    rest = 1e-4 + 4e-6 * np.sin(np.arange(8000.0))
+    rest = displaced(1e-4 + 4e-6 * np.random.default_rng(1).standard_normal(8000))
     return Seen(
         seconds=2.0,
         rates={"laser/x": rate(4000), "laser/y": rate(4000), "pendulums": rate(1000)},
@@ -89,7 +95,8 @@ def healthy() -> Seen:
             "encoder": {"radio_frames": 1, "samples": 20},
         },
         events=[],
-        displacement_m={"x": rest, "y": rest},
+        displacements={"laser/x": rest, "laser/y": rest},
+        time_out=TimeOut(0.51, 0.5, 0.03),
         angles=ObservedAngles(LOCKED, flags(96)),
         speed=ObservedSpeed(100.0, 0.0),
     )
@@ -122,6 +129,9 @@ def test_a_healthy_rig_passes_with_what_was_seen_and_expected() -> None:
     assert devices["encoder"]["firmware"].value == "1.4"
 
 
+NOISE = np.random.default_rng(2).standard_normal(32_000)
+SHAKEN = np.column_stack([5e-3 * (-1.0) ** np.arange(100), np.zeros(100)])
+HUM = 4e-6 * NOISE + 1e-5 * np.sin(2 * np.pi * 50.0 * np.arange(32_000) / 4000.0)
 EMERGENCY = DeviceEvent("emergency", "drive", "drive error 0x3220", {"error_code": 0x3220})
 
 
@@ -134,9 +144,19 @@ EMERGENCY = DeviceEvent("emergency", "drive", "drive error 0x3220", {"error_code
         ("rates", {**healthy().rates, "pendulums": None}, "encoder", "rate_Hz"),
         ("losses", {**healthy().losses, "laser_y": {"samples": 7}}, "laser_y", "lost_samples"),
         ("losses", {**healthy().losses, "drive": {"damaged_lines": 1}}, "drive", "lost_damaged_lines"),
-        ("displacement_m", {**healthy().displacement_m, "x": np.full(100, np.nan)}, "laser_x", "invalid_samples"),
-        ("displacement_m", {**healthy().displacement_m, "x": np.full(9, 3e-3)}, "laser_x", "from_mid_range_mm"),
-        ("displacement_m", {**healthy().displacement_m, "x": np.empty(0)}, "laser_x", "samples"),
+        (
+            "displacements",
+            {**healthy().displacements, "laser/x": displaced(np.full(100, np.nan))},
+            "laser_x",
+            "invalid_samples",
+        ),
+        (
+            "displacements",
+            {**healthy().displacements, "laser/x": displaced(np.full(9, 3e-3))},
+            "laser_x",
+            "from_mid_range_mm",
+        ),
+        ("displacements", {**healthy().displacements, "laser/x": displaced(np.empty(0))}, "laser_x", "samples"),
         ("angles.flags", flags(96 | 1), "encoder", "encoder_faults"),
         ("angles.flags", flags(96 | 2), "encoder", "encoder_faults"),
         ("node.battery_low", True, "encoder", "battery_mV"),
@@ -147,6 +167,14 @@ EMERGENCY = DeviceEvent("emergency", "drive", "drive error 0x3220", {"error_code
         ("angles.theta_rad", LOCKED + np.array([0.2, 0.0]), "encoder", "locked_A_deg"),
         ("drive.state", cia402.FAULT, "drive", "state"),
         ("drive.state", cia402.UNKNOWN, "drive", "state"),
+        ("displacements", {**healthy().displacements, "laser/y": displaced(3e-5 * NOISE)}, "laser_y", "noise_um"),
+        ("displacements", {**healthy().displacements, "laser/y": displaced(HUM)}, "laser_y", "steady_lines_um"),
+        ("angles.theta_rad", LOCKED + SHAKEN, "encoder", "noise_A_counts"),
+        ("time_out", TimeOut(1.5, 0.5, 0.03), "drive", "time_out_s"),
+        ("time_out", TimeOut(0.3, 0.5, 0.03), "drive", "time_out_s"),
+        ("time_out", TimeOut(None, 0.5, 0.03), "drive", "time_out_s"),
+        ("unopened", {"drive": "no answer"}, "drive", "opened"),
+        ("complaints", {"laser_x": "another sensor"}, "laser_x", "identity"),
         ("speed.speed_rpm", 12.0, "drive", "speed_rpm"),
         ("speed.reports_Hz", float("nan"), "drive", "speed_reports_Hz"),
         ("events", [EMERGENCY], "drive", "emergencies"),
@@ -179,7 +207,9 @@ def test_an_open_lock_is_no_fault_and_its_position_not_judged() -> None:
 
 def test_a_rig_of_one_sensor_is_judged_by_that_one() -> None:
     one = RIG.model_copy(update={"devices": {"probe": RIG.devices["laser_x"]}})
-    look = RigObservation(2.0, {"laser/x": rate(4000)}, {"probe": {"samples": 0}}, [], {"x": np.full(9, 3e-3)})
+    look = RigObservation(
+        2.0, {"laser/x": rate(4000)}, {"probe": {"samples": 0}}, [], {"laser/x": displaced(np.full(9, 3e-3))}
+    )
     devices = device_checks(one, look)
     assert [(name, key) for name, c in devices.items() for key, found in c.items() if not found.passed] == [
         ("probe", "from_mid_range_mm")

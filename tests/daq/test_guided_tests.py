@@ -115,7 +115,7 @@ def test_check_exits_3_if_the_drive_has_not_confirmed_its_release(
     assert f"warning: {left}" in captured.err
 
 
-def test_check_gives_a_verdict_per_device_and_exits_1_when_one_fails(
+def test_check_gives_a_verdict_per_device_and_exits_3_when_one_fails(
     plugged: Rig, virtual_rig: VirtualRigProcess, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ports = [word for setting in virtual_rig.port_settings() for word in ("--set", setting)]
@@ -129,7 +129,7 @@ def test_check_gives_a_verdict_per_device_and_exits_1_when_one_fails(
     )
     for device in found["devices"].values():
         assert all(set(check) >= {"value", "expected", "verdict"} for check in device["checks"].values())
-    assert run([*command, "--set", "devices.encoder.counts_per_revolution=2048"]) == 1
+    assert run([*command, "--set", "devices.encoder.counts_per_revolution=2048"]) == 3
     shown = capsys.readouterr().out
     assert "encoder  FAIL" in shown
     assert "laser_x  pass" in shown

@@ -13,6 +13,7 @@ from daq.acquisition.observation import observe
 from daq.acquisition.session import Session
 from daq.acquisition.tap import tap_test
 from daq.drivers.checks import Checks
+from daq.drivers.optoncdt.far_end import SimulatedLaser
 from daq.lockstep.rig import LockstepRig
 from rig_configs import load_rig
 
@@ -150,7 +151,9 @@ def test_a_clock_off_by_500_ppm_is_found() -> None:
 
 
 def _drift(far: LockstepRig, device: str, drift: float) -> None:
-    far.far.far_ends[device]._beam.clock.drift = drift
+    laser = far.far.far_ends[device]
+    assert isinstance(laser, SimulatedLaser)
+    laser.beam.clock.drift = drift
 
 
 def test_a_wrong_rate_is_found() -> None:

@@ -22,6 +22,7 @@ class SimulatedLaser(FarEnd):
     """One sensor on its serial line.
 
     Attributes:
+        beam: its beam.
         fault_code: distance word that the sensor sends in place of the measured one (262076: no peak); None without a
             fault.
 
@@ -42,7 +43,8 @@ class SimulatedLaser(FarEnd):
         beam: Beam,
         serial: str,
     ) -> None:
-        self._config, self._beam = config, beam
+        self._config = config
+        self.beam: Beam = beam
         self.fault_code: int | None = None
         self._counter = int(beam.rng.integers(0, optoncdt.COUNTER_WRAP))
         model = config.scaling or distance_words.USUAL_SCALING
@@ -54,7 +56,7 @@ class SimulatedLaser(FarEnd):
         return SensorCommands(
             [*info_lines(self._info), "Option: 000", "Article: 4120232"],
             float(self._config.rate_Hz),
-            rate_set=self._beam.restart,
+            rate_set=self.beam.restart,
             counter_reset=self._reset_counter,
         )
 
@@ -73,13 +75,13 @@ class SimulatedLaser(FarEnd):
     def sample(self, motion: MotionInterval) -> bytes:
         """Return the bytes of the samples in an interval of motion."""
         period = 1.0 / self._commands.rate_Hz
-        numbers = self._beam.due(motion, period)
+        numbers = self.beam.due(motion, period)
         if not len(numbers):
             return b""
         counter = (self._counter + np.arange(len(numbers))) % optoncdt.COUNTER_WRAP
         self._counter = int(counter[-1] + 1) % optoncdt.COUNTER_WRAP
         device_s = numbers * period
-        reading = self._beam.reading(motion, device_s)
+        reading = self.beam.reading(motion, device_s)
         if not self._commands.streaming:
             return b""
         return optoncdt.encode_block(self._words(reading, counter, device_s))
@@ -98,7 +100,7 @@ class SimulatedLaser(FarEnd):
         """See FarEnd. After power-up the sensor answers commands, does not stream, and counts from 0."""
         super().power(on, now_s)
         if on:
-            self._beam.power_up(now_s)
+            self.beam.power_up(now_s)
             self._counter = 0
             self._commands = self._fresh_commands()
 
