@@ -33,7 +33,8 @@ _BIN_NS = 250_000_000
 _BINS = 120
 _MAX_SLEW = 0.5  # largest relative correction of the mapped clock's rate; below 1, so that mapped times increase
 _MAX_STRAIGHT_JITTER = 0.15  # mean distance of the least lags from their line, sample periods; a staircase has ≥ 0.25
-_EARLY_STEP_NS, _LATE_STEP_NS = 5e6, 20e6  # least steps of the host's clock that are recognised
+_EARLY_STEP_NS, _LATE_STEP_NS = 2e5, 20e6  # least steps of the host's clock that are recognised
+_EARLY_STDS = 5.0  # standard uncertainties of the line, which a step back exceeds too
 _STEP_READS, _STEP_BINS = 20, 4  # reads, and quarters of a second, after which lateness is a step
 _STEP_SPREAD = 0.25  # of the least lags in these bins, of the step
 _FIRST_STD_NS = 10e6  # of the delay of the first reads
@@ -223,14 +224,17 @@ class ClockMap:
         """
         if not self._started or not self._bins:
             return _FIRST_STD_NS
-        reads = sum(entry[3] for entry in self._bins)
-        line = _LEAST_STD_NS + _GAPS * max(self._lateness, _LEAST_JITTER_NS) / reads
-        if self._line is None:
-            line += self._tolerance * (self._at - min(self._bins, key=_lag_of)[1])
         unexplained = 0.0
         if sum(entry[3] for entry in self._late) >= _LATE_READS:
             unexplained = max(0.0, min(map(_lag_of, self._late)) - self._target(self._at)[0])
-        return float(line + abs(self._target(self._at)[0] - self._lag) + unexplained)
+        return float(self._line_std_ns + abs(self._target(self._at)[0] - self._lag) + unexplained)
+
+    @property
+    def _line_std_ns(self) -> float:
+        """Standard uncertainty of the line at its newest end, ns; there are reads."""
+        reads = sum(entry[3] for entry in self._bins)
+        line = _LEAST_STD_NS + _GAPS * max(self._lateness, _LEAST_JITTER_NS) / reads
+        return line if self._line else line + self._tolerance * (self._at - min(self._bins, key=_lag_of)[1])
 
     def _learn(self, device: float, lag: float) -> None:
         number = int(device // _BIN_NS)
@@ -256,7 +260,7 @@ class ClockMap:
         forward if none of many was in time and their least lags are equal: a delay would change.
         """
         late = lag - self._target(device)[0]
-        if late < -_EARLY_STEP_NS:
+        if late < -_EARLY_STEP_NS and late < -_EARLY_STDS * self._line_std_ns:
             self._begin_again([])
         if late < _LEAST_JITTER_NS + _LATE_SHARE * self._lateness:
             self._late.clear()
