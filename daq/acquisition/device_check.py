@@ -29,6 +29,7 @@ _MAX_NOISE_SHARE = 5e-4  # rms of the white noise, of the measuring range
 _MAX_LINE_SHARE = 2e-4  # amplitude of a steady line, of the measuring range
 _MAX_ANGLE_NOISE_COUNTS = 2.0  # rms, in closed locks
 _MAX_TIME_OUT_SHARE, _MAX_TIME_OUT_S = 0.1, 0.03  # deviation of the time-out, of what the drive states, and in addition
+_MAX_CLOCK_STD_NS = 1e6  # 7° of the rotor at 1200 rpm
 _MIN_SPECTRUM = 256  # samples for a level of noise
 
 
@@ -84,6 +85,7 @@ class RigObservation:
         angles, speed: None if the rig has no such device.
         time_out: time-out of the speed source, or the reason why it was not measured; None without a speed source.
         own: checks of the devices' drivers, by device.
+        clock_stds_ns: stated standard uncertainties of the devices' times on the common clock, ns, by device.
         unopened: reasons why devices are not open, by device.
         complaints: contradictions between what devices report of themselves and the rig file, by device.
     """
@@ -97,6 +99,7 @@ class RigObservation:
     speed: ObservedSpeed | None = None
     time_out: TimeOut | str | None = None
     own: Mapping[str, Checks] = field(default_factory=dict[str, Checks])
+    clock_stds_ns: Mapping[str, float] = field(default_factory=dict[str, float])
     unopened: Mapping[str, str] = field(default_factory=dict[str, str])
     complaints: Mapping[str, str] = field(default_factory=dict[str, str])
 
@@ -120,6 +123,8 @@ def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
     for name, checks in out.items():
         lost = look.losses.get(name, {})
         by_air = "radio_frames" in lost and roles.angles is not None
+        if name in look.clock_stds_ns:
+            checks |= _clock(look.clock_stds_ns[name])
         checks |= _losses(lost, roles.angles.rate_Hz * look.seconds if by_air and roles.angles is not None else 0.0)
         checks |= _restarts([e for e in look.events if e.device == name])
         if name in look.complaints and passed(checks):
@@ -243,6 +248,16 @@ def _speed(seen: ObservedSpeed, rest_rpm: float) -> Checks:
         "speed_reports_Hz": DeviceCheck(round(seen.reports_Hz, 1), f"at least {_MIN_SPEED_REPORTS_HZ:g}", frequent),
         "speed_rpm": DeviceCheck(None if math.isnan(seen.speed_rpm) else round(seen.speed_rpm, 1), 0, at_rest, note),
     }
+
+
+def _clock(std_ns: float) -> Checks:
+    """Check the stated uncertainty of a device's times, without the least delay of its path."""
+    fine = std_ns <= _MAX_CLOCK_STD_NS
+    note = (
+        "" if fine else "its bytes arrive very unevenly: look at the adapter, its latency setting, and the host's load"
+    )
+    most = f"at most {_MAX_CLOCK_STD_NS * 1e-3:g}"
+    return {"clock_std_us": DeviceCheck(round(std_ns * 1e-3, 1), most, fine, note)}
 
 
 def _time_out(found: TimeOut | str | None) -> Checks:

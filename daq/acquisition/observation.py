@@ -55,6 +55,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
         speed=speed and ObservedSpeed(plain[speed.topic], session.drive.actual_rpm),
         time_out=None if speed is None or speed.device in unopened else _time_out(session, speed),
         own=_with_duties(session.own_checks(events), roles),
+        clock_stds_ns=session.clock_stds_ns(),
         unopened=unopened,
         complaints={name: text for name in session.rig.devices if (text := session.identification_of(name)[1])},
     )

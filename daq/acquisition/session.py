@@ -27,7 +27,7 @@ from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session_log import SessionLog, keep
 from daq.clock import compile_line
 from daq.drivers.checks import Checks
-from daq.drivers.contract import DescribesItself, SpeedControl
+from daq.drivers.contract import DescribesItself, SpeedControl, StatesClockError
 from daq.drivers.devices import devices_of
 from daq.errors import AcquisitionError, DeviceError, LinkLost, OperatorStop
 from daq.items import RX, TX, DeviceEvent
@@ -430,6 +430,15 @@ class Session:
         with self._open.unread(name):
             pipeline = self._core.pipelines[name]
             return (pipeline.has_reported, pipeline.complaint) if isinstance(pipeline, DescribesItself) else (True, "")
+
+    def clock_stds_ns(self) -> dict[str, float]:
+        """Return the stated standard uncertainty of the newest times, ns, by device with a clock."""
+        out: dict[str, float] = {}
+        for name, pipeline in self._core.pipelines.items():
+            with self._open.unread(name):
+                if isinstance(pipeline, StatesClockError):
+                    out[name] = pipeline.clock_std_ns
+        return out
 
     def all_identified(self) -> bool:
         """Return whether every device has described itself."""

@@ -116,6 +116,16 @@ class HasClockSeed(Protocol):
 
 
 @runtime_checkable
+class StatesClockError(Protocol):
+    """A pipeline that maps its device's clock and states how well."""
+
+    @property
+    def clock_std_ns(self) -> float:
+        """Standard uncertainty of the newest sample's time, ns; see ClockMap.std_ns."""
+        ...
+
+
+@runtime_checkable
 class ObservesIdentity(Protocol):
     """A pipeline of a device that cannot be queried and is identified by the bytes that it sends."""
 

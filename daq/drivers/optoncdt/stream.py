@@ -57,6 +57,11 @@ class LaserPipeline:
         self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
 
     @property
+    def clock_std_ns(self) -> float:
+        """See StatesClockError."""
+        return self._clock.std_ns
+
+    @property
     def clock_seed(self) -> ClockSeed | None:
         """See HasClockSeed."""
         return self._clock.seed(round(optoncdt.TIMESTAMP_WRAP * optoncdt.TICK_S * 1e9))

@@ -63,6 +63,11 @@ class EthernetPipeline:
         return {} if self._serial is None else {"order": self._serial[0], "serial": self._serial[1]}
 
     @property
+    def clock_std_ns(self) -> float:
+        """See StatesClockError."""
+        return self._clock.std_ns
+
+    @property
     def clock_seed(self) -> ClockSeed | None:
         """See HasClockSeed."""
         return (

@@ -129,6 +129,11 @@ class RiftekPipeline:
         self._found_late = 0  # results found missing, to be reported with the next sample
         self._waiting: _Waiting | None = None
 
+    @property
+    def clock_std_ns(self) -> float:
+        """See StatesClockError."""
+        return self._clock.std_ns
+
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
         if direction == TX:

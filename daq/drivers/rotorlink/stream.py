@@ -68,6 +68,11 @@ class NodePipeline:
         self._clock = ClockMap(self._tolerance_ppm, self._rules, ClockSeed.of(identity))
 
     @property
+    def clock_std_ns(self) -> float:
+        """See StatesClockError."""
+        return self._clock.std_ns
+
+    @property
     def clock_seed(self) -> ClockSeed | None:
         """See HasClockSeed."""
         return self._clock.seed(1000 * 2**32)
