@@ -52,6 +52,22 @@ def test_the_1900_has_the_scaling_of_its_own() -> None:
     assert found == pytest.approx(expected, abs=1e-15)
 
 
+def test_a_mastered_sensor_measures_from_its_zero_with_words_of_18_bits() -> None:
+    """(102/65520 · x − 51) · range/100: 0 at the word 32760, and twice the range above it is still a distance."""
+    found = displacement(laser({"scaling": distance_words.MASTERED}), [32_760, 97_000, 262_072, 262_076])
+    expected = [(102 / 65_520 * x - 51) * RANGE_M / 100 for x in (32_760, 97_000, 262_072)]
+    assert found[:3] == pytest.approx(expected, abs=1e-12)
+    assert abs(found[0]) < 1e-12
+    assert np.isnan(found[3])
+
+
+def test_a_mastered_sensor_keeps_its_zero() -> None:
+    sensor = HandMadeLaser()
+    sensor.set_up(scaling="ILD1420 mastered")
+    assert "OUTPUT RS422" in sensor.heard
+    assert not any("MASTERMV" in command for command in sensor.heard)
+
+
 def test_words_above_the_valid_ones_are_no_readings_for_either_scaling() -> None:
     for scaling, most in (("ILD1420", 65_520), ("ILD1900", 230_604)):
         codes = np.array([100, most, most + 1, 250_000, *ERRORS] * 3)
@@ -76,7 +92,7 @@ def test_without_an_identity_the_rig_file_decides() -> None:
 
 @pytest.mark.parametrize("scaling", ["ILD1402", "", 1420, None, ["ILD1420"], {}])
 def test_an_invalid_scaling_is_refused_with_a_message(scaling: object) -> None:
-    with pytest.raises(DeviceError, match=r"laser_x: expected .*ILD1420, ILD1900.*got"):
+    with pytest.raises(DeviceError, match=r"laser_x: expected .*ILD1420, .*ILD1900.*got"):
         laser({"scaling": scaling})
     with pytest.raises(LogError, match=r"ILD1420, ILD1900"):
         PlayedLaser({"scaling": scaling}, Laser.model_validate(RIG_TABLE))

@@ -43,7 +43,8 @@ def configure(device: str, config: Laser, talk: Talk) -> dict[str, Any]:
     scaling = _checked_scaling(device, config, info)
     dialogue.command("OUTHOLD NONE")
     dialogue.command("OUTREDUCEDEVICE NONE", may_lack=True)  # omitted samples would count as lost
-    dialogue.command("MASTERMV NONE", may_lack=True)  # a zero set in the sensor shifts its words
+    if scaling != distance_words.MASTERED:  # a zero set in the sensor shifts its words
+        dialogue.command("MASTERMV NONE", may_lack=True)
     dialogue.command(f"MEASRATE {config.rate_Hz / 1000:g}")
     dialogue.command("OUTADD_RS422 COUNTER TIMESTAMP")
     words = config.output_words or _output_words(device, dialogue.command("GETOUTINFO_RS422"))

@@ -51,8 +51,16 @@ class Scaling(NamedTuple):
     whole: float
 
 
+MASTERED = "ILD1420 mastered"
+"""Scaling of a sensor of the ILD1420's family that keeps the zero which was set in it (mastering).
+
+Its words have 18 bits and give (102/65520 · x − 51) · range/100 from that zero. The middle of the range is 50 % less
+without mastering, so the displacement from the middle, or from the zero, is the same function of the word.
+"""
+
 SCALINGS = {
     "ILD1420": Scaling(("1220", "1320", "1420", "2300"), CODE_MAX, 102.0, float(CODE_MAX), 1.0, 100.0),
+    MASTERED: Scaling((), min(ERROR_CODES) - 1, 102.0, float(CODE_MAX), 1.0, 100.0),
     "ILD1900": Scaling(("1750", "1900"), 230_604, 1.0, 1.0, 98_232.0, 65_536.0),
 }
 """Scalings, by a model that has it. Sources: ILD1420 manual, scaling of the 16-bit distance, −1 … 101 % of the range;

@@ -26,6 +26,7 @@ class Laser(DisplacementSettings):
         rate_Hz: measuring rate, Hz; one of those of the model (250, 500, 1000, 2000 or 4000 for an ILD1420). The sensor
             refuses any other rate.
         scaling: model whose formula converts the distance words; by default that of the model the sensor reports.
+            "ILD1420 mastered": the sensor keeps a zero that was set in it.
         words: outputs in stream order, including DIST, COUNTER and TIMESTAMP; by default the sensor is queried.
     """
 
@@ -33,7 +34,7 @@ class Laser(DisplacementSettings):
 
     baud: Annotated[int, Field(ge=9600, le=1_000_000)] = 921_600
     rate_Hz: Annotated[float, Field(ge=10, le=50_000)] = 4000.0
-    scaling: Literal["ILD1420", "ILD1900"] | None = None
+    scaling: Literal["ILD1420", "ILD1420 mastered", "ILD1900"] | None = None
     words: Annotated[tuple[Word, ...], Field(strict=False, max_length=31)] = ()
 
     @property
