@@ -104,7 +104,8 @@ def _checked_scaling(device: str, config: Laser, info: sensor_answers.SensorInfo
         )
     scaling = config.scaling or distance_words.scaling_of(info["name"])
     if scaling is None:
-        known = "; ".join(f"{', '.join(each.models)} as {key}" for key, each in distance_words.SCALINGS.items())
+        each = [(key, ", ".join(scaling.models)) for key, scaling in distance_words.SCALINGS.items() if scaling.models]
+        known = "; ".join(f"{models} as {key}" for key, models in each)
         raise DeviceError(
             f"{device}: expected a sensor whose scaling is known, models {known}; got {info['name']!r} (serial "
             f"{info['serial']}). If it has the scaling of one of these, set devices.{device}.scaling"
