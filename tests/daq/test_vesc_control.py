@@ -577,7 +577,7 @@ def test_its_thread_polls_and_ends() -> None:
     control.start()
     polled.clear()
     assert polled.wait(10.0)
-    assert [thread.name for thread in set(threading.enumerate()) - before] == ["vesc"]
+    assert [thread.name for thread in set(threading.enumerate()) - before] == ["command"]
     control._end()
     assert set(threading.enumerate()) <= before
 

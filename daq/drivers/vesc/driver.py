@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
 
 
+_FAULTY = ("FAULT", "KILL SWITCH OPEN", "UNKNOWN")
+
+
 class VescDriver(PlainDriver):
     """See Driver."""
 
@@ -49,9 +52,10 @@ class VescDriver(PlainDriver):
         self, settings: Vesc, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
     ) -> Checks:
         """See Driver: the controller's state, and the faults it reported."""
-        from daq.drivers.vesc.status_checks import controller_checks
+        from daq.drivers.fault_checks import controller_checks
+        from daq.drivers.vesc.wire import fault_words
 
-        return controller_checks(control, events)
+        return controller_checks(control, events, fault_words, _FAULTY)
 
     def far_end(self, device: str, settings: Vesc, world: Any) -> FarEnd:
         """See Driver."""

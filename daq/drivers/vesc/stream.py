@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from daq import channels
+from daq.drivers.following import Following
 from daq.drivers.vesc import packets, wire
 from daq.drivers.vesc.settings import Vesc
 from daq.items import TX, Batch, DeviceEvent
@@ -15,7 +16,6 @@ STATUS_KNOWN = 1 << 24
 
 _COMMANDS = {wire.SET_RPM: SPEED, wire.SET_BRAKE: BRAKE, wire.SET_CURRENT: FREE}
 _JOINED_BYTES = 84  # longest rest of an answer that began before the reception; it does not count as a loss
-_MAX_DEVIATION = (0.2, 30.0)  # relative and absolute (rpm) deviation from the set-point of a rotor that follows
 
 
 def statusword(values: wire.Values, command: int) -> int:
@@ -61,8 +61,7 @@ class VescPipeline:
         self._unanswered = 0  # since the last answer
         self._last: wire.Values | None = None
         self._word: int | None = None
-        self._deviating = 0  # consecutive reports with a deviating speed
-        self._max_deviating = max(3, round(settings.follow_s * settings.report_Hz))
+        self._following = Following(device, round(settings.follow_s * settings.report_Hz))
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
@@ -127,7 +126,8 @@ class VescPipeline:
             return [DeviceEvent("damage", self._device, text, {"bytes": len(payload)})]
         out = self._gap() + self._restart(values)
         word = statusword(values, self._command)
-        out += self._changes(word) + self._follows(values)
+        actual_rpm = values.erpm / self._pole_pairs
+        out += self._changes(word) + self._following.check(self._command == SPEED, self._target_rpm, actual_rpm)
         self._last, self._word = values, word
         self.answers.append(values)
         words.append(word)
@@ -153,19 +153,3 @@ class VescPipeline:
             text = f"fault {wire.fault_words(fault)}" if fault else "no fault any more"
             out.append(DeviceEvent("emergency", self._device, text, {"error_code": fault}))
         return out
-
-    def _follows(self, values: wire.Values) -> list[DeviceEvent]:
-        """Return a fault if the rotor does not follow the set-point.
-
-        The duration is counted in reports, so that a stall of the host causes no fault.
-        """
-        actual, (share, more) = values.erpm / self._pole_pairs, _MAX_DEVIATION
-        deviates = abs(actual - self._target_rpm) > share * abs(self._target_rpm) + more
-        self._deviating = self._deviating + 1 if self._command == SPEED and deviates else 0
-        if self._deviating != self._max_deviating:
-            return []
-        text = (
-            f"the rotor does not follow: the set-point is {self._target_rpm:.0f} rpm, it turns at {actual:.0f} rpm. "
-            "Look at the controller's limits of current and speed, at its own timeout, at whether it may brake"
-        )
-        return [DeviceEvent("fault", self._device, text, {"target_rpm": self._target_rpm, "speed_rpm": actual})]
