@@ -428,9 +428,9 @@ def test_a_stop_is_sent_to_a_controller_that_does_not_answer() -> None:
         for what in ("silent reports", "silent heartbeat"):
             bench.far.fail(what, 1)
         bench.time.pass_time(1.0)
-        said: list[str] = []
-        assert bench.drive.stop(said.append) is False
-        assert "not confirmed" in said[-1]
+        messages: list[str] = []
+        assert bench.drive.stop(messages.append) is False
+        assert "not confirmed" in messages[-1]
         assert abs(bench.rpm) < 1.0
 
 

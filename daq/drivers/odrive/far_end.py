@@ -160,7 +160,7 @@ class SimulatedOdrive(FarEnd):
         self.frames_sent += len(frames)
         return b"".join(encode(frame) for frame in frames)
 
-    def _say(self, command: int, data: bytes) -> None:
+    def _emit(self, command: int, data: bytes) -> None:
         self._out.append(CanFrame(self._settings.node_id * 32 + command, data))
 
     def _hear(self, frame: CanFrame) -> None:
@@ -185,15 +185,15 @@ class SimulatedOdrive(FarEnd):
         """Answer a request as far as the firmware has it."""
         if self._settings.firmware == "0.5":
             if command == 3:
-                self._say(3, self._detail.to_bytes(8, "little"))
+                self._emit(3, self._detail.to_bytes(8, "little"))
             elif command in (4, 29):
-                self._say(command, bytes(8))
+                self._emit(command, bytes(8))
         elif command == 0:
-            self._say(0, bytes([2, 4, 4, 58, 0, 6, 10, 0]))
+            self._emit(0, bytes([2, 4, 4, 58, 0, 6, 10, 0]))
         elif command == 3:
-            self._say(3, self.error.to_bytes(4, "little") * 2)
+            self._emit(3, self.error.to_bytes(4, "little") * 2)
         elif command == 6:
-            self._say(6, bytes([self._settings.node_id]) + _SERIAL[::-1] + b"\0")
+            self._emit(6, bytes([self._settings.node_id]) + _SERIAL[::-1] + b"\0")
 
     def _request(self, state: int) -> None:
         if self.state == _UNDEFINED:
@@ -241,10 +241,10 @@ class SimulatedOdrive(FarEnd):
             if self._sends["heartbeat"]:
                 error = self.error | (self.state == _UNDEFINED and self._settings.firmware == "0.6")
                 flags = bytes([self._detail != 0 and self._settings.firmware == "0.5", 0, 0])
-                self._say(1, error.to_bytes(4, "little") + bytes([self.state]) + flags)
+                self._emit(1, error.to_bytes(4, "little") + bytes([self.state]) + flags)
         while self._now_s >= self._estimates_due_s:
             period_s = self._settings.estimates_ms * 1e-3
             self._estimates_due_s = max(self._estimates_due_s + period_s, self._now_s - _MAX_LATE_S)
             if self._sends["reports"]:
                 speed = self.speed_rpm * self._reported_share / 60 * self._settings.gear_ratio
-                self._say(9, struct.pack("<ff", self._turns, speed))
+                self._emit(9, struct.pack("<ff", self._turns, speed))

@@ -215,9 +215,15 @@ def pack_address(node: int, serial: str) -> bytes:
 
 # --- errors ---------------------------------------------------------------------------------------------------
 
+# bits 2h to 20h: firmware before 0.5.2
 _ERRORS = {
     "0.5": {
         0x1: "invalid state requested",
+        0x2: "supply under-voltage",
+        0x4: "supply over-voltage",
+        0x8: "current measurement",
+        0x10: "brake resistor disarmed",
+        0x20: "motor disarmed",
         0x40: "motor failed",
         0x80: "sensorless estimator failed",
         0x100: "encoder failed",
