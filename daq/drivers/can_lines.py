@@ -6,6 +6,7 @@ stand-ins for playing, `BothWays` the filter of the latter. Source: LAWICEL CAN2
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Container
 
 from daq.channels import RX
@@ -17,6 +18,8 @@ ADAPTER_BAUD = 115_200
 
 _RATES = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}
 _LINE_ENDS = b"\r\x07"
+_AGAIN_NS = 1_000_000_000
+_KEPT_FRAMES = 64  # sent frames with which a received command is compared
 _MAX_TAIL_BYTES = 4096  # bytes without an end of line that are held back
 
 
@@ -87,6 +90,42 @@ class CanLines:
         self._losses["refused_lines"] += refused
         text = f"the adapter refused {refused} lines: these frames did not go out. Look at the bus and its termination"
         return [DeviceEvent("refused", self._device, text, {"lines": refused})]
+
+
+class OtherHost:
+    """Detection of another node that commands a device: it would keep the device's timeout from expiring.
+
+    An adapter may return sent frames, so a received command that equals one of the last sent ones is not reported. A
+    session that only receives sends no command, and reports none.
+
+    Args:
+        device: name of the device in the rig file.
+    """
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._sent: deque[slcan.CanFrame] = deque(maxlen=_KEPT_FRAMES)
+        self._reported_ns = -_AGAIN_NS
+
+    @property
+    def replaced(self) -> bool:
+        """Whether this host commands the device, so that commands on the bus are not its own."""
+        return bool(self._sent)
+
+    def sent(self, frame: slcan.CanFrame) -> None:
+        """Take a frame that this host has sent to the device."""
+        self._sent.append(frame)
+
+    def received(self, frame: slcan.CanFrame, host_ns: int) -> list[DeviceEvent]:
+        """Take a command to the device from the bus; return a fault each second if another node sends commands."""
+        if not self._sent or frame in self._sent or host_ns - self._reported_ns < _AGAIN_NS:
+            return []
+        self._reported_ns = host_ns
+        text = (
+            "another node on the bus commands this device: it would go on turning without its host. Find the node, or "
+            "give the device another number"
+        )
+        return [DeviceEvent("fault", self._device, text, {"identifier": frame.arbitration_id})]
 
 
 class Adapter:

@@ -336,7 +336,7 @@ def test_the_watchdog_removes_the_torque_when_the_host_is_gone() -> None:
 @pytest.mark.parametrize("firmware", ["0.5", "0.6"])
 def test_a_controller_whose_watchdog_is_off_is_not_enabled(firmware: str) -> None:
     with running(variant(firmware=firmware, proves_watchdog=True)) as bench:
-        bench.far = SimulatedOdrive(bench.settings, bench.motion, watchdog_s=0.0)
+        bench.far = SimulatedOdrive(axis(firmware=firmware), bench.motion, watchdog_s=0.0)
         bench.begin()
         bench.time.pass_time(1.0)
         with pytest.raises(DeviceError, match="watchdog has not expired"):
@@ -466,6 +466,14 @@ def test_the_identity_contains_the_serial_number() -> None:
         assert bench.identity["serial"] == ""
 
 
+def nothing(bench: Bench) -> None:
+    """Leave the controller as it is."""
+
+
+def fault(name: str) -> Callable[[Bench], None]:
+    return lambda bench: bench.far.fail(name, 1)
+
+
 def other_firmware(bench: Bench) -> None:
     bench.far = SimulatedOdrive(axis(firmware="0.6"), bench.motion)
 
@@ -483,10 +491,10 @@ def test_firmware_0_5_never_gets_a_request_of_the_address() -> None:
 @pytest.mark.parametrize(
     ("settings", "spoil", "message"),
     [
-        ({"serial": "000000000001"}, lambda bench: None, "serial number 000000000001, it is 3D1E4C6A2B39"),
-        ({}, lambda bench: bench.far.fail("silent heartbeat", 1), "expected heartbeats of node 1"),
-        ({}, lambda bench: bench.far.fail("silent reports", 1), "no encoder estimates"),
-        ({}, lambda bench: bench.far.fail("deaf", 1), "does not report its version"),
+        ({"serial": "000000000001"}, nothing, "serial number 000000000001, it is 3D1E4C6A2B39"),
+        ({}, fault("silent heartbeat"), "expected heartbeats of node 1"),
+        ({}, fault("silent reports"), "no encoder estimates"),
+        ({}, fault("deaf"), "does not report its version"),
         ({"firmware": "0.5"}, other_firmware, "expected firmware 0.5, it has 0.6"),
     ],
 )

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import Any
 
 import numpy as np
 
 from daq import channels
-from daq.drivers.can_lines import CanLines
+from daq.drivers.can_lines import CanLines, OtherHost
 from daq.drivers.following import Following
 from daq.drivers.odrive import wire
 from daq.drivers.odrive.settings import Odrive
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports.slcan import CanFrame
 
-_AGAIN_NS = 1_000_000_000
-_KEPT_FRAMES = 64  # sent frames with which a received command is compared: an adapter may echo
 _JUMP_TURNS, _JUMP_S = 5.0, 1.0  # a position that differs by more than this, and this time's motion, has been reset
 
 
@@ -61,8 +58,7 @@ class OdrivePipeline:
         self.restarted: bool = False
         self._device, self._settings = device, settings
         self._following = Following(device, round(settings.follow_s * 1e3 / settings.estimates_ms))
-        self._sent: deque[CanFrame] = deque(maxlen=_KEPT_FRAMES)
-        self._foreign_ns = -_AGAIN_NS
+        self._other_host = OtherHost(device)
         self._introduced: set[int] = set()  # commands whose first report since the bus was opened was announced
         self._target_rpm, self._commanded = 0.0, False
         self._beat: wire.Heartbeat | None = None
@@ -76,7 +72,7 @@ class OdrivePipeline:
                 self._introduced.clear()
             for frame in self._lines.sent(data):
                 if not frame.extended and wire.split(frame.arbitration_id)[0] == self._settings.node_id:
-                    self._sent.append(frame)
+                    self._other_host.sent(frame)
                     self._take_command(frame)
             return []
         frames, events = self._lines.received(data)
@@ -207,18 +203,10 @@ class OdrivePipeline:
             self._target_rpm, self._commanded = 0.0, False
 
     def _command_of_another(self, frame: CanFrame, host_ns: int) -> list[DeviceEvent]:
-        """Report a command that this host did not send, each second: it keeps the watchdog from expiring."""
-        if not self._sent:
+        """Report a command that this host did not send: it keeps the watchdog from expiring."""
+        if not self._other_host.replaced:
             self._take_command(frame)
-            return []
-        if frame in self._sent or host_ns - self._foreign_ns < _AGAIN_NS:
-            return []
-        self._foreign_ns = host_ns
-        text = (
-            "another node on the bus commands this axis: the controller would go on turning without its host. Find the "
-            "node, or give the axis another number (node_id)"
-        )
-        return [DeviceEvent("fault", self._device, text, {"identifier": frame.arbitration_id})]
+        return self._other_host.received(frame, host_ns)
 
 
 def _batch(rows: list[tuple[float, float, int]], host_ns: int) -> Batch:

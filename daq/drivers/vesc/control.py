@@ -6,11 +6,12 @@ The controller has neither an enabled state nor a ramp of the rotor; see `Repeat
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 from daq.drivers.contract import Pipeline, RotorGuard
 from daq.drivers.repeated_command import ANSWER_S, RESTARTED, UNKNOWN, Mode, RepeatedCommand
 from daq.drivers.vesc import stream, wire
-from daq.drivers.vesc.settings import Vesc
+from daq.drivers.vesc.settings import VescMotor
 from daq.drivers.vesc.stream import VescPipeline
 from daq.errors import DeviceError
 from daq.transports.host_clock import HostClock
@@ -18,12 +19,42 @@ from daq.transports.host_clock import HostClock
 __all__ = ["Mode", "VescControl"]
 
 
+class Commands(Protocol):
+    """Encoder of the commands for a line; see `wire`, which encodes them for a serial port."""
+
+    def get_values(self) -> bytes:
+        """See `wire`."""
+        ...
+
+    def set_rpm(self, erpm: int) -> bytes:
+        """See `wire`."""
+        ...
+
+    def set_brake(self, amperes: float) -> bytes:
+        """See `wire`."""
+        ...
+
+    def release(self) -> bytes:
+        """See `wire`."""
+        ...
+
+
 class VescControl(RepeatedCommand):
-    """See SpeedSource and RepeatedCommand."""
+    """See SpeedSource and RepeatedCommand.
+
+    Args:
+        commands: encoder of the commands for the controller's line.
+    """
 
     def __init__(
-        self, settings: Vesc, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard | None = None
+        self,
+        settings: VescMotor,
+        send: Callable[[bytes], None],
+        clock: HostClock,
+        guard: RotorGuard | None = None,
+        commands: Commands = wire,
     ) -> None:
+        self._commands = commands
         super().__init__(settings, send, clock, guard, min_rpm=settings.min_rpm, beat_s=1.0 / settings.report_Hz)
         self._settings = settings
         self._report: wire.Values | None = None
@@ -85,14 +116,16 @@ class VescControl(RepeatedCommand):
             return b""
         self._poll_due_ns = max(self._poll_due_ns + round(1e9 / self._settings.report_Hz), now_ns)
         self._polled_ns = now_ns
-        return wire.get_values()
+        return self._commands.get_values()
 
     def _order(self, rpm: float) -> bytes:
         if self.mode is Mode.FREE:
-            return wire.release()
+            return self._commands.release()
         # speed 0 is sent as a brake: below its least speed a controller releases, shorts or brakes the motor,
         # depending on its firmware
-        return wire.set_rpm(round(rpm * self._settings.pole_pairs)) if rpm else wire.set_brake(self._settings.brake_A)
+        if not rpm:
+            return self._commands.set_brake(self._settings.brake_A)
+        return self._commands.set_rpm(round(rpm * self._settings.pole_pairs))
 
     def _is_ready(self) -> bool:
         report = self._recent()
@@ -140,5 +173,5 @@ class VescControl(RepeatedCommand):
             with self._deciding:
                 due = self._answers + (2 if self._polled_ns is not None else 1)  # an earlier poll may be unanswered
                 self._polled_ns = self._clock.now_ns()
-            self._send(wire.release() + wire.get_values())
+            self._send(self._commands.release() + self._commands.get_values())
         return lambda: self._answers >= due
