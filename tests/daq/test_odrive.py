@@ -91,7 +91,7 @@ def test_frames_of_the_controller_are_those_of_the_documents() -> None:
     assert wire.parse_estimates(bytes.fromhex("0000803F0000C841")) == (1.0, 25.0)
     version = wire.parse_version(bytes.fromhex("02040438 00060A00"))
     assert version == wire.Version((4, 4, 0x38), (0, 6, 10))
-    assert version.series == "0.6"
+    assert wire.Version((4, 4, 0x38), (0, 6, 10)).series == "0.6"
     assert wire.parse_address(bytes.fromhex("01392B6A4C1E3D00")) == (1, "3D1E4C6A2B39")
     assert wire.pack_address(1, "3D1E4C6A2B39").hex() == "01392b6a4c1e3d00"
 
