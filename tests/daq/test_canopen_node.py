@@ -9,8 +9,9 @@ import pytest
 from canopen.sdo.exceptions import SdoAbortedError
 from hypothesis import given, strategies as st
 
+from daq.drivers.can_lines import Adapter
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.canopen_node import Adapter, NmtState, SdoServer, drive_objects
+from daq.drivers.cia402.canopen_node import NmtState, SdoServer, drive_objects
 from daq.transports import slcan
 
 

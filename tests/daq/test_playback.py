@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from daq.channels import CHANNELS
+from daq.drivers.can_lines import BothWays
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.played import BothWays
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
 from daq.errors import LinkLost, LogError
@@ -116,7 +116,7 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
 ) -> None:
     """Any order of frames, any cut into reads, and any cut at the listener."""
     drive = load_rig("virtual").devices["drive"]
-    live, listener, played = DrivePipeline("drive", drive), DrivePipeline("drive", drive), BothWays(1)
+    live, listener, played = DrivePipeline("drive", drive), DrivePipeline("drive", drive), BothWays({0x701})
     speeds: list[list[Batch]] = [[], []]
     bus = pending = b""
     cut = iter(cuts * 40)
@@ -145,7 +145,7 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
 
 
 def test_a_line_without_an_end_is_not_held_back_for_ever() -> None:
-    played = BothWays(1)
+    played = BothWays({0x701})
     assert played.feed(RX, b"x" * 5000) == b"x" * 5000
     assert played.feed(RX, b"t18") == b""
     assert played.rest() == b"t18"

@@ -28,6 +28,7 @@ SETTINGS = Vesc(
     driver="vesc", port="/dev/x", pole_pairs=7, timeout_s=1.0, brake_A=5.0, min_erpm=700.0, ramp_rpm_per_s=400.0
 )
 STEP_S = 0.01
+QUERY = wire.firmware_version()
 SLIP = 0.002
 
 
@@ -577,7 +578,7 @@ def test_its_thread_polls_and_ends() -> None:
     control.start()
     polled.clear()
     assert polled.wait(10.0)
-    assert [thread.name for thread in set(threading.enumerate()) - before] == ["vesc"]
+    assert [thread.name for thread in set(threading.enumerate()) - before] == ["command"]
     control._end()
     assert set(threading.enumerate()) <= before
 
@@ -659,17 +660,17 @@ def test_it_is_identified() -> None:
 def test_the_far_end_is_identified() -> None:
     far = Bench().far
     (payload,) = packets.PacketDecoder().feed(far.receive(wire.firmware_version(), 0.0)).payloads
-    assert identify("drive", SETTINGS, Talk([payload]))["hardware"] == "60_MK5"
+    assert identify("drive", SETTINGS, Talk([payload]), QUERY, "")["hardware"] == "60_MK5"
 
 
 def test_firmware_of_another_layout_is_refused() -> None:
     with pytest.raises(DeviceError, match=r"firmware 2\.18"):
-        identify("drive", SETTINGS, Talk([wire.pack_firmware(wire.Firmware(2, 18, "48", "00" * 12))]))
+        identify("drive", SETTINGS, Talk([wire.pack_firmware(wire.Firmware(2, 18, "48", "00" * 12))]), QUERY, "")
 
 
 def test_one_that_is_silent_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daq.drivers.vesc.dialogue._ANSWER_S", 0.01)
     talk = Talk([])
     with pytest.raises(DeviceError, match="nothing came in 3 tries"):
-        identify("drive", SETTINGS, talk)
+        identify("drive", SETTINGS, talk, QUERY, "")
     assert talk.sent == 3

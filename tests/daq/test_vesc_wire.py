@@ -8,8 +8,8 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, strategies as st
 
+from daq.drivers.ramp import SetpointRamp
 from daq.drivers.vesc import packets, wire
-from daq.drivers.vesc.ramp import SetpointRamp
 from daq.drivers.vesc.settings import Vesc
 
 MUTATIONS = 10_000

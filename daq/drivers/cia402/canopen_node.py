@@ -1,8 +1,7 @@
 """A CANopen node's end of the bus behind an slcan adapter: its answers to a host, independent of the motor.
 
-Used by the simulated drive and by the stand-in for a drive of a log. `Adapter` answers the adapter's own commands,
-`SdoServer` answers reads and writes of objects (expedited transfers), `NmtState` follows the network commands. Sources:
-LAWICEL CAN232 manual; CiA 301, SDO protocol and NMT.
+Used by the simulated drive and by the stand-in for a drive of a log. `SdoServer` answers reads and writes of objects
+(expedited transfers), `NmtState` follows the network commands. Source: CiA 301, SDO protocol and NMT.
 """
 
 from __future__ import annotations
@@ -26,30 +25,6 @@ _NMT = {
     NMT_RESET: cia402.Heartbeat.PRE_OPERATIONAL,
     NMT_RESET_COMMUNICATION: cia402.Heartbeat.PRE_OPERATIONAL,
 }
-
-
-class Adapter:
-    """The slcan adapter between a host and the bus.
-
-    Attributes:
-        open: whether the host has opened the bus; otherwise no frame is sent to the host.
-    """
-
-    def __init__(self) -> None:
-        self.open: bool = False
-        self._lines = slcan.LineDecoder(of_host=True)
-
-    def receive(self, data: bytes) -> tuple[list[slcan.CanFrame], bytes]:
-        """Take the host's text; return the frames for the bus, and the adapter's own answers."""
-        found = self._lines.feed(data)
-        answers = slcan.BEL.encode() * found.damaged
-        for line in found.other_lines:
-            if line[:1] in {"O", "C"}:
-                self.open = line[:1] == "O"
-            answers += {"V": b"V1013\r", "N": b"N4F1C\r"}.get(line[:1], b"\r")
-        for frame in found.frames:
-            answers += b"Z\r" if frame.extended else b"z\r"
-        return found.frames, answers
 
 
 class SdoServer:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from daq import channels
 from daq.channels import Channel
+from daq.drivers.can_lines import ADAPTER_BAUD
 from daq.drivers.checks import Checks
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SpeedControl, Talk
@@ -17,8 +18,6 @@ from daq.items import DeviceEvent
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
-
-_ADAPTER_BAUD = 115_200  # line rate of the adapter's serial port, if it has one
 
 
 class Cia402(PlainDriver):
@@ -32,7 +31,7 @@ class Cia402(PlainDriver):
 
     def line(self, settings: MotorDrive) -> DeviceLine:
         """See Driver."""
-        return DeviceLine(settings.port, _ADAPTER_BAUD, settings.bitrate)
+        return DeviceLine(settings.port, ADAPTER_BAUD, settings.bitrate)
 
     def channels(self, settings: MotorDrive) -> tuple[Channel, ...]:
         """See Driver."""

@@ -6,12 +6,12 @@ import struct
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from daq.drivers.can_lines import Adapter
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import (
     NMT_RESET,
     NMT_RESET_COMMUNICATION,
     NMT_STOP,
-    Adapter,
     NmtState,
     Objects,
     SdoServer,

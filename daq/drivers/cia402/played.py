@@ -5,12 +5,11 @@ from __future__ import annotations
 import re
 import struct
 
-from daq.channels import RX
+from daq.drivers.can_lines import Adapter, BothWays
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.canopen_node import (
     NMT_RESET,
     NMT_RESET_COMMUNICATION,
-    Adapter,
     NmtState,
     SdoServer,
     drive_objects,
@@ -18,48 +17,6 @@ from daq.drivers.cia402.canopen_node import (
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.played import PlayedDevice
 from daq.transports import slcan
-
-_LINE_ENDS = b"\r\x07"
-_MAX_TAIL_BYTES = 4096  # bytes without an end of line that are held back
-
-
-class BothWays:
-    """Filter for a CAN bus, which carries both directions: the host's frames are inserted between the drive's lines.
-
-    A read may end in the middle of a line. The incomplete line is held until its end, so that no frame of the host is
-    inserted into it; the drive's line was not complete before that frame either. Commands of the host to its own
-    adapter (open, close, bit rate) are not on the bus and are not played.
-
-    Args:
-        host_node_id: node number of the recorded host.
-
-    Attributes:
-        host_is_there: whether a host has replaced the recorded one; then the recorded heartbeats are omitted.
-    """
-
-    def __init__(self, host_node_id: int) -> None:
-        self.host_is_there = False
-        self._beat = cia402.cob_heartbeat(host_node_id)
-        self._host = slcan.LineDecoder(of_host=True)
-        self._tail = b""
-
-    def feed(self, direction: int, data: bytes) -> bytes:
-        """See BytesFromDevice."""
-        if direction != RX:
-            frames = self._host.feed(data).frames
-            omitted = self._beat if self.host_is_there else None
-            return b"".join(slcan.encode(frame) for frame in frames if frame.arbitration_id != omitted)
-        line = self._tail + data
-        end = 1 + max(line.rfind(_LINE_ENDS[:1]), line.rfind(_LINE_ENDS[1:]))
-        if len(line) - end > _MAX_TAIL_BYTES:
-            end = len(line)
-        self._tail = line[end:]
-        return line[:end]
-
-    def rest(self) -> bytes:
-        """See BytesFromDevice."""
-        tail, self._tail = self._tail, b""
-        return tail
 
 
 class PlayedDrive(PlayedDevice):
@@ -72,7 +29,7 @@ class PlayedDrive(PlayedDevice):
     expects = "the network's start"
 
     def __init__(self, config: MotorDrive) -> None:
-        self._bus = BothWays(config.host_node_id)
+        self._bus = BothWays({cia402.cob_heartbeat(config.host_node_id)})
         super().__init__(self._bus)
         self._node, self._host_beat = config.node_id, cia402.cob_heartbeat(config.host_node_id)
         self._adapter, self._nmt = Adapter(), NmtState(config.node_id)

@@ -7,7 +7,7 @@ from typing import Any
 
 from daq.drivers.contract import Talk
 from daq.drivers.vesc import wire
-from daq.drivers.vesc.settings import Vesc
+from daq.drivers.vesc.settings import VescMotor
 from daq.errors import DeviceError
 
 _ANSWER_S = 0.5  # wall seconds
@@ -15,8 +15,12 @@ _TRIES = 3
 _MIN_MAJOR = 3  # first major version of the firmware whose answers have the layout in `wire`
 
 
-def identify(device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
+def identify(device: str, settings: VescMotor, talk: Talk, query: bytes, advice: str) -> dict[str, Any]:
     """Query firmware and hardware. The controller's set-up is not changed; it cannot be queried.
+
+    Args:
+        query: encoded query of the firmware.
+        advice: what to look at if the controller does not answer.
 
     Returns:
         Identity: firmware, hardware, serial, and the values of the controller in the rig file.
@@ -27,7 +31,7 @@ def identify(device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
     while not talk.replies.empty():
         talk.replies.get_nowait()
     for _ in range(_TRIES):
-        talk.send(wire.firmware_version())
+        talk.send(query)
         firmware = _answer(talk)
         if firmware is None:
             continue
@@ -45,8 +49,7 @@ def identify(device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
         }
     came = f"{talk.bytes_in} bytes came, none of them an answer" if talk.bytes_in else "nothing came"
     raise DeviceError(
-        f"{device} on {settings.port}: expected its firmware's version, {came} in {_TRIES} tries. Is the controller "
-        f"powered, its serial port enabled at {settings.baud} baud, are both wires right?"
+        f"{device} on {settings.port}: expected its firmware's version, {came} in {_TRIES} tries. {advice}"
     )
 
 

@@ -12,11 +12,14 @@ from daq.drivers.contract import Pipeline, RotorGuard, SpeedControl, Talk
 from daq.drivers.plain import PlainDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
-from daq.drivers.vesc.settings import Vesc
+from daq.drivers.vesc.settings import Vesc, VescMotor
 from daq.items import DeviceEvent
 
 if TYPE_CHECKING:
     from daq.transports.host_clock import HostClock
+
+
+_FAULTY = ("FAULT", "KILL SWITCH OPEN", "UNKNOWN")
 
 
 class VescDriver(PlainDriver):
@@ -26,13 +29,13 @@ class VescDriver(PlainDriver):
     rest_s: float = 0.01
     example: ClassVar[Mapping[str, Any]] = {"pole_pairs": 7, "timeout_s": 1.0, "brake_A": 5.0}
     claims: frozenset[str] = frozenset({"checksum", "falls silent"})
-    settings = Vesc
+    settings: type[VescMotor] = Vesc
 
-    def channels(self, settings: Vesc) -> tuple[Channel, ...]:
+    def channels(self, settings: VescMotor) -> tuple[Channel, ...]:
         """See Driver."""
         return (channels.MOTOR,)
 
-    def pipeline(self, device: str, settings: Vesc, identity: Mapping[str, Any]) -> Pipeline:
+    def pipeline(self, device: str, settings: Any, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
         from daq.drivers.vesc.stream import VescPipeline
 
@@ -46,36 +49,39 @@ class VescDriver(PlainDriver):
         return wire.fault_words(code) if code else ""
 
     def checks(
-        self, settings: Vesc, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
+        self, settings: VescMotor, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]
     ) -> Checks:
         """See Driver: the controller's state, and the faults it reported."""
-        from daq.drivers.vesc.status_checks import controller_checks
+        from daq.drivers.fault_checks import controller_checks
+        from daq.drivers.vesc.wire import fault_words
 
-        return controller_checks(control, events)
+        return controller_checks(control, events, fault_words, _FAULTY)
 
-    def far_end(self, device: str, settings: Vesc, world: Any) -> FarEnd:
+    def far_end(self, device: str, settings: Any, world: Any) -> FarEnd:
         """See Driver."""
         from daq.drivers.vesc.far_end import SimulatedVesc
 
         return SimulatedVesc.of(settings, world)
 
-    def played(self, settings: Vesc, identity: Mapping[str, Any]) -> PlayedDevice:
+    def played(self, settings: Any, identity: Mapping[str, Any]) -> PlayedDevice:
         """See Driver."""
         from daq.drivers.vesc.played import PlayedVesc
 
         return PlayedVesc(identity)
 
-    def open(self, device: str, settings: Vesc, talk: Talk) -> dict[str, Any]:
+    def open(self, device: str, settings: Any, talk: Talk) -> dict[str, Any]:
         """See Driver. The controller reports only on request, by its command (`control`)."""
+        from daq.drivers.vesc import wire
         from daq.drivers.vesc.dialogue import identify
 
-        return {"driver": self.name, **identify(device, settings, talk)}
+        advice = f"Is the controller powered, its serial port enabled at {settings.baud} baud, are both wires right?"
+        return {"driver": self.name, **identify(device, settings, talk, wire.firmware_version(), advice)}
 
     def stop(self, talk: Talk) -> None:
         """See Driver; the controller's command (`control`) has stopped it."""
 
     def speed_source(
-        self, settings: Vesc, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
+        self, settings: Any, send: Callable[[bytes], None], clock: HostClock, guard: RotorGuard
     ) -> SpeedControl:
         """See TurnsRotor."""
         from daq.drivers.vesc.control import VescControl

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from daq.drivers.simulated import FarEnd, FaultKind
 from daq.drivers.vesc import packets, wire
-from daq.drivers.vesc.settings import Vesc
+from daq.drivers.vesc.settings import VescMotor
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
@@ -55,7 +55,7 @@ class SimulatedVesc(FarEnd):
 
     def __init__(
         self,
-        settings: Vesc,
+        settings: VescMotor,
         motion: SimulatedMotion,
         report_s: float = 0.0,
         *,
@@ -75,7 +75,7 @@ class SimulatedVesc(FarEnd):
         self._start()
 
     @classmethod
-    def of(cls, settings: Vesc, world: World) -> SimulatedVesc:
+    def of(cls, settings: VescMotor, world: World) -> Self:
         """Make the controller of a simulated rig; its timeout is in wall time, as that of a real controller."""
         return cls(settings, world.motion, timeout_s=world.patience(settings.timeout_s))
 

@@ -19,7 +19,7 @@ class PlayedVesc(PlayedDevice):
     def __init__(self, identity: Mapping[str, Any]) -> None:
         super().__init__()
         self._decoder = packets.PacketDecoder()
-        self._firmware = _firmware(identity)
+        self._firmware = firmware_of(identity)
 
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice."""
@@ -33,7 +33,7 @@ class PlayedVesc(PlayedDevice):
         return answers
 
 
-def _firmware(identity: Mapping[str, Any]) -> wire.Firmware:
+def firmware_of(identity: Mapping[str, Any]) -> wire.Firmware:
     """Return the firmware of an identity; a known firmware if the identity is incomplete or invalid."""
     try:
         major, minor = (int(part) for part in str(identity["firmware"]).split("."))

@@ -16,15 +16,14 @@ _MAX_LINE_SHARE = 0.8  # share of the line's capacity that polls and commands ma
 _MIN_COMMANDS_IN_TIMEOUT = 4
 
 
-class Vesc(DeviceSettings):
-    """The VESC motor controller on its serial port.
+class VescMotor(DeviceSettings):
+    """A VESC motor controller on any line.
 
     The values stored in the controller can neither be queried nor set by the host. They are therefore stated here,
     without defaults, because a wrong default would not be detected. `docs/protocols/vesc.md` describes how to measure
     them.
 
     Attributes:
-        baud: line rate of the controller, baud.
         pole_pairs: number of pole pairs of the motor. The speed on the wire is electrical: pole_pairs times that of the
             rotor. With twice the true number the rotor turns at half the commanded speed.
         timeout_s: controller timeout, s, after which the controller removes the current of a motor that receives no
@@ -39,7 +38,6 @@ class Vesc(DeviceSettings):
         follow_s: time for which the speed may differ from the set-point before the rotor counts as not following, s.
     """
 
-    baud: Annotated[int, Field(ge=9600, le=2_000_000)] = 115_200
     pole_pairs: Annotated[int, Field(ge=1, le=100)]
     timeout_s: Annotated[float, Field(ge=0.1, le=2.0)]
     command_ms: Annotated[int, Field(ge=10, le=200)] = 50
@@ -55,13 +53,28 @@ class Vesc(DeviceSettings):
         return (SpeedSource(device=device, topic="motor", ramp_rpm_per_s=self.ramp_rpm_per_s, rest_rpm=self.rest_rpm),)
 
     @model_validator(mode="after")
-    def _commands_before_timeout(self) -> Vesc:
+    def _commands_before_timeout(self) -> VescMotor:
         if self.timeout_s * 1e3 < _MIN_COMMANDS_IN_TIMEOUT * self.command_ms:
             raise ValueError(
                 f"timeout_s must be at least {_MIN_COMMANDS_IN_TIMEOUT} × command_ms, or a late command stops the rig: "
                 f"got {self.timeout_s:g} s and {self.command_ms} ms"
             )
         return self
+
+    @property
+    def min_rpm(self) -> float:
+        """Least speed of the rotor that the controller holds, rpm."""
+        return self.min_erpm / self.pole_pairs
+
+
+class Vesc(VescMotor):
+    """The VESC motor controller on its serial port.
+
+    Attributes:
+        baud: line rate of the controller, baud.
+    """
+
+    baud: Annotated[int, Field(ge=9600, le=2_000_000)] = 115_200
 
     @model_validator(mode="after")
     def _line_carries_reports(self) -> Vesc:
@@ -73,8 +86,3 @@ class Vesc(DeviceSettings):
                 f"{_MAX_LINE_SHARE:.0%}: reduce report_Hz or raise baud, here and in the controller"
             )
         return self
-
-    @property
-    def min_rpm(self) -> float:
-        """Least speed of the rotor that the controller holds, rpm."""
-        return self.min_erpm / self.pole_pairs

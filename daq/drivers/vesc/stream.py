@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Protocol
+
 import numpy as np
 
 from daq import channels
+from daq.drivers.following import Following
 from daq.drivers.vesc import packets, wire
-from daq.drivers.vesc.settings import Vesc
+from daq.drivers.vesc.settings import VescMotor
 from daq.items import TX, Batch, DeviceEvent
 
 NOTHING, SPEED, BRAKE, FREE = 0, 1, 2, 3
@@ -15,7 +19,6 @@ STATUS_KNOWN = 1 << 24
 
 _COMMANDS = {wire.SET_RPM: SPEED, wire.SET_BRAKE: BRAKE, wire.SET_CURRENT: FREE}
 _JOINED_BYTES = 84  # longest rest of an answer that began before the reception; it does not count as a loss
-_MAX_DEVIATION = (0.2, 30.0)  # relative and absolute (rpm) deviation from the set-point of a rotor that follows
 
 
 def statusword(values: wire.Values, command: int) -> int:
@@ -40,6 +43,50 @@ def state(word: int) -> str:
     return {NOTHING: "NOT COMMANDED", SPEED: "HOLDS SPEED", BRAKE: "BRAKES", FREE: "LET GO"}[word >> 8 & 3]
 
 
+class VescLine(Protocol):
+    """The line of a controller: framing of the payloads in both directions.
+
+    Attributes:
+        speeds_erpm: electrical speeds, rpm, that the last `received` contained in addition to answers.
+        others: payloads of another host in the last `received`, in a session that only receives.
+    """
+
+    speeds_erpm: list[int]
+    others: list[bytes]
+
+    def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
+        """Return the payloads in the bytes of one read, and events of the line."""
+        ...
+
+    def sent(self, data: bytes) -> list[bytes]:
+        """Return the payloads in the bytes of one write."""
+        ...
+
+
+class SerialLine:
+    """See VescLine: packets on a serial port. Bytes outside intact packets are counted as `damaged_bytes`."""
+
+    def __init__(self, device: str, losses: dict[str, int]) -> None:
+        self.speeds_erpm: list[int] = []
+        self.others: list[bytes] = []
+        self._device, self._losses = device, losses
+        losses["damaged_bytes"] = 0
+        self._rx, self._tx = packets.PacketDecoder(_JOINED_BYTES), packets.PacketDecoder()
+
+    def received(self, data: bytes, host_ns: int) -> tuple[list[bytes], list[DeviceEvent]]:
+        """See VescLine."""
+        found = self._rx.feed(data)
+        if not found.skipped:
+            return found.payloads, []
+        self._losses["damaged_bytes"] += found.skipped
+        text = f"{found.skipped} damaged bytes dropped"
+        return found.payloads, [DeviceEvent("damage", self._device, text, {"bytes": found.skipped})]
+
+    def sent(self, data: bytes) -> list[bytes]:
+        """See VescLine."""
+        return self._tx.feed(data).payloads
+
+
 class VescPipeline:
     """Decoder of bytes to reports.
 
@@ -51,38 +98,44 @@ class VescPipeline:
         answers: reports of the last `feed`, for the host's command.
     """
 
-    def __init__(self, device: str, settings: Vesc) -> None:
-        self.losses: dict[str, int] = {"damaged_bytes": 0, "unanswered": 0, "unreadable_answers": 0}
+    def __init__(
+        self, device: str, settings: VescMotor, line: Callable[[str, dict[str, int]], VescLine] = SerialLine
+    ) -> None:
+        self.losses: dict[str, int] = {}
+        self._line = line(device, self.losses)
+        self.losses |= {"unanswered": 0, "unreadable_answers": 0}
         self.answers: list[wire.Values] = []
         self._device, self._pole_pairs = device, settings.pole_pairs
-        self._rx, self._tx = packets.PacketDecoder(_JOINED_BYTES), packets.PacketDecoder()
         self._target_rpm, self._command = 0.0, NOTHING
         self._polled = False
         self._unanswered = 0  # since the last answer
         self._last: wire.Values | None = None
         self._word: int | None = None
-        self._deviating = 0  # consecutive reports with a deviating speed
-        self._max_deviating = max(3, round(settings.follow_s * settings.report_Hz))
+        self._following = Following(device, round(settings.follow_s * settings.report_Hz))
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
         self.answers = []
         if direction == TX:
-            for payload in self._tx.feed(data).payloads:
+            for payload in self._line.sent(data):
                 self._sent(payload)
             return []
-        found = self._rx.feed(data)
-        out: list[Batch | DeviceEvent] = [*self._damage(found)]
+        payloads, events = self._line.received(data, host_ns)
+        out: list[Batch | DeviceEvent] = [*events]
         words: list[int] = []
-        for payload in found.payloads:
+        for payload in payloads:
             if payload[0] == wire.GET_VALUES:
                 out += self._report(payload, words)
             elif payload[0] == wire.FIRMWARE_VERSION:
                 out.append(self._identity(payload))
-        if self.answers:
-            n = len(self.answers)
+        for payload in self._line.others:
+            self._sent(payload)
+        erpms = [values.erpm for values in self.answers] + self._line.speeds_erpm
+        words += [self._word or 0] * len(self._line.speeds_erpm)
+        if erpms:
+            n = len(erpms)
             columns = {
-                "speed_rpm": np.array([values.erpm for values in self.answers], float) / self._pole_pairs,
+                "speed_rpm": np.array(erpms, float) / self._pole_pairs,
                 "target_rpm": np.full(n, self._target_rpm),
                 "statusword": np.array(words, np.uint32),
             }
@@ -99,12 +152,6 @@ class VescPipeline:
         elif (command := wire.parse_command(payload)) is not None:
             self._command = _COMMANDS[command.what]
             self._target_rpm = command.number / self._pole_pairs if self._command == SPEED else 0.0
-
-    def _damage(self, found: packets.Found) -> list[DeviceEvent]:
-        if not found.skipped:
-            return []
-        self.losses["damaged_bytes"] += found.skipped
-        return [DeviceEvent("damage", self._device, f"{found.skipped} damaged bytes dropped", {"bytes": found.skipped})]
 
     def _identity(self, payload: bytes) -> DeviceEvent:
         firmware = wire.parse_firmware(payload)
@@ -127,7 +174,8 @@ class VescPipeline:
             return [DeviceEvent("damage", self._device, text, {"bytes": len(payload)})]
         out = self._gap() + self._restart(values)
         word = statusword(values, self._command)
-        out += self._changes(word) + self._follows(values)
+        actual_rpm = values.erpm / self._pole_pairs
+        out += self._changes(word) + self._following.check(self._command == SPEED, self._target_rpm, actual_rpm)
         self._last, self._word = values, word
         self.answers.append(values)
         words.append(word)
@@ -153,19 +201,3 @@ class VescPipeline:
             text = f"fault {wire.fault_words(fault)}" if fault else "no fault any more"
             out.append(DeviceEvent("emergency", self._device, text, {"error_code": fault}))
         return out
-
-    def _follows(self, values: wire.Values) -> list[DeviceEvent]:
-        """Return a fault if the rotor does not follow the set-point.
-
-        The duration is counted in reports, so that a stall of the host causes no fault.
-        """
-        actual, (share, more) = values.erpm / self._pole_pairs, _MAX_DEVIATION
-        deviates = abs(actual - self._target_rpm) > share * abs(self._target_rpm) + more
-        self._deviating = self._deviating + 1 if self._command == SPEED and deviates else 0
-        if self._deviating != self._max_deviating:
-            return []
-        text = (
-            f"the rotor does not follow: the set-point is {self._target_rpm:.0f} rpm, it turns at {actual:.0f} rpm. "
-            "Look at the controller's limits of current and speed, at its own timeout, at whether it may brake"
-        )
-        return [DeviceEvent("fault", self._device, text, {"target_rpm": self._target_rpm, "speed_rpm": actual})]

@@ -1,0 +1,1 @@
+"""ODrive motor controllers on a CAN bus."""
