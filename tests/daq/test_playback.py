@@ -14,8 +14,9 @@ import pytest
 from hypothesis import given, strategies as st
 
 from daq.channels import CHANNELS
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.both_ways import BothWays
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.played import BothWays
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
 from daq.errors import LinkLost, LogError
@@ -97,11 +98,11 @@ def test_a_bus_carries_the_frames_of_both_each_whole(log: Log) -> None:
     Playback({"drive": outlet}, played_devices(log), math.inf, FakeClock()).play(log.raw_in_order())
     found = slcan.LineDecoder().feed(outlet.got)
     assert found.damaged == 0
-    assert [f for f in found.frames if f.arbitration_id == cia402.cob_tpdo(1, 5)] == frames_of(
+    assert [f for f in found.frames if f.arbitration_id == cia301.cob_tpdo(1, 5)] == frames_of(
         from_device(log, "drive")
     )
     sent = frames_of(b"".join(chunk.data for chunk in log.raw("drive") if chunk.direction == TX))
-    assert [f for f in found.frames if f.arbitration_id != cia402.cob_tpdo(1, 5)] == sent
+    assert [f for f in found.frames if f.arbitration_id != cia301.cob_tpdo(1, 5)] == sent
     assert len(sent) > 10
     assert "O" not in found.other_lines  # the host's commands to its own adapter are not on the bus
 
@@ -116,7 +117,11 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
 ) -> None:
     """Any order of frames, any cut into reads, and any cut at the listener."""
     drive = load_rig("virtual").devices["drive"]
-    live, listener, played = DrivePipeline("drive", drive), DrivePipeline("drive", drive), BothWays(1)
+    live, listener, played = (
+        DrivePipeline("drive", drive),
+        DrivePipeline("drive", drive),
+        BothWays(cia301.cob_heartbeat(1)),
+    )
     speeds: list[list[Batch]] = [[], []]
     bus = pending = b""
     cut = iter(cuts * 40)
@@ -128,9 +133,9 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
 
     for is_host, rpm in frames:
         if is_host:
-            take(TX, slcan.encode(slcan.CanFrame(cia402.cob_rpdo(1, 5), cia402.pack_rpdo1(15, rpm))))
+            take(TX, slcan.encode(slcan.CanFrame(cia301.cob_rpdo(1, 5), cia402.pack_rpdo1(15, rpm))))
         else:
-            pending += b"z\r" + slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x237, rpm)))
+            pending += b"z\r" + slcan.encode(slcan.CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(0x237, rpm)))
             size = next(cut)
             take(RX, pending[:size])
             pending = pending[size:]
@@ -145,7 +150,7 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
 
 
 def test_a_line_without_an_end_is_not_held_back_for_ever() -> None:
-    played = BothWays(1)
+    played = BothWays(cia301.cob_heartbeat(1))
     assert played.feed(RX, b"x" * 5000) == b"x" * 5000
     assert played.feed(RX, b"t18") == b""
     assert played.rest() == b"t18"

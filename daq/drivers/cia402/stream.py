@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from daq import channels
+from daq.drivers.canopen import bus_lines, cia301
+from daq.drivers.canopen.bus_lines import BusLines
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.host_beats import HostBeats
 from daq.drivers.cia402.settings import MotorDrive
@@ -33,41 +35,30 @@ class DrivePipeline:
     has_reported = True
 
     def __init__(self, device: str, config: MotorDrive) -> None:
-        self.losses: dict[str, int] = {"damaged_lines": 0, "refused_lines": 0}
+        self.losses: dict[str, int] = dict.fromkeys(bus_lines.KINDS, 0)
         self.frames: list[slcan.CanFrame] = []
         self.complaint: str = ""
         self._device, self._node, self._host_node = device, config.node_id, config.host_node_id
         self.host_beats: HostBeats = HostBeats(config.node_id, config.host_node_id)
         self._reported_ns = -_AGAIN_NS
-        self._rx, self._tx = slcan.LineDecoder(), slcan.LineDecoder(of_host=True)
-        self._joined = False
+        self._lines = BusLines(device, self.losses)
         self._target_rpm = 0.0
         self._status: int | None = None
-        self._network: cia402.Heartbeat | None = None
-        self._may_refuse = 0  # pending commands to the adapter itself; a refusal of these is not a lost frame
+        self._network: cia301.Heartbeat | None = None
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
         if direction == TX:
-            sent = self._tx.feed(data)
-            self._may_refuse += len(sent.other_lines)
-            frames = cia402.own_frames(sent.frames)
+            frames = self._lines.sent(data)
             self.host_beats.sent(frames, host_ns)
             for frame in frames:
                 self._take_target(frame)
             self.frames = []
             return []
-        found = self._rx.feed(data) if self._joined else self._join(data)
-        self.frames = cia402.own_frames(found.frames)
-        out: list[Batch | DeviceEvent] = [*self._second_host(host_ns)]
-        damaged = found.damaged
-        if found.other_lines or self._may_refuse:
-            out += self._answered(found)
-        if damaged:
-            self.losses["damaged_lines"] += damaged
-            out.append(DeviceEvent("damage", self._device, f"{damaged} damaged lines dropped", {"lines": damaged}))
+        self.frames, events = self._lines.received(data)
+        out: list[Batch | DeviceEvent] = [*self._second_host(host_ns), *events]
         rows: list[tuple[int, int, float]] = []  # statusword, actual and target speed in rpm
-        report, beat = cia402.cob_tpdo(1, self._node), cia402.cob_heartbeat(self._node)
+        report, beat = cia301.cob_tpdo(1, self._node), cia301.cob_heartbeat(self._node)
         for frame in self.frames:
             if frame.arbitration_id == report:  # the most frequent case
                 if len(frame.data) >= cia402.TPDO1_BYTES:
@@ -78,8 +69,8 @@ class DrivePipeline:
             self._take_target(frame)
             if frame.arbitration_id == beat:
                 out += self._heartbeat(frame)
-            elif frame.arbitration_id == cia402.cob_emergency(self._node) and len(frame.data) == 8:
-                emergency = cia402.unpack_emergency(frame.data)
+            elif frame.arbitration_id == cia301.cob_emergency(self._node) and len(frame.data) == 8:
+                emergency = cia301.unpack_emergency(frame.data)
                 facts: dict[str, Any] = {"error_code": emergency.error_code, "register": emergency.error_register}
                 if any(emergency.maker_bytes):
                     facts["maker_bytes"] = emergency.maker_bytes.hex(" ")
@@ -107,46 +98,20 @@ class DrivePipeline:
         )
         return DeviceEvent("mapping", self._device, self.complaint, {"bytes": len(frame.data)})
 
-    def _join(self, data: bytes) -> slcan.DecodedLines:
-        """Decode the first line of a log, which may be cut at its beginning, without counting damage."""
-        end = slcan.first_line_end(data)
-        if not end:
-            return self._rx.feed(data)
-        self._joined = True
-        first, found = self._rx.feed(data[:end]), self._rx.feed(data[end:])
-        return slcan.DecodedLines(first.frames + found.frames, first.other_lines + found.other_lines, found.damaged)
-
-    def _answered(self, found: slcan.DecodedLines) -> list[DeviceEvent]:
-        """Return the event about refused frames in the adapter's answers, which are in the order of the commands."""
-        refused = 0
-        for line in found.other_lines:
-            if line in ("", slcan.BEL):
-                refused += line == slcan.BEL and not self._may_refuse
-                self._may_refuse = max(0, self._may_refuse - 1)
-            elif line in ("z", "Z"):  # a frame was sent: earlier commands to the adapter are not pending any more
-                self._may_refuse = 0
-        if found.frames:
-            self._may_refuse = 0  # the bus is open
-        if not refused:
-            return []
-        self.losses["refused_lines"] += refused
-        text = f"the adapter refused {refused} lines: these frames did not go out. Look at the bus and its termination"
-        return [DeviceEvent("refused", self._device, text, {"lines": refused})]
-
     def _take_target(self, frame: slcan.CanFrame) -> None:
-        if frame.arbitration_id == cia402.cob_rpdo(1, self._node) and len(frame.data) == 4:
+        if frame.arbitration_id == cia301.cob_rpdo(1, self._node) and len(frame.data) == 4:
             self._target_rpm = float(cia402.unpack_rpdo1(frame.data)[1])
 
     def _heartbeat(self, frame: slcan.CanFrame) -> list[Batch | DeviceEvent]:
         """Return the event of a boot-up or of a change of the network state. A drive reports only if operational."""
-        state = cia402.heartbeat(frame.data)
+        state = cia301.heartbeat(frame.data)
         before, self._network = self._network, self._network if state is None else state
-        if state is None or (state == before and state != cia402.Heartbeat.BOOT_UP):
+        if state is None or (state == before and state != cia301.Heartbeat.BOOT_UP):
             return []
-        if state == cia402.Heartbeat.BOOT_UP:
+        if state == cia301.Heartbeat.BOOT_UP:
             text = "the drive started again (boot-up message): its settings are gone, its speed is unknown"
             return [DeviceEvent("restart", self._device, text)]
-        operational = state == cia402.Heartbeat.OPERATIONAL
+        operational = state == cia301.Heartbeat.OPERATIONAL
         if operational and before is None:
             return []  # the expected state
         text = f"network state {state.name.replace('_', '-')}" + ("" if operational else ": it reports no speed")
