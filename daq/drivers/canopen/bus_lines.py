@@ -13,6 +13,16 @@ KINDS = ("damaged_lines", "refused_lines")
 """Kinds of losses that are counted here."""
 
 
+CLOSING = b"C\r"
+"""Text that closes the bus at the adapter, which is silent then."""
+_RATES = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}
+
+
+def opening(bitrate: int) -> bytes:
+    """Return the text that opens the bus at the adapter with a bit rate, bit/s."""
+    return b"\rC\r" + _RATES[bitrate] + b"\rO\r"
+
+
 class BusLines:
     """Decoder of slcan text of both directions.
 

@@ -10,8 +10,12 @@ from enum import IntEnum
 
 from daq.transports.slcan import CanFrame
 
+COB_NMT, COB_SYNC = 0x000, 0x080
+"""Identifiers of network commands and of SYNC."""
+
 # Object dictionary
-DEVICE_TYPE, IDENTITY = 0x1000, 0x1018
+DEVICE_TYPE, SYNC_IDENTIFIER, IDENTITY = 0x1000, 0x1005, 0x1018
+"""1005h: identifier of SYNC, with bit 30 if the node sends it. 1018h: sub 1 maker, 2 product, 3 revision, 4 serial."""
 ERROR_REGISTER, PREDEFINED_ERROR_FIELD = 0x1001, 0x1003
 REGISTER_COMMUNICATION = 0x10
 CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT = 0x1016, 0x1017

@@ -15,6 +15,7 @@ from canopen.sdo.client import ABORT_TIMED_OUT, SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from daq.drivers.canopen import cia301
+from daq.drivers.contract import Talk
 from daq.errors import DeviceError
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock
@@ -24,6 +25,7 @@ logging.getLogger("canopen").addHandler(logging.NullHandler())  # its errors are
 _ANSWER_S = 0.3  # wall s to wait for an answer
 _TRIES = 3
 _READ = struct.Struct("<BHBI")
+_ABORTED = 0x80
 _EXPEDITED = 0x42  # command byte, under the mask 0xE2, of an answer that contains the value itself
 
 _T = TypeVar("_T")
@@ -164,3 +166,48 @@ class NodeObjects:
                         "powered, the bit rate right, the bus terminated?"
                     ) from error
             attempt += 1
+
+
+class _DialogueClient(_SdoClient):
+    """Client that takes the answers from the replies of a dialogue; no other thread passes them to it."""
+
+    def __init__(self, node_id: int, network: canopen.Network, talk: Talk) -> None:
+        super().__init__(node_id, network, talk.clock)
+        self._answers, self._talk = cia301.cob_sdo_answer(node_id), talk
+
+    def read_response(self) -> bytes | bytearray:
+        """Return the answer of the node to the present request.
+
+        Raises:
+            SdoCommunicationError, SdoAbortedError: no answer in time, or a refusal.
+        """
+        deadline = self._talk.clock.wall_s() + _ANSWER_S
+        while self.responses.empty() and (left := deadline - self._talk.clock.wall_s()) > 0:
+            try:
+                text = self._talk.replies.get(timeout=left)
+            except queue.Empty:  # usual: the base class reports it
+                break
+            for frame in slcan.LineDecoder().feed(text.encode() + b"\r").frames:
+                if frame.arbitration_id == self._answers and len(frame.data) == _READ.size:
+                    self._take_answer(self._answers, bytearray(frame.data), 0.0)
+        try:
+            answer = self.responses.get_nowait()
+        except queue.Empty as error:
+            raise SdoCommunicationError("No SDO response received") from error
+        if answer[0] == _ABORTED:
+            raise SdoAbortedError(int.from_bytes(answer[4:8], "little"))
+        return answer
+
+
+class DialogueObjects(NodeObjects):
+    """A node's objects during the opening of a device, whose pipeline reports SDO answers as `reply` events.
+
+    Args:
+        name: name of the node in messages.
+        node_id: node number.
+        talk: the open device.
+    """
+
+    def __init__(self, name: str, node_id: int, talk: Talk) -> None:
+        super().__init__(name, node_id, talk.send, talk.clock)
+        self._sdo = _DialogueClient(node_id, self._network, talk)

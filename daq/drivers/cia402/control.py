@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Callable
 
-from daq.drivers.canopen import cia301
+from daq.drivers.canopen import bus_lines, cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402 import faults, wire as cia402
@@ -138,9 +138,8 @@ class DriveControl:
         """
         c = self._config
         self._started_again, self._stopping_s, self._found, self.emergencies = False, None, None, []
-        rate = {125_000: b"S4", 250_000: b"S5", 500_000: b"S6", 1_000_000: b"S8"}[c.bitrate]
         self._bus_open = True
-        self._send(b"\rC\r" + rate + b"\rO\r")
+        self._send(bus_lines.opening(c.bitrate))
         self._start_heartbeat()  # before the watch is set: a drive may require the heartbeat immediately
         self._objects.write(cia301.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
         word, rpm = self._objects.read(cia402.STATUSWORD, 0), self._objects.read(cia402.ACTUAL_VELOCITY, 0)
@@ -426,7 +425,7 @@ class DriveControl:
                 self._objects.send(0, bytes([NMT_PRE_OPERATIONAL, self._config.node_id]))
         if self._bus_open:
             self._bus_open = False
-            self._send(b"C\r")
+            self._send(bus_lines.CLOSING)
 
     def _rest(self, notify: Callable[[str], None]) -> bool:
         """Command a quick stop and wait until the rotor stands; see `wait_for_rest`."""
