@@ -139,7 +139,7 @@ class SimulatedEncoder:
             identifier, kind = (self.objects[0x1800 + number, sub][0] for sub in (1, 2))
             if identifier & _OFF:
                 continue
-            at_syncs = [at_s for i, at_s in enumerate(syncs, self._sync_count + 1) if i % kind == 0]
+            at_syncs = [at_s for i, at_s in enumerate(syncs, self._sync_count + 1) if i % max(1, kind) == 0]
             instants = at_syncs if 1 <= kind <= 240 else by_timer
             out += [(at_s, self._report(number, identifier, motion, at_s)) for at_s in instants]
         self._sync_count += len(syncs)

@@ -17,9 +17,9 @@ from daq import channels
 from daq.drivers.canopen import bus_lines, cia301
 from daq.drivers.canopen.bus_lines import BusLines
 from daq.drivers.cia406 import wire
-from daq.drivers.cia406.free_running import OwnTimer, Pairs
+from daq.drivers.cia406.free_running import NewestOfB, OwnTimer, Values
 from daq.drivers.cia406.node_watch import NodeWatch
-from daq.drivers.cia406.reports import Marks, Report, Turns
+from daq.drivers.cia406.reports import Instant, Marks, Turns
 from daq.drivers.cia406.settings import Encoder, EncoderBus
 from daq.drivers.cia406.synchronous import SyncTimes
 from daq.errors import DeviceError
@@ -76,7 +76,7 @@ class EncoderPipeline:
         self._both: dict[str, int] = {}  # positions of A and B of the present SYNC
         self._silent = dict.fromkeys(self._watches, 0)  # SYNCs in succession without an answer
         self._timers = {name: OwnTimer(period_ns, delay_ns) for name in self._watches}
-        self._pairs = Pairs(period_ns)
+        self._b = NewestOfB()
         self._marks = Marks(per_turn)
         self._mark_number, self._mark_ns = 0, 0
         self._lost = 0  # samples missing since the last one, with SYNC
@@ -172,67 +172,78 @@ class EncoderPipeline:
         elif self._settings.sync:
             yield from self._synchronous(name, raw, host_ns)
         else:
-            found = self._timers[name].feed(self._turns[name].counts(raw), host_ns)
-            yield from self._free_running(name, found)
+            yield from self._free_running(name, self._turns[name].counts(raw), host_ns)
 
     def _synchronous(self, name: str, raw: int, host_ns: int) -> Items:
-        report = self._sync.report(name, raw, host_ns)
-        if report is None:
+        instant = self._sync.report(name, host_ns)
+        if instant is None:
             self.losses["unasked"] += 1
             text = f"{self._watches[name].name}: a report that answers no SYNC, or comes too late; dropped"
             yield DeviceEvent("damage", self._device, text, {"lines": 1})
             return
         counts = self._turns[name].counts(raw)
         if name == "shaft":
-            yield from self._shaft(Report(report.number, report.time_ns, report.own_ns, counts))
+            yield from self._shaft(instant, counts)
             return
         self._both[name] = counts
         if len(self._both) == 2:
             lost, self._lost = self._lost, 0
-            yield from self._sample(report, self._both["a"], self._both["b"], lost)
+            yield from self._sample(instant, self._both["a"], self._both["b"], lost)
 
-    def _free_running(self, name: str, found: list[Report]) -> Items:
+    def _free_running(self, name: str, counts: int, host_ns: int) -> Items:
+        timer, values = self._timers[name], (counts,)
+        if name == "b":
+            self._b.took(counts)
+        elif name == "a":
+            newest = self._b.at_report_of_a()
+            values = (counts,) if newest is None else (counts, newest)
+        yield from self._timed(name, timer.feed(values, host_ns))
+
+    def _timed(self, name: str, found: list[tuple[Instant, Values]]) -> Items:
+        """Take reports of an encoder whose times are known; of A without a position of B there is no sample."""
+        before = self.losses["reports"]
         self.losses["reports"] = sum(timer.missing for timer in self._timers.values())
-        for report in found:
+        if (missing := self.losses["reports"] - before) and name != "a":  # those of A are missing samples
+            text = f"{missing} reports of {self._watches[name].name} are missing"
+            yield DeviceEvent("gap", self._device, text, {"reports": missing})
+        for instant, values in found:
             if name == "shaft":
-                yield from self._shaft(report)
-                continue
-            pairs = self._pairs.feed_a(report) if name == "a" else self._pairs.feed_b(report)
-            for first, b in pairs:
-                missing = first.number - self._next_number if self._next_number is not None else 0
-                self._next_number = first.number + 1
+                yield from self._shaft(instant, *values)
+            elif len(values) == 2:
+                missing = 0 if self._next_number is None else instant.number - self._next_number
+                self._next_number = instant.number + 1
                 self.losses["samples"] += missing
-                yield from self._sample(first, first.counts, b, missing)
+                yield from self._sample(instant, *values, missing)
 
     def _end(self) -> Items:
         if not self._settings.sync:
             for name, timer in self._timers.items():
-                yield from self._free_running(name, timer.end())
+                yield from self._timed(name, timer.end())
 
     # --- samples -----------------------------------------------------------------------------------------------
 
-    def _sample(self, report: Report, a: float, b: float, lost: int) -> Items:
-        time_ns = self._last_ns = max(self._last_ns + 1, report.time_ns)
+    def _sample(self, instant: Instant, a: int, b: int, lost: int) -> Items:
+        time_ns = self._last_ns = max(self._last_ns + 1, instant.time_ns)
         if lost:
             span_s = lost * self._period_ns * 1e-9
             facts = {"samples": lost, "span_s": span_s, "time_ns": time_ns}
             yield DeviceEvent("gap", self._device, f"{lost} samples lost", facts)
         flags = channels.ENCODER_FAULT_A * self._watches["a"].faulty
         flags |= channels.ENCODER_FAULT_B * self._watches["b"].faulty
-        sequence = np.array([report.number], np.int64).astype(np.uint32)
+        sequence = np.array([instant.number], np.int64).astype(np.uint32)
         columns = {
             "theta3_rad": np.array([a * self._radian]),
             "theta4_rad": np.array([b * self._radian]),
-            "count_a": np.array([round(a)], np.int64).astype(np.int32),
-            "count_b": np.array([round(b)], np.int64).astype(np.int32),
+            "count_a": np.array([a], np.int64).astype(np.int32),
+            "count_b": np.array([b], np.int64).astype(np.int32),
             "index": sequence,
-            "node_time_us": np.array([report.own_ns // 1000], np.uint64),
+            "node_time_us": np.array([instant.own_ns // 1000], np.uint64),
             "flags": np.array([flags], np.uint32),
         }
         yield Batch(channels.PENDULUMS, np.array([time_ns], np.int64), sequence, columns)
 
-    def _shaft(self, report: Report) -> Items:
-        for revolution, time_ns, own_ns in self._marks.feed(report):
+    def _shaft(self, instant: Instant, counts: int) -> Items:
+        for revolution, time_ns, own_ns in self._marks.feed(instant, counts):
             self._mark_ns = max(self._mark_ns + 1, time_ns)
             number = np.array([self._mark_number], np.int64).astype(np.uint32)
             self._mark_number += 1

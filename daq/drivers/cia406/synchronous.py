@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from daq.drivers.cia406.reports import Report
+from daq.drivers.cia406.reports import Instant
 from daq.drivers.cia406.sync_sender import LATEST_S
 
 
@@ -38,11 +38,11 @@ class SyncTimes:
         self._next += 1
         return missing
 
-    def report(self, name: str, counts: int, host_ns: int) -> Report | None:
-        """Return the report with the time of its SYNC; None if it answers none, or too late."""
+    def report(self, name: str, host_ns: int) -> Instant | None:
+        """Return the instant of a report, that of its SYNC; None if it answers none, or too late."""
         asked = self._asked
         if asked is None or name in asked.answered or host_ns - asked.host_ns > LATEST_S * 1e9:
             return None
         asked.answered.add(name)
         time_ns = asked.host_ns + self._delay_ns
-        return Report(asked.number, time_ns, time_ns, counts)
+        return Instant(asked.number, time_ns, time_ns)
