@@ -64,7 +64,7 @@ class SimulatedEncoder:
         self._zero_error_rad, self._noise = zero_error_rad, noise_counts
         self._clock, self._rng = clock, rng
         self._serial = encoder.serial or serial
-        self._syncs: list[float] = []
+        self._syncs = 0  # SYNCs that came since the last interval of motion
         self._position = 0
         self.start()
 
@@ -80,7 +80,7 @@ class SimulatedEncoder:
         self._beat_due_s = 0.0
         self._sync_count = 0
         self._next: int | None = None
-        self._syncs.clear()
+        self._syncs = 0
         if announce:
             self.out.append(slcan.CanFrame(cia301.cob_heartbeat(self.node), b"\x00"))
 
@@ -100,7 +100,7 @@ class SimulatedEncoder:
         if (index, sub) == (0x1800, 5):
             self.objects[0x6200, 0] = (value, "<H")
 
-    def take(self, frame: slcan.CanFrame, now_s: float) -> None:
+    def take(self, frame: slcan.CanFrame) -> None:
         """Take a frame of the bus."""
         if self.dead:
             return
@@ -113,7 +113,7 @@ class SimulatedEncoder:
             if self.deaf_to_sync:
                 self.deaf_to_sync -= 1
             else:
-                self._syncs.append(now_s)
+                self._syncs += 1
 
     @property
     def _operational(self) -> bool:
@@ -121,28 +121,33 @@ class SimulatedEncoder:
 
     def beat(self, now_s: float) -> None:
         """Send the heartbeat if it is due."""
-        every_s = self.objects[0x1017, 0][0] * 1e-3
+        every_s = self.objects.get((0x1017, 0), (0, ""))[0] * 1e-3
         if self.dead or not every_s or now_s < self._beat_due_s:
             return
         self._beat_due_s = max(self._beat_due_s + every_s, now_s)
         self.out.append(slcan.CanFrame(0x700 + self.node, bytes([self._nmt.state])))
 
     def due(self, motion: MotionInterval) -> list[tuple[float, slcan.CanFrame]]:
-        """Return the reports of an interval of motion with their instants, rig s."""
-        syncs = [at_s for at_s in self._syncs if at_s <= motion.time_s[-1]]
-        self._syncs = self._syncs[len(syncs) :]
+        """Return the reports of an interval of motion with their instants, rig s.
+
+        The rig passes the host's bytes on at the end of the interval in which they came.
+        """
+        syncs, self._syncs = self._syncs, 0
         out: list[tuple[float, slcan.CanFrame]] = []
         own = self._own_instants(motion)
         if not self._operational:
             return out
         for number, by_timer in ((0, own), (1, list[float]())):
+            if (0x1800 + number, 1) not in self.objects:
+                continue
             identifier, kind = (self.objects[0x1800 + number, sub][0] for sub in (1, 2))
             if identifier & _OFF:
                 continue
-            at_syncs = [at_s for i, at_s in enumerate(syncs, self._sync_count + 1) if i % max(1, kind) == 0]
+            numbers = range(self._sync_count + 1, self._sync_count + syncs + 1)
+            at_syncs = [float(motion.time_s[-1]) for i in numbers if i % max(1, kind) == 0]
             instants = at_syncs if 1 <= kind <= 240 else by_timer
             out += [(at_s, self._report(number, identifier, motion, at_s)) for at_s in instants]
-        self._sync_count += len(syncs)
+        self._sync_count += syncs
         return out
 
     def _own_instants(self, motion: MotionInterval) -> list[float]:
@@ -229,14 +234,11 @@ class SimulatedEncoders(FarEnd):
         """Take text from the host; return the adapter's answers and those of the encoders."""
         frames, answers = self._adapter.receive(data)
         for frame in [] if self._without_supply else frames:
-            self._deliver(frame, now_s)
+            for encoder in self.encoders:
+                encoder.take(frame)
             if self._second_master and frame.arbitration_id == cia301.COB_SYNC:
                 self._foreign += [frame, frame]
         return answers + self._take()
-
-    def _deliver(self, frame: slcan.CanFrame, now_s: float) -> None:
-        for encoder in self.encoders:
-            encoder.take(frame, now_s)
 
     def _take(self) -> bytes:
         frames = [frame for encoder in self.encoders for frame in encoder.out]
@@ -272,7 +274,7 @@ class SimulatedEncoders(FarEnd):
                 self._of_number(number).start(announce=True)
             case "stopped":
                 encoder = self._of_number(number)
-                encoder.take(slcan.CanFrame(0, bytes((2, encoder.node))), 0.0)
+                encoder.take(slcan.CanFrame(0, bytes((2, encoder.node))))
             case "missed":
                 self.encoders[0].deaf_to_sync = number
             case "emergency":

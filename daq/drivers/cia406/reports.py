@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 
@@ -46,24 +47,25 @@ class Turns:
 class Marks:
     """Index marks of a shaft encoder: the instants at which its position passes whole revolutions.
 
-    The instant is interpolated linearly between the reports before and after it. A mark occurs in both directions of
+    The instant is interpolated linearly between the positions before and after it. A mark occurs in both directions of
     rotation. After a mark the shaft must turn by an eighth of a revolution before the same position gives another one,
-    so that a position that flickers around 0 at rest gives one mark only. Reports may be missing: the revolutions in
-    between are those of the speed before.
+    so that a position that flickers around 0 at rest gives one mark only. From one sample to the next the shaft turns
+    by less than half a revolution. Where samples are missing, it turns on with the mean speed before.
 
     Args:
         per_turn: counts per revolution.
+        period_ns: period of the samples, ns.
     """
 
     _AWAY = 0.125  # of a revolution
-    _MOST_PER_NS = 1e-7  # revolutions per ns, 6000 rpm: a faster step is no rotation
+    _GAP = 1.5  # periods without a position after which some are missing
+    _MEAN = 8  # steps over which the speed is averaged: one that is wrong must not count as rotation
     _LONGEST_NS = 1_000_000_000  # after a longer pause the revolutions in between are unknown, and no mark is given
 
-    def __init__(self, per_turn: int) -> None:
-        self._per_turn = per_turn
+    def __init__(self, per_turn: int, period_ns: int) -> None:
+        self._per_turn, self._period_ns, self._gap_ns = per_turn, period_ns, self._GAP * period_ns
         self._last: Instant | None = None
-        self._turns = 0.0  # position of the last report, revolutions
-        self._per_ns = 0.0  # speed, revolutions per ns
+        self._past: deque[tuple[int, float]] = deque(maxlen=self._MEAN + 1)  # time, ns, and revolutions, without a gap
         self._edge: int | None = None  # revolution of the newest mark, until the shaft has left it
 
     def feed(self, instant: Instant, counts: int) -> list[tuple[int, int, int]]:
@@ -72,16 +74,18 @@ class Marks:
         position = counts / self._per_turn
         step_ns = 0 if last is None else instant.time_ns - last.time_ns
         if last is None or not 0 < step_ns <= self._LONGEST_NS:
-            self._turns, self._per_ns = position, 0.0
+            self._past.clear()
+            self._past.append((instant.time_ns, position))
             return []
-        expected = self._turns + self._per_ns * step_ns
+        before = self._past[-1][1]
+        expected = before + (self._mean_per_ns() * step_ns if step_ns > self._gap_ns else 0.0)
         now = expected + math.remainder(position - expected, 1.0)
-        before, self._turns = self._turns, now
-        speed = (now - before) / step_ns
-        self._per_ns = speed if abs(speed) <= self._MOST_PER_NS else 0.0
+        if step_ns > self._gap_ns:
+            self._past.clear()
+        self._past.append((instant.time_ns, now))
+        out: list[tuple[int, int, int]] = []
         first, final = sorted((before, now))
         edges = range(math.ceil(first), math.floor(final) + 1)
-        out: list[tuple[int, int, int]] = []
         for edge in edges if now >= before else reversed(edges):
             if edge in (self._edge, before):
                 continue
@@ -92,3 +96,11 @@ class Marks:
         if self._edge is not None and abs(now - self._edge) > self._AWAY:
             self._edge = None
         return out
+
+    def _mean_per_ns(self) -> float:
+        """Return the mean speed over the past positions, revolutions per ns, limited; 0 with too few of them."""
+        (from_ns, begin), (to_ns, end) = self._past[0], self._past[-1]
+        if len(self._past) <= self._MEAN // 2:
+            return 0.0
+        mean, most = (end - begin) / (to_ns - from_ns), 0.5 / self._period_ns
+        return min(max(mean, -most), most)

@@ -77,7 +77,7 @@ class EncoderPipeline:
         self._silent = dict.fromkeys(self._watches, 0)  # SYNCs in succession without an answer
         self._timers = {name: OwnTimer(period_ns, delay_ns) for name in self._watches}
         self._b = NewestOfB()
-        self._marks = Marks(per_turn)
+        self._marks = Marks(per_turn, period_ns)
         self._mark_number, self._mark_ns = 0, 0
         self._lost = 0  # samples missing since the last one, with SYNC
         self._next_number: int | None = None  # of the sample after the last one, without SYNC
