@@ -364,7 +364,7 @@ def test_an_instant_that_is_wrong_does_not_become_the_speed() -> None:
     assert out == list(range(1, 6))
 
 
-def test_a_wild_speed_gives_no_flood_of_marks() -> None:
+def test_an_impossible_speed_gives_no_flood_of_marks() -> None:
     marks = Marks(4096, PERIOD_NS)
     for number in range(12):
         marks.feed(Instant(number, number, number), 2000 * number)
