@@ -192,12 +192,12 @@ def test_an_encoder_that_does_not_answer_is_reported_once_until_it_answers_again
 
 def test_a_report_without_a_sync_or_too_late_gives_no_sample() -> None:
     line = Line()
-    line.at(0, RX, report(3, 5))  # before any SYNC
+    line.at(0, RX, report(3, 5))  # before any SYNC: its own was sent before the log began
     line.period(report(3, 100), report(3, 200), report(4, 100), report(5, 100))  # A twice
     line.period(report(3, 7), report(4, 7), report(5, 7), after_ms=1e3 * LATEST_S + 1)
-    assert line.losses == {"unasked": 5}
+    assert line.losses == {"unasked": 4}
     assert [int(batch.columns["count_a"][0]) for batch in line.batches()] == [100]
-    assert len(line.events("damage")) == 5
+    assert len(line.events("damage")) == 4
 
 
 @pytest.mark.parametrize(
@@ -240,8 +240,8 @@ def test_a_session_that_only_receives_takes_the_sync_of_the_bus() -> None:
     items: Items = []
     for number in range(3):
         items += pipeline.feed(RX, SYNC + report(3, 70_000) + report(4, 1) + report(5, 1), number * PERIOD_NS)
-    batches = [item for item in items if isinstance(item, Batch)]
-    assert [int(batch.time_ns[0]) for batch in batches] == [0, PERIOD_NS, 2 * PERIOD_NS] or len(batches) == 3
+    times = [int(item.time_ns[0]) for item in items if isinstance(item, Batch)]
+    assert times == pytest.approx([0, PERIOD_NS, 2 * PERIOD_NS], abs=1)
     assert set(pipeline.losses.values()) == {0}
 
 

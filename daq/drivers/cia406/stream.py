@@ -177,6 +177,8 @@ class EncoderPipeline:
     def _synchronous(self, name: str, raw: int, host_ns: int) -> Items:
         instant = self._sync.report(name, host_ns)
         if instant is None:
+            if not self._sync.begun:
+                return
             self.losses["unasked"] += 1
             text = f"{self._watches[name].name}: a report that answers no SYNC, or comes too late; dropped"
             yield DeviceEvent("damage", self._device, text, {"lines": 1})

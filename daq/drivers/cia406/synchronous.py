@@ -38,6 +38,11 @@ class SyncTimes:
         self._next += 1
         return missing
 
+    @property
+    def begun(self) -> bool:
+        """Whether there was a SYNC; a log may begin between a SYNC and its reports."""
+        return self._asked is not None
+
     def report(self, name: str, host_ns: int) -> Instant | None:
         """Return the instant of a report, that of its SYNC; None if it answers none, or too late."""
         asked = self._asked
