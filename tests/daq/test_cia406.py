@@ -394,6 +394,12 @@ def test_delayed_reports_are_not_missing() -> None:
     assert times == pytest.approx([10.0 * number for number in numbers], abs=0.2)
 
 
+def test_a_delayed_report_after_missing_ones_does_not_add_to_them() -> None:
+    numbers, _, timer = timed([0, 10, 20, 61, 61, *range(70, 160, 10)])
+    assert timer.missing == 2
+    assert numbers == [0, 1, 2, *range(5, 16)]
+
+
 def test_a_timer_may_be_slow() -> None:
     arrivals = [number * 10.005 + (3.0 if number % 7 else 0.0) for number in range(2000)]
     numbers, times, timer = timed(arrivals)
