@@ -16,6 +16,7 @@ from can.io.generic import MessageWriter
 
 from benchmarks.laser_samples import START_NS
 from daq import channels
+from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.items import RX, Batch
@@ -37,7 +38,7 @@ def drive_frames(count: int) -> list[slcan.CanFrame]:
     """Status and speed of a drive that holds its speed but for noise."""
     node = load_rig("virtual").devices["drive"].node_id
     speeds = np.rint(600 + 2 * np.random.default_rng(1).standard_normal(count)).astype(int)
-    return [slcan.CanFrame(cia402.cob_tpdo(1, node), cia402.pack_tpdo1(0x0237, int(rpm))) for rpm in speeds]
+    return [slcan.CanFrame(cia301.cob_tpdo(1, node), cia402.pack_tpdo1(0x0237, int(rpm))) for rpm in speeds]
 
 
 def slcan_reads(frames: list[slcan.CanFrame]) -> Reads:

@@ -35,6 +35,7 @@ class DeviceSettings(RigTable):
     Attributes:
         calibration: names of the settings that a calibration may correct in an old log.
         serial: serial number of the device, digits or text; any other device is refused. "": any.
+        serial_limit: for devices whose serial number is a number: the first one that is too large.
     """
 
     calibration: ClassVar[tuple[str, ...]] = ()
@@ -42,6 +43,21 @@ class DeviceSettings(RigTable):
     driver: str
     port: str
     serial: Annotated[str, BeforeValidator(_as_text), Field(max_length=80)] = ""
+
+    serial_limit: ClassVar[int | None] = None
+
+    @field_validator("serial")
+    @classmethod
+    def _is_a_number(cls, serial: str) -> str:
+        limit = cls.serial_limit
+        if serial and limit is not None and not (serial.isdecimal() and serial.isascii() and int(serial) < limit):
+            raise ValueError(f"expected a number below {limit}, as the device reports it, got {serial!r}")
+        return serial
+
+    @property
+    def serial_number(self) -> int:
+        """Serial number as a number; 0: any."""
+        return int(self.serial or 0)
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """Return the roles of the device.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from daq.acquisition.interlocks import Interlocks, Stop
+from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.far_end import SimulatedDrive
 from daq.drivers.devices import make_pipelines
@@ -40,7 +41,7 @@ class Bench:
         self._hear("drive", self.drive.receive(b"O\r", 0.0))
         for laser in ("laser_x", "laser_y"):
             self.far.far_ends[laser].receive(b"OUTADD_RS422 COUNTER TIMESTAMP\nOUTPUT RS422\n", 0.0)
-        self.drive._objects[cia402.PRODUCER_HEARTBEAT, 0] = (100, "<H")
+        self.drive._objects[cia301.PRODUCER_HEARTBEAT, 0] = (100, "<H")
         self._to_drive(0, bytes([1, self.rig.devices["drive"].node_id]))
         self.interlocks.begin(self.now_ns)
         self.pass_time(0.5)
@@ -92,7 +93,7 @@ class Bench:
         node = self.rig.devices["drive"].node_id
         self.interlocks.commanded(float(rpm))
         for word in (cia402.SHUTDOWN, cia402.SWITCH_ON, cia402.ENABLE_OPERATION):
-            self._to_drive(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(word, rpm))
+            self._to_drive(cia301.cob_rpdo(1, node), cia402.pack_rpdo1(word, rpm))
         for sub, value in ((0x6048, 400), (0x6049, 400)):
             self.drive._objects[sub, 1] = (value, "<I")
         self.drive._objects[0x6060, 0] = (2, "<b")
@@ -102,7 +103,7 @@ class Bench:
         """Stop the rotor as the session does."""
         self.interlocks.commanded(0.0)
         node = self.rig.devices["drive"].node_id
-        self._to_drive(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(cia402.QUICK_STOP, 0))
+        self._to_drive(cia301.cob_rpdo(1, node), cia402.pack_rpdo1(cia402.QUICK_STOP, 0))
 
     def fails(self, device: str, what: str, value: float = 1) -> None:
         """See FarEnd."""

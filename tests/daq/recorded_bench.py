@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq.drivers.cia402 import wire as cia402
+from daq.drivers.canopen import cia301
 from daq.drivers.devices import make_pipelines
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.log.file import LogFile
@@ -64,7 +64,7 @@ class RecordedBench(Bench):
 
     def beat(self) -> None:
         """The host's heartbeat: an open session sends bytes to its drive continuously."""
-        self._keep("drive", TX, slcan.encode(slcan.CanFrame(cia402.cob_heartbeat(1), b"\x05")))
+        self._keep("drive", TX, slcan.encode(slcan.CanFrame(cia301.cob_heartbeat(1), b"\x05")))
 
     def note(self, event: DeviceEvent) -> None:
         """Write the stop and the summary of a session."""

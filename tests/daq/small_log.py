@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from daq.acquisition.recorder import Recorder
+from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.devices import make_pipelines
 from daq.drivers.optoncdt import distance_words, wire as optoncdt
@@ -37,7 +38,7 @@ def device_bytes(
         for pendulum in reported if step == opened_at else ():
             event = rotorlink.LockEvent(1, seq, 10_000 * step + 3_000, pendulum, 1, 7)
             events, seq = events + rotorlink.wire(event.pack()), seq + 1
-        frame = slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237, 60 + step))
+        frame = slcan.CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(0x0237, 60 + step))
         reads += [
             ("laser_x", optoncdt.encode_block(words)),
             ("laser_y", optoncdt.encode_block(words)),

@@ -10,8 +10,9 @@ from canopen.sdo.exceptions import SdoAbortedError
 from hypothesis import given, strategies as st
 
 from daq.drivers.can_lines import Adapter
-from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.canopen_node import NmtState, SdoServer, drive_objects
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.node import NmtState, SdoServer
+from daq.drivers.cia402.drive_objects import drive_objects
 from daq.transports import slcan
 
 
@@ -26,9 +27,9 @@ class Wire:
         self.server = server
 
     def _answered(self, identifier: int, data: bytes, remote: bool = False) -> None:
-        assert identifier == cia402.cob_sdo_request(5)
+        assert identifier == cia301.cob_sdo_request(5)
         answer = self.server.answer(bytes(data).ljust(8, b"\0"))
-        self.network.notify(cia402.cob_sdo_answer(5), bytearray(answer), 0.0)
+        self.network.notify(cia301.cob_sdo_answer(5), bytearray(answer), 0.0)
 
 
 def test_what_a_client_writes_it_reads_again() -> None:
@@ -67,13 +68,13 @@ def test_any_request_gets_eight_bytes_that_name_its_object(request: bytes) -> No
 def test_the_network_starts_and_stops_this_node_or_all() -> None:
     node = NmtState(5)
     for data, state in (
-        (b"\x01\x05", cia402.Heartbeat.OPERATIONAL),
-        (b"\x80\x06", cia402.Heartbeat.OPERATIONAL),  # another node's
-        (b"\x80\x00", cia402.Heartbeat.PRE_OPERATIONAL),
-        (b"\x01", cia402.Heartbeat.PRE_OPERATIONAL),
-        (b"\x02\x05", cia402.Heartbeat.STOPPED),
-        (b"\x82\x05", cia402.Heartbeat.PRE_OPERATIONAL),
-        (b"\x77\x05", cia402.Heartbeat.PRE_OPERATIONAL),
+        (b"\x01\x05", cia301.Heartbeat.OPERATIONAL),
+        (b"\x80\x06", cia301.Heartbeat.OPERATIONAL),  # another node's
+        (b"\x80\x00", cia301.Heartbeat.PRE_OPERATIONAL),
+        (b"\x01", cia301.Heartbeat.PRE_OPERATIONAL),
+        (b"\x02\x05", cia301.Heartbeat.STOPPED),
+        (b"\x82\x05", cia301.Heartbeat.PRE_OPERATIONAL),
+        (b"\x77\x05", cia301.Heartbeat.PRE_OPERATIONAL),
     ):
         followed = node.follow(slcan.CanFrame(0, data))
         assert followed == (data[0] if len(data) == 2 and data[1] in (0, 5) else None)

@@ -3,6 +3,7 @@
 import pytest
 from hypothesis import given, strategies as st
 
+from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia
 
 U16, I16 = st.integers(0, 2**16 - 1), st.integers(-(2**15), 2**15 - 1)
@@ -53,28 +54,34 @@ def test_process_data_bytes():
 
 @given(U16, st.integers(0, 255), st.binary(min_size=5, max_size=5))
 def test_emergency_round_trip(error_code, register, maker):
-    emergency = cia.Emergency(error_code, register, maker)
-    assert cia.unpack_emergency(cia.pack_emergency(emergency)) == emergency
+    emergency = cia301.Emergency(error_code, register, maker)
+    assert cia301.unpack_emergency(cia301.pack_emergency(emergency)) == emergency
 
 
 def test_emergency_bytes():
-    assert cia.unpack_emergency(bytes.fromhex("3081 10 0102030405")).error_code == 0x8130
+    assert cia301.unpack_emergency(bytes.fromhex("3081 10 0102030405")).error_code == 0x8130
     with pytest.raises(ValueError, match="8 bytes"):
-        cia.unpack_emergency(b"")
+        cia301.unpack_emergency(b"")
 
 
 def test_heartbeat():
-    assert cia.heartbeat(b"\x05") is cia.Heartbeat.OPERATIONAL
-    assert cia.heartbeat(b"\x85") is cia.Heartbeat.OPERATIONAL
-    assert cia.heartbeat(b"\x06") is None
-    assert cia.heartbeat(b"") is None
+    assert cia301.heartbeat(b"\x05") is cia301.Heartbeat.OPERATIONAL
+    assert cia301.heartbeat(b"\x85") is cia301.Heartbeat.OPERATIONAL
+    assert cia301.heartbeat(b"\x06") is None
+    assert cia301.heartbeat(b"") is None
     assert cia.consumer_heartbeat(1, 500) == 0x000101F4
 
 
 def test_connection_set_of_node_5():
-    ids = [cia.cob_emergency(5), cia.cob_tpdo(1, 5), cia.cob_rpdo(1, 5), cia.cob_tpdo(4, 5), cia.cob_rpdo(4, 5)]
+    ids = [
+        cia301.cob_emergency(5),
+        cia301.cob_tpdo(1, 5),
+        cia301.cob_rpdo(1, 5),
+        cia301.cob_tpdo(4, 5),
+        cia301.cob_rpdo(4, 5),
+    ]
     assert ids == [0x085, 0x185, 0x205, 0x485, 0x505]
-    assert [cia.cob_sdo_answer(5), cia.cob_sdo_request(5), cia.cob_heartbeat(5)] == [0x585, 0x605, 0x705]
+    assert [cia301.cob_sdo_answer(5), cia301.cob_sdo_request(5), cia301.cob_heartbeat(5)] == [0x585, 0x605, 0x705]
 
 
 @pytest.mark.parametrize(
@@ -92,9 +99,9 @@ def test_connection_set_of_node_5():
     ],
 )
 def test_an_emergency_is_reported_with_its_meaning(code, words):
-    assert cia.emergency_words(code) == words
+    assert cia301.emergency_words(code) == words
 
 
 @given(U16)
 def test_every_emergency_code_has_words(code):
-    assert cia.emergency_words(code).startswith(f"0x{code:04X}, ")
+    assert cia301.emergency_words(code).startswith(f"0x{code:04X}, ")

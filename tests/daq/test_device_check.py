@@ -18,6 +18,7 @@ from daq.acquisition.device_check import (
     passed,
 )
 from daq.acquisition.rate_watch import Rate
+from daq.drivers.canopen import cia301
 from daq.drivers.checks import Checks
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.status_checks import drive_checks
@@ -191,7 +192,7 @@ def test_one_thing_wrong_fails_its_check_and_no_other(what: str, value: Any, dev
 
 
 def test_a_fault_by_the_lost_heartbeat_of_a_host_passes_and_is_reported() -> None:
-    beat = Drive(cia402.FAULT, cia402.HEARTBEAT_ERROR)
+    beat = Drive(cia402.FAULT, cia301.HEARTBEAT_ERROR)
     state = changed(healthy(), "drive", beat).judged()["drive"]["state"]
     assert state.passed
     assert "0x8130" in state.note

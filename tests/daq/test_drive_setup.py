@@ -9,9 +9,11 @@ from typing import cast
 import pytest
 from hypothesis import given, strategies as st
 
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START, Objects, SdoServer
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START, Objects, SdoServer, drive_objects
 from daq.drivers.cia402.control import DriveControl
+from daq.drivers.cia402.drive_objects import drive_objects
 from daq.drivers.cia402.settings import MotorDrive
 from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock, slcan
@@ -22,12 +24,12 @@ NODE = CONFIG.node_id
 OFF = 1 << 31
 STATUS, ACTUAL, TORQUE = (index << 16 | 16 for index in (cia402.STATUSWORD, cia402.ACTUAL_VELOCITY, 0x6077))
 WANTED = {
-    (cia402.RPDO1, 1): cia402.cob_rpdo(1, NODE),
-    (cia402.RPDO1_MAPPING, 1): cia402.CONTROLWORD << 16 | 16,
-    (cia402.RPDO1_MAPPING, 2): cia402.TARGET_VELOCITY << 16 | 16,
-    (cia402.TPDO1, 1): cia402.cob_tpdo(1, NODE),
-    (cia402.TPDO1_MAPPING, 1): STATUS,
-    (cia402.TPDO1_MAPPING, 2): ACTUAL,
+    (cia301.RPDO1, 1): cia301.cob_rpdo(1, NODE),
+    (cia301.RPDO1_MAPPING, 1): cia402.CONTROLWORD << 16 | 16,
+    (cia301.RPDO1_MAPPING, 2): cia402.TARGET_VELOCITY << 16 | 16,
+    (cia301.TPDO1, 1): cia301.cob_tpdo(1, NODE),
+    (cia301.TPDO1_MAPPING, 1): STATUS,
+    (cia301.TPDO1_MAPPING, 2): ACTUAL,
 }
 _STATE, _ACCESS = 0x08000022, 0x06010000  # abort codes of CiA 301
 
@@ -69,26 +71,26 @@ class MappedDrive:
 
     def hear(self, data: bytes) -> None:
         for frame in self._lines.feed(data).frames:
-            if frame.arbitration_id == cia402.cob_sdo_request(NODE):
-                self._answer(cia402.cob_sdo_answer(NODE), self._refusal(frame.data) or self._sdo.answer(frame.data))
+            if frame.arbitration_id == cia301.cob_sdo_request(NODE):
+                self._answer(cia301.cob_sdo_answer(NODE), self._refusal(frame.data) or self._sdo.answer(frame.data))
             elif frame.arbitration_id == 0:
                 self.network_orders.append(frame.data[0])
                 self.started = frame.data[0] == NMT_START
-            elif frame.arbitration_id == cia402.cob_rpdo(1, NODE):
+            elif frame.arbitration_id == cia301.cob_rpdo(1, NODE):
                 word = cia402.unpack_rpdo1(frame.data)[0]
                 self.orders.append(word)
                 if word == CONFIG_STEPS.get(self.state, (None,))[0] or word & 0x0F == 0x0F:
                     self.state = CONFIG_STEPS.get(self.state, (None, self.state))[1]
             if self.started:
                 report = cia402.pack_tpdo1(cia402.STATES[self.state][1], 0)
-                self._answer(cia402.cob_tpdo(1, NODE), report)
+                self._answer(cia301.cob_tpdo(1, NODE), report)
 
     def _answer(self, identifier: int, data: bytes) -> None:
         self.host.take_frames([slcan.CanFrame(identifier, data)])
 
     def _refusal(self, request: bytes) -> bytes:
         index, sub, value = struct.unpack_from("<HBI", request, 1)
-        if request[0] >> 5 != 1 or index not in (cia402.RPDO1, cia402.TPDO1, *_MAPPINGS):
+        if request[0] >> 5 != 1 or index not in (cia301.RPDO1, cia301.TPDO1, *_MAPPINGS):
             return b""
         if self.fixed or (self.fixed_in_operation and self.started) or self.refused_entry == value:
             return b"\x80" + request[1:4] + struct.pack("<I", _ACCESS)
@@ -100,7 +102,7 @@ class MappedDrive:
         return b""
 
 
-_MAPPINGS = (cia402.RPDO1_MAPPING, cia402.TPDO1_MAPPING)
+_MAPPINGS = (cia301.RPDO1_MAPPING, cia301.TPDO1_MAPPING)
 CONFIG_STEPS = {
     cia402.SWITCH_ON_DISABLED: (cia402.SHUTDOWN, cia402.READY),
     cia402.READY: (cia402.SWITCH_ON, cia402.SWITCHED_ON),
@@ -117,23 +119,23 @@ def opened(changes: dict[tuple[int, int], int], prepare: Callable[[MappedDrive],
 
 
 def of_process_data(drive: MappedDrive) -> list[tuple[int, int, int]]:
-    return [w for w in drive.written if w[0] in (cia402.RPDO1, cia402.TPDO1, *_MAPPINGS)]
+    return [w for w in drive.written if w[0] in (cia301.RPDO1, cia301.TPDO1, *_MAPPINGS)]
 
 
 def test_a_mapping_that_is_right_is_left_alone() -> None:
-    assert of_process_data(opened({(cia402.TPDO1, 5): 20})) == []
+    assert of_process_data(opened({(cia301.TPDO1, 5): 20})) == []
 
 
 def test_a_drive_that_would_report_changes_only_gets_a_period() -> None:
-    assert of_process_data(opened({})) == [(cia402.TPDO1, 5, 10)]
+    assert of_process_data(opened({})) == [(cia301.TPDO1, 5, 10)]
 
 
 def test_more_behind_the_speed_may_stay_but_not_behind_the_orders() -> None:
-    behind = {(cia402.TPDO1_MAPPING, 0): 3, (cia402.TPDO1_MAPPING, 3): TORQUE, (cia402.TPDO1, 5): 20}
+    behind = {(cia301.TPDO1_MAPPING, 0): 3, (cia301.TPDO1_MAPPING, 3): TORQUE, (cia301.TPDO1, 5): 20}
     assert of_process_data(opened(behind)) == []
-    drive = opened({(cia402.RPDO1_MAPPING, 0): 3, (cia402.RPDO1_MAPPING, 3): TORQUE, (cia402.TPDO1, 5): 20})
-    assert drive.value(cia402.RPDO1_MAPPING, 0) == 2
-    assert drive.value(cia402.RPDO1, 1) == cia402.cob_rpdo(1, NODE)
+    drive = opened({(cia301.RPDO1_MAPPING, 0): 3, (cia301.RPDO1_MAPPING, 3): TORQUE, (cia301.TPDO1, 5): 20})
+    assert drive.value(cia301.RPDO1_MAPPING, 0) == 2
+    assert drive.value(cia301.RPDO1, 1) == cia301.cob_rpdo(1, NODE)
 
 
 words = st.sampled_from([STATUS, ACTUAL, TORQUE, cia402.CONTROLWORD << 16 | 16, cia402.TARGET_VELOCITY << 16 | 16, 0])
@@ -156,9 +158,9 @@ def test_for_any_mapping_commands_are_taken_and_speeds_reported(
     identifiers: tuple[int, int],
     timer: int,
 ) -> None:
-    changes = {(cia402.TPDO1, 5): timer}
+    changes = {(cia301.TPDO1, 5): timer}
     for n, (travels, mapping) in enumerate(
-        [(cia402.RPDO1, cia402.RPDO1_MAPPING), (cia402.TPDO1, cia402.TPDO1_MAPPING)]
+        [(cia301.RPDO1, cia301.RPDO1_MAPPING), (cia301.TPDO1, cia301.TPDO1_MAPPING)]
     ):
         changes |= {(travels, 1): identifiers[n], (travels, 2): kinds[n], (mapping, 0): counts[n]}
         changes |= {(mapping, 1): entries[2 * n], (mapping, 2): entries[2 * n + 1]}
@@ -166,15 +168,15 @@ def test_for_any_mapping_commands_are_taken_and_speeds_reported(
     assert {where: drive.value(*where) for where in WANTED} == {
         where: value | (drive.value(*where) & 0x4000_0000) for where, value in WANTED.items()
     }
-    assert drive.value(cia402.RPDO1_MAPPING, 0) == 2
-    assert drive.value(cia402.TPDO1_MAPPING, 0) == 2
-    assert drive.value(cia402.RPDO1, 2) >= 254
-    assert drive.value(cia402.TPDO1, 2) >= 254
-    assert drive.value(cia402.TPDO1, 5) == (timer or 10)
+    assert drive.value(cia301.RPDO1_MAPPING, 0) == 2
+    assert drive.value(cia301.TPDO1_MAPPING, 0) == 2
+    assert drive.value(cia301.RPDO1, 2) >= 254
+    assert drive.value(cia301.TPDO1, 2) >= 254
+    assert drive.value(cia301.TPDO1, 5) == (timer or 10)
 
 
 def test_a_drive_that_cannot_be_mapped_is_refused_with_what_it_needs() -> None:
-    drive = MappedDrive({(cia402.TPDO1_MAPPING, 0): 1})
+    drive = MappedDrive({(cia301.TPDO1_MAPPING, 0): 1})
     drive.fixed = True
     with pytest.raises(DeviceError, match=r"1800h sub 1.*1A00h statusword and actual speed \(6041h, 6044h\).*tool"):
         drive.host.start()
@@ -185,13 +187,13 @@ def test_a_drive_that_refuses_changes_in_operation_is_taken_out_of_it() -> None:
     def run(drive: MappedDrive) -> None:
         drive.started = drive.fixed_in_operation = True
 
-    drive = opened({(cia402.TPDO1_MAPPING, 0): 1}, run)
-    assert drive.value(cia402.TPDO1_MAPPING, 0) == 2
+    drive = opened({(cia301.TPDO1_MAPPING, 0): 1}, run)
+    assert drive.value(cia301.TPDO1_MAPPING, 0) == 2
     assert drive.network_orders[:2] == [NMT_PRE_OPERATIONAL, NMT_START]
 
 
 def test_a_drive_in_operation_that_is_right_is_not_taken_out_of_it() -> None:
-    drive = MappedDrive({(cia402.TPDO1, 5): 20})
+    drive = MappedDrive({(cia301.TPDO1, 5): 20})
     drive.started = True
     drive.host.start()
     orders = list(drive.network_orders)
@@ -201,11 +203,11 @@ def test_a_drive_in_operation_that_is_right_is_not_taken_out_of_it() -> None:
 
 def test_what_a_drive_had_is_put_back_when_it_refuses_ours() -> None:
     had = {
-        (cia402.TPDO1_MAPPING, 0): 2,
-        (cia402.TPDO1_MAPPING, 1): TORQUE,
-        (cia402.TPDO1_MAPPING, 2): STATUS,
-        (cia402.TPDO1, 1): 0x4000_0185,
-        (cia402.TPDO1, 2): 1,
+        (cia301.TPDO1_MAPPING, 0): 2,
+        (cia301.TPDO1_MAPPING, 1): TORQUE,
+        (cia301.TPDO1_MAPPING, 2): STATUS,
+        (cia301.TPDO1, 1): 0x4000_0185,
+        (cia301.TPDO1, 2): 1,
     }
     drive = MappedDrive(had)
     drive.refused_entry = ACTUAL
@@ -216,20 +218,20 @@ def test_what_a_drive_had_is_put_back_when_it_refuses_ours() -> None:
 
 @pytest.mark.parametrize("period_ms", [0, 101, 2000, 65535])
 def test_reports_that_come_too_seldom_get_a_period(period_ms: int) -> None:
-    assert opened({(cia402.TPDO1, 5): period_ms}).value(cia402.TPDO1, 5) == 10
+    assert opened({(cia301.TPDO1, 5): period_ms}).value(cia301.TPDO1, 5) == 10
 
 
 def test_an_inhibit_time_of_a_second_is_taken_off_and_a_short_one_is_left() -> None:
-    drive = opened({(cia402.TPDO1, 3): 10_000, (cia402.TPDO1, 5): 20})
-    assert drive.value(cia402.TPDO1, 3) == 0
-    assert drive.value(cia402.TPDO1, 1) == cia402.cob_tpdo(1, NODE)
-    assert of_process_data(opened({(cia402.TPDO1, 3): 50, (cia402.TPDO1, 5): 20})) == []
+    drive = opened({(cia301.TPDO1, 3): 10_000, (cia301.TPDO1, 5): 20})
+    assert drive.value(cia301.TPDO1, 3) == 0
+    assert drive.value(cia301.TPDO1, 1) == cia301.cob_tpdo(1, NODE)
+    assert of_process_data(opened({(cia301.TPDO1, 3): 50, (cia301.TPDO1, 5): 20})) == []
 
 
 def test_a_drive_that_does_not_show_its_mapping_is_taken_as_set_up_by_hand() -> None:
     def hide(drive: MappedDrive) -> None:
         for where in list(drive.objects):
-            if where[0] in (cia402.RPDO1, cia402.TPDO1, *_MAPPINGS):
+            if where[0] in (cia301.RPDO1, cia301.TPDO1, *_MAPPINGS):
                 del drive.objects[where]
 
     assert NMT_START in opened({}, hide).network_orders
@@ -256,7 +258,7 @@ def test_another_pdo_that_bears_our_identifier_is_refused(index: int, identifier
 
 
 def test_the_mapping_of_a_drive_with_torque_is_not_changed() -> None:
-    had = {(cia402.TPDO1_MAPPING, 0): 1, (cia402.TPDO1, 5): 20}
+    had = {(cia301.TPDO1_MAPPING, 0): 1, (cia301.TPDO1, 5): 20}
     drive = MappedDrive(had)
     drive.state = cia402.QUICK_STOP_ACTIVE
     with pytest.raises(DeviceError, match="it has torque"):
@@ -266,13 +268,13 @@ def test_the_mapping_of_a_drive_with_torque_is_not_changed() -> None:
 
 
 def test_the_drive_s_mapping_is_restored_for_any_end_of_the_set_up() -> None:
-    had = {(cia402.RPDO1_MAPPING, 0): 1, (cia402.RPDO1, 2): 1, (cia402.TPDO1_MAPPING, 0): 1, (cia402.TPDO1, 3): 20_000}
+    had = {(cia301.RPDO1_MAPPING, 0): 1, (cia301.RPDO1, 2): 1, (cia301.TPDO1_MAPPING, 0): 1, (cia301.TPDO1, 3): 20_000}
     for ending in (KeyboardInterrupt, LinkLost):
         drive = MappedDrive(had)
         before = dict(drive.objects)
 
         def interrupt(index: int, sub: int, value: int, drive: MappedDrive = drive, ending: type = ending) -> None:
-            if (index, sub, value) == (cia402.TPDO1_MAPPING, 2, ACTUAL) and not drive.interrupted:
+            if (index, sub, value) == (cia301.TPDO1_MAPPING, 2, ACTUAL) and not drive.interrupted:
                 drive.interrupted = True
                 raise ending("now")
 
@@ -280,26 +282,26 @@ def test_the_drive_s_mapping_is_restored_for_any_end_of_the_set_up() -> None:
         with pytest.raises(ending):
             drive.host.start()
         assert {where: drive.value(*where) for where in had} == had
-        assert drive.value(cia402.TPDO1, 1) == before[cia402.TPDO1, 1][0]
+        assert drive.value(cia301.TPDO1, 1) == before[cia301.TPDO1, 1][0]
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_period_that_is_taken_only_while_the_pdo_is_off_is_set_then(count: int) -> None:
-    drive = MappedDrive({(cia402.TPDO1, 5): 0, (cia402.TPDO1_MAPPING, 0): count})
+    drive = MappedDrive({(cia301.TPDO1, 5): 0, (cia301.TPDO1_MAPPING, 0): count})
     drive.period_guarded = True
     drive.host.start()
     drive.host.stop()
-    assert drive.value(cia402.TPDO1, 5) == 10
-    assert drive.value(cia402.TPDO1, 1) == cia402.cob_tpdo(1, NODE)
+    assert drive.value(cia301.TPDO1, 5) == 10
+    assert drive.value(cia301.TPDO1, 1) == cia301.cob_tpdo(1, NODE)
 
 
 def test_a_period_that_cannot_be_set_is_no_reason_to_refuse_a_drive() -> None:
-    drive = MappedDrive({(cia402.TPDO1, 5): 0})
+    drive = MappedDrive({(cia301.TPDO1, 5): 0})
     drive.refused_entry = 10
     drive.host.start()
-    assert drive.value(cia402.TPDO1, 1) == cia402.cob_tpdo(1, NODE)
+    assert drive.value(cia301.TPDO1, 1) == cia301.cob_tpdo(1, NODE)
     drive.host.stop()
 
 
 def test_a_count_that_stands_for_another_kind_of_pdo_is_no_mapping() -> None:
-    assert opened({(cia402.TPDO1_MAPPING, 0): 254}).value(cia402.TPDO1_MAPPING, 0) == 2
+    assert opened({(cia301.TPDO1_MAPPING, 0): 254}).value(cia301.TPDO1_MAPPING, 0) == 2

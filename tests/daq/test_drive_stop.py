@@ -8,16 +8,18 @@ import time
 
 import pytest
 
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.node import NMT_START, SdoServer
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.canopen_node import NMT_START, SdoServer, drive_objects
 from daq.drivers.cia402.control import DriveControl
+from daq.drivers.cia402.drive_objects import drive_objects
 from daq.drivers.contract import RotorGuard
 from daq.errors import DeviceError, LinkLost
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
 
 CONFIG = load_rig("virtual").devices["drive"]
-WATCH = (cia402.CONSUMER_HEARTBEAT, 1)
+WATCH = (cia301.CONSUMER_HEARTBEAT, 1)
 
 
 class FarEnd:
@@ -32,7 +34,7 @@ class FarEnd:
         self.deaf_to_beats, self.beats_refused = False, 0
         self.brakes = True
         self.keeps_torque = False
-        self.network = cia402.Heartbeat.OPERATIONAL
+        self.network = cia301.Heartbeat.OPERATIONAL
         self.deaf = False  # to the network's start too
         self.fixed: set[tuple[int, int]] = set()  # objects that cannot be written
         self.stray = b""  # an answer that comes before the right one
@@ -68,13 +70,13 @@ class FarEnd:
             self.rpm = max(0, self.rpm - 100)
             self.state = cia402.QUICK_STOP_ACTIVE
 
-    def shows(self, state: cia402.Heartbeat) -> None:
+    def shows(self, state: cia301.Heartbeat) -> None:
         """Its heartbeat."""
         self.network = state
-        self.report(cia402.cob_heartbeat(CONFIG.node_id), bytes([state]))
+        self.report(cia301.cob_heartbeat(CONFIG.node_id), bytes([state]))
 
     def _miss(self, data: bytes) -> None:
-        if self.missed and data.startswith(f"t{cia402.cob_rpdo(1, CONFIG.node_id):03X}".encode()):
+        if self.missed and data.startswith(f"t{cia301.cob_rpdo(1, CONFIG.node_id):03X}".encode()):
             self.missed -= 1
             raise LinkLost("no buffer space")
 
@@ -83,31 +85,31 @@ class FarEnd:
             raise LinkLost("gone")
         self._miss(data)
         for frame in self._lines.feed(data).frames:
-            if self.deaf_to_beats and frame.arbitration_id == cia402.cob_heartbeat(CONFIG.host_node_id):
+            if self.deaf_to_beats and frame.arbitration_id == cia301.cob_heartbeat(CONFIG.host_node_id):
                 self.beats_refused += 1
                 raise LinkLost("no buffer space")
             self.received.append((frame.arbitration_id, frame.data))
             if frame.arbitration_id == 0 and not self.deaf:
-                self.network = cia402.Heartbeat.OPERATIONAL
-            if frame.arbitration_id == cia402.cob_sdo_request(CONFIG.node_id):
+                self.network = cia301.Heartbeat.OPERATIONAL
+            if frame.arbitration_id == cia301.cob_sdo_request(CONFIG.node_id):
                 if self.deaf:
                     continue
                 if self.stray:
-                    self.report(cia402.cob_sdo_answer(CONFIG.node_id), self.stray)
+                    self.report(cia301.cob_sdo_answer(CONFIG.node_id), self.stray)
                 index, sub = struct.unpack_from("<HB", frame.data, 1)
                 if frame.data[0] >> 5 == 1 and (index, sub) in self.fixed:
                     answer = b"\x80" + frame.data[1:4] + struct.pack("<I", 0x06010002)
-                    self.report(cia402.cob_sdo_answer(CONFIG.node_id), answer)
+                    self.report(cia301.cob_sdo_answer(CONFIG.node_id), answer)
                     continue
                 answer = self._sdo.answer(frame.data)
                 if struct.unpack_from("<H", frame.data, 1)[0] in self.refused:
                     answer = b"\x80" + frame.data[1:4] + struct.pack("<I", 0x06090030)
-                self.report(cia402.cob_sdo_answer(CONFIG.node_id), answer)
-            if frame.arbitration_id == cia402.cob_rpdo(1, CONFIG.node_id):
+                self.report(cia301.cob_sdo_answer(CONFIG.node_id), answer)
+            if frame.arbitration_id == cia301.cob_rpdo(1, CONFIG.node_id):
                 if self.unheeded:
                     self.speak()
                     continue
-                if self.network != cia402.Heartbeat.OPERATIONAL:
+                if self.network != cia301.Heartbeat.OPERATIONAL:
                     continue
                 word, _ = cia402.unpack_rpdo1(frame.data)
                 self._heeds(word)
@@ -122,7 +124,7 @@ class FarEnd:
         if self.mute_reports:
             return
         _, word = cia402.STATES[self.state]
-        self.report(cia402.cob_tpdo(1, CONFIG.node_id), cia402.pack_tpdo1(word, self.rpm))
+        self.report(cia301.cob_tpdo(1, CONFIG.node_id), cia402.pack_tpdo1(word, self.rpm))
 
     def runs(self, rpm: int) -> None:
         self.control.start()
@@ -130,7 +132,7 @@ class FarEnd:
         self.speak()
 
     def controlwords(self) -> list[int]:
-        pdo = cia402.cob_rpdo(1, CONFIG.node_id)
+        pdo = cia301.cob_rpdo(1, CONFIG.node_id)
         return [cia402.unpack_rpdo1(data)[0] for identifier, data in self.received if identifier == pdo]
 
 
@@ -143,7 +145,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_watch_ends_at_rest_and_the_heartbeat_after_it() -> None:
     far = FarEnd()
     far.runs(300)
-    assert far.received[0][0] == cia402.cob_heartbeat(CONFIG.host_node_id)  # it beats before it is watched
+    assert far.received[0][0] == cia301.cob_heartbeat(CONFIG.host_node_id)  # it beats before it is watched
     assert far.control.stop() is True
     assert [value & 0xFFFF for value, _ in far.watched] == [CONFIG.heartbeat_timeout_ms, 0]
     assert far.watched[-1] == (0, 0)
@@ -191,7 +193,7 @@ def test_a_speed_has_an_age_and_a_restart_ends_it(monkeypatch: pytest.MonkeyPatc
     assert far.control.actual_rpm != far.control.actual_rpm
     far.speak()
     assert far.control.actual_rpm == 300
-    far.report(cia402.cob_heartbeat(CONFIG.node_id), b"\x00")
+    far.report(cia301.cob_heartbeat(CONFIG.node_id), b"\x00")
     assert far.control.actual_rpm != far.control.actual_rpm
     assert far.control.state == cia402.UNKNOWN
     monkeypatch.undo()
@@ -201,7 +203,7 @@ def test_a_speed_has_an_age_and_a_restart_ends_it(monkeypatch: pytest.MonkeyPatc
 def test_emergencies_stand_until_they_are_reset() -> None:
     far = FarEnd()
     for code, standing in ((0x3220, [0x3220]), (0x4310, [0x3220, 0x4310]), (0, [])):
-        far.report(cia402.cob_emergency(CONFIG.node_id), cia402.pack_emergency(cia402.Emergency(code, 0, bytes(5))))
+        far.report(cia301.cob_emergency(CONFIG.node_id), cia301.pack_emergency(cia301.Emergency(code, 0, bytes(5))))
         assert far.control.emergencies == standing
         assert ("DC link under-voltage" in far.control.why()) == (0x3220 in standing)
 
@@ -209,7 +211,7 @@ def test_emergencies_stand_until_they_are_reset() -> None:
 def test_out_of_operation_it_is_stopped_through_its_objects() -> None:
     far = FarEnd()
     far.runs(50)
-    far.shows(cia402.Heartbeat.PRE_OPERATIONAL)
+    far.shows(cia301.Heartbeat.PRE_OPERATIONAL)
     far.control.quick_stop()
     assert (far.rpm, far.state) == (0, cia402.QUICK_STOP_ACTIVE)
     assert (0, bytes([NMT_START, CONFIG.node_id])) in far.received[-3:]
@@ -219,15 +221,15 @@ def test_out_of_operation_it_is_stopped_through_its_objects() -> None:
 def test_a_drive_that_heeds_nothing_is_left_to_its_own_watch() -> None:
     far = FarEnd()
     far.runs(50)
-    far.shows(cia402.Heartbeat.STOPPED)
+    far.shows(cia301.Heartbeat.STOPPED)
     far.deaf = True
     clock = HostClock()
     for _ in range(10):
         far.control.quick_stop()
         clock.wait(0.05)
-    beats = [identifier for identifier, _ in far.received].count(cia402.cob_heartbeat(CONFIG.host_node_id))
+    beats = [identifier for identifier, _ in far.received].count(cia301.cob_heartbeat(CONFIG.host_node_id))
     clock.wait(3e-3 * CONFIG.heartbeat_ms)
-    now = [identifier for identifier, _ in far.received].count(cia402.cob_heartbeat(CONFIG.host_node_id))
+    now = [identifier for identifier, _ in far.received].count(cia301.cob_heartbeat(CONFIG.host_node_id))
     assert (far.rpm, now) == (50, beats)
 
 
@@ -237,9 +239,9 @@ def test_nothing_turns_without_the_drives_own_watch() -> None:
         far.control.start()
         far.speak()
         if restarts:
-            far.shows(cia402.Heartbeat.BOOT_UP)
+            far.shows(cia301.Heartbeat.BOOT_UP)
         else:
-            far._sdo.answer(struct.pack("<BHBI", 0x23, cia402.CONSUMER_HEARTBEAT, 1, 0))
+            far._sdo.answer(struct.pack("<BHBI", 0x23, cia301.CONSUMER_HEARTBEAT, 1, 0))
         with pytest.raises(DeviceError, match="started again" if restarts else "is 0x00000000"):
             far.control.enable()
         assert cia402.ENABLE_OPERATION not in far.controlwords()
@@ -371,7 +373,7 @@ def test_a_drive_found_in_operation_gets_the_target_0() -> None:
     far.rpm, far.state = 300, cia402.OPERATION_ENABLED
     far.speak()
     far.control.enable()
-    orders = [d for i, d in far.received if i == cia402.cob_rpdo(1, CONFIG.node_id)]
+    orders = [d for i, d in far.received if i == cia301.cob_rpdo(1, CONFIG.node_id)]
     assert [cia402.unpack_rpdo1(d) for d in orders] == [(cia402.ENABLE_OPERATION, 0)]
     far.control.stop()
 
@@ -389,7 +391,7 @@ def test_a_watch_over_another_nodes_heartbeat_does_not_count() -> None:
 def found_braking() -> FarEnd:
     """A drive that stops the rotor of a host that was killed."""
     far = FarEnd()
-    far.rpm, far.state, far.network = 1000, cia402.QUICK_STOP_ACTIVE, cia402.Heartbeat.PRE_OPERATIONAL
+    far.rpm, far.state, far.network = 1000, cia402.QUICK_STOP_ACTIVE, cia301.Heartbeat.PRE_OPERATIONAL
     far.shows(far.network)
     return far
 
@@ -416,7 +418,7 @@ def test_a_silent_line_gets_no_command() -> None:
 def test_a_drive_that_heeds_no_process_data_is_stopped_through_its_objects() -> None:
     far = FarEnd()
     far.runs(300)
-    far.shows(cia402.Heartbeat.OPERATIONAL)
+    far.shows(cia301.Heartbeat.OPERATIONAL)
     far.unheeded = True
     clock, begun = HostClock(), time.monotonic()
     while far.state == cia402.OPERATION_ENABLED and time.monotonic() < begun + 2:
@@ -455,10 +457,10 @@ def test_a_fault_behind_that_of_the_heartbeat_is_not_reset(register: int, emerge
     far = FarEnd()
     far.control.start()
     far.state = cia402.FAULT
-    far._sdo.objects[cia402.ERROR_CODE, 0] = (cia402.HEARTBEAT_ERROR, "<H")
-    far._sdo.objects[cia402.ERROR_REGISTER, 0] = (register, "<B")
-    for code in (emergency, cia402.HEARTBEAT_ERROR):
-        far.report(cia402.cob_emergency(CONFIG.node_id), cia402.pack_emergency(cia402.Emergency(code, 0, bytes(5))))
+    far._sdo.objects[cia402.ERROR_CODE, 0] = (cia301.HEARTBEAT_ERROR, "<H")
+    far._sdo.objects[cia301.ERROR_REGISTER, 0] = (register, "<B")
+    for code in (emergency, cia301.HEARTBEAT_ERROR):
+        far.report(cia301.cob_emergency(CONFIG.node_id), cia301.pack_emergency(cia301.Emergency(code, 0, bytes(5))))
     far.speak()
     with pytest.raises(DeviceError, match=f"error register 0x{register:02X}"):
         far.control.enable()
@@ -470,8 +472,8 @@ def test_another_fault_that_answers_a_reset_is_not_reset() -> None:
     far = FarEnd()
     far.control.start()
     far.state, far.answers_reset = cia402.FAULT, 0x2320
-    far._sdo.objects[cia402.ERROR_CODE, 0] = (cia402.HEARTBEAT_ERROR, "<H")
-    far._sdo.objects[cia402.ERROR_REGISTER, 0] = (0x11, "<B")
+    far._sdo.objects[cia402.ERROR_CODE, 0] = (cia301.HEARTBEAT_ERROR, "<H")
+    far._sdo.objects[cia301.ERROR_REGISTER, 0] = (0x11, "<B")
     far.speak()
     with pytest.raises(DeviceError, match="error code is 0x2320"):
         far.control.enable()
@@ -500,7 +502,7 @@ def test_the_watch_is_looked_at_also_when_a_fault_goes_by_itself() -> None:
 
 def test_a_rotor_that_brakes_is_not_left_without_torque() -> None:
     far = found_braking()
-    far.network = cia402.Heartbeat.OPERATIONAL
+    far.network = cia301.Heartbeat.OPERATIONAL
     far.control.start()
     far.speak()
     repeated = HostClock().every(0.02, far.speak, "reports", lambda error: None)

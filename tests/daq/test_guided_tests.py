@@ -9,8 +9,10 @@ import pytest
 
 from daq.acquisition.rotor_command import RotorCommand
 from daq.acquisition.session import Session
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.node import SdoServer
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.canopen_node import SdoServer, drive_objects
+from daq.drivers.cia402.drive_objects import drive_objects
 from daq.errors import DeviceError, ProcedureError
 from daq.guided_tests.procedure import Procedures, zero_counters
 from daq.log import open_log
@@ -151,7 +153,7 @@ class FaultyDrive:
 
         rig = load_rig("virtual")
         self.state, self.control = cia402.FAULT, 0
-        watched = {(cia402.CONSUMER_HEARTBEAT, 1): (cia402.consumer_heartbeat(1, 500), "<I")}
+        watched = {(cia301.CONSUMER_HEARTBEAT, 1): (cia402.consumer_heartbeat(1, 500), "<I")}
         self._sdo = SdoServer(drive_objects(5) | watched | reason, {}, lambda index, sub, value: None)
         self._lines = slcan.LineDecoder()
         self.host = DriveControl(rig.devices["drive"], self._hear, HostClock())
@@ -159,9 +161,9 @@ class FaultyDrive:
 
     def _hear(self, data: bytes) -> None:
         for frame in self._lines.feed(data).frames:
-            if frame.arbitration_id == cia402.cob_sdo_request(5):
-                self.host.take_frames([slcan.CanFrame(cia402.cob_sdo_answer(5), self._sdo.answer(frame.data))])
-            elif frame.arbitration_id == cia402.cob_rpdo(1, 5):
+            if frame.arbitration_id == cia301.cob_sdo_request(5):
+                self.host.take_frames([slcan.CanFrame(cia301.cob_sdo_answer(5), self._sdo.answer(frame.data))])
+            elif frame.arbitration_id == cia301.cob_rpdo(1, 5):
                 word, before = cia402.unpack_rpdo1(frame.data)[0], self.control
                 self.control = word
                 if self.state == cia402.FAULT:  # left by the bit's rising edge alone
@@ -174,7 +176,7 @@ class FaultyDrive:
 
     def _report(self) -> None:
         word = cia402.STATES[self.state][1]
-        self.host.take_frames([slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(word, 0))])
+        self.host.take_frames([slcan.CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(word, 0))])
 
 
 @pytest.mark.parametrize(

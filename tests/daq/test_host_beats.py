@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from daq.acquisition.session import Session
+from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.errors import DeviceError
@@ -18,9 +19,9 @@ from daq.transports import slcan
 from rig_configs import load_rig
 
 CONFIG = load_rig("virtual").devices["drive"]
-BEAT = slcan.encode(slcan.CanFrame(cia402.cob_heartbeat(CONFIG.host_node_id), b"\x05"))
-ORDER = slcan.encode(slcan.CanFrame(cia402.cob_rpdo(1, CONFIG.node_id), cia402.pack_rpdo1(cia402.SHUTDOWN, 0)))
-REPORT = slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, CONFIG.node_id), cia402.pack_tpdo1(0x0631, 0)))
+BEAT = slcan.encode(slcan.CanFrame(cia301.cob_heartbeat(CONFIG.host_node_id), b"\x05"))
+ORDER = slcan.encode(slcan.CanFrame(cia301.cob_rpdo(1, CONFIG.node_id), cia402.pack_rpdo1(cia402.SHUTDOWN, 0)))
+REPORT = slcan.encode(slcan.CanFrame(cia301.cob_tpdo(1, CONFIG.node_id), cia402.pack_tpdo1(0x0631, 0)))
 
 
 class Bus:

@@ -15,6 +15,7 @@ from hypothesis import given, strategies as st
 
 from daq.channels import CHANNELS
 from daq.drivers.can_lines import BothWays
+from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.devices import make_pipelines
@@ -97,11 +98,11 @@ def test_a_bus_carries_the_frames_of_both_each_whole(log: Log) -> None:
     Playback({"drive": outlet}, played_devices(log), math.inf, FakeClock()).play(log.raw_in_order())
     found = slcan.LineDecoder().feed(outlet.got)
     assert found.damaged == 0
-    assert [f for f in found.frames if f.arbitration_id == cia402.cob_tpdo(1, 5)] == frames_of(
+    assert [f for f in found.frames if f.arbitration_id == cia301.cob_tpdo(1, 5)] == frames_of(
         from_device(log, "drive")
     )
     sent = frames_of(b"".join(chunk.data for chunk in log.raw("drive") if chunk.direction == TX))
-    assert [f for f in found.frames if f.arbitration_id != cia402.cob_tpdo(1, 5)] == sent
+    assert [f for f in found.frames if f.arbitration_id != cia301.cob_tpdo(1, 5)] == sent
     assert len(sent) > 10
     assert "O" not in found.other_lines  # the host's commands to its own adapter are not on the bus
 
@@ -128,9 +129,9 @@ def test_a_listener_gets_the_target_speeds_the_host_had(
 
     for is_host, rpm in frames:
         if is_host:
-            take(TX, slcan.encode(slcan.CanFrame(cia402.cob_rpdo(1, 5), cia402.pack_rpdo1(15, rpm))))
+            take(TX, slcan.encode(slcan.CanFrame(cia301.cob_rpdo(1, 5), cia402.pack_rpdo1(15, rpm))))
         else:
-            pending += b"z\r" + slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, 5), cia402.pack_tpdo1(0x237, rpm)))
+            pending += b"z\r" + slcan.encode(slcan.CanFrame(cia301.cob_tpdo(1, 5), cia402.pack_tpdo1(0x237, rpm)))
             size = next(cut)
             take(RX, pending[:size])
             pending = pending[size:]

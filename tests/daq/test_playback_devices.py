@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.played import PlayedDrive
@@ -203,7 +204,7 @@ class Bus:
 
 def report(status: int, rpm: int) -> bytes:
     return slcan.encode(
-        slcan.CanFrame(cia402.cob_tpdo(1, RIG.devices["drive"].node_id), cia402.pack_tpdo1(status, rpm))
+        slcan.CanFrame(cia301.cob_tpdo(1, RIG.devices["drive"].node_id), cia402.pack_tpdo1(status, rpm))
     )
 
 
@@ -251,11 +252,11 @@ def test_an_answer_stands_between_two_lines_of_the_bus() -> None:
     drive = PlayedDrive(RIG.devices["drive"])
     drive.hear(b"O\rt0002" + bytes([1, 5]).hex().encode() + b"\r")
     line = report(0x237, 300)
-    request = slcan.encode(slcan.CanFrame(cia402.cob_sdo_request(5), b"\x40\x41\x60\0\0\0\0\0"))
+    request = slcan.encode(slcan.CanFrame(cia301.cob_sdo_request(5), b"\x40\x41\x60\0\0\0\0\0"))
     bus = drive.play(RX, line + line[:7]) + drive.hear(request) + drive.play(RX, line[7:])
     found = slcan.LineDecoder().feed(bus)
     assert found.damaged == 0
-    assert [frame.arbitration_id for frame in found.frames] == [0x185, cia402.cob_sdo_answer(5), 0x185]
+    assert [frame.arbitration_id for frame in found.frames] == [0x185, cia301.cob_sdo_answer(5), 0x185]
 
 
 @given(st.lists(st.binary(max_size=60), max_size=10))

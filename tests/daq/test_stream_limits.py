@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from daq import channels
+from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.stream import DrivePipeline
 from daq.drivers.optoncdt import distance_words, wire as optoncdt
@@ -58,15 +59,15 @@ def drive_line(identifier: int, data: bytes) -> bytes:
 
 def test_a_report_has_the_target_that_was_sent_or_seen_before_it() -> None:
     pipeline = DrivePipeline("drive", DRIVE)
-    report = drive_line(cia402.cob_tpdo(1, DRIVE.node_id), cia402.pack_tpdo1(0x0637, -123))
+    report = drive_line(cia301.cob_tpdo(1, DRIVE.node_id), cia402.pack_tpdo1(0x0637, -123))
 
     def target(rpm: int) -> bytes:
-        return drive_line(cia402.cob_rpdo(1, DRIVE.node_id), cia402.pack_rpdo1(0x0F, rpm))
+        return drive_line(cia301.cob_rpdo(1, DRIVE.node_id), cia402.pack_rpdo1(0x0F, rpm))
 
     items = pipeline.feed(RX, report, START_NS)
     assert pipeline.feed(TX, target(70), START_NS) == []
     items += pipeline.feed(RX, report + target(80) + report, START_NS + 5)
-    short = drive_line(cia402.cob_rpdo(1, DRIVE.node_id), b"\x0f\x00\x09")
+    short = drive_line(cia301.cob_rpdo(1, DRIVE.node_id), b"\x0f\x00\x09")
     items += pipeline.feed(RX, short + report, START_NS + 6)
     assert values(items, "target_rpm") == [0.0, 70.0, 80.0, 80.0]
     assert values(items, "speed_rpm") == [-123.0] * 4
@@ -79,7 +80,7 @@ def test_a_report_has_the_target_that_was_sent_or_seen_before_it() -> None:
 def test_a_state_is_reported_when_it_changes() -> None:
     pipeline = DrivePipeline("drive", DRIVE)
     words = (0x0637, 0x0237, 0x0637, 0x0633, 0x0608, 0x0608)
-    data = b"".join(drive_line(cia402.cob_tpdo(1, DRIVE.node_id), cia402.pack_tpdo1(word, 0)) for word in words)
+    data = b"".join(drive_line(cia301.cob_tpdo(1, DRIVE.node_id), cia402.pack_tpdo1(word, 0)) for word in words)
     found = events(pipeline.feed(RX, b"\r" + data, START_NS))
     assert [(event.kind, event.text) for event in found] == [
         ("drive", "OPERATION ENABLED"),
@@ -100,7 +101,7 @@ def test_damaged_lines_are_counted_and_reported() -> None:
 
 @pytest.mark.parametrize("count", [7, 8])
 def test_an_emergency_has_eight_bytes(count: int) -> None:
-    identifier = cia402.cob_emergency(DRIVE.node_id)
+    identifier = cia301.cob_emergency(DRIVE.node_id)
     found = DrivePipeline("drive", DRIVE).feed(
         RX, b"\r" + drive_line(identifier, bytes.fromhex("3081010000000000")[:count]), 0
     )

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from daq import channels
+from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.control import DriveControl
 from daq.drivers.cia402.stream import DrivePipeline
@@ -537,7 +538,7 @@ def heard(*frames: tuple[int, bytes]) -> list[DeviceEvent]:
 
 
 def test_a_drive_that_starts_again_or_leaves_operation_is_an_event() -> None:
-    beat = cia402.cob_heartbeat(DEVICES["drive"].node_id)
+    beat = cia301.cob_heartbeat(DEVICES["drive"].node_id)
     states = [0x05, 0x05, 0x85, 0x00, 0x7F, 0x7F, 0x05, 0x04, 0x33]
     events = heard(*((beat, bytes([state])) for state in states))
     reported = [(e.kind, e.facts.get("network_state"), e.facts.get("operational")) for e in events]
@@ -557,13 +558,13 @@ def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
     report = cia402.pack_tpdo1(0x0627, 600)
     pipeline = DrivePipeline("drive", DEVICES["drive"])
     others = [
-        slcan.CanFrame(cia402.cob_tpdo(1, node), cia402.pack_tpdo1(0x0608, -5), extended=True),
-        slcan.CanFrame(cia402.cob_tpdo(1, node), bytes(4), remote=True),
-        slcan.CanFrame(cia402.cob_emergency(node), bytes((0x10, 0x23, 1, 0, 0, 0, 0, 0)), extended=True),
-        slcan.CanFrame(cia402.cob_heartbeat(node), b"\x00", extended=True),
-        slcan.CanFrame(cia402.cob_rpdo(1, node), cia402.pack_rpdo1(0x0F, 999), extended=True),
+        slcan.CanFrame(cia301.cob_tpdo(1, node), cia402.pack_tpdo1(0x0608, -5), extended=True),
+        slcan.CanFrame(cia301.cob_tpdo(1, node), bytes(4), remote=True),
+        slcan.CanFrame(cia301.cob_emergency(node), bytes((0x10, 0x23, 1, 0, 0, 0, 0, 0)), extended=True),
+        slcan.CanFrame(cia301.cob_heartbeat(node), b"\x00", extended=True),
+        slcan.CanFrame(cia301.cob_rpdo(1, node), cia402.pack_rpdo1(0x0F, 999), extended=True),
     ]
-    own = slcan.CanFrame(cia402.cob_tpdo(1, node), report)
+    own = slcan.CanFrame(cia301.cob_tpdo(1, node), report)
     control = DriveControl(DEVICES["drive"], lambda data: None, HostClock())
     items = []
     for k, frame in enumerate([own, *[f for other in others for f in (other, own)]]):
@@ -577,7 +578,7 @@ def test_what_else_is_on_the_bus_is_not_the_drives() -> None:
 
 
 def test_a_report_may_be_longer_and_one_that_is_too_short_is_an_event() -> None:
-    identifier = cia402.cob_tpdo(1, DEVICES["drive"].node_id)
+    identifier = cia301.cob_tpdo(1, DEVICES["drive"].node_id)
     pipeline = DrivePipeline("drive", DEVICES["drive"])
     items = []
     for data in (cia402.pack_tpdo1(0x0627, -600) + b"\x02", b"\x27\x06", b"\x27\x06"):
@@ -588,7 +589,7 @@ def test_a_report_may_be_longer_and_one_that_is_too_short_is_an_event() -> None:
 
 
 def test_an_emergency_keeps_its_makers_bytes() -> None:
-    identifier = cia402.cob_emergency(DEVICES["drive"].node_id)
+    identifier = cia301.cob_emergency(DEVICES["drive"].node_id)
     with_bytes, without = heard((identifier, bytes.fromhex("1042 11 0102030405")), (identifier, bytes(8)))
     assert with_bytes.facts == {"error_code": 0x4210, "register": 0x11, "maker_bytes": "01 02 03 04 05"}
     assert without.facts == {"error_code": 0, "register": 0}
@@ -597,7 +598,7 @@ def test_an_emergency_keeps_its_makers_bytes() -> None:
 def test_frames_that_the_adapter_refused_are_counted_and_its_own_orders_are_not() -> None:
     """BEL answers a frame that did not go out, and an order that cannot be now: the bus is closed already."""
     pipeline = DrivePipeline("drive", DEVICES["drive"])
-    speed = slcan.encode(slcan.CanFrame(cia402.cob_rpdo(1, DEVICES["drive"].node_id), cia402.pack_rpdo1(0x0F, 99)))
+    speed = slcan.encode(slcan.CanFrame(cia301.cob_rpdo(1, DEVICES["drive"].node_id), cia402.pack_rpdo1(0x0F, 99)))
     pipeline.feed(TX, b"\rC\rS6\rO\r", START_NS)
     assert pipeline.feed(RX, b"\r\x07\r\r", START_NS) == []  # it was closed
     pipeline.feed(TX, speed * 3, START_NS)
@@ -613,14 +614,14 @@ def test_an_adapter_that_answers_no_order_is_not_excused_for_ever() -> None:
     pipeline = DrivePipeline("drive", DEVICES["drive"])
     node = DEVICES["drive"].node_id
     pipeline.feed(TX, b"\rC\rS6\rO\r", START_NS)
-    pipeline.feed(RX, slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, node), cia402.pack_tpdo1(0x237, 0))), START_NS)
+    pipeline.feed(RX, slcan.encode(slcan.CanFrame(cia301.cob_tpdo(1, node), cia402.pack_tpdo1(0x237, 0))), START_NS)
     pipeline.feed(RX, b"\x07\x07", START_NS)
     assert pipeline.losses == {"damaged_lines": 0, "refused_lines": 2}
 
 
 @pytest.mark.parametrize("at", range(12))
 def test_a_log_may_begin_in_a_line_and_only_there(at: int) -> None:
-    report = slcan.encode(slcan.CanFrame(cia402.cob_tpdo(1, DEVICES["drive"].node_id), cia402.pack_tpdo1(0x237, 300)))
+    report = slcan.encode(slcan.CanFrame(cia301.cob_tpdo(1, DEVICES["drive"].node_id), cia402.pack_tpdo1(0x237, 300)))
     data = report[5:] + report + report[3:] + report  # the third one has lost its beginning
     for cuts in ([at], [at, 3], range(1, len(data))):
         pipeline = DrivePipeline("drive", DEVICES["drive"])

@@ -7,10 +7,11 @@ import math
 from collections.abc import Callable
 
 from daq.drivers.can_lines import CLOSE_BUS, open_bus
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL, NMT_START
+from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402 import faults, wire as cia402
-from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL, NMT_START
 from daq.drivers.cia402.faults import REMEDY
-from daq.drivers.cia402.objects import NodeObjects
 from daq.drivers.cia402.process_data import map_process_data
 from daq.drivers.cia402.ramps import set_ramps
 from daq.drivers.cia402.settings import MotorDrive
@@ -67,8 +68,8 @@ class DriveControl:
             at_rest=lambda: None if math.isnan(self.actual_rpm) else abs(self.actual_rpm) <= config.rest_rpm,
             speed_rpm=lambda: abs(self.actual_rpm),
         )
-        self._report = cia402.cob_tpdo(1, config.node_id)
-        self._objects = NodeObjects(config.node_id, send, clock)
+        self._report = cia301.cob_tpdo(1, config.node_id)
+        self._objects = NodeObjects("drive", config.node_id, send, clock)
         self._beat: Repeated | None = None
         self._bus_open = self._watched = self._ordered = False
         self._run_word = cia402.ENABLE_OPERATION | (cia402.RAMP_BITS if config.ramp_bits else 0)
@@ -79,7 +80,7 @@ class DriveControl:
         self.was_reset: str = ""
         self.emergencies: list[int] = []
         self._armed = False
-        self._network_state: cia402.Heartbeat | None = None
+        self._network_state: cia301.Heartbeat | None = None
         self._beats, self._beats_unwatched = 0, 0  # heartbeats sent, and those before the drive's watch was set
         self._beat_s = -math.inf  # time of the last one, wall s
         self._started_again = False
@@ -96,7 +97,7 @@ class DriveControl:
     def take_frames(self, frames: list[slcan.CanFrame]) -> None:
         """Take frames from the drive."""
         node, report = self._config.node_id, self._report
-        for frame in cia402.own_frames(frames):
+        for frame in cia301.own_frames(frames):
             identifier, data = frame.arbitration_id, frame.data
             if identifier == report and len(data) >= cia402.TPDO1_BYTES:  # the most frequent case
                 if self._started_again:  # the mapping may be the manufacturer's again, without a speed
@@ -105,14 +106,14 @@ class DriveControl:
                 self._reported_rpm, self._reported_ns = float(rpm), self._clock.now_ns()
                 if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:
                     self.dropped_out = self.state
-            elif identifier == cia402.cob_sdo_answer(node) and len(data) == 8:
+            elif identifier == cia301.cob_sdo_answer(node) and len(data) == 8:
                 self._objects.take_answer(data)
-            elif identifier == cia402.cob_emergency(node) and len(data) == 8:
-                code = cia402.unpack_emergency(data).error_code
+            elif identifier == cia301.cob_emergency(node) and len(data) == 8:
+                code = cia301.unpack_emergency(data).error_code
                 self.emergencies = [*self.emergencies[-_MAX_EMERGENCIES:], code] if code else []
-            elif identifier == cia402.cob_heartbeat(node) and (state := cia402.heartbeat(data)) is not None:
+            elif identifier == cia301.cob_heartbeat(node) and (state := cia301.heartbeat(data)) is not None:
                 self._network_state = state
-                if state == cia402.Heartbeat.BOOT_UP:
+                if state == cia301.Heartbeat.BOOT_UP:
                     self._statusword, self._started_again = None, True
 
     @property
@@ -142,12 +143,12 @@ class DriveControl:
         self._bus_open = True
         self._send(open_bus(c.bitrate))
         self._start_heartbeat()  # before the watch is set: a drive may require the heartbeat immediately
-        self._objects.write(cia402.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
+        self._objects.write(cia301.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
         word, rpm = self._objects.read(cia402.STATUSWORD, 0), self._objects.read(cia402.ACTUAL_VELOCITY, 0)
         self._found = None if word is None or rpm is None else (word & 0xFFFF, cia402.signed(rpm))
         self._objects.write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
         self._watched = True
-        self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, self._watch_ms), 4)
+        self._objects.write(cia301.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, self._watch_ms), 4)
         self._beats_unwatched = self._beats
         self.set_ramp(c.ramp_rpm_per_s)
         map_process_data(self._objects, c.node_id, in_torque=self._found_in_torque)
@@ -212,7 +213,7 @@ class DriveControl:
             )
         if self._beat is None or self._beat_ended:
             self._start_heartbeat()
-        watched = self._objects.read(cia402.CONSUMER_HEARTBEAT, 1)
+        watched = self._objects.read(cia301.CONSUMER_HEARTBEAT, 1)
         right = watched is not None and watched >> 16 & 0xFF == self._config.host_node_id
         if watched is None or not right or not 0 < watched & 0xFFFF <= _MAX_WATCH_RATIO * self._watch_ms:
             found = "cannot be read" if watched is None else f"is 0x{watched:08X}"
@@ -327,12 +328,12 @@ class DriveControl:
         now_s = self._clock.wall_s()
         self._stopping_s = now_s if self._stopping_s is None else self._stopping_s
         self._pdo(cia402.QUICK_STOP, 0)
-        in_network = self._network_state in (None, cia402.Heartbeat.OPERATIONAL)
+        in_network = self._network_state in (None, cia301.Heartbeat.OPERATIONAL)
         late_s = now_s - self._stopping_s
         if in_network and (late_s <= _QUICK_STOP_S or self._follows_stop):
             return
         order = cia402.write_word(cia402.CONTROLWORD, cia402.QUICK_STOP)
-        self._objects.send(cia402.cob_sdo_request(self._config.node_id), order)  # without waiting for an answer
+        self._objects.send(cia301.cob_sdo_request(self._config.node_id), order)  # without waiting for an answer
         self._objects.send(0, bytes([NMT_START, self._config.node_id]))
         self._pdo(cia402.QUICK_STOP, 0)
         if late_s > (2 if in_network else 1) * _QUICK_STOP_S and self._beat is not None:
@@ -353,18 +354,18 @@ class DriveControl:
 
     def _pdo(self, control: int, rpm: int) -> None:
         self._ordered = True
-        self._objects.send(cia402.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
+        self._objects.send(cia301.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
 
     def measure_time_out(self) -> TimeOut:
         """See MeasuresTimeOut: withhold the heartbeat until the drive's emergency 0x8130, or its fault, arrives."""
         if not self._guarded.at_rest() or self._recent_state in (*_TORQUE, cia402.UNKNOWN):
             raise DeviceError(f"the rotor must stand and the drive be off, it is in {self._recent_state}")
-        stated_ms = (self._objects.read(cia402.CONSUMER_HEARTBEAT, 1) or 0) & 0xFFFF
+        stated_ms = (self._objects.read(cia301.CONSUMER_HEARTBEAT, 1) or 0) & 0xFFFF
         assert self._beat is not None
-        self.emergencies = [code for code in self.emergencies if code != cia402.HEARTBEAT_ERROR]
+        self.emergencies = [code for code in self.emergencies if code != cia301.HEARTBEAT_ERROR]
         self._beat.stop()
         end_s = self._beat_s + self._clock.wall(_MOST_TIME_OUTS * stated_ms * 1e-3) + 1.0
-        while (heard := cia402.HEARTBEAT_ERROR in self.emergencies) is False and self._clock.wall_s() < end_s:
+        while (heard := cia301.HEARTBEAT_ERROR in self.emergencies) is False and self._clock.wall_s() < end_s:
             self._clock.wait(0.002)
         silent_s = self._clock.wall_s() - self._beat_s
         self._start_heartbeat()
@@ -374,7 +375,7 @@ class DriveControl:
         return TimeOut(measured_s, stated_ms * 1e-3, self._clock.patience(_MAX_BEAT_AGE_S * 0.1))
 
     def _start_heartbeat(self) -> None:
-        identifier, operational = cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL])
+        identifier, operational = cia301.cob_heartbeat(self._config.host_node_id), bytes([cia301.Heartbeat.OPERATIONAL])
 
         def beat() -> None:
             try:
@@ -430,7 +431,7 @@ class DriveControl:
             return None  # the watch remains
         # the watch of a drive that is off has no effect
         with ignoring(_log, "ending the drive's watch of the heartbeat", DeviceError):
-            self._objects.write(cia402.CONSUMER_HEARTBEAT, 1, 0, 4)
+            self._objects.write(cia301.CONSUMER_HEARTBEAT, 1, 0, 4)
         self._watched = False
         return True
 

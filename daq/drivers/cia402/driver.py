@@ -45,10 +45,10 @@ class Cia402(PlainDriver):
 
     def words(self, event: DeviceEvent) -> str:
         """See Driver."""
-        from daq.drivers.cia402 import wire
+        from daq.drivers.canopen import cia301
 
         code = int(event.facts["error_code"])
-        return wire.emergency_words(code) if code else ""
+        return cia301.emergency_words(code) if code else ""
 
     def checks(
         self, settings: MotorDrive, pipeline: Pipeline, control: SpeedControl | None, events: Sequence[DeviceEvent]

@@ -7,16 +7,17 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from daq.drivers.can_lines import Adapter
-from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.canopen_node import (
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.node import (
     NMT_RESET,
     NMT_RESET_COMMUNICATION,
     NMT_STOP,
     NmtState,
     Objects,
     SdoServer,
-    drive_objects,
 )
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.drive_objects import drive_objects
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.simulated import FarEnd, FaultKind
 from daq.transports import slcan
@@ -99,7 +100,7 @@ class SimulatedDrive(FarEnd):
 
     def _initial_objects(self) -> Objects:
         timer_ms = max(1, round(self._report_s * 1e3))
-        return drive_objects(self._node) | _MAKERS | {(cia402.TPDO1, 5): (timer_ms, "<H")}
+        return drive_objects(self._node) | _MAKERS | {(cia301.TPDO1, 5): (timer_ms, "<H")}
 
     @classmethod
     def of(cls, config: MotorDrive, world: World) -> SimulatedDrive:
@@ -125,10 +126,10 @@ class SimulatedDrive(FarEnd):
                 self.state = cia402.FAULT
                 self._emergency(int(value))
             case "restart":
-                self._objects[cia402.CONSUMER_HEARTBEAT, 1] = (0, "<I")
+                self._objects[cia301.CONSUMER_HEARTBEAT, 1] = (0, "<I")
                 self._restart()
             case "network":
-                self._nmt.state = cia402.Heartbeat(int(value))
+                self._nmt.state = cia301.Heartbeat(int(value))
             case "silent reports":
                 self._reports = not value
             case "time-out":
@@ -144,8 +145,8 @@ class SimulatedDrive(FarEnd):
 
     def _restart(self) -> None:
         self.state, self._target_rpm, self._heard_s = cia402.SWITCH_ON_DISABLED, 0, None
-        self._nmt.state = cia402.Heartbeat.PRE_OPERATIONAL
-        self._out.append(slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([cia402.Heartbeat.BOOT_UP])))
+        self._nmt.state = cia301.Heartbeat.PRE_OPERATIONAL
+        self._out.append(slcan.CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP])))
 
     def power(self, on: bool, now_s: float) -> None:
         """See FarEnd. The supply is that of the drive; the adapter is supplied by the host and continues.
@@ -159,13 +160,13 @@ class SimulatedDrive(FarEnd):
 
     def _emergency(self, code: int) -> None:
         self.emergencies.append(code)
-        data = cia402.pack_emergency(cia402.Emergency(code, 0x11 if code else 0, bytes(5)))
-        self._out.append(slcan.CanFrame(cia402.cob_emergency(self._node), data))
+        data = cia301.pack_emergency(cia301.Emergency(code, 0x11 if code else 0, bytes(5)))
+        self._out.append(slcan.CanFrame(cia301.cob_emergency(self._node), data))
 
     @property
     def watchdog_ms(self) -> int:
         """Longest accepted interval of the host's heartbeat (1016h), ms; 0 if it is not watched."""
-        return self._objects[cia402.CONSUMER_HEARTBEAT, 1][0] & 0xFFFF
+        return self._objects[cia301.CONSUMER_HEARTBEAT, 1][0] & 0xFFFF
 
     @property
     def _reported_rpm(self) -> int:
@@ -194,14 +195,14 @@ class SimulatedDrive(FarEnd):
         identifier, data = frame.arbitration_id, frame.data
         if (command := self._nmt.follow(frame)) is not None:
             self._react(command)
-        elif identifier == cia402.cob_sdo_request(self._node) and len(data) == 8:
-            self._out.append(slcan.CanFrame(cia402.cob_sdo_answer(self._node), self._sdo.answer(data)))
-        elif identifier == cia402.cob_rpdo(1, self._node) and len(data) == 4:
-            if self._nmt.state == cia402.Heartbeat.OPERATIONAL:
+        elif identifier == cia301.cob_sdo_request(self._node) and len(data) == 8:
+            self._out.append(slcan.CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data)))
+        elif identifier == cia301.cob_rpdo(1, self._node) and len(data) == 4:
+            if self._nmt.state == cia301.Heartbeat.OPERATIONAL:
                 control, target = cia402.unpack_rpdo1(data)
                 self._target_rpm = target
                 self._control(control)
-        elif identifier == cia402.cob_heartbeat(self._objects[0x1016, 1][0] >> 16 & 0x7F):
+        elif identifier == cia301.cob_heartbeat(self._objects[0x1016, 1][0] >> 16 & 0x7F):
             self._heard_s = now_s
 
     def _react(self, command: int) -> None:
@@ -210,14 +211,14 @@ class SimulatedDrive(FarEnd):
             self._quick_stop()
         if command in resets:
             self._heard_s = None
-            self._out.append(slcan.CanFrame(cia402.cob_heartbeat(self._node), b"\x00"))
+            self._out.append(slcan.CanFrame(cia301.cob_heartbeat(self._node), b"\x00"))
 
     def _written(self, index: int, sub: int, value: int) -> None:
         if (index, sub) == (cia402.CONTROLWORD, 0):
             self._control(value)
         if (index, sub) == (cia402.TARGET_VELOCITY, 0):
             self._target_rpm = value
-        if (index, sub) == (cia402.CONSUMER_HEARTBEAT, 1):
+        if (index, sub) == (cia301.CONSUMER_HEARTBEAT, 1):
             self._heard_s = None  # the watch begins with the next heartbeat (CiA 301)
 
     def _control(self, word: int) -> None:
@@ -269,7 +270,7 @@ class SimulatedDrive(FarEnd):
         if not self._second_host or now_s < self._second_due_s:
             return
         self._second_due_s = now_s + 0.97e-3 * self._config.heartbeat_ms  # the other node has its own clock
-        beat = slcan.CanFrame(cia402.cob_heartbeat(self._config.host_node_id), bytes([cia402.Heartbeat.OPERATIONAL]))
+        beat = slcan.CanFrame(cia301.cob_heartbeat(self._config.host_node_id), bytes([cia301.Heartbeat.OPERATIONAL]))
         self._out.append(beat)
         self._frame(beat, now_s)
 
@@ -280,17 +281,17 @@ class SimulatedDrive(FarEnd):
         self._heard_s = None
         if self.state == cia402.OPERATION_ENABLED:
             self._quick_stop()
-        self._emergency(cia402.HEARTBEAT_ERROR)
+        self._emergency(cia301.HEARTBEAT_ERROR)
 
     def _cyclic(self, now_s: float) -> None:
         every = self._objects[0x1017, 0][0] * 1e-3
         if every and now_s >= self._heartbeat_due:
             self._heartbeat_due = max(self._heartbeat_due + every, now_s - every)
-            self._out.append(slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([self._nmt.state])))
-        if self._nmt.state != cia402.Heartbeat.OPERATIONAL or not self._reports:
+            self._out.append(slcan.CanFrame(cia301.cob_heartbeat(self._node), bytes([self._nmt.state])))
+        if self._nmt.state != cia301.Heartbeat.OPERATIONAL or not self._reports:
             self._tpdo_due = now_s
             return
         while now_s >= self._tpdo_due:
             self._tpdo_due = max(self._tpdo_due + self._report_s, now_s - _MAX_LATE_S)
             data = cia402.pack_tpdo1(_STATUS[self.state], self._reported_rpm)
-            self._out.append(slcan.CanFrame(cia402.cob_tpdo(1, self._node), data))
+            self._out.append(slcan.CanFrame(cia301.cob_tpdo(1, self._node), data))

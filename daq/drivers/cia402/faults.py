@@ -6,8 +6,9 @@ import logging
 from collections.abc import Callable, Collection
 from typing import Final
 
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.objects import NodeObjects
 from daq.errors import DeviceError
 from rig_basics.ignoring import ignoring
 
@@ -20,7 +21,7 @@ _log = logging.getLogger(__name__)
 
 def emergency_text(emergencies: Collection[int]) -> str:
     """Return emergencies for a message, each once, with code and meaning; empty without one."""
-    return "".join(f"; emergency {cia402.emergency_words(code)}" for code in dict.fromkeys(emergencies))
+    return "".join(f"; emergency {cia301.emergency_words(code)}" for code in dict.fromkeys(emergencies))
 
 
 def fault_code(objects: NodeObjects) -> int | None:
@@ -29,13 +30,13 @@ def fault_code(objects: NodeObjects) -> int | None:
     The cause is read from 603Fh, otherwise from 1003h. Without either, the register 1001h is used if it only shows
     an error of the communication.
     """
-    for index, sub in ((cia402.ERROR_CODE, 0), (cia402.PREDEFINED_ERROR_FIELD, 1)):
+    for index, sub in ((cia402.ERROR_CODE, 0), (cia301.PREDEFINED_ERROR_FIELD, 1)):
         with ignoring(_log, f"reading the error code {index:04X}h", DeviceError):
             if code := (objects.read(index, sub) or 0) & 0xFFFF:
                 return code
     register = _error_register(objects)
-    if register is not None and register & 0xFE == cia402.REGISTER_COMMUNICATION:
-        return cia402.HEARTBEAT_ERROR
+    if register is not None and register & 0xFE == cia301.REGISTER_COMMUNICATION:
+        return cia301.HEARTBEAT_ERROR
     return None
 
 
@@ -54,8 +55,8 @@ def check_only_heartbeat(
     """
     code = fault_code(objects)
     register = _error_register(objects)
-    others = (register or 0) & _OTHER_FAULTS or set(emergencies()) - {cia402.HEARTBEAT_ERROR}
-    if others or (code != cia402.HEARTBEAT_ERROR and not (reset and code is None)):
+    others = (register or 0) & _OTHER_FAULTS or set(emergencies()) - {cia301.HEARTBEAT_ERROR}
+    if others or (code != cia301.HEARTBEAT_ERROR and not (reset and code is None)):
         cause = "it reports no cause" if code is None else f"its error code is 0x{code:04X}"
         cause += f", its error register 0x{register:02X}" if register else ""
         raise DeviceError(f"drive: it is in FAULT, {cause}{emergency_text(emergencies())}. {REMEDY}")
@@ -64,5 +65,5 @@ def check_only_heartbeat(
 def _error_register(objects: NodeObjects) -> int | None:
     """Return the error register 1001h; None if it cannot be read."""
     with ignoring(_log, "reading the error register", DeviceError):
-        return objects.read(cia402.ERROR_REGISTER, 0)
+        return objects.read(cia301.ERROR_REGISTER, 0)
     return None

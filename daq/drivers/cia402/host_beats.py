@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable
 
-from daq.drivers.cia402 import wire as cia402
+from daq.drivers.canopen import cia301
 from daq.transports.slcan import CanFrame
 
 ECHO_S = 0.03
@@ -37,8 +37,8 @@ class HostBeats:
 
     def __init__(self, node_id: int, host_node_id: int) -> None:
         self.foreign: int = 0
-        self._beat = cia402.cob_heartbeat(host_node_id)
-        self._orders = (cia402.cob_sdo_request(node_id), cia402.cob_rpdo(1, node_id))
+        self._beat = cia301.cob_heartbeat(host_node_id)
+        self._orders = (cia301.cob_sdo_request(node_id), cia301.cob_rpdo(1, node_id))
         self._sending = False  # a session that only receives gets the heartbeats of the bus's host
         self._beats: deque[int] = deque(maxlen=64)  # host times of the sent heartbeats, ns
         self._others: deque[tuple[CanFrame, int]] = deque(maxlen=64)

@@ -6,14 +6,15 @@ import re
 import struct
 
 from daq.drivers.can_lines import Adapter, BothWays
-from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.canopen_node import (
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.node import (
     NMT_RESET,
     NMT_RESET_COMMUNICATION,
     NmtState,
     SdoServer,
-    drive_objects,
 )
+from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.drive_objects import drive_objects
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.played import PlayedDevice
 from daq.transports import slcan
@@ -29,11 +30,11 @@ class PlayedDrive(PlayedDevice):
     expects = "the network's start"
 
     def __init__(self, config: MotorDrive) -> None:
-        self._bus = BothWays({cia402.cob_heartbeat(config.host_node_id)})
+        self._bus = BothWays({cia301.cob_heartbeat(config.host_node_id)})
         super().__init__(self._bus)
-        self._node, self._host_beat = config.node_id, cia402.cob_heartbeat(config.host_node_id)
+        self._node, self._host_beat = config.node_id, cia301.cob_heartbeat(config.host_node_id)
         self._adapter, self._nmt = Adapter(), NmtState(config.node_id)
-        self._report = re.compile(f"t{cia402.cob_tpdo(1, config.node_id):03X}[4-8]([0-9A-Fa-f]{{8}})".encode())
+        self._report = re.compile(f"t{cia301.cob_tpdo(1, config.node_id):03X}[4-8]([0-9A-Fa-f]{{8}})".encode())
         self._reported = bytes(4)
         objects = drive_objects(config.node_id)
         measured = {
@@ -46,11 +47,11 @@ class PlayedDrive(PlayedDevice):
     @property
     def sending(self) -> bool:
         """See PlayedDevice."""
-        return self._adapter.open and self._nmt.state == cia402.Heartbeat.OPERATIONAL
+        return self._adapter.open and self._nmt.state == cia301.Heartbeat.OPERATIONAL
 
     def begin(self) -> None:
         """See PlayedDevice."""
-        self._adapter.open, self._nmt.state = True, cia402.Heartbeat.OPERATIONAL
+        self._adapter.open, self._nmt.state = True, cia301.Heartbeat.OPERATIONAL
 
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice. Commands to the adapter alone do not count as commands to the drive."""
@@ -68,10 +69,10 @@ class PlayedDrive(PlayedDevice):
     def _answer(self, frame: slcan.CanFrame) -> slcan.CanFrame | None:
         identifier, data = frame.arbitration_id, frame.data
         if self._nmt.follow(frame) in (NMT_RESET, NMT_RESET_COMMUNICATION):
-            return slcan.CanFrame(cia402.cob_heartbeat(self._node), bytes([cia402.Heartbeat.BOOT_UP]))
-        if identifier == cia402.cob_sdo_request(self._node) and len(data) == 8:
-            return slcan.CanFrame(cia402.cob_sdo_answer(self._node), self._sdo.answer(data))
-        if identifier == cia402.cob_rpdo(1, self._node) and len(data) == 4:
+            return slcan.CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP]))
+        if identifier == cia301.cob_sdo_request(self._node) and len(data) == 8:
+            return slcan.CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data))
+        if identifier == cia301.cob_rpdo(1, self._node) and len(data) == 4:
             self._turn(cia402.unpack_rpdo1(data)[0])
         return None
 

@@ -11,9 +11,10 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL
+from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.canopen_node import NMT_PRE_OPERATIONAL
-from daq.drivers.cia402.objects import NodeObjects
 from daq.errors import DeviceError, LinkLost
 from rig_basics.ignoring import ignoring
 
@@ -66,8 +67,8 @@ def map_process_data(objects: NodeObjects, node_id: int, *, in_torque: bool = Fa
     """
     ordered, reported = (cia402.CONTROLWORD, cia402.TARGET_VELOCITY), (cia402.STATUSWORD, cia402.ACTUAL_VELOCITY)
     pdos = (
-        _Pdo(cia402.RPDO1, cia402.RPDO1_MAPPING, ordered, cia402.cob_rpdo(1, node_id), reports=False),
-        _Pdo(cia402.TPDO1, cia402.TPDO1_MAPPING, reported, cia402.cob_tpdo(1, node_id), reports=True),
+        _Pdo(cia301.RPDO1, cia301.RPDO1_MAPPING, ordered, cia301.cob_rpdo(1, node_id), reports=False),
+        _Pdo(cia301.TPDO1, cia301.TPDO1_MAPPING, reported, cia301.cob_tpdo(1, node_id), reports=True),
     )
     try:
         found = [state for pdo in pdos if (state := _FoundPdo.of(objects, pdo)) is not None]
@@ -79,8 +80,8 @@ def map_process_data(objects: NodeObjects, node_id: int, *, in_torque: bool = Fa
         _map_all(objects, found)
     except DeviceError as error:
         raise DeviceError(
-            f"{error}. Process data is to be: {cia402.RPDO1_MAPPING:04X}h controlword and target speed (6040h, 6042h), "
-            f"{cia402.TPDO1_MAPPING:04X}h statusword and actual speed (6041h, 6044h), 16 bits each, both of "
+            f"{error}. Process data is to be: {cia301.RPDO1_MAPPING:04X}h controlword and target speed (6040h, 6042h), "
+            f"{cia301.TPDO1_MAPPING:04X}h statusword and actual speed (6041h, 6044h), 16 bits each, both of "
             "transmission type 255. Set the drive so with its maker's tool"
         ) from error
 
@@ -90,7 +91,7 @@ class _FoundPdo:
 
     def __init__(self, pdo: _Pdo, own: int, kind: int, inhibit: int, mapped: list[int | None]) -> None:
         self.pdo, self.own, self.kind, self.inhibit, self.mapped = pdo, own, kind, inhibit, mapped
-        self.wanted = [cia402.mapped_word(index) for index in pdo.objects]
+        self.wanted = [cia301.mapped_word(index) for index in pdo.objects]
         more = len(mapped) - len(self.wanted)
         self.entries_right = mapped[: len(self.wanted)] == self.wanted and (
             0 <= more <= _MAX_ENTRIES if pdo.reports else more == 0

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402 import wire as cia402
-from daq.drivers.cia402.objects import NodeObjects
 from daq.errors import DeviceError
 
 _RAMP_S = 10

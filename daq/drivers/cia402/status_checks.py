@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from daq.drivers.canopen import cia301
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.cia402 import wire
 from daq.drivers.cia402.host_beats import IN_A_ROW
@@ -23,7 +24,7 @@ def drive_checks(control: SpeedControl | None, events: Sequence[DeviceEvent], fo
     """
     out = {} if control is None else {"state": _state(control)}
     codes = [int(e.facts.get("error_code", 0)) for e in events if e.kind == "emergency"]
-    bad = [code for code in codes if code not in (0, wire.HEARTBEAT_ERROR)]
+    bad = [code for code in codes if code not in (0, cia301.HEARTBEAT_ERROR)]
     words = ", ".join(f"0x{code:04X}" for code in codes) or "none"
     out["emergencies"] = DeviceCheck(words, "none", not bad, "" if not bad else "look them up in the drive's manual")
     note = "" if foreign_beats < IN_A_ROW else "another node bears the host's number (host_node_id): find it"
@@ -35,7 +36,7 @@ def _state(control: SpeedControl) -> DeviceCheck:
     state = control.state
     faulty = state in _FAULTY
     code = control.fault_code() if faulty and state != wire.UNKNOWN else None
-    beat = code == wire.HEARTBEAT_ERROR
+    beat = code == cia301.HEARTBEAT_ERROR
     note = ""
     if faulty:
         cause = "it reports no cause" if code is None else f"error 0x{code:04X}"

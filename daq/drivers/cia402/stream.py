@@ -9,6 +9,7 @@ import numpy as np
 
 from daq import channels
 from daq.drivers.can_lines import CanLines
+from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.host_beats import HostBeats
 from daq.drivers.cia402.settings import MotorDrive
@@ -43,22 +44,22 @@ class DrivePipeline:
         self._reported_ns = -_AGAIN_NS
         self._target_rpm = 0.0
         self._status: int | None = None
-        self._network: cia402.Heartbeat | None = None
+        self._network: cia301.Heartbeat | None = None
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
         """See Pipeline."""
         if direction == TX:
-            frames = cia402.own_frames(self._lines.sent(data))
+            frames = cia301.own_frames(self._lines.sent(data))
             self.host_beats.sent(frames, host_ns)
             for frame in frames:
                 self._take_target(frame)
             self.frames = []
             return []
         frames, events = self._lines.received(data)
-        self.frames = cia402.own_frames(frames)
+        self.frames = cia301.own_frames(frames)
         out: list[Batch | DeviceEvent] = [*self._second_host(host_ns), *events]
         rows: list[tuple[int, int, float]] = []  # statusword, actual and target speed in rpm
-        report, beat = cia402.cob_tpdo(1, self._node), cia402.cob_heartbeat(self._node)
+        report, beat = cia301.cob_tpdo(1, self._node), cia301.cob_heartbeat(self._node)
         for frame in self.frames:
             if frame.arbitration_id == report:  # the most frequent case
                 if len(frame.data) >= cia402.TPDO1_BYTES:
@@ -69,8 +70,8 @@ class DrivePipeline:
             self._take_target(frame)
             if frame.arbitration_id == beat:
                 out += self._heartbeat(frame)
-            elif frame.arbitration_id == cia402.cob_emergency(self._node) and len(frame.data) == 8:
-                emergency = cia402.unpack_emergency(frame.data)
+            elif frame.arbitration_id == cia301.cob_emergency(self._node) and len(frame.data) == 8:
+                emergency = cia301.unpack_emergency(frame.data)
                 facts: dict[str, Any] = {"error_code": emergency.error_code, "register": emergency.error_register}
                 if any(emergency.maker_bytes):
                     facts["maker_bytes"] = emergency.maker_bytes.hex(" ")
@@ -99,19 +100,19 @@ class DrivePipeline:
         return DeviceEvent("mapping", self._device, self.complaint, {"bytes": len(frame.data)})
 
     def _take_target(self, frame: slcan.CanFrame) -> None:
-        if frame.arbitration_id == cia402.cob_rpdo(1, self._node) and len(frame.data) == 4:
+        if frame.arbitration_id == cia301.cob_rpdo(1, self._node) and len(frame.data) == 4:
             self._target_rpm = float(cia402.unpack_rpdo1(frame.data)[1])
 
     def _heartbeat(self, frame: slcan.CanFrame) -> list[Batch | DeviceEvent]:
         """Return the event of a boot-up or of a change of the network state. A drive reports only if operational."""
-        state = cia402.heartbeat(frame.data)
+        state = cia301.heartbeat(frame.data)
         before, self._network = self._network, self._network if state is None else state
-        if state is None or (state == before and state != cia402.Heartbeat.BOOT_UP):
+        if state is None or (state == before and state != cia301.Heartbeat.BOOT_UP):
             return []
-        if state == cia402.Heartbeat.BOOT_UP:
+        if state == cia301.Heartbeat.BOOT_UP:
             text = "the drive started again (boot-up message): its settings are gone, its speed is unknown"
             return [DeviceEvent("restart", self._device, text)]
-        operational = state == cia402.Heartbeat.OPERATIONAL
+        operational = state == cia301.Heartbeat.OPERATIONAL
         if operational and before is None:
             return []  # the expected state
         text = f"network state {state.name.replace('_', '-')}" + ("" if operational else ": it reports no speed")

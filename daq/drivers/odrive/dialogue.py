@@ -40,7 +40,7 @@ def identify(device: str, settings: Odrive, talk: Talk) -> dict[str, Any]:
             "differ: set firmware in its table"
         )
     serial = "" if settings.firmware == "0.5" else _query_serial(settings, talk)
-    if settings.serial is not None and serial != settings.serial:
+    if settings.serial and serial != settings.serial:
         found = f"it is {serial}" if serial else "it does not report one"
         raise DeviceError(f"{device}: expected the controller with serial number {settings.serial}, {found}")
     return {

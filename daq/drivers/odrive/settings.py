@@ -41,7 +41,7 @@ class Odrive(DeviceSettings):
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 250_000
     node_id: Annotated[int, Field(ge=0, le=62)]
     firmware: Literal["0.5", "0.6"]
-    serial: Annotated[str, Field(pattern=r"^[0-9A-F]{12}$")] | None = None
+    serial: Annotated[str, Field(pattern=r"^([0-9A-F]{12})?$")] = ""
     gear_ratio: Annotated[float, Field(ge=-100, le=100)] = 1.0
     watchdog_s: Annotated[float, Field(ge=0.1, le=2.0)]
     proves_watchdog: bool | None = None
@@ -65,7 +65,7 @@ class Odrive(DeviceSettings):
 
     @model_validator(mode="after")
     def _serial_can_be_read(self) -> Odrive:
-        if self.serial is not None and self.firmware == "0.5":
+        if self.serial and self.firmware == "0.5":
             raise ValueError("serial: firmware 0.5 does not report it on the bus: omit it")
         return self
 

@@ -26,6 +26,7 @@ class EthernetLaser(DisplacementSettings):
     """
 
     names_its_channel: ClassVar[bool] = True
+    serial_limit: ClassVar[int | None] = 2**32
 
     rate_Hz: Annotated[float, Field(ge=10, le=50_000)] = 5000.0
     words: Annotated[tuple[Word, ...], Field(strict=False, min_length=1, max_length=wire.MOST_FRAME_BYTES // 4)] = (
@@ -33,18 +34,6 @@ class EthernetLaser(DisplacementSettings):
     )
     scaling: Literal["ILD1420", "ILD1900"] = "ILD1420"
     counts: Literal["frames", "packets"] = "frames"
-
-    @field_validator("serial")
-    @classmethod
-    def _is_a_number(cls, serial: str) -> str:
-        if serial and not (serial.isdecimal() and serial.isascii() and int(serial) < 2**32):
-            raise ValueError(f"expected a serial number of 32 bits, as the packets contain it, got {serial!r}")
-        return serial
-
-    @property
-    def serial_number(self) -> int:
-        """Serial number of the sensor; 0: any."""
-        return int(self.serial or 0)
 
     @field_validator("words")
     @classmethod

@@ -1,4 +1,4 @@
-"""Access to the objects of a drive by canopen's SDO client over the recorded link."""
+"""Access to the objects of a node by canopen's SDO client over the recorded link."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ import canopen
 from canopen.sdo.client import ABORT_TIMED_OUT, SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from daq.drivers.cia402 import wire as cia402
+from daq.drivers.canopen import cia301
+from daq.drivers.contract import Talk
 from daq.errors import DeviceError
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock
@@ -24,6 +25,7 @@ logging.getLogger("canopen").addHandler(logging.NullHandler())  # its errors are
 _ANSWER_S = 0.3  # wall s to wait for an answer
 _TRIES = 3
 _READ = struct.Struct("<BHBI")
+_ABORTED = 0x80
 _EXPEDITED = 0x42  # command byte, under the mask 0xE2, of an answer that contains the value itself
 
 _T = TypeVar("_T")
@@ -62,8 +64,8 @@ class _SdoClient(SdoClient):
     RESPONSE_TIMEOUT = _ANSWER_S
 
     def __init__(self, node_id: int, network: canopen.Network, clock: HostClock) -> None:
-        answers = cia402.cob_sdo_answer(node_id)
-        super().__init__(cia402.cob_sdo_request(node_id), answers, canopen.ObjectDictionary())
+        answers = cia301.cob_sdo_answer(node_id)
+        super().__init__(cia301.cob_sdo_request(node_id), answers, canopen.ObjectDictionary())
         self.network = network
         self.responses: queue.Queue[bytes] = clock.queue()
         self._requested = b""  # index and sub-index as in the request; empty if no answer is expected
@@ -98,13 +100,15 @@ class NodeObjects:
     """A node's objects, and its bus.
 
     Args:
-        node_id: node number of the drive.
-        send: writes bytes to the drive's link (and to the log).
+        name: name of the node in messages.
+        node_id: node number.
+        send: writes bytes to the node's link (and to the log).
         clock: clock for timeouts.
     """
 
-    def __init__(self, node_id: int, send: Callable[[bytes], None], clock: HostClock) -> None:
+    def __init__(self, name: str, node_id: int, send: Callable[[bytes], None], clock: HostClock) -> None:
         self.node_id: int = node_id
+        self._name = name
         self._clock = clock
         self._network = canopen.Network(bus=_SendOnlyBus(send))
         self._sdo = _SdoClient(node_id, self._network, clock)
@@ -115,13 +119,13 @@ class NodeObjects:
 
     def take_answer(self, data: bytes) -> None:
         """Take an answer of the node, 8 bytes."""
-        self._network.notify(cia402.cob_sdo_answer(self.node_id), bytearray(data), self._clock.now_s())
+        self._network.notify(cia301.cob_sdo_answer(self.node_id), bytearray(data), self._clock.now_s())
 
     def write(self, index: int, sub: int, value: int, size: int) -> None:
-        """Write an object of `size` bytes and wait until the drive confirms it.
+        """Write an object of `size` bytes and wait until the node confirms it.
 
         Raises:
-            DeviceError: the drive does not answer, or refuses the value.
+            DeviceError: the node does not answer, or refuses the value.
         """
         self._retry(f"writing {index:04X}h sub {sub}", lambda: self._download(index, sub, value, size))
 
@@ -129,20 +133,20 @@ class NodeObjects:
         try:
             self._sdo.download(index, sub, value.to_bytes(size, "little"))
         except SdoAbortedError as error:
-            raise DeviceError(f"drive: refused {value} at {index:04X}h sub {sub}: {error}") from error
+            raise DeviceError(f"{self._name}: refused {value} at {index:04X}h sub {sub}: {error}") from error
 
     def read(self, index: int, sub: int) -> int | None:
-        """Return the unsigned value of an object of up to 4 bytes; None if the drive has no such object or refuses it.
+        """Return the unsigned value of an object of up to 4 bytes; None if the node has no such object or refuses it.
 
         Raises:
-            DeviceError: the drive does not answer.
+            DeviceError: the node does not answer.
         """
         return self._retry(f"reading {index:04X}h sub {sub}", lambda: self._upload(index, sub))
 
     def _upload(self, index: int, sub: int) -> int | None:
         try:
             answer = self._sdo.request_response(_READ.pack(0x40, index, sub, 0))
-        except SdoAbortedError:  # usual: the drive has no such object
+        except SdoAbortedError:  # usual: the node has no such object
             return None
         if answer[0] & 0xE2 != _EXPEDITED:  # the object has more than 4 bytes
             return None
@@ -158,7 +162,52 @@ class NodeObjects:
             except SdoCommunicationError as error:
                 if attempt == _TRIES:
                     raise DeviceError(
-                        f"drive: no answer to {what} after {_TRIES} tries ({error}). Is node {self.node_id} "
+                        f"{self._name}: no answer to {what} after {_TRIES} tries ({error}). Is node {self.node_id} "
                         "powered, the bit rate right, the bus terminated?"
                     ) from error
             attempt += 1
+
+
+class _DialogueClient(_SdoClient):
+    """Client that takes the answers from the replies of a dialogue; no other thread passes them to it."""
+
+    def __init__(self, node_id: int, network: canopen.Network, talk: Talk) -> None:
+        super().__init__(node_id, network, talk.clock)
+        self._answers, self._talk = cia301.cob_sdo_answer(node_id), talk
+
+    def read_response(self) -> bytes | bytearray:
+        """Return the answer of the node to the present request.
+
+        Raises:
+            SdoCommunicationError, SdoAbortedError: no answer in time, or a refusal.
+        """
+        deadline = self._talk.clock.wall_s() + _ANSWER_S
+        while self.responses.empty() and (left := deadline - self._talk.clock.wall_s()) > 0:
+            try:
+                text = self._talk.replies.get(timeout=left)
+            except queue.Empty:  # usual: the base class reports it
+                break
+            for frame in slcan.LineDecoder().feed(text.encode() + b"\r").frames:
+                if frame.arbitration_id == self._answers and len(frame.data) == _READ.size:
+                    self._take_answer(self._answers, bytearray(frame.data), 0.0)
+        try:
+            answer = self.responses.get_nowait()
+        except queue.Empty as error:
+            raise SdoCommunicationError("No SDO response received") from error
+        if answer[0] == _ABORTED:
+            raise SdoAbortedError(int.from_bytes(answer[4:8], "little"))
+        return answer
+
+
+class DialogueObjects(NodeObjects):
+    """A node's objects during the opening of a device, whose pipeline reports SDO answers as `reply` events.
+
+    Args:
+        name: name of the node in messages.
+        node_id: node number.
+        talk: the open device.
+    """
+
+    def __init__(self, name: str, node_id: int, talk: Talk) -> None:
+        super().__init__(name, node_id, talk.send, talk.clock)
+        self._sdo = _DialogueClient(node_id, self._network, talk)

@@ -1,4 +1,4 @@
-"""A CANopen node's end of the bus behind an slcan adapter: its answers to a host, independent of the motor.
+"""A CANopen node's end of the bus behind an slcan adapter: its answers to a host, independent of the kind of device.
 
 Used by the simulated drive and by the stand-in for a drive of a log. `SdoServer` answers reads and writes of objects
 (expedited transfers), `NmtState` follows the network commands. Source: CiA 301, SDO protocol and NMT.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Mapping
 
-from daq.drivers.cia402 import wire as cia402
+from daq.drivers.canopen import cia301
 from daq.transports import slcan
 
 Objects = dict[tuple[int, int], tuple[int, str]]
@@ -19,11 +19,11 @@ NO_SUCH_OBJECT, WRONG_LENGTH, UNKNOWN_COMMAND = 0x06020000, 0x06070010, 0x050400
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET, NMT_RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
 
 _NMT = {
-    NMT_START: cia402.Heartbeat.OPERATIONAL,
-    NMT_STOP: cia402.Heartbeat.STOPPED,
-    NMT_PRE_OPERATIONAL: cia402.Heartbeat.PRE_OPERATIONAL,
-    NMT_RESET: cia402.Heartbeat.PRE_OPERATIONAL,
-    NMT_RESET_COMMUNICATION: cia402.Heartbeat.PRE_OPERATIONAL,
+    NMT_START: cia301.Heartbeat.OPERATIONAL,
+    NMT_STOP: cia301.Heartbeat.STOPPED,
+    NMT_PRE_OPERATIONAL: cia301.Heartbeat.PRE_OPERATIONAL,
+    NMT_RESET: cia301.Heartbeat.PRE_OPERATIONAL,
+    NMT_RESET_COMMUNICATION: cia301.Heartbeat.PRE_OPERATIONAL,
 }
 
 
@@ -83,7 +83,7 @@ class NmtState:
     """
 
     def __init__(self, node: int) -> None:
-        self.state: cia402.Heartbeat = cia402.Heartbeat.PRE_OPERATIONAL
+        self.state: cia301.Heartbeat = cia301.Heartbeat.PRE_OPERATIONAL
         self._node = node
 
     def follow(self, frame: slcan.CanFrame) -> int | None:
@@ -93,34 +93,6 @@ class NmtState:
         command = frame.data[0]
         self.state = _NMT.get(command, self.state)
         return command
-
-
-def drive_objects(node: int) -> Objects:
-    """Return the minimum objects of a velocity-mode drive with initial values: ramps 100 rpm/s, no reports at rest."""
-    return {
-        (cia402.RPDO1, 1): (cia402.cob_rpdo(1, node), "<I"),
-        (cia402.RPDO1, 2): (255, "<B"),
-        (cia402.RPDO1_MAPPING, 0): (2, "<B"),
-        (cia402.RPDO1_MAPPING, 1): (cia402.mapped_word(cia402.CONTROLWORD), "<I"),
-        (cia402.RPDO1_MAPPING, 2): (cia402.mapped_word(cia402.TARGET_VELOCITY), "<I"),
-        (cia402.TPDO1, 1): (cia402.cob_tpdo(1, node), "<I"),
-        (cia402.TPDO1, 2): (255, "<B"),
-        (cia402.TPDO1, 5): (0, "<H"),
-        (cia402.TPDO1_MAPPING, 0): (2, "<B"),
-        (cia402.TPDO1_MAPPING, 1): (cia402.mapped_word(cia402.STATUSWORD), "<I"),
-        (cia402.TPDO1_MAPPING, 2): (cia402.mapped_word(cia402.ACTUAL_VELOCITY), "<I"),
-        (0x1000, 0): (0x00020192, "<I"),
-        (0x1001, 0): (0, "<B"),
-        (cia402.CONSUMER_HEARTBEAT, 1): (0, "<I"),
-        (cia402.PRODUCER_HEARTBEAT, 0): (0, "<H"),
-        (cia402.CONTROLWORD, 0): (0, "<H"),
-        (cia402.TARGET_VELOCITY, 0): (0, "<h"),
-        (cia402.VELOCITY_ACCELERATION, 1): (100, "<I"),
-        (cia402.VELOCITY_ACCELERATION, 2): (1, "<H"),
-        (cia402.VELOCITY_DECELERATION, 1): (100, "<I"),
-        (cia402.VELOCITY_DECELERATION, 2): (1, "<H"),
-        (cia402.MODE_OF_OPERATION, 0): (0, "<b"),
-    }
 
 
 def _abort(head: bytes, code: int) -> bytes:

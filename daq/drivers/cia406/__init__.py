@@ -1,0 +1,1 @@
+"""CANopen encoders (CiA 406) behind an adapter: both pendulums and, optionally, the shaft."""

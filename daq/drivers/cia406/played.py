@@ -1,0 +1,86 @@
+"""Stand-in for CANopen encoders of a log while the log is played."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from daq.drivers.can_lines import Adapter, BothWays
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.node import NMT_RESET, NMT_RESET_COMMUNICATION, NmtState, SdoServer
+from daq.drivers.cia406.node_objects import encoder_objects
+from daq.drivers.cia406.settings import Encoder, EncoderBus
+from daq.drivers.played import PlayedDevice
+from daq.errors import LogError
+from daq.transports import slcan
+
+
+class PlayedEncoders(PlayedDevice):
+    """Encoders that answer the opening and follow network commands; their positions come at the times of the log.
+
+    The recorded SYNCs are played until a host sends its own ones. A position then counts as sampled at the newest SYNC
+    of that host, up to one period away from its own time.
+
+    Args:
+        settings: table of the encoders in the rig file.
+        identity: identity of the encoders from their opening.
+
+    Raises:
+        LogError: the identity is impossible.
+    """
+
+    expects = "the network's start"
+
+    def __init__(self, settings: EncoderBus, identity: Mapping[str, Any]) -> None:
+        self._bus = BothWays({cia301.COB_SYNC})
+        super().__init__(self._bus)
+        self._adapter = Adapter()
+        self._nodes = [_PlayedNode(encoder, settings, identity) for encoder in settings.encoders]
+
+    @property
+    def sending(self) -> bool:
+        """See PlayedDevice."""
+        return self._adapter.open and all(node.nmt.state == cia301.Heartbeat.OPERATIONAL for node in self._nodes)
+
+    def begin(self) -> None:
+        """See PlayedDevice."""
+        self._adapter.open = True
+        for node in self._nodes:
+            node.nmt.state = cia301.Heartbeat.OPERATIONAL
+
+    def hear(self, data: bytes) -> bytes:
+        """See PlayedDevice. SYNC, and commands to the adapter alone, do not count as commands to the encoders."""
+        frames, answers = self._adapter.receive(data)
+        sent = b""
+        for frame in frames:
+            is_sync = frame.arbitration_id == cia301.COB_SYNC
+            self.commands += not is_sync
+            self._bus.host_is_there |= is_sync
+            sent += b"".join(slcan.encode(answer) for node in self._nodes for answer in node.answers(frame))
+        return answers + sent if self._adapter.open else answers
+
+
+class _PlayedNode:
+    """One encoder of the log."""
+
+    def __init__(self, encoder: Encoder, settings: EncoderBus, identity: Mapping[str, Any]) -> None:
+        self.nmt = NmtState(encoder.node)
+        self._node = encoder.node
+        per_turn = settings.counts_per_revolution
+        name = encoder.name
+        defaults = {"serial": encoder.serial, "positions": per_turn, "counter_clockwise": 0, "maker": 0, "product": 0}
+        known = {key: identity.get(f"{name}_{key}", value) for key, value in defaults.items()}
+        if not all(type(value) is int and 0 <= value < 2**32 for value in known.values()):
+            raise LogError(f"identity of encoder {name}: expected numbers of 32 bits, got {known!r:.200}")
+        parameters = 0x4 | (known["counter_clockwise"] & 1)
+        objects = encoder_objects(encoder.node, known["serial"], per_turn, known["positions"], parameters)
+        objects[cia301.IDENTITY, 1], objects[cia301.IDENTITY, 2] = (known["maker"], "<I"), (known["product"], "<I")
+        self._sdo = SdoServer(objects, {})
+
+    def answers(self, frame: slcan.CanFrame) -> list[slcan.CanFrame]:
+        """Return the answers to a frame."""
+        if self.nmt.follow(frame) in (NMT_RESET, NMT_RESET_COMMUNICATION):
+            return [slcan.CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP]))]
+        if frame.arbitration_id == cia301.cob_sdo_request(self._node) and len(frame.data) == 8:
+            return [slcan.CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(frame.data))]
+        return []

@@ -1,0 +1,106 @@
+"""Instants of samples, positions over revolutions, and index marks: the same for both ways of sampling."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Instant:
+    """The instant of a sample.
+
+    Attributes:
+        number: number of the sample: of its SYNC, or of the encoder's own report.
+        time_ns: instant on the common clock, ns since 1970.
+        own_ns: instant on the clock that is recorded with the sample, ns: the common clock with SYNC, otherwise the
+            encoder's own timer from its first report on.
+    """
+
+    number: int
+    time_ns: int
+    own_ns: int
+
+
+class Turns:
+    """Position of an encoder without the step at the end of a revolution.
+
+    Args:
+        per_turn: counts per revolution.
+        zero_counts: raw position at the angle 0.
+        sign: 1 if raw positions grow with the angle, otherwise -1.
+    """
+
+    def __init__(self, per_turn: int, zero_counts: int, sign: int) -> None:
+        self._per_turn, self._zero, self._sign = per_turn, zero_counts, sign
+        self._counts: int | None = None
+
+    def counts(self, raw: int) -> int:
+        """Return the continuous position, counts: the one within half a revolution of the position before."""
+        value = self._sign * (raw - self._zero)
+        before, half = self._counts or 0, self._per_turn // 2
+        self._counts = before + (value - before + half) % self._per_turn - half
+        return self._counts
+
+
+class Marks:
+    """Index marks of a shaft encoder: the instants at which its position passes whole revolutions.
+
+    The instant is interpolated linearly between the positions before and after it. A mark occurs in both directions of
+    rotation. After a mark the shaft must turn by an eighth of a revolution before the same position gives another one,
+    so that a position that flickers around 0 at rest gives one mark only. From one sample to the next the shaft turns
+    by less than half a revolution. Where samples are missing, it turns on with the mean speed before.
+
+    Args:
+        per_turn: counts per revolution.
+        period_ns: period of the samples, ns.
+    """
+
+    _AWAY = 0.125  # of a revolution
+    _GAP = 1.5  # periods without a position after which some are missing
+    _MEAN = 8  # steps over which the speed is averaged: one that is wrong must not count as rotation
+    _LONGEST_NS = 1_000_000_000  # after a longer pause the revolutions in between are unknown, and no mark is given
+
+    def __init__(self, per_turn: int, period_ns: int) -> None:
+        self._per_turn, self._period_ns, self._gap_ns = per_turn, period_ns, self._GAP * period_ns
+        self._last: Instant | None = None
+        self._past: deque[tuple[int, float]] = deque(maxlen=self._MEAN + 1)  # time, ns, and revolutions, without a gap
+        self._edge: int | None = None  # revolution of the newest mark, until the shaft has left it
+
+    def feed(self, instant: Instant, counts: int) -> list[tuple[int, int, int]]:
+        """Take the next position; return the marks before it: revolution, time and own time, ns (see Instant)."""
+        last, self._last = self._last, instant
+        position = counts / self._per_turn
+        step_ns = 0 if last is None else instant.time_ns - last.time_ns
+        if last is None or not 0 < step_ns <= self._LONGEST_NS:
+            self._past.clear()
+            self._past.append((instant.time_ns, position))
+            return []
+        before = self._past[-1][1]
+        expected = before + (self._mean_per_ns() * step_ns if step_ns > self._gap_ns else 0.0)
+        now = expected + math.remainder(position - expected, 1.0)
+        if step_ns > self._gap_ns:
+            self._past.clear()
+        self._past.append((instant.time_ns, now))
+        out: list[tuple[int, int, int]] = []
+        first, final = sorted((before, now))
+        edges = range(math.ceil(first), math.floor(final) + 1)
+        for edge in edges if now >= before else reversed(edges):
+            if edge in (self._edge, before):
+                continue
+            share = (edge - before) / (now - before)
+            time_ns = round(last.time_ns + share * (instant.time_ns - last.time_ns))
+            out.append((edge, time_ns, round(last.own_ns + share * (instant.own_ns - last.own_ns))))
+            self._edge = edge
+        if self._edge is not None and abs(now - self._edge) > self._AWAY:
+            self._edge = None
+        return out
+
+    def _mean_per_ns(self) -> float:
+        """Return the mean speed over the past positions, revolutions per ns, limited; 0 with too few of them."""
+        (from_ns, begin), (to_ns, end) = self._past[0], self._past[-1]
+        if len(self._past) <= self._MEAN // 2:
+            return 0.0
+        mean, most = (end - begin) / (to_ns - from_ns), 0.5 / self._period_ns
+        return min(max(mean, -most), most)

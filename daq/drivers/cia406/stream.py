@@ -1,0 +1,277 @@
+"""Pipeline of CANopen encoders: slcan text to pendulum angles, index marks and events.
+
+With SYNC the time of a sample is that of the host's write of the SYNC, plus `sync_delay_s`; both angles are of the same
+instant. Without SYNC see `free_running`. The reports have no checksum beyond that of the CAN bus: text that is damaged
+between adapter and host is detected by its form, by its length, and by positions beyond the encoder's range.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from daq import channels
+from daq.drivers.can_lines import CanLines
+from daq.drivers.canopen import cia301
+from daq.drivers.cia406 import wire
+from daq.drivers.cia406.free_running import NewestOfB, OwnTimer, Values
+from daq.drivers.cia406.node_watch import NodeWatch
+from daq.drivers.cia406.reports import Instant, Marks, Turns
+from daq.drivers.cia406.settings import Encoder, EncoderBus
+from daq.drivers.cia406.synchronous import SyncTimes
+from daq.errors import DeviceError
+from daq.items import TX, Batch, DeviceEvent
+from daq.transports import slcan
+
+Items = Iterator[Batch | DeviceEvent]
+
+_SILENT = 3  # SYNCs in succession that an encoder has not answered
+_ANY_POSITION = 2**32
+_AGAIN_NS = 1_000_000_000
+
+
+class EncoderPipeline:
+    """Decoder of the text of the adapter.
+
+    Attributes:
+        losses: see Pipeline. "samples": samples of both angles that are missing; "reports": reports of any encoder that
+            are missing; "heartbeats": losses of an encoder's heartbeat; "unasked": reports that answer no SYNC or come
+            too late; "invalid": reports that are too short, beyond the encoder's range, or of an encoder that started
+            again; "foreign_syncs" are SYNCs of another host.
+        has_reported, complaint: see DescribesItself.
+
+    Args:
+        device: name of the device in the rig file.
+        settings: table of the encoders in the rig file.
+        identity: identity of the encoders; of encoders that were not queried, positions grow with the angle.
+
+    Raises:
+        DeviceError: the identity is impossible.
+    """
+
+    has_reported = True
+
+    def __init__(self, device: str, settings: EncoderBus, identity: Mapping[str, Any]) -> None:
+        kinds = ("samples", "reports", "heartbeats", "unasked", "invalid", "foreign_syncs")
+        self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
+        self.complaint: str = ""
+        self._device, self._settings = device, settings
+        self._lines = CanLines(device, self.losses)
+        encoders = settings.encoders
+        self._watches = {each.name: NodeWatch(device, each, settings.heartbeat_ms) for each in encoders}
+        per_turn = settings.counts_per_revolution
+        self._positions = {each.name: _positions(each, per_turn, identity) for each in encoders}
+        self._turns = {each.name: Turns(per_turn, each.zero_counts, _sign(each, identity)) for each in encoders}
+        self._by_frame: dict[int, tuple[str, Callable[[str, slcan.CanFrame, int], Items]]] = {}
+        for each in encoders:
+            self._by_frame[cia301.cob_tpdo(1, each.node)] = each.name, self._report
+            self._by_frame[cia301.cob_heartbeat(each.node)] = each.name, self._heartbeat
+            self._by_frame[cia301.cob_emergency(each.node)] = each.name, self._emergency
+            self._by_frame[cia301.cob_sdo_answer(each.node)] = each.name, self._reply
+        delay_ns, period_ns = round(settings.sync_delay_s * 1e9), round(1e9 / settings.rate_Hz)
+        self._sync = SyncTimes(tuple(self._watches), delay_ns)
+        self._both: dict[str, int] = {}  # positions of A and B of the present SYNC
+        self._silent = dict.fromkeys(self._watches, 0)  # SYNCs in succession without an answer
+        self._timers = {name: OwnTimer(period_ns, delay_ns) for name in self._watches}
+        self._b = NewestOfB()
+        self._marks = Marks(per_turn, period_ns)
+        self._mark_number, self._mark_ns = 0, 0
+        self._lost = 0  # samples missing since the last one, with SYNC
+        self._next_number: int | None = None  # of the sample after the last one, without SYNC
+        self._last_ns, self._period_ns = 0, period_ns
+        self._echoes, self._has_sent = 0, False
+        self._foreign_ns = -_AGAIN_NS
+        self._radian = 2 * math.pi / per_turn
+
+    def feed(self, direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
+        """See Pipeline."""
+        if direction == TX:
+            out: list[Batch | DeviceEvent] = []
+            for frame in cia301.own_frames(self._lines.sent(data)):
+                if frame.arbitration_id == cia301.COB_SYNC:
+                    self._echoes, self._has_sent = 1, True
+                    out += self._asked(host_ns)
+            return out
+        if not data:
+            return list(self._end())
+        frames, events = self._lines.received(data)
+        out = [*events]
+        for frame in cia301.own_frames(frames):
+            known = self._by_frame.get(frame.arbitration_id)
+            if known is not None:
+                out += known[1](known[0], frame, host_ns)
+            elif frame.arbitration_id == cia301.COB_SYNC:
+                out += self._sync_of_bus(host_ns)
+        for watch in self._watches.values():
+            for event in watch.passed(host_ns):
+                self.losses["heartbeats"] += 1
+                out.append(event)
+        return out
+
+    # --- SYNC --------------------------------------------------------------------------------------------------
+
+    def _sync_of_bus(self, host_ns: int) -> Items:
+        """Take a SYNC from the bus: an echo of this host's, of the host to which this session listens, or foreign."""
+        if not self._has_sent:
+            yield from self._asked(host_ns)
+        elif self._echoes:
+            self._echoes = 0
+        else:
+            self.losses["foreign_syncs"] += 1
+            if host_ns - self._foreign_ns > _AGAIN_NS:
+                self._foreign_ns = host_ns
+                text = "another node sends SYNC: the encoders sample at its instants too. Switch it off (1005h bit 30)"
+                yield DeviceEvent("fault", self._device, text, {"foreign_syncs": self.losses["foreign_syncs"]})
+
+    def _asked(self, host_ns: int) -> Items:
+        if not self._settings.sync:
+            return
+        missing = self._sync.sync(host_ns)
+        self._both = {}
+        self.losses["reports"] += len(missing)
+        if not {"a", "b"}.isdisjoint(missing):
+            self._lost += 1
+            self.losses["samples"] += 1
+        for name in self._watches:
+            self._silent[name] = self._silent[name] + 1 if name in missing else 0
+            if self._silent[name] == _SILENT:
+                text = f"{self._watches[name].name} has not answered {_SILENT} SYNCs: it gives no position"
+                yield DeviceEvent("network", self._device, text, {"encoder": name, "operational": False})
+            elif missing == [name] == ["shaft"]:
+                yield DeviceEvent("gap", self._device, "a position of the shaft is missing", {"reports": 1})
+
+    # --- messages of an encoder --------------------------------------------------------------------------------
+
+    def _reply(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
+        yield DeviceEvent("reply", self._device, slcan.encode(frame).decode().strip())
+
+    def _heartbeat(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
+        watch = self._watches[name]
+        yield from watch.heartbeat(frame, host_ns)
+        if watch.restarted and not self.complaint:
+            self.complaint = f"{watch.name} started again: its set-up is gone. Open the rig again"
+
+    def _emergency(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
+        yield from self._watches[name].emergency(frame)
+
+    def _report(self, name: str, frame: slcan.CanFrame, host_ns: int) -> Items:
+        raw = wire.position(frame.data)
+        wrong = ""
+        if raw is None:
+            wrong = f"a report of {len(frame.data)} bytes, expected {wire.POSITION_BYTES}"
+        elif raw >= self._positions[name]:
+            wrong = f"position {raw}, expected less than {self._positions[name]}"
+        elif self._watches[name].restarted:
+            wrong = "a position after it started again"
+        if raw is None or wrong:
+            self.losses["invalid"] += 1
+            yield DeviceEvent("damage", self._device, f"{self._watches[name].name}: {wrong}; dropped", {"lines": 1})
+        elif self._settings.sync:
+            yield from self._synchronous(name, raw, host_ns)
+        else:
+            yield from self._free_running(name, self._turns[name].counts(raw), host_ns)
+
+    def _synchronous(self, name: str, raw: int, host_ns: int) -> Items:
+        instant = self._sync.report(name, host_ns)
+        if instant is None:
+            if not self._sync.begun:
+                return
+            self.losses["unasked"] += 1
+            text = f"{self._watches[name].name}: a report that answers no SYNC, or comes too late; dropped"
+            yield DeviceEvent("damage", self._device, text, {"lines": 1})
+            return
+        counts = self._turns[name].counts(raw)
+        if name == "shaft":
+            yield from self._shaft(instant, counts)
+            return
+        self._both[name] = counts
+        if len(self._both) == 2:
+            lost, self._lost = self._lost, 0
+            yield from self._sample(instant, self._both["a"], self._both["b"], lost)
+
+    def _free_running(self, name: str, counts: int, host_ns: int) -> Items:
+        timer, values = self._timers[name], (counts,)
+        if name == "b":
+            self._b.took(counts)
+        elif name == "a":
+            newest = self._b.at_report_of_a()
+            values = (counts,) if newest is None else (counts, newest)
+        yield from self._timed(name, timer.feed(values, host_ns))
+
+    def _timed(self, name: str, found: list[tuple[Instant, Values]]) -> Items:
+        """Take reports of an encoder whose times are known; of A without a position of B there is no sample."""
+        before = self.losses["reports"]
+        self.losses["reports"] = sum(timer.missing for timer in self._timers.values())
+        if (missing := self.losses["reports"] - before) and name != "a":  # those of A are missing samples
+            text = f"{missing} reports of {self._watches[name].name} are missing"
+            yield DeviceEvent("gap", self._device, text, {"reports": missing})
+        for instant, values in found:
+            if name == "shaft":
+                yield from self._shaft(instant, *values)
+            elif len(values) == 2:
+                missing = 0 if self._next_number is None else instant.number - self._next_number
+                self._next_number = instant.number + 1
+                self.losses["samples"] += missing
+                yield from self._sample(instant, *values, missing)
+
+    def _end(self) -> Items:
+        if not self._settings.sync:
+            for name, timer in self._timers.items():
+                yield from self._timed(name, timer.end())
+
+    # --- samples -----------------------------------------------------------------------------------------------
+
+    def _sample(self, instant: Instant, a: int, b: int, lost: int) -> Items:
+        time_ns = self._last_ns = max(self._last_ns + 1, instant.time_ns)
+        if lost:
+            span_s = lost * self._period_ns * 1e-9
+            facts = {"samples": lost, "span_s": span_s, "time_ns": time_ns}
+            yield DeviceEvent("gap", self._device, f"{lost} samples lost", facts)
+        flags = channels.ENCODER_FAULT_A * self._watches["a"].faulty
+        flags |= channels.ENCODER_FAULT_B * self._watches["b"].faulty
+        sequence = np.array([instant.number], np.int64).astype(np.uint32)
+        columns = {
+            "theta3_rad": np.array([a * self._radian]),
+            "theta4_rad": np.array([b * self._radian]),
+            "count_a": np.array([a], np.int64).astype(np.int32),
+            "count_b": np.array([b], np.int64).astype(np.int32),
+            "index": sequence,
+            "node_time_us": np.array([instant.own_ns // 1000], np.uint64),
+            "flags": np.array([flags], np.uint32),
+        }
+        yield Batch(channels.PENDULUMS, np.array([time_ns], np.int64), sequence, columns)
+
+    def _shaft(self, instant: Instant, counts: int) -> Items:
+        for revolution, time_ns, own_ns in self._marks.feed(instant, counts):
+            self._mark_ns = max(self._mark_ns + 1, time_ns)
+            number = np.array([self._mark_number], np.int64).astype(np.uint32)
+            self._mark_number += 1
+            columns = {
+                "revolutions": np.array([revolution], np.int64).astype(np.uint32),
+                "node_time_us": np.array([own_ns // 1000], np.int64).astype(np.uint64),
+            }
+            yield Batch(channels.TACHO, np.array([self._mark_ns], np.int64), number, columns)
+
+
+def _positions(encoder: Encoder, per_turn: int, identity: Mapping[str, Any]) -> int:
+    """Return the number of different positions of an encoder; unlimited if it was not queried."""
+    positions = identity.get(f"{encoder.name}_positions", _ANY_POSITION)
+    if (
+        type(positions) is int
+        and 0 < positions <= _ANY_POSITION
+        and (positions == _ANY_POSITION or positions % per_turn == 0)
+    ):
+        return positions
+    raise DeviceError(
+        f"identity of encoder {encoder.name}: expected a number of positions that is a multiple of {per_turn}, got "
+        f"{positions!r:.80}"
+    )
+
+
+def _sign(encoder: Encoder, identity: Mapping[str, Any]) -> int:
+    """Return 1 if positions grow with the angle, also of an encoder that was not queried, otherwise -1."""
+    counter_clockwise = identity.get(f"{encoder.name}_counter_clockwise", encoder.positive == "ccw")
+    return 1 if bool(counter_clockwise) == (encoder.positive == "ccw") else -1

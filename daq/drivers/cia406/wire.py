@@ -1,0 +1,58 @@
+"""Objects and messages of CANopen encoders (CiA 406), in addition to those of CiA 301.
+
+A pure codec without bus and clock. Sources: the object tables of makers' manuals (Kübler 9080, Lika, SIKO AP10, BEI
+MHM5, Hydac HLT 1100) that follow CiA 406.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from daq.drivers.canopen import cia301
+from daq.transports import slcan
+
+PROFILE = 406
+"""Low 16 bits of 1000h (0196h). The high ones are the kind: 1 single-turn, 2 multi-turn absolute rotary encoder."""
+OPERATING_PARAMETERS, UNITS_PER_TURN, TOTAL_RANGE, PRESET, POSITION = 0x6000, 0x6001, 0x6002, 0x6003, 0x6004
+"""6000h: bit 0 code sequence, bit 2 scaling on. 6001h and 6002h in counts, if scaling is on. 6004h: position, u32."""
+CYCLIC_TIMER = 0x6200
+"""Period in ms, u16; the same timer as the event timer of TPDO1."""
+SINGLE_TURN_RESOLUTION, DISTINGUISHABLE_TURNS = 0x6501, 0x6502
+"""Physical resolution: counts per revolution, u32; number of revolutions, u16."""
+
+COUNTER_CLOCKWISE, SCALING = 0x1, 0x4
+"""Bits of 6000h: whether positions grow counter-clockwise (seen on the shaft); whether 6001h and 6002h apply."""
+POSITION_MAPPED = POSITION << 16 | 32
+"""Entry of a PDO's mapping: 6004h, sub-index 0, 32 bits."""
+EVERY_SYNC, OWN_TIMER = 1, 254
+"""Transmission types: at each SYNC; by the node's own event timer, as the profile defines."""
+POSITION_BYTES = 4
+
+SYNC = slcan.encode(slcan.CanFrame(cia301.COB_SYNC))
+"""The host's SYNC without counter, as text; encoders of older versions of CiA 301 accept no counter."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How an encoder counts.
+
+    Attributes:
+        per_turn: counts per revolution.
+        positions: number of different positions; a position is smaller.
+        counter_clockwise: whether positions grow counter-clockwise, seen on the shaft.
+    """
+
+    per_turn: int
+    positions: int
+    counter_clockwise: bool
+
+
+def position(data: bytes) -> int | None:
+    """Return the position, counts, in a report whose first object is 6004h; None if it is shorter than 4 bytes."""
+    return None if len(data) < POSITION_BYTES else int(struct.unpack_from("<I", data)[0])
+
+
+def network_command(command: int, node: int) -> bytes:
+    """Return the text of a network command (NMT) for one node."""
+    return slcan.encode(slcan.CanFrame(cia301.COB_NMT, bytes((command, node))))
