@@ -81,8 +81,10 @@ def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
     out: dict[str, Checks] = {name: {} for name in rig.devices}
     roles = rig.roles
     for sensor in roles.displacements:
-        out[sensor.device] |= _rate_checks(look.rates.get(sensor.topic), sensor.rate_Hz)
-        out[sensor.device] |= _displacement(sensor, rig.limits, look.displacement_m[sensor.axis])
+        found = _rate_checks(look.rates.get(sensor.topic), sensor.rate_Hz)
+        found |= _displacement(sensor, rig.limits, look.displacement_m[sensor.axis])
+        several = sum(other.device == sensor.device for other in roles.displacements) > 1
+        out[sensor.device] |= {f"{sensor.axis} {name}": check for name, check in found.items()} if several else found
     if roles.angles is not None and look.angles is not None:
         out[roles.angles.device] |= _rate_checks(look.rates.get(roles.angles.topic), roles.angles.rate_Hz)
         out[roles.angles.device] |= _encoders(look.angles)
