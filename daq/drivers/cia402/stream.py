@@ -57,7 +57,7 @@ class DrivePipeline:
                 self._take_target(frame)
             self.frames = []
             return []
-        found = self._rx.feed(data) if self._joined else self._join(data)
+        found = self._rx.feed_any(data) if self._joined else self._join(data)
         self.frames = cia402.own_frames(found.frames)
         out: list[Batch | DeviceEvent] = [*self._second_host(host_ns)]
         damaged = found.damaged
