@@ -77,10 +77,10 @@ def rig_from_text(
 def _read_files(raw: dict[str, Any], source: str) -> None:
     """Put the texts of files that devices name (`DeviceSettings.files`) into the devices' tables."""
     for name, device in (_as_table(raw.get("devices")) or {}).items():
-        table = _as_table(device)
-        for key, text_key in _files_of(table).items() if table is not None else ():
+        table = _as_table(device) or {}
+        for key, text_key in _files_of(table).items():
             path, place = table.get(key), f"{source}: devices.{name}.{key}"
-            if table is None or not isinstance(path, str) or not path:
+            if not isinstance(path, str) or not path:
                 continue
             if text_key in table:
                 raise RigFileError(f"{place}: expected either a file or its text ({text_key}), got both")
