@@ -15,6 +15,7 @@ from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.world import World
 
 _QUANTITY_S = 0.1  # period of messages without a displacement
+_MOST_COUNT: int = 2**32
 _FOREIGN = CanFrame(0x7E5, b"\x01\x02\x03")
 
 
@@ -91,7 +92,7 @@ class SimulatedCanSensors(FarEnd):
             clock = world.clock(name)
             for beam in beams:
                 beam.clock = clock
-            senders.append(_Sender(group, beams, int(beams[0].rng.integers(0, 2**62))))
+            senders.append(_Sender(group, beams, int(beams[0].rng.integers(0, _MOST_COUNT))))
         return cls(settings, senders)
 
     def receive(self, data: bytes, now_s: float) -> bytes:
