@@ -6,6 +6,7 @@ A driver's package has a settings class of its own, derived from one of these.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, cast
 
 from pydantic import BeforeValidator, ConfigDict, Field, field_validator
@@ -33,12 +34,16 @@ class DeviceSettings(RigTable):
     """Settings of every device.
 
     Attributes:
-        calibration: names of the settings that a calibration may correct in an old log.
+        calibration: names of the settings that a calibration may correct in an old log; with a point before a setting
+            of a table inside ("x.range_m").
+        files: settings that name a text file, relative to the rig file, each with the setting that takes its text. A
+            log contains the text, so it can be decoded without the file.
         serial: serial number of the device, digits or text; any other device is refused. "": any.
         serial_limit: for devices whose serial number is a number: the first one that is too large.
     """
 
     calibration: ClassVar[tuple[str, ...]] = ()
+    files: ClassVar[Mapping[str, str]] = {}
 
     driver: str
     port: str
@@ -68,26 +73,14 @@ class DeviceSettings(RigTable):
         return ()
 
 
-class DisplacementSettings(DeviceSettings):
-    """Settings of a sensor of the column's motion; the numbers are those of Displacement.
+class DisplacementTable(RigTable):
+    """Numbers of one sensor of the column's motion: those of a whole device, or of one of its signals.
 
     Attributes:
         witness: name of its channel, `laser/NAME`, if another sensor measures along its axis for the rig; "" for the
             measuring sensor.
         direction_deg: direction of the sensor, if it differs from its axis.
-        names_its_channel: whether the driver records in the channel `topic`; otherwise it cannot be a witness.
     """
-
-    calibration: ClassVar[tuple[str, ...]] = (
-        "range_m",
-        "lever_ratio",
-        "gain_std",
-        "clock_tolerance_ppm",
-        "direction_deg",
-        "direction_std_deg",
-    )
-
-    names_its_channel: ClassVar[bool] = False
 
     axis: Axis
     rate_Hz: Positive
@@ -103,11 +96,9 @@ class DisplacementSettings(DeviceSettings):
 
     @field_validator("witness", mode="after")
     @classmethod
-    def _has_a_channel(cls, witness: str) -> str:
+    def _has_a_channel_of_its_own(cls, witness: str) -> str:
         if witness in ("x", "y"):
             raise ValueError(f"expected the name of a channel of its own, got {witness!r}: that is an axis' channel")
-        if witness and not cls.names_its_channel:
-            raise ValueError("this driver records in the channel of its axis only, so its device cannot be a witness")
         return witness
 
     @property
@@ -121,23 +112,56 @@ class DisplacementSettings(DeviceSettings):
         parts = (self.gain_std, self.range_std_m / self.range_m, self.lever_ratio_std / self.lever_ratio)
         return math.hypot(*parts)
 
+    def sensor(self, device: str, clock: str = "") -> DisplacementSensor:
+        """Return its role; see DisplacementSensor."""
+        return DisplacementSensor(
+            device=device,
+            topic=self.topic,
+            axis=self.axis,
+            rate_Hz=float(self.rate_Hz),
+            range_m=self.range_m,
+            lever_ratio=self.lever_ratio,
+            gain_std=self._total_gain_std,
+            clock_tolerance_ppm=self.clock_tolerance_ppm,
+            witness=bool(self.witness),
+            direction_deg=self.direction_deg,
+            direction_std_deg=self.direction_std_deg,
+            clock=clock,
+        )
+
+
+DISPLACEMENT_CALIBRATION = (
+    "range_m",
+    "lever_ratio",
+    "gain_std",
+    "clock_tolerance_ppm",
+    "direction_deg",
+    "direction_std_deg",
+)
+"""Settings of a DisplacementTable that a calibration may correct."""
+
+
+class DisplacementSettings(DisplacementTable, DeviceSettings):
+    """Settings of a sensor of the column's motion; see DisplacementTable.
+
+    Attributes:
+        names_its_channel: whether the driver records in the channel `topic`; otherwise it cannot be a witness.
+    """
+
+    calibration: ClassVar[tuple[str, ...]] = DISPLACEMENT_CALIBRATION
+
+    names_its_channel: ClassVar[bool] = False
+
+    @field_validator("witness", mode="after")
+    @classmethod
+    def _has_a_channel(cls, witness: str) -> str:
+        if witness and not cls.names_its_channel:
+            raise ValueError("this driver records in the channel of its axis only, so its device cannot be a witness")
+        return witness
+
     def roles(self, device: str) -> tuple[Role, ...]:
         """Return the roles; see DeviceSettings."""
-        return (
-            DisplacementSensor(
-                device=device,
-                topic=self.topic,
-                axis=self.axis,
-                rate_Hz=float(self.rate_Hz),
-                range_m=self.range_m,
-                lever_ratio=self.lever_ratio,
-                gain_std=self._total_gain_std,
-                clock_tolerance_ppm=self.clock_tolerance_ppm,
-                witness=bool(self.witness),
-                direction_deg=self.direction_deg,
-                direction_std_deg=self.direction_std_deg,
-            ),
-        )
+        return (self.sensor(device),)
 
 
 class RotorNodeSettings(DeviceSettings):

@@ -68,9 +68,34 @@ def rig_from_text(
     pairs = settings.items() if isinstance(settings, Mapping) else [parse_setting(s) for s in settings]
     for key, value in pairs:
         apply_setting(raw, key, value, source)
+    _read_files(raw, source)
     rig = validate(raw, source)
     refuse_shared_ports(rig.devices, source)  # not in the schema, because the rig of a log opens no port
     return rig
+
+
+def _read_files(raw: dict[str, Any], source: str) -> None:
+    """Put the texts of files that devices name (`DeviceSettings.files`) into the devices' tables."""
+    for name, device in (_as_table(raw.get("devices")) or {}).items():
+        table = _as_table(device) or {}
+        for key, text_key in _files_of(table).items():
+            path, place = table.get(key), f"{source}: devices.{name}.{key}"
+            if not isinstance(path, str) or not path:
+                continue
+            if text_key in table:
+                raise RigFileError(f"{place}: expected either a file or its text ({text_key}), got both")
+            try:
+                table[text_key] = read_text(Path(source).parent / path)
+            except OSError as error:
+                raise RigFileError(f"{place}: {path!r:.200} cannot be read as a text file: {error}") from error
+
+
+def _files_of(table: Mapping[str, Any]) -> Mapping[str, str]:
+    """Return `DeviceSettings.files` of a device's driver; errors of the driver's name are left to the schema."""
+    try:
+        return settings_of(str(table.get("driver"))).files
+    except ValueError:
+        return {}
 
 
 def with_parameters(rig: Rig, known: IdentifiedParameters) -> Rig:

@@ -40,6 +40,7 @@ class DisplacementSensor:
         witness: whether another sensor measures the displacement along the axis for the rig, and this one checks it.
         direction_deg: angle from +x, counter-clockwise, of the direction of increasing readings; None: its axis'.
         direction_std_deg: standard uncertainty of the mounting relative to the suspension's axes.
+        clock: name of its clock, if its device has several clocks.
     """
 
     role: ClassVar[str] = "displacement"
@@ -55,6 +56,7 @@ class DisplacementSensor:
     witness: bool = False
     direction_deg: Finite | None = None
     direction_std_deg: NotNegative = USUAL_DIRECTION_STD_DEG
+    clock: str = ""
 
     @property
     def off_axis_deg(self) -> float:
@@ -266,12 +268,12 @@ class Roles:
     @property
     def duties(self) -> dict[str, str]:
         """Measured quantity of each displacement sensor, in words, by device."""
-        words = {d.device: f"{d.axis}{_direction(d)}" for d in self.displacements}
+        words = [(d.device, f"{d.axis}{_direction(d)}") for d in self.displacements]
         for witness in self.witnesses:
             main = self.measuring_sensor(witness)
             against = f", compared with {main.device}" if main else ", compared with no other: none has its direction"
-            words[witness.device] = f"witness of {witness.axis}{_direction(witness)}{against}"
-        return words
+            words.append((witness.device, f"witness of {witness.axis}{_direction(witness)}{against}"))
+        return {device: "; ".join(text for name, text in words if name == device) for device, _ in words}
 
     @property
     def gain_stds(self) -> tuple[float, float]:

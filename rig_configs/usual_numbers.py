@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from rig_configs.device import DisplacementSettings, RotorNodeSettings
+from rig_configs.device import DisplacementTable, RotorNodeSettings
 from rig_configs.ports import PRINTED, is_placeholder
 from rig_configs.schema import Rig
 
@@ -102,9 +102,11 @@ def _numbers(rig: Rig) -> Iterator[str]:
         for name, usual in _PENDULUM.items():
             yield from _odd(f"pendulums.{pendulum}.{name}", getattr(table, name), usual)
     for device, settings in rig.devices.items():
-        if isinstance(settings, DisplacementSettings | RotorNodeSettings):
-            for name, usual in _DEVICE.items():
-                yield from _odd(f"devices.{device}.{name}", getattr(settings, name, None), usual)
+        tables = {f"devices.{device}": settings} | {f"devices.{device}.{key}": value for key, value in settings}
+        for key, table in tables.items():
+            if isinstance(table, DisplacementTable | RotorNodeSettings):
+                for name, usual in _DEVICE.items():
+                    yield from _odd(f"{key}.{name}", getattr(table, name, None), usual)
 
 
 def _odd(key: str, value: object, usual: Usual) -> Iterator[str]:

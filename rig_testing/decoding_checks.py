@@ -184,13 +184,13 @@ def _counted(subject: Subject, reads: Reads, what: str) -> str:
     need(reported, f"{what} were lost: counted ({_kinds(counted)}), but no event reports it")
     _goes_on(subject, items)
     if subject.claims("counts exactly"):
-        for clock in subject.clocks:
-            missing = len(subject.rows(tape.items, clock.topic)) - len(subject.rows(items, clock.topic))
-            need(
-                missing == counted.get("samples", 0),
-                f"{what} were lost: {missing} samples of {clock.topic} are missing, {counted.get('samples', 0)} were "
-                "counted, and the driver claims to count exactly",
-            )
+        topics = [clock.topic for clock in subject.clocks]
+        missing = sum(len(subject.rows(tape.items, topic)) - len(subject.rows(items, topic)) for topic in topics)
+        need(
+            missing == counted.get("samples", 0),
+            f"{what} were lost: {missing} samples of {', '.join(topics)} are missing, {counted.get('samples', 0)} were "
+            "counted, and the driver claims to count exactly",
+        )
         return f"{_kinds(counted)}, exactly"
     return _kinds(counted)
 

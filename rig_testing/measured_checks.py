@@ -22,9 +22,14 @@ _SETTLED_S = 0.5  # time after which the clock map has settled
 
 def check_displacement(subject: Subject) -> str:
     """Displacement is the disk centre's along its axis, m, within noise and gain, and increases with the coordinate."""
-    role = next((role for role in subject.roles if isinstance(role, DisplacementSensor)), None)
-    if role is None:
+    sensors = [role for role in subject.roles if isinstance(role, DisplacementSensor)]
+    if not sensors:
         raise NotTried("it measures no displacement")
+    words = [_check_sensor(subject, role) for role in sensors]
+    return words[0] if len(words) == 1 else "; ".join(f"{r.axis}: {w}" for r, w in zip(sensors, words, strict=True))
+
+
+def _check_sensor(subject: Subject, role: DisplacementSensor) -> str:
     value, rate = (0, 4) if role.axis == "x" else (1, 5)
     time_s, measured = _samples(subject, role.topic, "displacement_m")
     true, speed = _at(subject.tape, time_s, value), _at(subject.tape, time_s, rate)

@@ -108,9 +108,12 @@ def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
     """Return all checks by the device's name in the rig file. A device that is not open has only the check `opened`."""
     out: dict[str, Checks] = {name: {} for name in rig.devices}
     roles = rig.roles
-    for sensor in (*roles.displacements, *roles.witnesses):
-        out[sensor.device] |= _rate_checks(look.rates.get(sensor.topic), sensor.rate_Hz)
-        out[sensor.device] |= _displacement(sensor, rig.limits, look.displacements[sensor.topic])
+    lasers = (*roles.displacements, *roles.witnesses)
+    for sensor in lasers:
+        found = _rate_checks(look.rates.get(sensor.topic), sensor.rate_Hz)
+        found |= _displacement(sensor, rig.limits, look.displacements[sensor.topic])
+        several = sum(other.device == sensor.device for other in lasers) > 1
+        out[sensor.device] |= {f"{sensor.axis} {name}": check for name, check in found.items()} if several else found
     if roles.angles is not None and look.angles is not None:
         out[roles.angles.device] |= _rate_checks(look.rates.get(roles.angles.topic), roles.angles.rate_Hz)
         out[roles.angles.device] |= _encoders(look.angles)

@@ -55,7 +55,7 @@ class CanLines:
 
     def received(self, data: bytes) -> tuple[list[slcan.CanFrame], list[DeviceEvent]]:
         """Return the frames in text from the adapter, and the events about refused frames and damaged lines."""
-        found = self._rx.feed(data) if self._joined else self._join(data)
+        found = self._rx.feed_any(data) if self._joined else self._join(data)
         events: list[DeviceEvent] = []
         if found.other_lines or self._may_refuse:
             events += self._answered(found)

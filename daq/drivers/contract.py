@@ -296,7 +296,7 @@ def example_of(driver: Driver) -> dict[str, Any]:
 
 CLAIMS = {
     "checksum": "every message contains a check of 16 bits or more: a damaged message gives no sample",
-    "counts exactly": 'losses["samples"] is the number of missing samples between two received samples',
+    "counts exactly": 'losses["samples"] is the number of missing samples of all channels between two received samples',
     "falls silent": "after its stop the device sends nothing until it is opened again",
 }
 """Claims of a driver about its device's wire, with their meaning. A claim makes tests stricter."""

@@ -29,7 +29,7 @@ class Calibration:
     Attributes:
         source: path of the file, for messages.
         text: content of the file.
-        devices: corrected values by device and key.
+        devices: corrected values by device and key; "TABLE.KEY" for a table inside of the device's.
     """
 
     source: str
@@ -62,7 +62,12 @@ class Calibration:
         _only(self.devices, tuple(rig.devices), "devices.", self.source)
         for device, table in self.devices.items():
             _only(table, rig.devices[device].calibration, f"devices.{device}.", self.source)
-            raw["devices"][device] |= table
+            for key, value in table.items():
+                *path, name = key.split(".")
+                part = raw["devices"][device]
+                for step in path:
+                    part = part.setdefault(step, {})
+                part[name] = value
         return validate(raw, self.source)
 
     def correct_identities(self, identities: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -83,9 +88,21 @@ class Calibration:
 def _devices(raw: Mapping[str, Any], source: str) -> dict[str, dict[str, Any]]:
     _only(raw, ("devices",), "", source)
     devices = _table(raw.get("devices", {}), "devices", source)
-    found = {device: _table(table, f"devices.{device}", source) for device, table in devices.items()}
+    found = {device: _flat(_table(table, f"devices.{device}", source)) for device, table in devices.items()}
     if not any(found.values()):
         raise RigFileError(f"{source}: expected a table like [devices.NAME] with a calibration, found none")
+    return found
+
+
+def _flat(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table with the values of tables inside under "TABLE.KEY"."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            inside = _flat(cast("dict[str, Any]", value))
+            found |= {f"{key}.{name}": each for name, each in inside.items()}
+        else:
+            found[key] = value
     return found
 
 

@@ -83,8 +83,12 @@ def since_start(time_ns: NDArray[np.int64], start_s: float) -> Array:
 
 
 def device_of(roles: Roles, signal: str) -> str:
-    """Return the device whose clock stamps a signal; empty if the rig has none."""
+    """Return the device whose clock stamps a signal, with the clock's name if the device has several; empty without
+    a device.
+    """
     role = roles.along(signal) if signal in ("x", "y") else roles.angles if signal == "angles" else roles.phase
+    if isinstance(role, DisplacementSensor) and role.clock:
+        return f"{role.device} {role.clock}"
     return "" if role is None else role.device
 
 

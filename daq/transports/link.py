@@ -25,6 +25,8 @@ if sys.platform != "win32":
 _log = logging.getLogger(__name__)
 
 _READ_BYTES = 65536  # size of the one reused buffer: allocating this size for every read fragments the heap
+_TTY_BYTES = 4096  # most that one read of a serial port or pty returns
+_FULL_BYTES = 2048  # a read of this size is followed by another one: more may have arrived
 _POLL_S = 0.1
 _LOCKED_ERRNOS = (errno.EAGAIN, errno.EBUSY)  # another program holds the lock of the serial port
 _REJECT_WAIT_S = 0.05  # wall s within which a far end that serves another program closes a new connection
@@ -135,12 +137,27 @@ class SerialLink:
             ready, _, _ = select.select([self._descriptor], [], [], timeout_s)
             if not ready:
                 return b""
-            data = bytes(self._buffer[: os.readv(self._descriptor, [self._buffer])])
+            size = self._more(self._descriptor, os.readv(self._descriptor, [self._buffer]))
+            data = bytes(self._buffer[:size])
         except (OSError, ValueError, TypeError, serial.SerialException) as error:
             raise LinkLost(f"{self.name}: lost while reading ({error}). Look at cable and power") from error
         if not data:
             raise LinkLost(f"{self.name}: the other end closed. Look at cable and power")
         return data
+
+    def _more(self, descriptor: int, size: int) -> int:
+        """Read further bytes behind `size` bytes in the buffer, because the system returns one page at a time.
+
+        Returns:
+            Number of bytes in the buffer. A loss of the connection is left to the next read, so that no byte is lost.
+        """
+        last = size
+        with contextlib.suppress(OSError):
+            while last >= _FULL_BYTES and size <= _READ_BYTES - _TTY_BYTES:
+                ready, _, _ = select.select([descriptor], [], [], 0.0)
+                last = os.readv(descriptor, [self._buffer[size : size + _TTY_BYTES]]) if ready else 0
+                size += last
+        return size
 
     def write(self, data: bytes) -> None:
         """See Link."""

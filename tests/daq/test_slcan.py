@@ -108,3 +108,31 @@ def test_orders_are_a_host_s_and_no_adapter_s(line):
     data = line.encode() + b"\r"
     assert LineDecoder(of_host=True).feed(data) == DecodedLines([], [line], 0)
     assert LineDecoder().feed(data).damaged == (line != "")
+
+
+LINES = st.one_of(
+    FRAMES.map(encode),
+    FRAMES.map(lambda frame: encode(frame).lower().replace(b"t", b"T")),
+    st.builds(
+        lambda frame, end: encode(frame)[:-1] + end, FRAMES, st.sampled_from([b"ABCD\r", b"\x07", b"\r\n", b"0\r"])
+    ),
+    st.binary(max_size=90),
+    st.sampled_from([b"z\r", b"\r", b"\x07", b"\n\n", b"V1013\r", b"t8008\r", b"T200000000\r", b"t12398\r", b"x" * 70]),
+)
+
+
+READS = st.builds(
+    lambda lines, times: b"".join(lines) * times, st.lists(LINES, max_size=6), st.sampled_from([1, 9, 90])
+)
+
+
+@given(st.lists(READS, max_size=5), st.booleans())
+def test_arrays_have_the_content_of_the_lines_read_one_by_one(reads, of_host):
+    lines, block, either = (LineDecoder(of_host=of_host) for _ in range(3))
+    for data in reads:
+        expected, found = lines.feed(data), block.feed_block(data)
+        assert found.frames() == expected.frames
+        assert either.feed_any(data) == expected
+        assert len(found) == len(expected.frames)
+        assert (found.other_lines, found.damaged) == (expected.other_lines, expected.damaged)
+        assert not any(row[length:].any() for row, length in zip(found.data, found.length, strict=True))

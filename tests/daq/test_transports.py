@@ -187,3 +187,30 @@ def test_a_serial_port_has_one_master() -> None:
     first.close()
     open_link(wire.port, 921_600).close()
     wire.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no ptys")
+def test_a_port_is_read_until_it_is_empty_and_keeps_what_came_before_a_loss(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The system returns at most 4 kB of a serial port in one read."""
+    wire = PtyWire()
+    try:
+        link = open_link(wire.port, 115_200)
+        sizes: list[int | OSError] = [4095, 4095, 10, 5, 4095, OSError("pulled"), OSError("pulled")]
+
+        def read_some(descriptor: int, buffers: list[memoryview]) -> int:
+            size = sizes.pop(0)
+            if isinstance(size, OSError):
+                raise size
+            buffers[0][:size] = size.to_bytes(2, "big")[1:] * size
+            return size
+
+        monkeypatch.setattr("daq.transports.link.select.select", lambda read, *_: (read, [], []))
+        monkeypatch.setattr("daq.transports.link.os.readv", read_some)
+        assert link.read(1.0) == b"\xff" * 8190 + b"\x0a" * 10
+        assert link.read(1.0) == b"\x05" * 5
+        assert link.read(1.0) == b"\xff" * 4095
+        with pytest.raises(LinkLost, match="lost while reading"):
+            link.read(1.0)
+    finally:
+        monkeypatch.undo()
+        wire.close()

@@ -1,0 +1,1 @@
+"""Sensors on CAN that a DBC file describes. Entry point: driver.py."""

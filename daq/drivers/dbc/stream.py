@@ -1,0 +1,103 @@
+"""Pipeline of sensors on CAN: slcan text to displacements of the disk centre and other quantities.
+
+A sample's time is the sensor's timestamp, or else the number of its frame times the sampling period, on the sensor's
+clock, mapped to the common clock. Samples without both get the host's time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.channels import Channel
+from daq.clock import ClockSeed, clock_rules
+from daq.drivers.dbc.layouts import MessageLayout
+from daq.drivers.dbc.quantities import QuantityStream
+from daq.drivers.dbc.samples import LaserStream
+from daq.drivers.dbc.settings import CanSensors
+from daq.items import TX, Batch, DeviceEvent
+from daq.transports.slcan import FrameBlock, LineDecoder, first_line_end
+
+Items = list[Batch | DeviceEvent]
+
+
+class CanPipeline:
+    """Decoder of one bus.
+
+    Attributes:
+        losses: see Pipeline. "samples": missing by counter or timestamp; "damaged_lines": text of the adapter that is
+            no line; "short_frames": frames shorter than their message; "doubtful_frames": frames with a number that
+            cannot be right; "invalid": samples without a reading; "foreign_frames": frames of other messages.
+    """
+
+    def __init__(
+        self, device: str, settings: CanSensors, by_topic: Mapping[str, Channel], identity: Mapping[str, Any]
+    ) -> None:
+        self.losses: dict[str, int] = dict.fromkeys(
+            ("samples", "damaged_lines", "short_frames", "doubtful_frames", "invalid", "foreign_frames"), 0
+        )
+        self._device = device
+        self._lines = LineDecoder()
+        self._joined = False
+        groups = settings.groups()
+        seed = ClockSeed.of(identity) if len(groups) == 1 else None
+        rules = clock_rules(identity)
+        self._lasers = [LaserStream(device, settings, group, by_topic, (rules, seed), self.losses) for group in groups]
+        others = [QuantityStream(device, settings, name, by_topic[f"can/{name}"]) for name in settings.quantities]
+        self._streams: dict[tuple[int, bool], list[LaserStream | QuantityStream]] = {}
+        for stream in (*self._lasers, *others):
+            self._streams.setdefault((stream.message.frame_id, stream.message.extended), []).append(stream)
+
+    @property
+    def clock_seed(self) -> ClockSeed | None:
+        """See HasClockSeed; a bus with several clocks has none."""
+        return self._lasers[0].clock_seed if len(self._lasers) == 1 else None
+
+    def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
+        """See Pipeline."""
+        if direction == TX or not data:
+            return []
+        out: Items = []
+        if not self._joined:  # the first line of a log may be cut at its beginning: it is not decoded
+            end = first_line_end(data)
+            self._joined, data = bool(end), data[end:] if end else b""
+        block = self._lines.feed_block(data)
+        if block.damaged:
+            self.losses["damaged_lines"] += block.damaged
+            text = f"{block.damaged} damaged lines dropped"
+            out.append(DeviceEvent("damage", self._device, text, {"lines": block.damaged}))
+        self._taken(block, host_ns, out)
+        for streams in self._streams.values():
+            for stream in streams:
+                out += stream.silence(host_ns)
+        return out
+
+    def _taken(self, block: FrameBlock, host_ns: int, out: Items) -> None:
+        if not len(block):
+            return
+        foreign = len(block)
+        for (frame_id, extended), streams in self._streams.items():
+            own = (block.arbitration_id == frame_id) & (block.extended == extended) & ~block.remote
+            count = int(np.count_nonzero(own))
+            foreign -= count
+            if count:
+                data = self._whole(streams[0].message, block.data[own], block.length[own], out)
+                for stream in streams if len(data) else ():
+                    out += stream.feed(data, host_ns)
+        self.losses["foreign_frames"] += foreign
+
+    def _whole(
+        self, message: MessageLayout, data: NDArray[np.uint8], length: NDArray[np.uint8], out: Items
+    ) -> NDArray[np.uint8]:
+        """Return the frames that have the length of their message."""
+        whole = length >= message.size
+        if bool(whole.all()):
+            return data
+        short = int(np.count_nonzero(~whole))
+        self.losses["short_frames"] += short
+        text = f"{short} frames of {message.name} are shorter than the {message.size} bytes of the DBC file"
+        out.append(DeviceEvent("damage", self._device, text, {"frames": short}))
+        return data[whole]
