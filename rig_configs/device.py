@@ -30,12 +30,16 @@ class DeviceSettings(RigTable):
 
     Attributes:
         calibration: names of the settings that a calibration may correct in an old log.
+        calibrated: date and time (UTC) of the newest calibration, as `rig calibrate` writes it; "": never.
+        calibration_record: file name of its record and the first digits of the file's SHA-256.
     """
 
     calibration: ClassVar[tuple[str, ...]] = ()
 
     driver: str
     port: str
+    calibrated: Annotated[str, Field(max_length=40)] = ""
+    calibration_record: Annotated[str, Field(max_length=200)] = ""
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """Return the roles of the device.
@@ -50,6 +54,9 @@ class DisplacementSettings(DeviceSettings):
     """Settings of a sensor of the column's motion; the numbers are those of Displacement.
 
     Attributes:
+        gain_factor: displacement over the displacement that the driver computes, which every sample is multiplied by;
+            `gain_std` is its relative standard uncertainty.
+        offset_m: displacement of the disk centre that is added after that, and its standard uncertainty offset_std_m.
         witness: name of its channel, `laser/NAME`, if another sensor measures along its axis for the rig; "" for the
             measuring sensor.
         direction_deg: direction of the sensor, if it differs from its axis.
@@ -63,6 +70,11 @@ class DisplacementSettings(DeviceSettings):
         "clock_tolerance_ppm",
         "direction_deg",
         "direction_std_deg",
+        "gain_factor",
+        "offset_m",
+        "offset_std_m",
+        "calibrated",
+        "calibration_record",
     )
 
     names_its_channel: ClassVar[bool] = False
@@ -74,6 +86,9 @@ class DisplacementSettings(DeviceSettings):
     lever_ratio: Positive = 1.0
     lever_ratio_std: NotNegative = 0.0
     gain_std: Annotated[float, Field(ge=0, le=0.1)] = USUAL_GAIN_STD
+    gain_factor: Annotated[float, Field(ge=0.5, le=2)] = 1.0
+    offset_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    offset_std_m: NotNegative = 0.0
     clock_tolerance_ppm: Positive = 30.0
     direction_deg: Finite | None = None
     direction_std_deg: NotNegative = USUAL_DIRECTION_STD_DEG
@@ -127,6 +142,8 @@ class RotorNodeSettings(DeviceSettings):
         "index_angle_std_deg",
         "zero_std_deg",
         "clock_tolerance_ppm",
+        "calibrated",
+        "calibration_record",
     )
 
     rate_Hz: Annotated[int, Field(ge=10, le=5000)] = 1000

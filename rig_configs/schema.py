@@ -158,9 +158,16 @@ class ValidationTable(RigTable):
 
 
 class SimulatedSensors(RigTable):
-    """Imperfections of the simulated sensors and wires; random values depend on the seed."""
+    """Imperfections of the simulated sensors and wires; random values depend on the seed.
+
+    Attributes:
+        laser_nonlinearity_m: deviation of a laser's reading from a line at both ends of its range, cubic between them.
+        laser_hysteresis_m: difference between a laser's readings of a target that came from above and from below.
+    """
 
     laser_noise_m: NotNegative = 4e-6
+    laser_nonlinearity_m: Finite = 0.0
+    laser_hysteresis_m: NotNegative = 0.0
     axis_angle_deg: Finite = 1.0
     encoder_noise_counts: NotNegative = 0.3
     clock_drift_ppm: NotNegative = 30.0
