@@ -2,7 +2,8 @@
 
 Model: position = intercept + gain × reading. Weighted least squares with the covariance of positions and readings; two
 readings of one position share the error of its block. Scatter beyond the stated uncertainties (seating, play,
-hysteresis) is estimated from the residuals, as an independent error of every reading. Derivation: docs/theory/calibration.md.
+hysteresis) is estimated from the residuals, as an independent error of every reading. The derivation is in
+docs/theory/calibration.md.
 """
 
 from __future__ import annotations
@@ -10,9 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import fdtrc, stdtr, stdtrit
 
 from rig_basics.arrays import Array
@@ -21,6 +22,7 @@ _NORMAL_95 = 1.959964  # half of a 95 % interval of the normal distribution, in 
 _OUTLIER_P, _CURVED_P = 0.01, 0.01  # significance levels
 _OUTLIER_SHARE = 0.3  # of the scatter that may be left without an outlier
 _SAME_M = 1e-9
+_BISECTIONS = 100
 
 
 class TooFewPositions(ValueError):
@@ -70,7 +72,7 @@ class GaugeLine:
         centre_m: mean of the readings, at which the errors of gain and position are independent.
         position_m, position_std_m: position at the reading `centre_m`.
         residuals_m: positions less the line, shape (n,).
-        scatter_m: standard deviation of every reading beyond the stated uncertainties; 0 if these explain the residuals.
+        scatter_m: standard deviation of every reading beyond the stated uncertainties; 0 if they explain the residuals.
         freedom: degrees of freedom of the residuals.
         repeatability_m: standard deviation of readings of one position, with hysteresis; NaN without repetitions.
         hysteresis_m, hysteresis_std_m: mean difference between readings approached from smaller and from larger
@@ -231,12 +233,15 @@ def _scattered(readings: Sequence[GaugeReading], y: Array, degree: int) -> _Fit:
     sizes, turn = np.linalg.eigh(contrasts.T @ stated @ contrasts)
     squares = (turn.T @ (contrasts.T @ p)) ** 2
 
-    def beyond(variance: float) -> float:
-        return float(np.sum(squares / (sizes + variance))) - freedom
-
-    if beyond(0.0) <= 0:
+    if float(np.sum(squares / sizes)) <= freedom:
         return _fitted(readings, y, degree, 0.0)
-    variance = float(brentq(beyond, 0.0, float(np.sum(squares)), xtol=1e-24))
+    low, variance = 0.0, float(np.sum(squares))  # chi² falls with the variance: bisection
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + variance)
+        if float(np.sum(squares / (sizes + middle))) > freedom:
+            low = middle
+        else:
+            variance = middle
     return _fitted(readings, y, degree, math.sqrt(variance))
 
 
@@ -290,7 +295,7 @@ def _hysteresis(readings: tuple[GaugeReading, ...]) -> tuple[float, float]:
     """Return the mean difference of readings from below and from above, and its standard uncertainty."""
     up: dict[int, list[float]] = {}
     down: dict[int, list[float]] = {}
-    for before, reading in zip(readings, readings[1:], strict=False):
+    for before, reading in pairwise(readings):
         step = reading.position_m - before.position_m
         if abs(step) > _SAME_M:
             side = up if step > 0 else down

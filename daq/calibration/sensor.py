@@ -1,4 +1,4 @@
-"""Calibration of one displacement sensor against gauge blocks or a micrometer: one reading after another, then a line."""
+"""Calibration of one displacement sensor against gauge blocks or a micrometer: readings, then a line through them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class SensorSetup:
     """How the positions relate to the readings.
 
     Attributes:
-        toward: whether a larger position moves the target toward the sensor (a thicker block), so that the reading falls.
+        toward: whether a larger position moves the target toward the sensor (a thicker block): the reading falls.
         at_disk: whether the positions are displacements of the disk and not of the sensor's target. Gain and lever are
             then calibrated together.
         seconds: duration of one reading, rig s.
@@ -221,8 +221,8 @@ def _refusals(line: GaugeLine, setup: SensorSetup) -> tuple[str, ...]:
         return (f"the reading falls where it should rise (gain {line.gain:.4f}): reverse {other}",)
     if abs(line.gain - 1) > _MAX_GAIN_ERROR:
         return (
-            f"the gain is {line.gain:.4f}, {100 * (line.gain - 1):+.1f} % from that of range_m and lever_ratio: compare "
-            "both with the sensor, and the sizes and units with the blocks",
+            f"the gain is {line.gain:.4f}, {100 * (line.gain - 1):+.1f} % from that of range_m and lever_ratio: "
+            "compare both with the sensor, and the sizes and units with the blocks",
         )
     return ()
 
@@ -230,7 +230,9 @@ def _refusals(line: GaugeLine, setup: SensorSetup) -> tuple[str, ...]:
 def _warnings(line: GaugeLine, settings: DisplacementSettings, gain_std: float) -> tuple[str, ...]:
     found: list[str] = []
     if line.freedom < 3:
-        found.append("few readings: neither linearity nor repeatability can be judged. Better: five positions, both ways")
+        found.append(
+            "few readings: neither linearity nor repeatability can be judged. Better: five positions, both ways"
+        )
     if line.curved:
         found.append(
             f"the sensor is not linear: up to {1e6 * line.nonlinearity_m:.1f} µm from the line. gain_std contains the "
