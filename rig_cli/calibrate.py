@@ -157,7 +157,7 @@ def calibrate(
             found = _sensor(session, loaded, device, known, setup, operator, log.with_suffix(".svg"))
         else:
             found = _encoder(session, closings, operator)
-        session.stop_recording({"calibration": dict(found.facts), "refused": list(found.refusals)})
+        session.stop_recording({"calibration": dict(found.values), "refused": list(found.refusals)})
         identity = dict(session.identities.get(device, {}))
     return _finish(rig, text, device, found, {"identity": identity, "log": log.name}, options, json)
 

@@ -194,7 +194,7 @@ def _refusals(
 
 _SENSE = {
     1: "",
-    -1: "its angle falls at a turn counter-clockwise: exchange the encoder's channels A and B, or its sense in the node",
+    -1: "its angle falls at a turn counter-clockwise: exchange the encoder's two channels, or its sense in the node",
     0: "the other encoder has counted its turn: exchange the plugs of both encoders",
 }
 

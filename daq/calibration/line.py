@@ -165,9 +165,9 @@ def fit_line(readings: Sequence[GaugeReading], range_m: float) -> GaugeLine:
             f"the gain would be known to {100 * gain_std / abs(gain):.2g} % only: use positions that are farther apart "
             "or better known"
         )
-    nonlinearity, curved = _curvature(known, y - centre, fit, freedom)
+    nonlinearity, variation, curved = _curvature(known, y - centre, fit, freedom)
     if curved:  # the gain within a part of the span differs from the mean one
-        gain_std = math.hypot(gain_std, nonlinearity / (0.5 * _span(known)) / math.sqrt(3))
+        gain_std = math.hypot(gain_std, variation)
     hysteresis, hysteresis_std = _hysteresis(known)
     return GaugeLine(
         readings=known,
@@ -272,17 +272,25 @@ def _fitted(readings: Sequence[GaugeReading], y: Array, degree: int, scatter_m: 
     )
 
 
-def _curvature(readings: tuple[GaugeReading, ...], y: Array, line: _Fit, freedom: int) -> tuple[float, bool]:
-    """Return the largest deviation of a cubic from the line, and whether it is significant."""
+def _curvature(readings: tuple[GaugeReading, ...], y: Array, line: _Fit, freedom: int) -> tuple[float, float, bool]:
+    """Compare a cubic with the line.
+
+    Returns:
+        Largest deviation over the span, m; rms deviation of the local gain; whether the cubic is significant.
+    """
     if len(_positions(readings)) < 4 or freedom < 3:
-        return 0.0, False
+        return 0.0, 0.0, False
     cubic = _scattered(readings, y, 3)
     grid = np.linspace(float(y.min()), float(y.max()), 101)
-    deviation = np.polyval(cubic.coefficients[::-1], grid) - np.polyval(line.coefficients[::-1], grid)
+    difference = cubic.coefficients.copy()
+    difference[:2] -= line.coefficients
+    deviation = np.polyval(difference[::-1], grid)
+    variation = np.polyval(np.polyder(difference[::-1]), grid)
     left = freedom - 2
     same = _fitted(readings, y, 1, cubic.scatter_m)
     ratio = 0.5 * (same.chi2 - cubic.chi2) / max(1.0, cubic.chi2 / left)
-    return float(np.max(np.abs(deviation))), bool(fdtrc(2, left, ratio) < _CURVED_P)
+    significant = bool(fdtrc(2, left, ratio) < _CURVED_P)
+    return float(np.max(np.abs(deviation))), math.sqrt(float(np.mean(variation**2))), significant
 
 
 def _repeatability(readings: tuple[GaugeReading, ...]) -> float:
