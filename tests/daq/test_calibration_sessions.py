@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.acquisition.session import Session
-from daq.calibration.encoder import check_senses, close_repeatedly, judge
+from daq.calibration.encoder import EncoderCalibration, check_senses, close_repeatedly, judge
 from daq.calibration.lengths import positions_of
 from daq.calibration.sensor import SensorCalibration, SensorSetup, calibrate, read_positions, there_and_back
 from daq.errors import ProcedureError
@@ -14,6 +14,7 @@ from daq.guided_tests.hands import CommandedLocks
 from daq.lockstep.rig import LockstepRig
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
+from rig_configs.device import DisplacementSettings
 
 RIG = "one_laser"
 TRUE_GAIN = ["devices.probe.gain_factor=1.003", "virtual.sensors.draw_calibration=false", "virtual.seed=4"]
@@ -52,7 +53,9 @@ def calibrated(operator: type[SimulatedOperator], *settings: str, setup: SensorS
     rig = load_rig(RIG, settings=[*changes, *plain])
     with Session(rig, far.clock, edge=far.edge) as session:
         readings = read_positions(session, "probe", POSITIONS, operator(far), setup, lambda text: None)
-    return calibrate(readings, rig.devices["probe"], 0.001, setup)
+    sensor = rig.devices["probe"]
+    assert isinstance(sensor, DisplacementSettings)
+    return calibrate(readings, sensor, 0.001, setup)
 
 
 SETUP = SensorSetup(seconds=0.5, zero_m=0.0)
@@ -112,7 +115,7 @@ class OtherHand(SimulatedOperator):
         super().turn_pendulum(1 - pendulum)
 
 
-def encoders(operator: type[SimulatedOperator], zeroed_elsewhere: bool = False):
+def encoders(operator: type[SimulatedOperator], zeroed_elsewhere: bool = False) -> EncoderCalibration:
     far = LockstepRig(load_rig("virtual", settings=["virtual.seed=4"]))
     rig = load_rig("virtual", settings=["virtual.seed=4", *far.port_settings()])
     with Session(rig, far.clock, edge=far.edge) as session:

@@ -13,6 +13,7 @@ from daq.log import open_log
 from rig_cli.calibrated_rig_file import write_settings
 from rig_cli.main import run
 from rig_configs import RigFileError, load_rig
+from rig_configs.device import DisplacementSettings
 
 BLOCKS = ["--block", "-4, -2, 0, 2, 4 mm ± 1 µm", "--seconds", "0.3", "--rehearse", "--json"]
 
@@ -32,6 +33,7 @@ def test_the_result_is_written_with_a_record_of_the_old_values(
     assert run(["calibrate", "my.toml", "probe", *BLOCKS, "--zero-at", "0 mm ± 1 µm", "--write"]) == 0
     shown = json.loads(capsys.readouterr().out)
     sensor = load_rig(rig_file).devices["probe"]
+    assert isinstance(sensor, DisplacementSettings)
     assert (sensor.gain_factor, sensor.gain_std) == (shown["values"]["gain_factor"], shown["values"]["gain_std"])
     assert sensor.gain_factor != 1.0
     assert sensor.calibration_record.startswith(Path(shown["record"]).name)
