@@ -34,9 +34,10 @@ def record(rig: str, folder: Path, sensor: str, *settings: str, host: tuple[str,
         session.clock.sleep(0.5)
         settings_of = loaded.devices[sensor]
         assert isinstance(settings_of, DisplacementSettings)
-        _, (x,) = session.newest(settings_of.topic, ("displacement_m",), 0.3)
+        _, columns = session.newest(settings_of.topic, ("displacement_m",), 0.3)
+        mean_m = float(np.mean(np.asarray(columns[0], np.float64)))
         session.stop_recording({})
-    return path, 1e3 * float(np.mean(x))
+    return path, 1e3 * mean_m
 
 
 def test_the_gain_and_the_offset_are_applied_once_live_and_in_replay(tmp_path: Path) -> None:
