@@ -180,6 +180,22 @@ class TerminalOperator:
         self._notify(text)
         notify(f">>> {text}")
 
+    def place(self, device: str, mm: float | None) -> None:
+        """See daq.calibration.sensor.PlacesTargets."""
+        if mm is None:
+            self._prompt("the readings are complete: remove the block or withdraw the micrometer")
+            return
+        text = f"bring the target of {device} to {mm:.4f} mm, from the side of the last position; Enter when it rests"
+        self._notify(text)
+        self._keyboard.confirm(text, self._elsewhere)
+        if self._keyboard.keys.aborted.is_set():
+            raise ProcedureError("aborted by the key a")
+
+    def turn_pendulum(self, pendulum: int) -> None:
+        """See daq.calibration.encoder.TurnsPendulums."""
+        name = "AB"[pendulum]
+        self._prompt(f"turn pendulum {name} alone, counter-clockwise seen from +z, by about a quarter of a turn")
+
     def pluck(self, axis: str) -> None:
         """See daq.guided_tests.hands.Operator."""
         self._prompt(f"displace the column by 2 to 3 mm along {axis} and release it")

@@ -40,6 +40,10 @@ _VERBS = {  # modules are imported when their verb is called: `rig --help` and `
         "record": "Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and "
         "the disk.",
     },
+    "rig_cli.calibrate": {
+        "calibrate": "Calibrate a laser against gauge blocks or a micrometer, or the encoders at their locks; exit 1 "
+        "when refused.",
+    },
     "rig_cli.guided_test": {
         "test": "Run one guided test, or show its plan; without a name, list what the rig can do and what is missing.",
     },
@@ -99,6 +103,7 @@ _USE_COMPILED = {
     "check",
     "record",
     "test",
+    "calibrate",
     "log",
     "replay",
     "recover",

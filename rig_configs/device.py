@@ -39,6 +39,8 @@ class DeviceSettings(RigTable):
         files: settings that name a text file, relative to the rig file, each with the setting that takes its text. A
             log contains the text, so it can be decoded without the file.
         serial: serial number of the device, digits or text; any other device is refused. "": any.
+        calibrated: date and time (UTC) of the newest calibration, as `rig calibrate` writes it; "": never.
+        calibration_record: file name of its record and the first digits of the file's SHA-256.
         serial_limit: for devices whose serial number is a number: the first one that is too large.
     """
 
@@ -64,6 +66,9 @@ class DeviceSettings(RigTable):
         """Serial number as a number; 0: any."""
         return int(self.serial or 0)
 
+    calibrated: Annotated[str, Field(max_length=40)] = ""
+    calibration_record: Annotated[str, Field(max_length=200)] = ""
+
     def roles(self, device: str) -> tuple[Role, ...]:
         """Return the roles of the device.
 
@@ -77,6 +82,9 @@ class DisplacementTable(RigTable):
     """Numbers of one sensor of the column's motion: those of a whole device, or of one of its signals.
 
     Attributes:
+        gain_factor: displacement over the displacement that the driver computes, which every sample is multiplied by;
+            `gain_std` is its relative standard uncertainty.
+        offset_m: displacement of the disk centre that is added after that, and its standard uncertainty offset_std_m.
         witness: name of its channel, `laser/NAME`, if another sensor measures along its axis for the rig; "" for the
             measuring sensor.
         direction_deg: direction of the sensor, if it differs from its axis.
@@ -89,6 +97,9 @@ class DisplacementTable(RigTable):
     lever_ratio: Positive = 1.0
     lever_ratio_std: NotNegative = 0.0
     gain_std: Annotated[float, Field(ge=0, le=0.1)] = USUAL_GAIN_STD
+    gain_factor: Annotated[float, Field(ge=0.5, le=2)] = 1.0
+    offset_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    offset_std_m: NotNegative = 0.0
     clock_tolerance_ppm: Positive = 30.0
     direction_deg: Finite | None = None
     direction_std_deg: NotNegative = USUAL_DIRECTION_STD_DEG
@@ -173,6 +184,8 @@ class RotorNodeSettings(DeviceSettings):
         "index_angle_std_deg",
         "zero_std_deg",
         "clock_tolerance_ppm",
+        "calibrated",
+        "calibration_record",
     )
 
     rate_Hz: Annotated[int, Field(ge=10, le=5000)] = 1000

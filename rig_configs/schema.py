@@ -160,12 +160,17 @@ class ValidationTable(RigTable):
 class SimulatedSensors(RigTable):
     """Imperfections of the simulated sensors and wires; random values depend on the seed.
 
-    `hum_m` is the amplitude of the hum of a noisy supply in the readings of the displacement sensors.
+    Attributes:
+        laser_nonlinearity_m: deviation of a laser's reading from a line at both ends of its range, cubic between them.
+        hum_m, hum_Hz: amplitude and frequency of the hum of a noisy supply in the readings of the lasers.
+        laser_hysteresis_m: difference between a laser's readings of a target that came from above and from below.
     """
 
     laser_noise_m: NotNegative = 4e-6
     hum_m: NotNegative = 0.0
     hum_Hz: Positive = 50.0
+    laser_nonlinearity_m: Finite = 0.0
+    laser_hysteresis_m: NotNegative = 0.0
     axis_angle_deg: Finite = 1.0
     encoder_noise_counts: NotNegative = 0.3
     clock_drift_ppm: NotNegative = 30.0

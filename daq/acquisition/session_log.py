@@ -14,6 +14,7 @@ from daq.acquisition.core import Core, Keep
 from daq.acquisition.links import Links
 from daq.acquisition.recorder import Disk, Recorder
 from daq.clock import CLOCK_RULES, NEWEST_RULES
+from daq.drivers.calibrated import calibrations_of
 from daq.drivers.contract import HasClockSeed, ObservesIdentity
 from daq.drivers.devices import channels_of, make_pipelines
 from daq.items import Batch
@@ -59,6 +60,7 @@ class SessionLog:
             "clock_rate": repr(self._clock.rate),
             CLOCK_RULES: str(NEWEST_RULES),
             "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(self._clock.now_s())),
+            **calibrations_of(self._rig.devices),
             **metadata,
         }
         attachments = {

@@ -8,6 +8,7 @@ from typing import Any
 
 from daq.channels import CHANNELS, Channel
 from daq.clock import CLOCK_RULES, CLOCK_SEED, NEWEST_RULES
+from daq.drivers.calibrated import calibrated
 from daq.drivers.contract import DeviceLine, Driver, Pipeline, SampleClock
 from daq.drivers.played import PlayedDevice
 from daq.drivers.registry import driver
@@ -52,8 +53,8 @@ class Device:
         return self.driver.played(self.settings, identity)
 
     def pipeline(self, identity: Mapping[str, Any]) -> Pipeline:
-        """See Driver."""
-        return self.driver.pipeline(self.name, self.settings, identity)
+        """See Driver. The samples of a displacement sensor are corrected by its calibration."""
+        return calibrated(self.driver.pipeline(self.name, self.settings, identity), self.settings)
 
 
 def devices_of(devices: Mapping[str, DeviceSettings]) -> dict[str, Device]:

@@ -18,6 +18,39 @@ _OFFSET_STD_M = 5e-5  # of the reading at rest from mid-range: how well a sensor
 
 
 @dataclass
+class Imperfections:
+    """Deviations of a sensor from a straight line.
+
+    Args:
+        nonlinearity_m: deviation at both ends of the range, cubic between them.
+        hysteresis_m: difference between the readings of a target that came from above and from below.
+        half_range_m: half of the measuring range, m.
+    """
+
+    nonlinearity_m: float
+    hysteresis_m: float
+    half_range_m: float
+    _held_m: float = field(default=0.0, init=False)  # displacement that the play of the hysteresis follows
+
+    @classmethod
+    def of(cls, config: DisplacementTable, world: World) -> Imperfections | None:
+        """Make the imperfections of a simulated rig; None if its sensors have none."""
+        sensors = world.virtual.sensors
+        if sensors.laser_nonlinearity_m == 0 and sensors.laser_hysteresis_m == 0:
+            return None
+        return cls(sensors.laser_nonlinearity_m, sensors.laser_hysteresis_m, 0.5 * config.range_m)
+
+    def distorted(self, moved: Array) -> Array:
+        """Return the readings of displacements in their order of time, m, both of shape (n,)."""
+        out = np.empty_like(moved)
+        for i, x in enumerate(moved.tolist()):
+            play = 0.5 * self.hysteresis_m
+            self._held_m = min(max(self._held_m, x - play), x + play)
+            out[i] = self._held_m
+        return out + self.nonlinearity_m * (moved / self.half_range_m) ** 3
+
+
+@dataclass
 class Beam:
     """One sensor's beam, sampled on the sensor's clock.
 
@@ -28,6 +61,7 @@ class Beam:
         clock: clock of the sensor.
         rng: source of the noise.
         hum_m, hum_Hz: amplitude, m, and frequency of the hum that a noisy supply adds to the reading.
+        imperfections: deviations from a line.
     """
 
     sensitivity: Array
@@ -35,18 +69,32 @@ class Beam:
     noise_m: float
     clock: DeviceClock
     rng: np.random.Generator
+    imperfections: Imperfections | None = None
     hum_m: float = 0.0
     hum_Hz: float = 50.0
     _next: int | None = field(default=None, init=False)  # number of the next sample on the clock; None before the first
 
     @classmethod
     def of(cls, device: str, config: DisplacementTable, world: World) -> Beam:
-        """Make the beam of a sensor of a simulated rig: its gain and its offset are drawn."""
-        gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
+        """Make the beam of a sensor of a simulated rig: its gain and its offset are drawn.
+
+        The rig file's calibration is that of this sensor: the gain is drawn about the one that `gain_factor` corrects.
+        """
+        error = 1 + world.spread * config.gain_std * world.calibration.standard_normal()
+        gain = config.lever_ratio / config.gain_factor * error
         sensitivity = gain * world.direction(config.axis, config.direction_deg)
-        offset = _OFFSET_STD_M * world.calibration.standard_normal()
+        offset = _OFFSET_STD_M * world.calibration.standard_normal() - gain * config.offset_m
         sensors, rng = world.virtual.sensors, world.rng(f"noise {device}")
-        return cls(sensitivity, offset, sensors.laser_noise_m, world.clock(device), rng, sensors.hum_m, sensors.hum_Hz)
+        return cls(
+            sensitivity,
+            offset,
+            sensors.laser_noise_m,
+            world.clock(device),
+            rng,
+            Imperfections.of(config, world),
+            sensors.hum_m,
+            sensors.hum_Hz,
+        )
 
     @classmethod
     def unmoved(cls) -> Beam:
@@ -80,6 +128,8 @@ class Beam:
         """Return the displacements from mid-range at times of the sensor's clock, m."""
         times = np.clip(self.clock.rig_s(device_s), motion.time_s[0], motion.time_s[-1])
         moved = self.sensitivity[0] * motion.at(times, 0, 4) + self.sensitivity[1] * motion.at(times, 1, 5)
+        if self.imperfections is not None:
+            moved = self.imperfections.distorted(moved)
         noise = self.noise_m * self.rng.standard_normal(len(device_s))
         if self.hum_m:
             noise += self.hum_m * np.sin(2 * np.pi * self.hum_Hz * times)

@@ -4,6 +4,7 @@ The protocol is one JSON object per line over TCP on loopback. The first request
 printed at its start. Each request has one answer line.
 Requests: {"do": "pluck", "x_mm": …, "y_mm": …, "hold_s": …}, {"do": "flick", "pendulum": 0|1, "speed_rad_s": …},
 {"do": "lock"}, {"do": "release"}, {"do": "turn", "rpm": …, "ramp_rpm_per_s": …} where no device does these,
+{"do": "place", "device": …, "mm": …} holds the target of a displacement sensor, null releases it,
 {"do": "set", "key": "suspension.k2_N_per_m", "value": …}, {"do": "truth"}, {"do": "state"}, {"do": "faults"},
 {"do": "fail", "device": …, "what": …, "value": …, "seconds": …} or with "end": true,
 {"do": "unplug", "device": …}, {"do": "plug", "device": …}, {"do": "quit"}.

@@ -12,6 +12,7 @@ from daq.virtual_rig.faults import FaultInjector, listed, number
 from daq.virtual_rig.motion import SimulatedMotion
 from daq.virtual_rig.world import World
 from rig_basics.units import RPM
+from rig_configs.device import DisplacementSettings
 from rig_configs.errors import RigConfigError
 from rig_configs.load import with_truth
 from rig_configs.schema import Rig
@@ -43,7 +44,7 @@ class SimulatedRig:
         self._rig = rig
         drive = rig.virtual.drive
         self.motion: SimulatedMotion = SimulatedMotion(rig.true_physics, drive.slip, drive.lag_s)
-        world = World(rig.virtual, self.motion, patience)
+        world = self._world = World(rig.virtual, self.motion, patience)
         self.far_ends: dict[str, FarEnd] = {
             name: device.far_end(world) for name, device in devices_of(rig.devices).items()
         }
@@ -94,6 +95,8 @@ class SimulatedRig:
         match request.get("do"):
             case "pluck" | "flick" | "lock" | "release" | "turn" as act:
                 self._by_hand(act, request, now_s)
+            case "place":
+                self._place(str(request["device"]), request.get("mm"))
             case "set":
                 self._set(str(request["key"]), request["value"])
             case "truth":
@@ -152,6 +155,21 @@ class SimulatedRig:
             case _:
                 for pendulum in (0, 1):
                     motion.lock(pendulum, 0.0) if act == "lock" else motion.release(pendulum)
+
+    def _place(self, device: str, mm: object) -> None:
+        """Hold the column so that the target of a sensor is displaced along its beam; None: release the column."""
+        self._hold_ends_s = None
+        if mm is None:
+            self.motion.release_column()
+            return
+        sensor = self._rig.devices.get(device)
+        if not isinstance(sensor, DisplacementSettings):
+            raise ValueError(f"expected a displacement sensor of the rig, got {device!r}")
+        if not isinstance(mm, int | float) or not abs(mm) <= _MAX_PLUCK_MM:
+            raise ValueError(f"expected at most {_MAX_PLUCK_MM:g} mm, got {mm!r}")
+        along = self._world.direction(sensor.axis, sensor.direction_deg)
+        x_m, y_m = (1e-3 * mm / sensor.lever_ratio * along).tolist()
+        self.motion.hold(x_m, y_m)
 
     def _set(self, key: str, value: Any) -> None:
         """Change the true parameters from now on (a clamp has moved, a magnet pack was replaced)."""

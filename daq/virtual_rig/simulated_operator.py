@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 _MAX_PUSH_RAD_S = 25.0
+_HAND_TURN_RAD_S = 4.0  # of a pendulum that a hand turns, which friction stops
 _GOLDEN, _SILVER = (5**0.5 - 1) / 2, 2**0.5 - 1  # their multiples modulo 1 fill (0, 1) evenly, pairs of them its square
 
 
@@ -37,6 +38,23 @@ class SimulatedOperator:
         x, y = (2.6, 0.25) if axis == "x" else (-0.2, 2.4)
         share = 1.0 if mm is None else mm / max(abs(x), abs(y))
         self._line.ask("pluck", x_mm=share * x, y_mm=share * y, hold_s=0.4)
+
+    def place(self, device: str, mm: float | None) -> None:
+        """Displace the target of a displacement sensor along its beam and hold it there, as a gauge block does.
+
+        Args:
+            device: name of the sensor in the rig file.
+            mm: displacement from the rest position, mm; None: release the target.
+        """
+        self._line.ask("place", device=device, mm=mm)
+
+    def turn_pendulum(self, pendulum: int) -> None:
+        """Turn a free pendulum counter-clockwise by some tens of degrees.
+
+        Args:
+            pendulum: 0 for A, 1 for B.
+        """
+        self._line.ask("flick", pendulum=pendulum, speed_rad_s=_HAND_TURN_RAD_S)
 
     def flick(self) -> None:
         """Set the pendulums spinning in opposite directions."""
