@@ -40,6 +40,10 @@ _VERBS = {  # modules are imported when their verb is called: `rig --help` and `
         "record": "Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and "
         "the disk.",
     },
+    "rig_cli.devices": {
+        "devices": "List ports and the devices on them, with tables to paste into a rig file; without --ask no byte is "
+        "sent.",
+    },
     "rig_cli.guided_test": {
         "test": "Run one guided test, or show its plan; without a name, list what the rig can do and what is missing.",
     },
@@ -97,6 +101,7 @@ _STUDY = "Run whole campaigns by the hundred, or identify an archive again; on o
 _VIRTUAL = "Start a virtual rig; operate it from another terminal."
 _USE_COMPILED = {
     "check",
+    "devices",
     "record",
     "test",
     "log",
