@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from rig_cli.console import StepProgress, notify, print_json
+from rig_cli.console import notify, print_json
 from rig_cli.options import Json
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from daq.drivers.contract import Driver
     from daq.transports import HostClock
 
-_USUAL_S = 4.0  # usual time for a port, the weight of the progress bar
+_SHOW_S = 0.1  # period of the progress bar
 
 
 def devices(
@@ -82,23 +82,39 @@ def _passive(channels: Sequence[Any]) -> list[str]:
 
 
 def _searched(ports: Mapping[str, bool], drivers: Sequence[Driver], clock: HostClock) -> list[Result]:
-    """Search ports in their order; the values are whether requests may be sent to a port."""
-    from daq.discovery.search import PortSearch
+    """Search all ports at the same time; the values are whether requests may be sent to a port."""
+    from concurrent.futures import ThreadPoolExecutor, wait
+    from threading import Event
 
-    results: list[Result] = []
+    from daq.discovery.search import PortSearch
+    from rig_cli.share_progress import share_progress
+
     if not ports:
-        return results
+        return []
     for driver in drivers:
         driver.prepare()
-    with StepProgress(dict.fromkeys(ports, _USUAL_S)) as progress:
-        for each, ask in ports.items():
-            progress.step(each)
+    shares, stopping = dict.fromkeys(ports, 0.0), Event()
 
-            def show(text: str, share: float, port: str = each) -> None:
-                progress.update(f"{port}: {text}", share)
+    def search(port: str, ask: bool) -> Result:
+        def show(activity: str, share: float) -> None:
+            shares[port] = share
+            if stopping.is_set():
+                raise InterruptedError(f"{port}: {activity} was interrupted")
 
-            results.append(PortSearch(each, drivers, clock, show).run(ask))
-    return results
+        result = PortSearch(port, drivers, clock, show).run(ask)
+        shares[port] = 1.0
+        return result
+
+    text = f"searching {len(ports)} port{'s' if len(ports) > 1 else ''}"
+    with share_progress(text) as progress, ThreadPoolExecutor(len(ports)) as workers:
+        try:
+            found = [workers.submit(search, port, ask) for port, ask in ports.items()]
+            while not all(each.done() for each in found):
+                wait(found, _SHOW_S)
+                progress(sum(shares.values()) / len(shares))
+            return [each.result() for each in found]
+        finally:
+            stopping.set()
 
 
 def _port_facts(port: SerialPort) -> dict[str, Any]:

@@ -29,7 +29,8 @@ def print_devices(facts: Mapping[str, Any], *, asked: bool, searched: bool) -> N
     if searched and facts["ports"]:
         _print_results(console, facts["ports"])
     for each in facts["network"]:
-        console.print(Text(f"on the network: {each['driver']} at {each['port']}, {_words(each['identity'])}"))
+        words = f"on the network: {each['driver']} at {each['port']}, {_words(each['identity'])}"
+        console.print(Text(printable(words)))
     for note in facts["ports"]:
         if note["note"]:
             console.print(Text(printable(f"{note['port']}: {note['note']}"), _STYLES.get(note["state"], "bold red")))

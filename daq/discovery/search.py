@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from daq.discovery.opening import PortNotOpened, State, has_line_rate, open_port
-from daq.discovery.trials import Evidence, Reads, Trial, evidence_of, trials_of, usual_rate
+from daq.discovery.trials import Evidence, Reads, Trial, evidence_of, plain_number, trials_of, usual_rate
 from daq.drivers.contract import DeviceLine, Driver
 from daq.drivers.identification import AnswersIdentityRequest, FoundDevice, IdentityTurns
 from daq.errors import LinkLost
@@ -68,10 +68,12 @@ class Result:
     @property
     def settings(self) -> Mapping[str, Any]:
         """Settings of the rig file's table, as far as they are known, without driver and port."""
-        known = dict(self.found.settings)
-        if self.trial is not None and self.rate_Hz is not None and "rate_Hz" in type(self.trial.settings).model_fields:
-            known.setdefault("rate_Hz", self.rate_Hz)
-        return known
+        known = {key: plain_number(value) for key, value in self.found.settings.items()}
+        if self.trial is None or self.rate_Hz is None or "rate_Hz" in known:
+            return known
+        rate = {"rate_Hz": plain_number(self.rate_Hz)}
+        accepted = getattr(self.trial.with_settings(rate).settings, "rate_Hz", None) == self.rate_Hz
+        return known | rate if accepted else known
 
 
 class PortSearch:
@@ -82,10 +84,18 @@ class PortSearch:
         drivers: drivers to try.
         clock: clock of the waits.
         progress: see Progress.
+        connect: opens a line; raises PortNotOpened.
     """
 
-    def __init__(self, port: str, drivers: Iterable[Driver], clock: HostClock, progress: Progress) -> None:
-        self._port, self._clock, self._progress = port, clock, progress
+    def __init__(
+        self,
+        port: str,
+        drivers: Iterable[Driver],
+        clock: HostClock,
+        progress: Progress,
+        connect: Callable[[DeviceLine], Link] = open_port,
+    ) -> None:
+        self._port, self._clock, self._progress, self._connect = port, clock, progress, connect
         self._trials = trials_of(drivers, port, has_line_rate(port))
         self._bytes_in = 0
 
@@ -115,7 +125,7 @@ class PortSearch:
         for i, line in enumerate(lines):
             self._progress(f"receiving {_words(line)}", 0.5 * i / len(lines))
             trials = self._trials if len(lines) == 1 else [each for each in self._trials if each.line == line]
-            link = open_port(line)
+            link = self._connect(line)
             try:
                 reads = self._read(link, _SILENCE_S if i == 0 else _LOOK_S, _LOOK_S)
                 if not reads and i == 0:
@@ -166,7 +176,7 @@ class PortSearch:
         trials = [each for each in trials if isinstance(each.driver, AnswersIdentityRequest)]
         done = 0
         for line in _lines(trials):
-            link = open_port(line)
+            link = self._connect(line)
             try:
                 for trial in (each for each in trials if each.line == line):
                     self._progress(f"asking as {trial.driver.name} {_words(line)}", 0.5 + 0.5 * done / len(trials))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
-
-import tomlkit
 
 from daq.drivers.contract import Driver
 from daq.drivers.identification import FoundDevice
@@ -95,8 +94,7 @@ def _text(name: str, table: Table, own: Mapping[str, tuple[Any, str]]) -> str:
 
 
 def _value(value: Any) -> str:
-    item: Any = tomlkit.item(value)
-    return str(item.as_string())
+    return json.dumps(value, ensure_ascii=False)  # texts, numbers and flags are written as in TOML
 
 
 def identity_words(identity: Mapping[str, str | int | float]) -> str:

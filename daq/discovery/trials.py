@@ -6,13 +6,14 @@ import logging
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
+from statistics import linear_regression
 from typing import Any
 
-import numpy as np
 from pydantic import ValidationError
 
 from daq.drivers.contract import FOREIGN, DeviceLine, Driver, claims_of
-from daq.drivers.identification import FoundDevice, RecognisesBytes, trial_settings
+from daq.drivers.identification import LOSSES_OF_READINGS, FoundDevice, RecognisesBytes, trial_settings
 from daq.drivers.registry import driver
 from daq.errors import DeviceError
 from daq.items import RX, Batch
@@ -26,6 +27,7 @@ _MIN_SAMPLES = 10  # fewer are accepted without any loss only
 _FEWEST_SAMPLES = 3
 _MAX_LOSSES, _MAX_LOSSES_CHECKED = 0.05, 0.5  # losses in relation to samples; the second for messages with a checksum
 _RATE_TOLERANCE = 0.03
+_MIN_SPAN_S = 0.1  # host time between the first and the last read of a rate
 _STEPS = (1.0, 1.25, 1.6, 2.0, 2.5, 3.125, 4.0, 5.0, 8.0, 10.0)  # usual sample rates, times a power of ten
 
 Reads = Sequence[tuple[bytes, int]]
@@ -46,7 +48,7 @@ class Trial:
 
     def with_settings(self, known: Mapping[str, Any]) -> Trial:
         """Return the trial with other settings; unchanged if they are not valid."""
-        table = {**self.settings.model_dump(), **known}
+        table = {**self.settings.model_dump(), **{key: plain_number(value) for key, value in known.items()}}
         try:
             return replace(self, settings=self.driver.settings.model_validate(table))
         except ValidationError as error:
@@ -62,7 +64,7 @@ class Evidence:
         trial: the trial, with the settings that its bytes contain.
         found: settings and identity in the bytes.
         samples: number of decoded samples of the channel with most of them.
-        losses: number of losses of all kinds, without messages of other devices.
+        losses: number of losses on the line, without messages of other devices and samples without a valid reading.
         rate_Hz: sample rate by the host's clock, Hz; NaN without two reads with samples.
     """
 
@@ -112,9 +114,17 @@ def trials_of(drivers: Iterable[Driver], port: str, has_rate: bool) -> list[Tria
         except (ValidationError, ValueError) as error:
             _log.warning("driver %s is left out, its example is not valid: %s", each.name, error)
             continue
+        trials = [trial for trial in trials if _may_be_on(trial, port, has_rate)]
         by_driver.append(trials if has_rate else _one_per_protocol(trials))
     longest = max(map(len, by_driver), default=0)
     return [trials[i] for i in range(longest) for trials in by_driver if i < len(trials)]
+
+
+def _may_be_on(trial: Trial, port: str, has_rate: bool) -> bool:
+    """Whether such a device can be on a port: on a CAN channel a device of a bus, on a serial port one with a rate."""
+    if port.startswith("can:"):
+        return trial.line.bitrate is not None
+    return trial.line.baud > 0 or not has_rate
 
 
 def _one_per_protocol(trials: Iterable[Trial]) -> list[Trial]:
@@ -154,7 +164,8 @@ def _decoded(trial: Trial, found: FoundDevice, reads: Reads) -> Evidence | None:
         _log.debug("bytes not decoded by %s: %s", trial.driver.name, error)
         return None
     samples = sum(count for _, count in counts)
-    losses = sum(count for kind, count in pipeline.losses.items() if not kind.startswith(FOREIGN))
+    kinds = (kind for kind in pipeline.losses if kind not in LOSSES_OF_READINGS and not kind.startswith(FOREIGN))
+    losses = sum(pipeline.losses[kind] for kind in kinds)
     return Evidence(trial, found, samples, losses, _rate(counts[:-1]))
 
 
@@ -163,12 +174,16 @@ def _rate(counts: Sequence[tuple[int, int]]) -> float:
     filled = [(host_ns, count) for host_ns, count in counts if count]
     if len(filled) < 3:
         return math.nan
-    times, numbers = (np.array(values, float) for values in zip(*filled, strict=True))
-    span_s = (times - times[0]) * 1e-9
-    if span_s[-1] < 0.1:
+    times_s = [(host_ns - filled[0][0]) * 1e-9 for host_ns, _ in filled]
+    if times_s[-1] < _MIN_SPAN_S:
         return math.nan
-    mean_s, total = span_s - np.mean(span_s), np.cumsum(numbers)
-    return float(np.sum(mean_s * total) / np.sum(mean_s**2))
+    totals = list(accumulate(count for _, count in filled))
+    return linear_regression(times_s, totals).slope
+
+
+def plain_number(value: Any) -> Any:
+    """Return a float without a fraction as int, which settings of both types accept; other values unchanged."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def usual_rate(rate_Hz: float) -> float | None:

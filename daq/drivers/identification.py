@@ -12,6 +12,9 @@ from typing import Any, Protocol, runtime_checkable
 from daq.drivers.contract import Driver, example_of
 from rig_configs.device import DeviceSettings
 
+LOSSES_OF_READINGS = frozenset({"invalid", "suspect"})
+"""Kinds of `Pipeline.losses` that count samples without a valid reading, as without a target: the line is intact."""
+
 
 @dataclass(frozen=True)
 class FoundDevice:

@@ -19,7 +19,7 @@ def identity_turns(settings: PolledLaser) -> IdentityTurns:
         parsed = (dialect.parse(line, settings.output) for line in lines if len(line) <= wire.LONGEST_LINE_BYTES)
         return next((found for found in parsed if isinstance(found, wire.Reading)), None)
 
-    request = dialect.request(settings.output)
+    request = b"\r" + dialect.request(settings.output)  # the first CR ends a line that another request has begun
     if reading((yield IdentityRequest(request, lambda data: reading(data) is not None))) is None:
         return None
     keys = ("dialect", "output", "baud", "parity")

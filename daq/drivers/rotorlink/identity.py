@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 
 from daq.drivers.identification import FoundDevice
 from daq.drivers.rotorlink import wire
@@ -13,22 +14,30 @@ from daq.drivers.rotorlink.settings import EncoderNode
 def recognise(settings: EncoderNode, data: bytes) -> FoundDevice | None:
     """Return number, sample rate and counts per revolution of the node that sends most blocks; see RecognisesBytes."""
     frames = [frame.inner if isinstance(frame, wire.Wrapped) else frame for frame in FrameDecoder().feed(data).frames]
+    return node_of(frames, {"baud": settings.baud})
+
+
+def node_of(frames: Sequence[object], known: Mapping[str, str | int]) -> FoundDevice | None:
+    """Return the node that sends most blocks of samples; None without a block.
+
+    Args:
+        frames: frames of nodes, possibly among others.
+        known: settings that are known already.
+    """
     blocks = [frame for frame in frames if isinstance(frame, wire.EncoderBlock)]
     if not blocks:
         return None
     (node, _), *others = Counter(block.node for block in blocks).most_common()
-    known: dict[str, int] = {"baud": settings.baud, "node": node}
+    found: dict[str, str | int] = {**known, "node": node}
     period_us = next(block.period_us for block in blocks if block.node == node)
     if period_us:
-        known["rate_Hz"] = round(1e6 / period_us)
+        found["rate_Hz"] = round(1e6 / period_us)
     identity: dict[str, str | int] = {"node": node}
     if others:
         identity["other_nodes"] = ", ".join(str(other) for other, _ in others)
     for frame in frames:
         if isinstance(frame, wire.NodeStatus) and frame.node == node:
-            known["counts_per_revolution"] = frame.counts_per_revolution
-            identity |= {
-                "firmware": f"{frame.firmware_major}.{frame.firmware_minor}",
-                "battery_mV": frame.battery_mv,
-            }
-    return FoundDevice(known, identity)
+            found["counts_per_revolution"] = frame.counts_per_revolution
+            firmware = f"{frame.firmware_major}.{frame.firmware_minor}"
+            identity |= {"firmware": firmware, "battery_mV": frame.battery_mv}
+    return FoundDevice(found, identity)

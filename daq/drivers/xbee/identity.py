@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 from daq.drivers.identification import FoundDevice, IdentityRequest, IdentityTurns
 from daq.drivers.rotorlink import wire as rotorlink
+from daq.drivers.rotorlink.identity import node_of
 from daq.drivers.xbee import framing, wire
 from daq.drivers.xbee.settings import XBeeNode
 
@@ -13,18 +12,19 @@ _QUERIES: tuple[str, ...] = ("SH", "SL", "VR", "HV")
 
 
 def recognise(settings: XBeeNode, data: bytes) -> FoundDevice | None:
-    """Return API mode and the address of the module that sends most of the RotorLink payloads; see RecognisesBytes."""
-    best: tuple[int, FoundDevice] = (0, FoundDevice())
+    """Return API mode, the address of the module that sends most of the RotorLink payloads, and its node.
+
+    See RecognisesBytes.
+    """
+    senders: dict[tuple[int, str], list[rotorlink.NodeFrame]] = {}
     for mode in (2, 1):
-        senders = Counter[str]()
         for frame in _frames(data, mode):
-            if isinstance(frame, wire.Received) and _is_node(frame.payload):
-                senders[frame.source] += 1
-        for address, count in senders.most_common(1):
-            if count > best[0] and address != "unknown":
-                known = {"api_mode": mode, "node_address": address, "baud": settings.baud}
-                best = (count, FoundDevice(known, {}))
-    return best[1] if best[0] else None
+            if isinstance(frame, wire.Received) and (node_frame := _payload(frame)) is not None:
+                senders.setdefault((mode, frame.source), []).append(node_frame)
+    if not senders:
+        return None
+    (mode, address), frames = max(senders.items(), key=lambda each: len(each[1]))
+    return node_of(frames, {"api_mode": mode, "node_address": address, "baud": settings.baud})
 
 
 def identity_turns(settings: XBeeNode) -> IdentityTurns:
@@ -47,7 +47,8 @@ def identity_turns(settings: XBeeNode) -> IdentityTurns:
     if values["SH"] and values["SL"]:
         high, low = (int.from_bytes(values[key], "big") for key in ("SH", "SL"))
         identity["serial"] = f"{high:08X}{low:08X}"
-    return FoundDevice(known, {name: value for name, value in identity.items() if value})
+    own = {name: value for name, value in identity.items() if value}
+    return FoundDevice(known, own)
 
 
 def _query(number: int, command: str, mode: int) -> IdentityRequest:
@@ -75,9 +76,11 @@ def _frames(data: bytes, mode: int) -> list[wire.ApiFrame]:
     return found
 
 
-def _is_node(payload: bytes) -> bool:
+def _payload(frame: wire.Received) -> rotorlink.NodeFrame | None:
+    """Return the node's frame in radio data; None if they are of another device, or the sender is unknown."""
+    if frame.source_64 is None and frame.source_16 is None:
+        return None
     try:
-        rotorlink.parse_node(payload)
+        return rotorlink.parse_node(frame.payload)
     except rotorlink.BadFrame:  # usual: radio data of another device
-        return False
-    return True
+        return None
