@@ -56,7 +56,6 @@ def test_the_tables_of_a_virtual_rig_make_a_file_that_passes_the_check(
         assert [each["name"] for each in found["tables"]] == ["displacement_x", "displacement_y", "node", "drive"]
         path = rig_file(tmp_path / "my.toml", "virtual", [each["text"] for each in found["tables"]])
         assert run(["check", str(path), "--set", LATE_BEATS, "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["passed"] is True
 
 
 def test_other_devices_need_only_what_they_do_not_report(capsys: CAPTURE, tmp_path: Path) -> None:
