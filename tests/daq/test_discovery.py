@@ -200,7 +200,8 @@ def test_serial_number_and_firmware_are_reported() -> None:
     drive = search(Cable.of("cia402"), ask=True).found.identity
     assert drive == {"vendor_id": "0xa11", "serial": 24601}
     module = search(Cable.of("xbee"), ask=True).found.identity
-    assert module == {"firmware": "100A", "hardware": "2E48", "serial": "0013A20040522BAA"}
+    own = {"module_firmware": "100A", "module_hardware": "2E48", "module_serial": "0013A20040522BAA"}
+    assert module == {"node": 1, "firmware": "1.4", "battery_mV": 3712, **own}
 
 
 @pytest.mark.parametrize("make", [streaming_optoncdt, streaming_riftek])
@@ -339,7 +340,7 @@ def test_a_measured_rate_is_rounded_to_a_usual_one(measured: float, usual: float
 
 
 @pytest.mark.parametrize("measured", [float("nan"), 0.0, -3.0, float("inf")])
-def test_no_rate_is_none(measured: float) -> None:
+def test_without_a_rate_there_is_no_usual_one(measured: float) -> None:
     assert usual_rate(measured) is None
 
 

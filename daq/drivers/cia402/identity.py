@@ -23,6 +23,7 @@ BITRATES = {500_000: "S6", 1_000_000: "S8", 250_000: "S5", 125_000: "S4"}
 _DEVICE_TYPE, _IDENTITY = 0x1000, 0x1018
 _PROFILE = 402
 _PARTS = {1: "vendor_id", 2: "product_code", 3: "revision", 4: "serial"}
+_ANSWER_S, _BATCH_S = 0.3, 0.15  # longest waits for one node and for a batch, wall s
 _BATCH = 16  # nodes that are queried at once; an adapter's buffer holds so many frames
 _UPLOAD, _EXPEDITED = 0x40, 0x43
 _SDO = struct.Struct("<BHBI")
@@ -103,7 +104,8 @@ def _uploads(nodes: Iterable[int], index: int, sub: int) -> IdentityRequest:
     def is_answered(got: bytes, wanted: frozenset[int]) -> bool:
         return wanted <= {frame.arbitration_id for frame in _frames(got)}
 
-    return IdentityRequest(lines, partial(is_answered, wanted=frozenset(map(cia402.cob_sdo_answer, nodes))), 0.15)
+    wanted = frozenset(map(cia402.cob_sdo_answer, nodes))
+    return IdentityRequest(lines, partial(is_answered, wanted=wanted), _ANSWER_S if len(nodes) == 1 else _BATCH_S)
 
 
 def _value(data: bytes, node: int, index: int, sub: int) -> int | None:

@@ -43,10 +43,11 @@ def identity_turns(settings: XBeeNode) -> IdentityTurns:
         values[command] = _answer(received, number, command, mode) or b""
     node = recognise(settings, heard)
     known = {"api_mode": mode, "baud": settings.baud} | dict(node.settings if node else {})
-    identity = {name: values[key].hex().upper() for name, key in (("firmware", "VR"), ("hardware", "HV"))}
+    parts = (("module_firmware", "VR"), ("module_hardware", "HV"))
+    identity = {name: values[key].hex().upper() for name, key in parts}
     if values["SH"] and values["SL"]:
         high, low = (int.from_bytes(values[key], "big") for key in ("SH", "SL"))
-        identity["serial"] = f"{high:08X}{low:08X}"
+        identity["module_serial"] = f"{high:08X}{low:08X}"
     own = {name: value for name, value in identity.items() if value}
     return FoundDevice(known, own)
 
