@@ -18,6 +18,7 @@ from daq.discovery import ports
 from daq.discovery.ports import CanChannel, SerialPort, UsbCanAdapter, UsbIdentity
 from rig_cli.main import run
 from rig_cli.simulated import VirtualRigProcess
+from rig_configs import load_rig
 from tests.conftest import LATE_BEATS
 
 CAPTURE = pytest.CaptureFixture[str]
@@ -75,8 +76,10 @@ def test_other_devices_need_only_what_they_do_not_report(capsys: CAPTURE, tmp_pa
         required = {line.split()[1] for line in texts["drive"].splitlines() if line.endswith("does not report it")}
         assert required == {"pole_pairs", "timeout_s", "brake_A"}
         texts["drive"] += "pole_pairs = 7\ntimeout_s = 1.0\nbrake_A = 10.0\n"
-        path = rig_file(tmp_path / "my.toml", "other_devices", list(texts.values()))
-        assert run(["check", str(path), "--json"]) == 0
+    read = load_rig(str(rig_file(tmp_path / "my.toml", "other_devices", list(texts.values()))))
+    assert [each.axis for each in read.roles.displacements] == ["x", "y"]
+    assert None not in (read.roles.angles, read.roles.phase, read.roles.speed)
+    assert {device.port for device in read.devices.values()} == set(rig.ports.values())
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="ptys")
