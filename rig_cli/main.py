@@ -44,6 +44,10 @@ _VERBS = {  # modules are imported when their verb is called: `rig --help` and `
         "calibrate": "Calibrate a laser against gauge blocks or a micrometer, or the encoders at their locks; exit 1 "
         "when refused.",
     },
+    "rig_cli.devices": {
+        "devices": "List ports and the devices on them, with tables to paste into a rig file; without --ask no byte is "
+        "sent.",
+    },
     "rig_cli.guided_test": {
         "test": "Run one guided test, or show its plan; without a name, list what the rig can do and what is missing.",
     },
@@ -101,6 +105,7 @@ _STUDY = "Run whole campaigns by the hundred, or identify an archive again; on o
 _VIRTUAL = "Start a virtual rig; operate it from another terminal."
 _USE_COMPILED = {
     "check",
+    "devices",
     "record",
     "test",
     "calibrate",

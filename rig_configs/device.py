@@ -46,12 +46,13 @@ class DeviceSettings(RigTable):
 
     calibration: ClassVar[tuple[str, ...]] = ()
     files: ClassVar[Mapping[str, str]] = {}
+    serial_limit: ClassVar[int | None] = None
 
     driver: str
     port: str
     serial: Annotated[str, BeforeValidator(_as_text), Field(max_length=80)] = ""
-
-    serial_limit: ClassVar[int | None] = None
+    calibrated: Annotated[str, Field(max_length=40)] = ""
+    calibration_record: Annotated[str, Field(max_length=200)] = ""
 
     @field_validator("serial")
     @classmethod
@@ -65,9 +66,6 @@ class DeviceSettings(RigTable):
     def serial_number(self) -> int:
         """Serial number as a number; 0: any."""
         return int(self.serial or 0)
-
-    calibrated: Annotated[str, Field(max_length=40)] = ""
-    calibration_record: Annotated[str, Field(max_length=200)] = ""
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """Return the roles of the device.
@@ -141,6 +139,17 @@ class DisplacementTable(RigTable):
         )
 
 
+def displacement_tables(settings: DeviceSettings) -> tuple[DisplacementTable, ...]:
+    """Return the tables of the displacement sensors of a device: itself, or tables inside, also in tables of tables."""
+    if isinstance(settings, DisplacementTable):
+        return (settings,)
+    values: list[object] = [value for _, value in settings]
+    inside = [
+        each for value in values if isinstance(value, Mapping) for each in cast("list[object]", [*value.values()])
+    ]
+    return tuple(each for each in (*values, *inside) if isinstance(each, DisplacementTable))
+
+
 DISPLACEMENT_CALIBRATION = (
     "range_m",
     "lever_ratio",
@@ -148,6 +157,9 @@ DISPLACEMENT_CALIBRATION = (
     "clock_tolerance_ppm",
     "direction_deg",
     "direction_std_deg",
+    "gain_factor",
+    "offset_m",
+    "offset_std_m",
 )
 """Settings of a DisplacementTable that a calibration may correct."""
 

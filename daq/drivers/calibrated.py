@@ -16,7 +16,7 @@ from dataclasses import replace
 
 from daq.drivers.contract import Pipeline
 from daq.items import Batch, DeviceEvent
-from rig_configs.device import DeviceSettings, DisplacementSettings
+from rig_configs.device import DeviceSettings, displacement_tables
 
 _FIELD = "displacement_m"
 
@@ -27,14 +27,16 @@ def calibrated(pipeline: Pipeline, settings: DeviceSettings) -> Pipeline:
     The same object is returned, since drivers read the attributes of their own pipelines. Without a calibration (factor
     1, offset 0) it is not changed.
     """
-    if not isinstance(settings, DisplacementSettings) or (settings.gain_factor, settings.offset_m) == (1.0, 0.0):
+    lines = {table.topic: (table.gain_factor, table.offset_m) for table in displacement_tables(settings)}
+    lines = {topic: line for topic, line in lines.items() if line != (1.0, 0.0)}
+    if not lines:
         return pipeline
-    decode, topic = pipeline.feed, settings.topic
-    gain, offset_m = settings.gain_factor, settings.offset_m
+    decode = pipeline.feed
 
     def corrected(item: Batch | DeviceEvent) -> Batch | DeviceEvent:
-        if not isinstance(item, Batch) or item.channel.topic != topic:
+        if not isinstance(item, Batch) or item.channel.topic not in lines:
             return item
+        gain, offset_m = lines[item.channel.topic]
         return replace(item, columns={**item.columns, _FIELD: gain * item.columns[_FIELD] + offset_m})
 
     def feed(direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:

@@ -11,6 +11,7 @@ from daq.drivers.can_lines import ADAPTER_BAUD
 from daq.drivers.checks import Checks
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.contract import DeviceLine, Pipeline, RotorGuard, SpeedControl, Talk
+from daq.drivers.identification import FoundDevice, IdentityTurns
 from daq.drivers.plain import PlainDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
@@ -86,6 +87,18 @@ class Cia402(PlainDriver):
         from daq.drivers.cia402.control import DriveControl  # imports canopen
 
         return DriveControl(settings, send, clock, guard)
+
+    def recognise(self, settings: MotorDrive, data: bytes) -> FoundDevice | None:
+        """See RecognisesBytes."""
+        from daq.drivers.cia402.identity import recognise
+
+        return recognise(settings, data)
+
+    def identity_request(self, settings: MotorDrive) -> IdentityTurns:
+        """See AnswersIdentityRequest."""
+        from daq.drivers.cia402.identity import identity_turns
+
+        return identity_turns(settings)
 
 
 DRIVER = Cia402()

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from daq.drivers.contract import Pipeline, Talk
+from daq.drivers.identification import IdentityTurns
 from daq.drivers.optoncdt.settings import Laser
 from daq.drivers.plain import DisplacementDriver
 from daq.drivers.played import PlayedDevice
@@ -20,6 +21,13 @@ class OptoNcdt(DisplacementDriver):
     count_wrap: int = 2**18
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
     claims: frozenset[str] = frozenset({"counts exactly", "falls silent"})
+    usual: tuple[Mapping[str, Any], ...] = (
+        {},
+        {"baud": 115_200},
+        {"baud": 230_400},
+        {"baud": 460_800},
+        {"baud": 1_000_000},
+    )
 
     def pipeline(self, device: str, settings: Laser, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
@@ -55,6 +63,12 @@ class OptoNcdt(DisplacementDriver):
     def stop(self, talk: Talk) -> None:
         """See Driver."""
         talk.send(b"OUTPUT NONE\n")
+
+    def identity_request(self, settings: Laser) -> IdentityTurns:
+        """See AnswersIdentityRequest."""
+        from daq.drivers.optoncdt.identity import identity_turns
+
+        return identity_turns(settings)
 
 
 DRIVER = OptoNcdt()

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from daq.drivers.contract import DeviceLine, Pipeline, Talk
+from daq.drivers.identification import FoundDevice
 from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
 from daq.drivers.plain import DisplacementDriver
 from daq.drivers.simulated import FarEnd
@@ -46,6 +47,12 @@ class EthernetDriver(DisplacementDriver):
     def open(self, device: str, settings: EthernetLaser, talk: Talk) -> dict[str, Any]:
         """See Driver; the sensor sends as soon as it is connected, and its packets have its serial number."""
         return {"driver": self.name, "port": settings.port}
+
+    def recognise(self, settings: EthernetLaser, data: bytes) -> FoundDevice | None:
+        """See RecognisesBytes."""
+        from daq.drivers.optoncdt_ethernet.identity import recognise
+
+        return recognise(settings, data)
 
 
 DRIVER = EthernetDriver()

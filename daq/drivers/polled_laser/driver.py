@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from daq import channels
 from daq.channels import Channel
 from daq.drivers.contract import DeviceLine, Pipeline, Poller, Talk
+from daq.drivers.identification import IdentityTurns
 from daq.drivers.plain import PlainDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.polled_laser.settings import PolledLaser
@@ -25,6 +26,13 @@ class PolledLaserDriver(PlainDriver):
     settings = PolledLaser
     example: ClassVar[Mapping[str, Any]] = {"axis": "x", "dialect": "LK-G"}
     claims: frozenset[str] = frozenset({"falls silent"})
+    usual: tuple[Mapping[str, Any], ...] = (
+        {"dialect": "LK-G"},
+        {"dialect": "LK-G5000"},
+        {"dialect": "HL-G1"},
+        {"dialect": "IL", "baud": 9_600, "rate_Hz": 20},
+        {"dialect": "LK-G", "baud": 9_600, "rate_Hz": 20},
+    )
 
     def line(self, settings: PolledLaser) -> DeviceLine:
         """See Driver."""
@@ -67,6 +75,12 @@ class PolledLaserDriver(PlainDriver):
         from daq.drivers.polled_laser.dialogue import identify
 
         return {"driver": self.name, **identify(device, settings, talk)}
+
+    def identity_request(self, settings: PolledLaser) -> IdentityTurns:
+        """See AnswersIdentityRequest."""
+        from daq.drivers.polled_laser.identity import identity_turns
+
+        return identity_turns(settings)
 
 
 DRIVER = PolledLaserDriver()

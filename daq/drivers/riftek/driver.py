@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from daq.drivers.contract import DeviceLine, Pipeline, Talk
+from daq.drivers.identification import IdentityTurns
 from daq.drivers.plain import DisplacementDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.riftek.settings import RiftekLaser
@@ -20,6 +21,12 @@ class Riftek(DisplacementDriver):
     count_wrap: int = 2**32
     example: ClassVar[Mapping[str, Any]] = {"axis": "x"}
     claims: frozenset[str] = frozenset({"falls silent"})
+    usual: tuple[Mapping[str, Any], ...] = (
+        {},
+        {"baud": 9_600, "rate_Hz": 200},
+        {"baud": 460_800},
+        {"baud": 115_200, "rate_Hz": 2000},
+    )
 
     def line(self, settings: RiftekLaser) -> DeviceLine:
         """See Driver."""
@@ -66,6 +73,12 @@ class Riftek(DisplacementDriver):
         from daq.drivers.riftek.dialogue import stop
 
         stop(talk)
+
+    def identity_request(self, settings: RiftekLaser) -> IdentityTurns:
+        """See AnswersIdentityRequest."""
+        from daq.drivers.riftek.identity import identity_turns
+
+        return identity_turns(settings)
 
 
 DRIVER = Riftek()

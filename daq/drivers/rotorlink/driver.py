@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq.drivers.checks import Checks
 from daq.drivers.contract import LockControl, Pipeline, SpeedControl, Talk
+from daq.drivers.identification import FoundDevice
 from daq.drivers.plain import RotorNodeDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.rotorlink.settings import EncoderNode
@@ -23,6 +24,7 @@ class RotorLink(RotorNodeDriver):
     name = "rotorlink"
     settings = EncoderNode
     claims: frozenset[str] = frozenset({"checksum", "counts exactly"})
+    usual: tuple[Mapping[str, Any], ...] = ({}, {"baud": 460_800}, {"baud": 230_400})
 
     def pipeline(self, device: str, settings: EncoderNode, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
@@ -59,6 +61,12 @@ class RotorLink(RotorNodeDriver):
         from daq.drivers.rotorlink.locks import NodeLocks
 
         return NodeLocks(send, clock, settings.node)
+
+    def recognise(self, settings: EncoderNode, data: bytes) -> FoundDevice | None:
+        """See RecognisesBytes."""
+        from daq.drivers.rotorlink.identity import recognise
+
+        return recognise(settings, data)
 
 
 DRIVER = RotorLink()

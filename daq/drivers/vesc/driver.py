@@ -9,6 +9,7 @@ from daq import channels
 from daq.channels import Channel
 from daq.drivers.checks import Checks
 from daq.drivers.contract import Pipeline, RotorGuard, SpeedControl, Talk
+from daq.drivers.identification import Announcement, IdentityTurns
 from daq.drivers.plain import PlainDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
@@ -87,6 +88,19 @@ class VescDriver(PlainDriver):
         from daq.drivers.vesc.control import VescControl
 
         return VescControl(settings, send, clock, guard)
+
+    def identity_request(self, settings: Vesc) -> IdentityTurns:
+        """See AnswersIdentityRequest."""
+        from daq.drivers.vesc.identity import identity_turns
+
+        return identity_turns(settings)
+
+    @property
+    def announcement(self) -> Announcement:
+        """See AnnouncesItself."""
+        from daq.drivers.vesc.identity import ANNOUNCEMENT
+
+        return ANNOUNCEMENT
 
 
 DRIVER = VescDriver()

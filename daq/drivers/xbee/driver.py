@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from daq.drivers.checks import Checks
 from daq.drivers.contract import LockControl, Pipeline, SpeedControl, Talk
+from daq.drivers.identification import FoundDevice, IdentityTurns
 from daq.drivers.plain import RotorNodeDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
@@ -24,6 +25,7 @@ class XBee(RotorNodeDriver):
     settings = XBeeNode
     example: ClassVar[Mapping[str, Any]] = {"node_address": "0013A20040522BAB"}
     claims: frozenset[str] = frozenset({"checksum", "counts exactly"})
+    usual: tuple[Mapping[str, Any], ...] = ({}, {"baud": 9_600, "rate_Hz": 100}, {"baud": 57_600}, {"baud": 230_400})
 
     def pipeline(self, device: str, settings: XBeeNode, identity: Mapping[str, Any]) -> Pipeline:
         """See Driver."""
@@ -62,6 +64,18 @@ class XBee(RotorNodeDriver):
         from daq.drivers.xbee.locks import XBeeLocks
 
         return XBeeLocks(settings, send, clock)
+
+    def recognise(self, settings: XBeeNode, data: bytes) -> FoundDevice | None:
+        """See RecognisesBytes."""
+        from daq.drivers.xbee.identity import recognise
+
+        return recognise(settings, data)
+
+    def identity_request(self, settings: XBeeNode) -> IdentityTurns:
+        """See AnswersIdentityRequest."""
+        from daq.drivers.xbee.identity import identity_turns
+
+        return identity_turns(settings)
 
 
 DRIVER = XBee()
