@@ -171,7 +171,7 @@ class DisplacementSettings(DisplacementTable, DeviceSettings):
         names_its_channel: whether the driver records in the channel `topic`; otherwise it cannot be a witness.
     """
 
-    calibration: ClassVar[tuple[str, ...]] = DISPLACEMENT_CALIBRATION
+    calibration: ClassVar[tuple[str, ...]] = (*DISPLACEMENT_CALIBRATION, "calibrated", "calibration_record")
 
     names_its_channel: ClassVar[bool] = False
 
