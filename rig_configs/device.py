@@ -46,8 +46,8 @@ class DeviceSettings(RigTable):
         return ()
 
 
-class DisplacementSettings(DeviceSettings):
-    """Settings of a sensor of the column's motion; the numbers are those of Displacement.
+class DisplacementTable(RigTable):
+    """Settings of a sensor of the column's motion, independent of its line; the numbers are those of Displacement.
 
     Attributes:
         witness: name of its channel, `laser/NAME`, if another sensor measures along its axis for the rig; "" for the
@@ -56,25 +56,14 @@ class DisplacementSettings(DeviceSettings):
         names_its_channel: whether the driver records in the channel `topic`; otherwise it cannot be a witness.
     """
 
-    calibration: ClassVar[tuple[str, ...]] = (
-        "range_m",
-        "lever_ratio",
-        "gain_std",
-        "clock_tolerance_ppm",
-        "direction_deg",
-        "direction_std_deg",
-    )
-
     names_its_channel: ClassVar[bool] = False
 
     axis: Axis
-    rate_Hz: Positive
     range_m: Positive = 0.025
     range_std_m: NotNegative = 0.0
     lever_ratio: Positive = 1.0
     lever_ratio_std: NotNegative = 0.0
     gain_std: Annotated[float, Field(ge=0, le=0.1)] = USUAL_GAIN_STD
-    clock_tolerance_ppm: Positive = 30.0
     direction_deg: Finite | None = None
     direction_std_deg: NotNegative = USUAL_DIRECTION_STD_DEG
     witness: Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]{0,30})?$")] = ""
@@ -99,27 +88,56 @@ class DisplacementSettings(DeviceSettings):
         parts = (self.gain_std, self.range_std_m / self.range_m, self.lever_ratio_std / self.lever_ratio)
         return math.hypot(*parts)
 
-    def roles(self, device: str) -> tuple[Role, ...]:
-        """Return the roles; see DeviceSettings."""
-        return (
-            DisplacementSensor(
-                device=device,
-                topic=self.topic,
-                axis=self.axis,
-                rate_Hz=float(self.rate_Hz),
-                range_m=self.range_m,
-                lever_ratio=self.lever_ratio,
-                gain_std=self._total_gain_std,
-                clock_tolerance_ppm=self.clock_tolerance_ppm,
-                witness=bool(self.witness),
-                direction_deg=self.direction_deg,
-                direction_std_deg=self.direction_std_deg,
-            ),
+    def sensor(self, device: str, rate_Hz: float, clock_tolerance_ppm: float) -> DisplacementSensor:
+        """Return the role of the sensor.
+
+        Args:
+            device: name of its device in the rig file.
+            rate_Hz: samples per second.
+            clock_tolerance_ppm: standard uncertainty of the rate of the device's clock.
+        """
+        return DisplacementSensor(
+            device=device,
+            topic=self.topic,
+            axis=self.axis,
+            rate_Hz=float(rate_Hz),
+            range_m=self.range_m,
+            lever_ratio=self.lever_ratio,
+            gain_std=self._total_gain_std,
+            clock_tolerance_ppm=clock_tolerance_ppm,
+            witness=bool(self.witness),
+            direction_deg=self.direction_deg,
+            direction_std_deg=self.direction_std_deg,
         )
 
 
+class DisplacementSettings(DisplacementTable, DeviceSettings):
+    """Settings of a device that is one sensor of the column's motion."""
+
+    calibration: ClassVar[tuple[str, ...]] = (
+        "range_m",
+        "lever_ratio",
+        "gain_std",
+        "clock_tolerance_ppm",
+        "direction_deg",
+        "direction_std_deg",
+    )
+
+    rate_Hz: Positive
+    clock_tolerance_ppm: Positive = 30.0
+
+    def roles(self, device: str) -> tuple[Role, ...]:
+        """Return the roles; see DeviceSettings."""
+        return (self.sensor(device, self.rate_Hz, self.clock_tolerance_ppm),)
+
+
 class RotorNodeSettings(DeviceSettings):
-    """A node on the rotor: both pendulum encoders, the index mark, and the locks if the rig commands any."""
+    """A node on the rotor: both pendulum encoders, the index mark, and the locks if the rig commands any.
+
+    Attributes:
+        index_marks: whether its index marks are the rig's rotor phase. If not, they are ignored: another device marks
+            the rotor's phase, or the node has no index sensor.
+    """
 
     calibration: ClassVar[tuple[str, ...]] = (
         "counts_per_revolution",
@@ -136,6 +154,7 @@ class RotorNodeSettings(DeviceSettings):
     zero_std_deg: NotNegative = USUAL_ZERO_STD_DEG
     clock_tolerance_ppm: Positive = 30.0
     locks: bool = True
+    index_marks: bool = True
     node: Annotated[int | None, Field(ge=0, le=255)] = None
 
     def roles(self, device: str) -> tuple[Role, ...]:
@@ -150,14 +169,17 @@ class RotorNodeSettings(DeviceSettings):
                 counts_per_revolution=self.counts_per_revolution,
                 clock_tolerance_ppm=tolerance,
             ),
-            RotorPhase(
-                device=device,
-                topic="tacho",
-                index_angle_deg=self.index_angle_deg,
-                clock_tolerance_ppm=tolerance,
-                index_angle_std_deg=self.index_angle_std_deg,
-            ),
+            *([self._phase(device)] if self.index_marks else []),
             *([PendulumLocks(device=device)] if self.locks else []),
+        )
+
+    def _phase(self, device: str) -> RotorPhase:
+        return RotorPhase(
+            device=device,
+            topic="tacho",
+            index_angle_deg=self.index_angle_deg,
+            clock_tolerance_ppm=self.clock_tolerance_ppm,
+            index_angle_std_deg=self.index_angle_std_deg,
         )
 
 
