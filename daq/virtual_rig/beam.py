@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from daq.drivers.simulated import MotionInterval
 from daq.virtual_rig.world import DeviceClock, World
-from rig_configs.device import DisplacementSettings
+from rig_configs.device import DisplacementTable
 
 Array = NDArray[np.floating[Any]]
 
@@ -37,7 +37,7 @@ class Beam:
     _next: int | None = field(default=None, init=False)  # number of the next sample on the clock; None before the first
 
     @classmethod
-    def of(cls, device: str, config: DisplacementSettings, world: World) -> Beam:
+    def of(cls, device: str, config: DisplacementTable, world: World) -> Beam:
         """Make the beam of a sensor of a simulated rig: its gain and its offset are drawn."""
         gain = config.lever_ratio * (1 + world.spread * config.gain_std * world.calibration.standard_normal())
         sensitivity = gain * world.direction(config.axis, config.direction_deg)
