@@ -92,7 +92,7 @@ def test_nothing_is_sent_before_the_start_and_after_the_end() -> None:
 
 def test_requests_are_numbered_from_zero_and_a_new_start_continues() -> None:
     clock, numbers = SimulatedClock(START_NS), list[int]()
-    loop = RequestLoop(Request(lambda number: bytes([number]), b"", 0.1, 0.5), lambda data: numbers.extend(data), clock)
+    loop = RequestLoop(Request(lambda number: bytes([number]), b"", 0.1, 0.5), numbers.extend, clock)
     for _ in range(2):
         loop.start()
         for _ in range(3):
