@@ -23,7 +23,7 @@ _MODELS = {4.0: "T4", 7.0: "T7"}
 _SINGLE_ENDED = 199
 
 
-class Refusal(Exception):
+class RequestRefused(Exception):
     """The device refused a request; `code` is the value of its register LAST_ERROR, 0 if it did not state it."""
 
     def __init__(self, code: int) -> None:
@@ -43,7 +43,7 @@ class Commands:
         """Send the parts of a request, again if no answer comes, and return the registers read.
 
         Raises:
-            Refusal: the device refuses it.
+            RequestRefused: the device refuses it.
             DeviceError: the device does not answer.
         """
         answer = self._answer(parts)
@@ -51,7 +51,7 @@ class Commands:
             return answer.body
         detail = self._answer([wire.read(Register.LAST_ERROR, 1)])
         stated = detail.function == wire.FEEDBACK and len(detail.body) == 2
-        raise Refusal(int.from_bytes(detail.body, "big") if stated else 0)
+        raise RequestRefused(int.from_bytes(detail.body, "big") if stated else 0)
 
     def _answer(self, parts: Sequence[bytes]) -> wire.Message:
         self._number = (self._number + 1) % wire.FIRST_STREAM_ID
@@ -84,7 +84,7 @@ def identify(device: str, settings: LabJack, commands: Commands) -> dict[str, An
 
     Raises:
         DeviceError: another device than the rig file states, or one whose inputs are not those of the rig file.
-        Refusal: the device refuses.
+        RequestRefused: the device refuses.
     """
     place = f"{device} on {settings.port}"
     reads = [wire.read(register, 2) for register in (Register.PRODUCT, Register.FIRMWARE, Register.SERIAL)]
@@ -114,12 +114,12 @@ def end_stream(commands: Commands) -> None:
     """End a stream that runs, such as that of a host that was killed. The device must not be set up while it runs.
 
     Raises:
-        Refusal: the device refuses for another reason than that no stream runs.
+        RequestRefused: the device refuses for another reason than that no stream runs.
         DeviceError: the device does not answer.
     """
     try:
         commands.ask([_u32(Register.STREAM_ENABLE, 0)])
-    except Refusal as refusal:
+    except RequestRefused as refusal:
         if refusal.code not in (wire.Status.STREAM_NOT_RUNNING, 0):
             raise
 
@@ -134,7 +134,7 @@ def constants(settings: LabJack, model: str, commands: Commands) -> dict[str, An
         data = commands.ask(parts)
         if len(data) == size:
             found = {name: read_constants(model, name, r, data) for name, r in settings.ranges_V.items()}
-    except Refusal as refusal:
+    except RequestRefused as refusal:
         reason = f"the flash cannot be read ({refusal})"
     facts: dict[str, Any] = {}
     for name, scale in found.items():
@@ -151,7 +151,7 @@ def start_stream(settings: LabJack, model: str, commands: Commands) -> float:
         Scan rate that the device keeps, Hz.
 
     Raises:
-        Refusal: the device refuses a setting.
+        RequestRefused: the device refuses a setting.
         DeviceError: it answers with an impossible rate.
     """
     if model == "T7":
@@ -197,7 +197,7 @@ def open_device(device: str, settings: LabJack, talk: Talk) -> dict[str, Any]:
         end_stream(commands)
         identity |= constants(settings, identity["model"], commands)
         identity["scan_rate_Hz"] = start_stream(settings, identity["model"], commands)
-    except Refusal as refusal:
+    except RequestRefused as refusal:
         raise DeviceError(
             f"{device} on {settings.port}: it refuses to be set up with {refusal}: check the inputs and scan_rate_Hz "
             f"of devices.{device}"
@@ -213,5 +213,5 @@ def stop_device(talk: Talk) -> None:
     """
     try:
         end_stream(Commands(talk, "LabJack"))
-    except Refusal as refusal:
+    except RequestRefused as refusal:
         raise DeviceError(f"LabJack: it refuses to end its stream: {refusal}") from refusal

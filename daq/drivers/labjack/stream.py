@@ -26,7 +26,7 @@ _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 BUFFER_BYTES = 32_768
 """Size of the device's buffer; it must be a power of 2."""
 _FILLING_BYTES, _EMPTY_BYTES = BUFFER_BYTES // 2, BUFFER_BYTES // 8
-_STOPPED_S = 0.5
+_MOST_SHARE = 0.502  # of the output from its middle: more than half, so that noise at an end is a reading
 _GOOD = (wire.Status.GOOD, wire.Status.RECOVERING, wire.Status.RECOVERED, wire.Status.RECOVERED_TOO_MANY)
 
 Items = list[Batch | DeviceEvent]
@@ -145,26 +145,20 @@ class LabJackPipeline:
     # --- lost scans ----------------------------------------------------------------------------------------------
 
     def _missing_answers(self, number: int, read: wire.StreamRead, host_ns: int) -> Items:
-        """Return the event about answers missing before this one; the number of their scans is estimated."""
-        before, self._number = self._number, number
-        if before is None or self._newest is None:
-            return []
-        behind_s = self._behind_s(read, host_ns)
-        missing = (number - before - 1) % wire.FIRST_STREAM_ID
-        if not missing and behind_s < _STOPPED_S:
-            return []
-        lost = max(0, round(behind_s * 1e9 / self._period_ns))
-        self._rest = self._rest[:0]
-        if not lost:
-            return []
-        return [self._lost(lost, f"about {lost} scans lost: {missing} answers are missing", uncertain_samples=lost)]
+        """Return the event about answers missing before this one; the number of their scans is estimated.
 
-    def _behind_s(self, read: wire.StreamRead, host_ns: int) -> float:
-        """Return the time since the answer before, less that of the scans since then, s."""
-        assert self._newest is not None
-        then_ns, backlog = self._newest
-        came = (len(read.samples) + read.backlog_bytes // 2) // self._inputs - backlog
-        return (host_ns - then_ns - came * self._period_ns) * 1e-9
+        The scans that a device with a full buffer skips are not among them: it will report their number.
+        """
+        before, self._number = self._number, number
+        if before is None or self._newest is None or (number - before) % wire.FIRST_STREAM_ID == 1:
+            return []
+        then_ns, waited = self._newest
+        came = (len(read.samples) + read.backlog_bytes // 2) // self._inputs - waited
+        lost = round((host_ns - then_ns) / self._period_ns) - came
+        self._rest = self._rest[:0]
+        if lost <= 0 or read.status == wire.Status.RECOVERING:
+            return []
+        return [self._lost(lost, f"about {lost} scans lost: answers are missing", uncertain_samples=lost)]
 
     def _skipped(self, read: wire.StreamRead, host_ns: int, after: int) -> Items:
         """Return the event about scans that the device skipped because its buffer was full.
@@ -221,7 +215,7 @@ class LabJackPipeline:
         for laser in self._settings.lasers.values():
             values = volts[laser.input]
             share = (values - laser.near_V) / (laser.far_V - laser.near_V) - 0.5
-            share[np.abs(share) > 0.5] = np.nan
+            share[np.abs(share) > _MOST_SHARE] = np.nan
             self.losses["invalid"] += int(np.count_nonzero(np.isnan(share)))
             columns: dict[str, NDArray[Any]] = {
                 "displacement_m": share * laser.range_m / laser.lever_ratio,
