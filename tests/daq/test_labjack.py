@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
+from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,6 +15,7 @@ from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
 import rig_testing
+from daq.acquisition.session import Session
 from daq.channels import TACHO
 from daq.drivers.labjack import wire
 from daq.drivers.labjack.driver import DRIVER, LabJackDriver
@@ -24,6 +26,11 @@ from daq.drivers.labjack.stream import LabJackPipeline
 from daq.drivers.labjack.volts import nominal, read_constants
 from daq.errors import DeviceError, LogError
 from daq.items import RX, TX, Batch, DeviceEvent
+from daq.lockstep.rig import LockstepRig
+from daq.log import open_log
+from daq.replay import check
+from daq.signals.run import load_run
+from rig_configs import load_rig
 from rig_configs.roles import DisplacementSensor, OtherQuantity, Roles, RotorPhase
 from rig_testing.bench import DriverBench, Items
 
@@ -43,7 +50,9 @@ def pipeline(identity: Mapping[str, Any] | None = None, **more: Any) -> LabJackP
     return made
 
 
-def answer(number: int, samples: list[int], backlog: int = 0, status: int = 0, info: int = 0, padding: int = 0) -> bytes:
+def answer(
+    number: int, samples: list[int], backlog: int = 0, status: int = 0, info: int = 0, padding: int = 0
+) -> bytes:
     """The answer of a device to a stream read, from the facts of its layout."""
     body = struct.pack(f">4H{len(samples)}H", len(samples), backlog, status, info, *samples) + bytes(padding)
     return struct.pack(">HHHBB", number, 0, 2 + len(body), 1, 0x4C) + body
@@ -129,7 +138,9 @@ def test_nominal_volts_are_those_of_the_data_sheet() -> None:
     counts = np.array([0, 33523, 65535], np.uint16)
     assert nominal("T7", 10.0).volts(counts) == pytest.approx([-10.586758, 0.0, 10.109575], abs=1e-5)
     assert nominal("T7", 1.0).volts(counts) == pytest.approx([-1.0586758, 0.0, 1.0109575], abs=1e-6)
-    assert nominal("T4", 10.0).volts(np.array([0, 65535], np.uint16)) == pytest.approx([-10.532965, 10.669678], abs=1e-4)
+    assert nominal("T4", 10.0).volts(np.array([0, 65535], np.uint16)) == pytest.approx(
+        [-10.532965, 10.669678], abs=1e-4
+    )
 
 
 def test_constants_of_the_flash_are_those_of_range_or_input() -> None:
@@ -228,7 +239,9 @@ def test_skipped_scans_advance_the_count_at_the_separator(counts: bool, lost: in
     made = pipeline(separator_counts=counts)
     good = [40000, 41000]
     items = made.feed(RX, answer(0x8000, good * 10), START)
-    items += made.feed(RX, answer(0x8001, good * 3 + [0xFFFF, 0xFFFF] + good * 4, status=2941, info=7), START + 6_000_000)
+    items += made.feed(
+        RX, answer(0x8001, good * 3 + [0xFFFF, 0xFFFF] + good * 4, status=2941, info=7), START + 6_000_000
+    )
     assert numbers(items) == [*range(13), *range(13 + lost, 17 + lost)]
     assert made.losses["samples"] == lost
     (gap,) = events(items)
@@ -256,7 +269,9 @@ def test_more_skipped_scans_than_the_device_counts_are_estimated() -> None:
 def test_a_filling_buffer_is_reported_before_anything_is_lost_and_once() -> None:
     made = pipeline()
     kinds: list[str] = []
-    for number, (backlog, status) in enumerate([(0, 0), (20_000, 0), (24_000, 0), (32_764, 2940), (9_000, 2940), (0, 0)]):
+    for number, (backlog, status) in enumerate(
+        [(0, 0), (20_000, 0), (24_000, 0), (32_764, 2940), (9_000, 2940), (0, 0)]
+    ):
         items = made.feed(RX, answer(0x8000 + number, [40000, 41000], backlog, status), START + number * 250_000)
         kinds += [event.kind for event in events(items)]
     assert kinds == ["backlog", "backlog"]
@@ -423,7 +438,7 @@ def test_another_serial_number_is_refused() -> None:
     bench, far = bench_of({"lasers": LASERS, "serial": 470_012_345})
     with bench.running():
         bench.begin()
-        assert bench.identity["serial"] == 470_012_345
+        assert bench.identity["device_serial"] == 470_012_345
         far.fail("other", 470_099_999)
         with pytest.raises(DeviceError, match=r"470012345.*470099999"):
             bench.begin()
@@ -545,7 +560,13 @@ def test_blocked_beams_are_no_samples() -> None:
 
 @pytest.mark.parametrize(
     "identity",
-    [{"model": "U3"}, {"AIN0_zero": "x"}, {"AIN0_zero": 33500.0, "AIN0_above_V": 5.0}, {"firmware": "x"}, {"serial": -1}],
+    [
+        {"model": "U3"},
+        {"AIN0_zero": "x"},
+        {"AIN0_zero": 33500.0, "AIN0_above_V": 5.0},
+        {"firmware": "x"},
+        {"device_serial": -1},
+    ],
 )
 def test_an_impossible_identity_is_refused(identity: dict[str, Any]) -> None:
     with pytest.raises(LogError):
@@ -576,22 +597,12 @@ input = "AIN2"
 
 
 def test_a_session_has_its_marks_in_place_of_the_node_s(tmp_path: Path) -> None:
-    from importlib import resources
-
-    from daq.acquisition.session import Session
-    from daq.lockstep.rig import LockstepRig
-    from daq.log import open_log
-    from daq.replay import check
-    from daq.signals.run import load_run
-    from rig_configs import load_rig
-
     file = tmp_path / "rig.toml"
-    usual = (resources.files("rig_configs") / "virtual.toml").read_text()
-    file.write_text(usual + RIG)
+    file.write_text((resources.files("rig_configs") / "by_hand.toml").read_text() + RIG)
     own = ["virtual.seed=4", "devices.encoder.index_marks=false"]
     sim = LockstepRig(load_rig(file, settings=own))
     session = Session(load_rig(file, settings=[*own, *sim.port_settings()]), sim.clock, edge=sim.edge)
-    sim.far.motion.target_rad_s, sim.far.motion.ramp_rad_s2 = 20.0, 40.0
+    sim.ask("turn", rpm=200.0, ramp_rpm_per_s=400.0)
     with session:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         sim.clock.sleep(4.0)
@@ -600,4 +611,4 @@ def test_a_session_has_its_marks_in_place_of_the_node_s(tmp_path: Path) -> None:
     assert [row.topic for row in check(log) if row.difference] == []
     with open_log(log) as opened:
         assert len(opened["laser/east"].time_ns) == pytest.approx(16_000, abs=200)
-    assert len(load_run(log).mark_time_s) == pytest.approx(4.0 * 20.0 / (2 * np.pi), abs=2.5)
+    assert len(load_run(log).mark_time_s) == pytest.approx(4.0 * 200.0 / 60.0, abs=2.5)

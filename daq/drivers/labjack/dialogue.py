@@ -107,7 +107,7 @@ def identify(device: str, settings: LabJack, commands: Commands) -> dict[str, An
                 f"{place}: it is a T4, whose inputs for ±10 V are {', '.join(T4_INPUTS)} (range_V = 10.0), got "
                 f"{', '.join(wrong)}"
             )
-    return {"model": model, "serial": serial, "firmware": round(firmware, 4)}
+    return {"model": model, "device_serial": serial, "firmware": round(firmware, 4)}
 
 
 def end_stream(commands: Commands) -> None:
@@ -186,7 +186,7 @@ def open_device(device: str, settings: LabJack, talk: Talk) -> dict[str, Any]:
     """Query the identity, end an old stream, read the calibration constants, and start the stream.
 
     Returns:
-        Identity: model, serial number, firmware, the scale of every analogue input, and the scan rate.
+        Identity: model, serial number (of the device: its sensors have their own), firmware, the scale of every analogue input, and the scan rate.
 
     Raises:
         DeviceError: the device does not answer, refuses, or differs from the rig file.

@@ -40,7 +40,7 @@ class PlayedLabJack(PlayedDevice):
             answers = {
                 Register.PRODUCT: struct.pack(">f", float(model[1:])),
                 Register.FIRMWARE: struct.pack(">f", float(identity.get("firmware", 0.0))),
-                Register.SERIAL: struct.pack(">I", int(identity.get("serial", settings.serial))),
+                Register.SERIAL: struct.pack(">I", int(identity.get("device_serial", settings.serial))),
                 Register.STREAM_SCAN_RATE_HZ: struct.pack(">f", identity.get("scan_rate_Hz", settings.scan_rate_Hz)),
             }
         except (struct.error, TypeError, ValueError, OverflowError, DeviceError) as fault:
