@@ -607,6 +607,8 @@ def test_a_session_has_its_marks_in_place_of_the_node_s(tmp_path: Path) -> None:
         session.start_recording(tmp_path / "a.mcap", {"test": "record"})
         sim.clock.sleep(4.0)
         session.stop_recording({})
+        sim.ask("turn", rpm=0.0, ramp_rpm_per_s=400.0)
+        sim.clock.sleep(8.0)
     log = tmp_path / "a.mcap"
     assert [row.topic for row in check(log) if row.difference] == []
     with open_log(log) as opened:

@@ -186,7 +186,8 @@ def open_device(device: str, settings: LabJack, talk: Talk) -> dict[str, Any]:
     """Query the identity, end an old stream, read the calibration constants, and start the stream.
 
     Returns:
-        Identity: model, serial number (of the device: its sensors have their own), firmware, the scale of every analogue input, and the scan rate.
+        Identity: model, serial number of the device (its sensors have their own), firmware, the scale of every
+        analogue input, and the scan rate.
 
     Raises:
         DeviceError: the device does not answer, refuses, or differs from the rig file.
