@@ -589,16 +589,23 @@ port = "p"
 [devices.lab.lasers.east]
 axis = "x"
 input = "AIN0"
-witness = "east"
+
+[devices.lab.lasers.north]
+axis = "y"
+input = "AIN1"
 
 [devices.lab.tacho]
 input = "AIN2"
+
 """
 
 
-def test_a_session_has_its_marks_in_place_of_the_node_s(tmp_path: Path) -> None:
+def test_a_session_measures_displacements_and_marks_with_one_device(tmp_path: Path) -> None:
+    """The node measures the angles alone. Marks and displacements have one clock, fitted to the displacements."""
     file = tmp_path / "rig.toml"
-    file.write_text((resources.files("rig_configs") / "by_hand.toml").read_text() + RIG)
+    usual = (resources.files("rig_configs") / "by_hand.toml").read_text()
+    before, after = usual.index("[devices.laser_x]"), usual.index("[devices.encoder]")
+    file.write_text(usual[:before] + RIG + usual[after:])
     own = ["virtual.seed=4", "devices.encoder.index_marks=false"]
     sim = LockstepRig(load_rig(file, settings=own))
     session = Session(load_rig(file, settings=[*own, *sim.port_settings()]), sim.clock, edge=sim.edge)
@@ -612,5 +619,10 @@ def test_a_session_has_its_marks_in_place_of_the_node_s(tmp_path: Path) -> None:
     log = tmp_path / "a.mcap"
     assert [row.topic for row in check(log) if row.difference] == []
     with open_log(log) as opened:
-        assert len(opened["laser/east"].time_ns) == pytest.approx(16_000, abs=200)
-    assert len(load_run(log).mark_time_s) == pytest.approx(4.0 * 200.0 / 60.0, abs=2.5)
+        assert len(opened["laser/y"].time_ns) == pytest.approx(16_000, abs=200)
+    run = load_run(log)
+    assert len(run.mark_time_s) == pytest.approx(4.0 * 200.0 / 60.0, abs=2.5)
+    virtual = load_rig(file, settings=own).virtual
+    assert virtual is not None
+    assert np.diff(run.mark_time_s[3:]) == pytest.approx(60.0 / 200.0 / (1 - virtual.drive.slip), abs=2e-5)
+    assert run.clock_rate_std["phase"] == run.clock_rate_std["x"] != run.clock_rate_std["angles"]
