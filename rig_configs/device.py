@@ -89,7 +89,6 @@ class DisplacementTable(RigTable):
     """
 
     axis: Axis
-    rate_Hz: Positive
     range_m: Positive = 0.025
     range_std_m: NotNegative = 0.0
     lever_ratio: Positive = 1.0
@@ -98,7 +97,6 @@ class DisplacementTable(RigTable):
     gain_factor: Annotated[float, Field(ge=0.5, le=2)] = 1.0
     offset_m: Annotated[float, Field(ge=-1, le=1)] = 0.0
     offset_std_m: NotNegative = 0.0
-    clock_tolerance_ppm: Positive = 30.0
     direction_deg: Finite | None = None
     direction_std_deg: NotNegative = USUAL_DIRECTION_STD_DEG
     witness: Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]{0,30})?$")] = ""
@@ -121,17 +119,24 @@ class DisplacementTable(RigTable):
         parts = (self.gain_std, self.range_std_m / self.range_m, self.lever_ratio_std / self.lever_ratio)
         return math.hypot(*parts)
 
-    def sensor(self, device: str, clock: str = "") -> DisplacementSensor:
-        """Return its role; see DisplacementSensor."""
+    def sensor(self, device: str, rate_Hz: float, clock_tolerance_ppm: float, clock: str = "") -> DisplacementSensor:
+        """Return the role of the sensor.
+
+        Args:
+            device: name of its device in the rig file.
+            rate_Hz: samples per second.
+            clock_tolerance_ppm: standard uncertainty of the rate of the device's clock.
+            clock: see DisplacementSensor.
+        """
         return DisplacementSensor(
             device=device,
             topic=self.topic,
             axis=self.axis,
-            rate_Hz=float(self.rate_Hz),
+            rate_Hz=float(rate_Hz),
             range_m=self.range_m,
             lever_ratio=self.lever_ratio,
             gain_std=self._total_gain_std,
-            clock_tolerance_ppm=self.clock_tolerance_ppm,
+            clock_tolerance_ppm=clock_tolerance_ppm,
             witness=bool(self.witness),
             direction_deg=self.direction_deg,
             direction_std_deg=self.direction_std_deg,
@@ -164,7 +169,18 @@ DISPLACEMENT_CALIBRATION = (
 """Settings of a DisplacementTable that a calibration may correct."""
 
 
-class DisplacementSettings(DisplacementTable, DeviceSettings):
+class SampledTable(DisplacementTable):
+    """A sensor of the column's motion with a sample rate and a clock of its own."""
+
+    rate_Hz: Positive
+    clock_tolerance_ppm: Positive = 30.0
+
+    def sampled(self, device: str, clock: str = "") -> DisplacementSensor:
+        """Return the role of the sensor; see DisplacementSensor."""
+        return self.sensor(device, self.rate_Hz, self.clock_tolerance_ppm, clock)
+
+
+class DisplacementSettings(SampledTable, DeviceSettings):
     """Settings of a sensor of the column's motion; see DisplacementTable.
 
     Attributes:
@@ -184,11 +200,16 @@ class DisplacementSettings(DisplacementTable, DeviceSettings):
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """Return the roles; see DeviceSettings."""
-        return (self.sensor(device),)
+        return (self.sampled(device),)
 
 
 class RotorNodeSettings(DeviceSettings):
-    """A node on the rotor: both pendulum encoders, the index mark, and the locks if the rig commands any."""
+    """A node on the rotor: both pendulum encoders, the index mark, and the locks if the rig commands any.
+
+    Attributes:
+        index_marks: whether its index marks are the rig's rotor phase. If not, they are ignored: another device marks
+            the rotor's phase, or the node has no index sensor.
+    """
 
     calibration: ClassVar[tuple[str, ...]] = (
         "counts_per_revolution",
@@ -207,6 +228,7 @@ class RotorNodeSettings(DeviceSettings):
     zero_std_deg: NotNegative = USUAL_ZERO_STD_DEG
     clock_tolerance_ppm: Positive = 30.0
     locks: bool = True
+    index_marks: bool = True
     node: Annotated[int | None, Field(ge=0, le=255)] = None
 
     def roles(self, device: str) -> tuple[Role, ...]:
@@ -221,14 +243,17 @@ class RotorNodeSettings(DeviceSettings):
                 counts_per_revolution=self.counts_per_revolution,
                 clock_tolerance_ppm=tolerance,
             ),
-            RotorPhase(
-                device=device,
-                topic="tacho",
-                index_angle_deg=self.index_angle_deg,
-                clock_tolerance_ppm=tolerance,
-                index_angle_std_deg=self.index_angle_std_deg,
-            ),
+            *([self._phase(device)] if self.index_marks else []),
             *([PendulumLocks(device=device)] if self.locks else []),
+        )
+
+    def _phase(self, device: str) -> RotorPhase:
+        return RotorPhase(
+            device=device,
+            topic="tacho",
+            index_angle_deg=self.index_angle_deg,
+            clock_tolerance_ppm=self.clock_tolerance_ppm,
+            index_angle_std_deg=self.index_angle_std_deg,
         )
 
 

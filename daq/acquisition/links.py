@@ -143,7 +143,8 @@ class Links:
         Raises:
             DeviceError: they differ, or the device reports none.
         """
-        wanted, found = device.settings.serial, self._identities[name].get("serial")
+        wanted, identity = device.settings.serial, self._identities[name]
+        found = identity.get("serial", identity.get("device_serial"))  # of the sensor, or of the device that it is on
         if not wanted or str(found) == wanted:
             return
         if found is not None:

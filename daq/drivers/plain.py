@@ -93,8 +93,8 @@ class RotorNodeDriver(PlainDriver):
         return (channels.PENDULUMS,)
 
     def occasional(self, settings: RotorNodeSettings) -> tuple[Channel, ...]:
-        """See Driver: the index marks."""
-        return (channels.TACHO,)
+        """See Driver: the index marks, unless another device marks the rotor's phase."""
+        return (channels.TACHO,) if settings.index_marks else ()
 
     def clocks(self, settings: RotorNodeSettings) -> tuple[SampleClock, ...]:
         """See Driver: the node's clock."""

@@ -22,20 +22,20 @@ class Request:
     """A request that is repeated.
 
     Attributes:
-        data: its bytes.
-        end: byte that ends an answer.
+        data: returns the bytes of a request from its number, 0, 1, …
+        end: byte that ends an answer; b"" if any bytes are one.
         period_s: time from one request to the next, rig s.
         answer_s: wall time after which a request counts as unanswered and the next one is sent, s.
     """
 
-    data: bytes
+    data: Callable[[int], bytes]
     end: bytes
     period_s: float
     answer_s: float
 
 
 class RequestLoop:
-    """Sends a request periodically, and never before the last one is answered or given up; see Poller.
+    """Sends numbered requests periodically, and never before the last one is answered or given up; see Poller.
 
     Args:
         request: the request.
@@ -48,6 +48,7 @@ class RequestLoop:
         self._lock = threading.Lock()
         self._asked_s: float | None = None  # wall time of the request that is not answered yet
         self._due_s = 0.0
+        self._number = 0  # of the next request
         self._repeated: Repeated | None = None
 
     def start(self) -> None:
@@ -78,8 +79,9 @@ class RequestLoop:
                 return
             self._asked_s = now
             self._due_s = max(self._due_s + period, now)  # requests that are overdue are not made up for
+            number, self._number = self._number, self._number + 1
         with ignoring(_log, "polling a device without a link", LinkLost):
-            self._send(self._request.data)
+            self._send(self._request.data(number))
 
     def _failed(self, error: Exception) -> None:
         _log.error("polling ended: %s", error)

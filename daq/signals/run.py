@@ -122,7 +122,9 @@ def load_run(path: str | Path) -> Run:
         shared = shared_clock(log, run) if is_stamped_elsewhere(log) else NO_DEVICE
         x, x_line = laser_signal(log, "laser/x", roles.along("x"), start_s, shared)
         y, y_line = laser_signal(log, "laser/y", roles.along("y"), start_s, shared)
-        angle_line, phase_line = rotor_lines(log, roles, start_s, shared)
+        own = [(axis, line) for axis, line in (("x", x_line), ("y", y_line)) if line is not shared]
+        lasers = {device_of(roles, axis): line for axis, line in own}
+        angle_line, phase_line = rotor_lines(log, roles, start_s, shared, lasers)
         lines = {"x": x_line, "y": y_line, "angles": angle_line, "phase": phase_line}
         index_rad = math.radians(roles.phase.index_angle_deg) if roles.phase else 0.0
         angle_time_s, angle_rad = angle_signal(log, angle_line, start_s)

@@ -92,10 +92,17 @@ def device_of(roles: Roles, signal: str) -> str:
     return "" if role is None else role.device
 
 
-def rotor_lines(log: Log, roles: Roles, start_s: float, shared: ClockLine) -> tuple[ClockLine, ClockLine]:
-    """Return the clocks of the pendulum angles and of the rotor's phase: one line if one device stamps both."""
+def rotor_lines(
+    log: Log, roles: Roles, start_s: float, shared: ClockLine, lasers: Mapping[str, ClockLine]
+) -> tuple[ClockLine, ClockLine]:
+    """Return the clocks of the pendulum angles and of the rotor's phase: one line if one device stamps both.
+
+    Args:
+        lasers: lines of the displacement sensors by device. A device that also marks the rotor's phase has one clock
+            for both, and samples its displacements continuously.
+    """
     angles = _node_line(log, "pendulums", roles.angles, start_s)
-    phase = _node_line(log, "tacho", roles.phase, start_s)
+    phase = lasers.get(device_of(roles, "phase")) or _node_line(log, "tacho", roles.phase, start_s)
     if device_of(roles, "angles") == device_of(roles, "phase"):
         angles = phase = angles or phase  # angles are sampled continuously, marks once per turn
     return angles or shared, phase or shared

@@ -21,7 +21,7 @@ class Line:
         self.delay_s = delay_s
         self.asked_s: list[float] = []
         self.is_there = True
-        self.loop = RequestLoop(Request(b"M1\r", b"\r", period_s, 0.5), self.send, self.clock)
+        self.loop = RequestLoop(Request(lambda _: b"M1\r", b"\r", period_s, 0.5), self.send, self.clock)
 
     def send(self, data: bytes) -> None:
         if not self.is_there:
@@ -88,3 +88,16 @@ def test_nothing_is_sent_before_the_start_and_after_the_end() -> None:
     line.loop.stop()
     line.loop.heard(b"\r")
     assert line.run(1.0) == []
+
+
+def test_requests_are_numbered_from_zero_and_a_new_start_continues() -> None:
+    clock, numbers = SimulatedClock(START_NS), list[int]()
+    loop = RequestLoop(Request(lambda number: bytes([number]), b"", 0.1, 0.5), numbers.extend, clock)
+    for _ in range(2):
+        loop.start()
+        for _ in range(3):
+            clock.wait(0.11)
+            loop.heard(b"any bytes")
+        loop.stop()
+    assert numbers == list(range(len(numbers)))
+    assert len(numbers) >= 6

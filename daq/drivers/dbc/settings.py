@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from daq.drivers.dbc import layouts
 from daq.drivers.dbc.layouts import MessageLayout, SignalLayout
-from rig_configs.device import DISPLACEMENT_CALIBRATION, DeviceSettings, DisplacementTable
+from rig_configs.device import DISPLACEMENT_CALIBRATION, DeviceSettings, SampledTable
 from rig_configs.roles import Axis, OtherQuantity, Role
 from rig_configs.table import Finite, NotNegative, Positive, RigTable
 
@@ -26,8 +26,8 @@ _FRAME_OVERHEAD_BITS = {False: 47, True: 67}
 """Bits of a data frame of classic CAN without its data and without stuffed bits: 11-bit and 29-bit identifiers."""
 
 
-class LaserSignal(DisplacementTable):
-    """A displacement in a message, in addition to the numbers of a DisplacementTable.
+class LaserSignal(SampledTable):
+    """A displacement in a message, in addition to the numbers of a SampledTable.
 
     Attributes:
         message, signal: names in the DBC file.
@@ -169,7 +169,7 @@ class CanSensors(DeviceSettings):
         """See DeviceSettings. Two messages with clocks are two clocks."""
         several = self.x is not None and self.y is not None and self.x.message != self.y.message
         sensors = [
-            laser.sensor(device, laser.message if several and (laser.counter or laser.timestamp) else "")
+            laser.sampled(device, laser.message if several and (laser.counter or laser.timestamp) else "")
             for laser in self.lasers
         ]
         others = [OtherQuantity(device, f"can/{name}", tuple(q.fields)) for name, q in self.quantities.items()]

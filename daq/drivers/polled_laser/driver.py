@@ -56,7 +56,7 @@ class PolledLaserDriver(PlainDriver):
         from daq.drivers.polling import Request, RequestLoop
 
         data = wire.DIALECTS[settings.dialect].request(settings.output)
-        return RequestLoop(Request(data, b"\r", 1.0 / settings.rate_Hz, 2 * LATEST_S), send, clock)
+        return RequestLoop(Request(lambda _: data, b"\r", 1.0 / settings.rate_Hz, 2 * LATEST_S), send, clock)
 
     def far_end(self, device: str, settings: PolledLaser, world: Any) -> FarEnd:
         """See Driver."""

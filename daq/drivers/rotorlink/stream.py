@@ -54,6 +54,7 @@ class NodePipeline:
         self._device = device
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
+        self._marks_phase = config.index_marks
         self._tolerance_ppm, self._rules = config.clock_tolerance_ppm, clock_rules(identity)
         self._decoder = FrameDecoder()
         self._cable = SequenceCounter()
@@ -195,7 +196,7 @@ class NodePipeline:
             case rotorlink.EncoderBlock():
                 arrived = Arrived(self._index(frame.first_index), frame, host_ns)
                 return self._blocks(self._repeats.feed(arrived, self._next_index))
-            case rotorlink.IndexMark():
+            case rotorlink.IndexMark() if self._marks_phase:
                 node_us = np.array([self._time.unwrap(frame.node_time_us)])
                 time_ns = self._clock.map(node_us * 1000, host_ns)
                 columns = {"revolutions": np.array([frame.revolutions]), "node_time_us": node_us.astype(np.uint64)}

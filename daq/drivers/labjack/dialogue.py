@@ -1,0 +1,218 @@
+"""Opening of a LabJack: identity, end of a stream that still runs, calibration constants, set-up and start."""
+
+from __future__ import annotations
+
+import math
+import queue
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+from daq.drivers.contract import Talk
+from daq.drivers.labjack import wire
+from daq.drivers.labjack.settings import LabJack
+from daq.drivers.labjack.stream import BUFFER_BYTES
+from daq.drivers.labjack.volts import CONSTANTS_BYTES, T4_INPUTS, VoltScale, nominal, read_constants
+from daq.drivers.labjack.wire import Register
+from daq.errors import DeviceError
+
+ANSWER_S = 1.0
+"""Wall time within which the device answers a command, s."""
+_TRIES = 3
+_MODELS = {4.0: "T4", 7.0: "T7"}
+_SINGLE_ENDED = 199
+
+
+class RequestRefused(Exception):
+    """The device refused a request; `code` is the value of its register LAST_ERROR, 0 if it did not state it."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"error {code}")
+        self.code = code
+
+
+class Commands:
+    """Commands of one dialogue, each with its own transaction number."""
+
+    def __init__(self, talk: Talk, place: str) -> None:
+        self._talk, self._place, self._number = talk, place, 0
+        while not talk.replies.empty():
+            talk.replies.get_nowait()
+
+    def ask(self, parts: Sequence[bytes]) -> bytes:
+        """Send the parts of a request, again if no answer comes, and return the registers read.
+
+        Raises:
+            RequestRefused: the device refuses it.
+            DeviceError: the device does not answer.
+        """
+        answer = self._answer(parts)
+        if answer.function == wire.FEEDBACK:
+            return answer.body
+        detail = self._answer([wire.read(Register.LAST_ERROR, 1)])
+        stated = detail.function == wire.FEEDBACK and len(detail.body) == 2
+        raise RequestRefused(int.from_bytes(detail.body, "big") if stated else 0)
+
+    def _answer(self, parts: Sequence[bytes]) -> wire.Message:
+        self._number = (self._number + 1) % wire.FIRST_STREAM_ID
+        for _ in range(_TRIES):
+            self._talk.send(wire.request(self._number, parts))
+            try:
+                while True:
+                    text = self._talk.replies.get(timeout=ANSWER_S)
+                    (message,) = wire.MessageDecoder().feed(bytes.fromhex(text)).messages
+                    if message.number == self._number:
+                        return message
+            except queue.Empty:  # usual: the connection is slow
+                continue
+        raise DeviceError(
+            f"{self._place}: no answer in {_TRIES} tries. Is it a LabJack T4 or T7, and is the port that of its "
+            "commands (502)?"
+        )
+
+
+def _u32(register: int, value: int) -> bytes:
+    return wire.write(register, struct.pack(">I", value))
+
+
+def _f32(register: int, value: float) -> bytes:
+    return wire.write(register, struct.pack(">f", value))
+
+
+def identify(device: str, settings: LabJack, commands: Commands) -> dict[str, Any]:
+    """Query model, firmware and serial number, and compare them with the settings.
+
+    Raises:
+        DeviceError: another device than the rig file states, or one whose inputs are not those of the rig file.
+        RequestRefused: the device refuses.
+    """
+    place = f"{device} on {settings.port}"
+    reads = [wire.read(register, 2) for register in (Register.PRODUCT, Register.FIRMWARE, Register.SERIAL)]
+    answer = commands.ask(reads)
+    if len(answer) != 12:
+        raise DeviceError(f"{place}: expected product, firmware and serial number, got {answer.hex()!r}")
+    product, firmware, serial = struct.unpack(">ffI", answer)
+    model = _MODELS.get(product)
+    if model is None:
+        raise DeviceError(f"{place}: expected a LabJack T4 or T7, got product {product:g}")
+    if settings.serial and serial != settings.serial_number:
+        raise DeviceError(
+            f"{place}: expected serial number {settings.serial} (devices.{device}.serial), got {serial}: another "
+            "device is at this address"
+        )
+    if model == "T4":
+        wrong = [name for name, range_V in settings.ranges_V.items() if name not in T4_INPUTS or range_V != 10.0]
+        if wrong:
+            raise DeviceError(
+                f"{place}: it is a T4, whose inputs for ±10 V are {', '.join(T4_INPUTS)} (range_V = 10.0), got "
+                f"{', '.join(wrong)}"
+            )
+    return {"model": model, "device_serial": serial, "firmware": round(firmware, 4)}
+
+
+def end_stream(commands: Commands) -> None:
+    """End a stream that runs, such as that of a host that was killed. The device must not be set up while it runs.
+
+    Raises:
+        RequestRefused: the device refuses for another reason than that no stream runs.
+        DeviceError: the device does not answer.
+    """
+    try:
+        commands.ask([_u32(Register.STREAM_ENABLE, 0)])
+    except RequestRefused as refusal:
+        if refusal.code not in (wire.Status.STREAM_NOT_RUNNING, 0):
+            raise
+
+
+def constants(settings: LabJack, model: str, commands: Commands) -> dict[str, Any]:
+    """Return the conversion of every analogue input as entries of the identity, with the origin of the numbers."""
+    size = CONSTANTS_BYTES[model]
+    parts = [_u32(Register.FLASH_POINTER, wire.FLASH_CONSTANTS), wire.read(Register.FLASH, size // 2)]
+    found: dict[str, VoltScale | None] = dict.fromkeys(settings.ranges_V)
+    reason = "the constants in the flash are impossible"
+    try:
+        data = commands.ask(parts)
+        if len(data) == size:
+            found = {name: read_constants(model, name, r, data) for name, r in settings.ranges_V.items()}
+    except RequestRefused as refusal:
+        reason = f"the flash cannot be read ({refusal})"
+    facts: dict[str, Any] = {}
+    for name, scale in found.items():
+        facts |= (scale or nominal(model, settings.ranges_V[name])).facts(name)
+    lacking = sorted(name for name, scale in found.items() if scale is None)
+    facts["constants"] = f"nominal for {', '.join(lacking)}: {reason}" if lacking else "from its flash"
+    return facts
+
+
+def start_stream(settings: LabJack, model: str, commands: Commands) -> float:
+    """Set up the inputs and the stream, and start it.
+
+    Returns:
+        Scan rate that the device keeps, Hz.
+
+    Raises:
+        RequestRefused: the device refuses a setting.
+        DeviceError: it answers with an impossible rate.
+    """
+    if model == "T7":
+        for name, range_V in settings.ranges_V.items():
+            place = int(name[3:])
+            single = wire.write(Register.AIN_NEGATIVE + place, struct.pack(">H", _SINGLE_ENDED))
+            commands.ask([_f32(Register.AIN_RANGE + 2 * place, range_V), single])
+    inputs = settings.scan_list
+    commands.ask(
+        [
+            _f32(Register.STREAM_SCAN_RATE_HZ, settings.scan_rate_Hz),
+            _u32(Register.STREAM_ADDRESSES, len(inputs)),
+            _u32(Register.STREAM_SAMPLES_PER_PACKET, wire.samples_per_read(len(inputs))),
+            _f32(Register.STREAM_SETTLING_US, 0.0),
+            _u32(Register.STREAM_RESOLUTION, 0),
+            _u32(Register.STREAM_BUFFER_BYTES, BUFFER_BYTES),
+            _u32(Register.STREAM_CLOCK_SOURCE, 0),
+            _u32(Register.STREAM_TARGET, wire.TARGET_COMMAND),
+            _u32(Register.STREAM_DATA_TYPE, 0),
+            _u32(Register.STREAM_SCANS, 0),
+        ]
+    )
+    commands.ask([wire.write(Register.STREAM_SCAN_LIST, struct.pack(f">{len(inputs)}I", *inputs))])
+    answer = commands.ask([_u32(Register.STREAM_ENABLE, 1), wire.read(Register.STREAM_SCAN_RATE_HZ, 2)])
+    (rate,) = struct.unpack(">f", answer) if len(answer) == 4 else (math.nan,)
+    if not abs(rate / settings.scan_rate_Hz - 1) < 0.01:
+        raise DeviceError(f"scan rate: expected {settings.scan_rate_Hz:g} Hz, the device states {rate:g}")
+    return float(rate)
+
+
+def open_device(device: str, settings: LabJack, talk: Talk) -> dict[str, Any]:
+    """Query the identity, end an old stream, read the calibration constants, and start the stream.
+
+    Returns:
+        Identity: model, serial number of the device (its sensors have their own), firmware, the scale of every
+        analogue input, and the scan rate.
+
+    Raises:
+        DeviceError: the device does not answer, refuses, or differs from the rig file.
+    """
+    commands = Commands(talk, f"{device} on {settings.port}")
+    try:
+        identity = identify(device, settings, commands)
+        end_stream(commands)
+        identity |= constants(settings, identity["model"], commands)
+        identity["scan_rate_Hz"] = start_stream(settings, identity["model"], commands)
+    except RequestRefused as refusal:
+        raise DeviceError(
+            f"{device} on {settings.port}: it refuses to be set up with {refusal}: check the inputs and scan_rate_Hz "
+            f"of devices.{device}"
+        ) from refusal
+    return identity
+
+
+def stop_device(talk: Talk) -> None:
+    """End the stream.
+
+    Raises:
+        DeviceError: the device does not answer, or refuses.
+    """
+    try:
+        end_stream(Commands(talk, "LabJack"))
+    except RequestRefused as refusal:
+        raise DeviceError(f"LabJack: it refuses to end its stream: {refusal}") from refusal

@@ -1,0 +1,94 @@
+"""Stand-in for a LabJack of a log while the log is played."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+from daq.drivers.labjack import wire
+from daq.drivers.labjack.settings import LabJack
+from daq.drivers.labjack.volts import RANGES_V, T4_INPUTS, VoltScale, nominal
+from daq.drivers.labjack.wire import Register
+from daq.drivers.played import PlayedDevice
+from daq.errors import DeviceError, LogError
+
+
+class PlayedLabJack(PlayedDevice):
+    """A device that answers the opening dialogue as that of the log did, and then plays its answers at their times.
+
+    Args:
+        settings: table of the device in the rig file.
+        identity: of the device of the log.
+
+    Raises:
+        LogError: the identity is impossible.
+    """
+
+    expects = "the command that starts the stream"
+
+    def __init__(self, settings: LabJack, identity: Mapping[str, Any]) -> None:
+        super().__init__()
+        model = identity.get("model", "T7")
+        if model not in ("T4", "T7"):
+            raise LogError(f"identities.json: expected the model T4 or T7, got {model!r:.40}")
+        try:
+            scales = {
+                name: VoltScale.of(identity, name) or nominal(model, range_V)
+                for name, range_V in settings.ranges_V.items()
+            }
+            answers = {
+                Register.PRODUCT: struct.pack(">f", float(model[1:])),
+                Register.FIRMWARE: struct.pack(">f", float(identity.get("firmware", 0.0))),
+                Register.SERIAL: struct.pack(">I", int(identity.get("device_serial", settings.serial_number))),
+                Register.STREAM_SCAN_RATE_HZ: struct.pack(">f", identity.get("scan_rate_Hz", settings.scan_rate_Hz)),
+            }
+        except (struct.error, TypeError, ValueError, OverflowError, DeviceError) as fault:
+            raise LogError(f"identities.json: expected the identity of a LabJack: {fault}") from fault
+        blank = str(identity.get("constants", "")).startswith("nominal")
+        self._registers: dict[int, bytes] = {**answers, Register.FLASH: _flash(model, settings, scales, blank)}
+        self._open = False
+
+    @property
+    def sending(self) -> bool:
+        """See PlayedDevice."""
+        return self._open
+
+    def begin(self) -> None:
+        """See PlayedDevice."""
+        self._open = True
+
+    def hear(self, data: bytes) -> bytes:
+        """See PlayedDevice. Stream reads are not answered: their answers are those of the log."""
+        out = b""
+        for message in wire.MessageDecoder().feed(data).messages:
+            if message.number >= wire.FIRST_STREAM_ID:
+                continue
+            self.commands += 1
+            out += wire.encode(wire.Message(message.number, wire.FEEDBACK, self._carry_out(message.body)))
+        return out
+
+    def _carry_out(self, body: bytes) -> bytes:
+        out, at = b"", 0
+        while at + 4 <= len(body):
+            writes, address, count = struct.unpack_from(">BHB", body, at)
+            at += 4
+            if writes:
+                value, at = body[at : at + 2 * count], at + 2 * count
+                if address == Register.STREAM_ENABLE:
+                    self._open = any(value)
+                continue
+            out += self._registers.get(address, b"").ljust(2 * count, b"\0")[: 2 * count]
+        return out
+
+
+def _flash(model: str, settings: LabJack, scales: Mapping[str, VoltScale], blank: bool) -> bytes:
+    """Return the constants in the flash, from the scales of the log's inputs."""
+    if blank:
+        return b"\xff" * 164
+    if model == "T4":
+        rows = [scales.get(name, nominal("T4", 10.0)) for name in T4_INPUTS]
+        return b"".join(struct.pack(">2f", row.above_V, -row.zero * row.above_V) for row in rows)
+    of_range = {settings.ranges_V[name]: scale for name, scale in scales.items()}
+    sets = [of_range.get(range_V, nominal("T7", range_V)) for range_V in RANGES_V]
+    return b"".join(struct.pack(">4f", row.above_V, -row.below_V, row.zero, -row.zero * row.below_V) for row in sets)

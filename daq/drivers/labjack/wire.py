@@ -1,0 +1,187 @@
+"""Messages of a LabJack T4 or T7 on TCP port 502: Modbus TCP with the maker's function 76 ("Modbus feedback").
+
+All numbers are big-endian. Source: docs/protocols/labjack.md, which also states what is not verified.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+FEEDBACK, REFUSED = 0x4C, 0xCC
+"""Function of a request and its answer, and function of the answer that refuses."""
+MOST_REGISTERS = 240
+"""Registers of one read: an answer with them fits a WiFi packet of 500 bytes."""
+STATE_REGISTERS = 4
+"""Registers before the samples of a stream read: number of samples, backlog in bytes, status, information."""
+FIRST_STREAM_ID = 0x8000
+"""Transaction numbers of stream reads; smaller ones belong to the opening dialogue."""
+SEPARATOR = 0xFFFF
+"""First sample of the scan that stands for skipped ones. No input that this driver reads has this value."""
+_HEADER = struct.Struct(">HHHBB")
+_WRITE, _READ = 1, 0
+_UNIT = 1
+_ANSWER_FUNCTIONS = (FEEDBACK, REFUSED)
+_LONGEST_BYTES = 2 + 2 * 255
+
+
+class Register(IntEnum):
+    """Addresses of registers."""
+
+    STREAM_SCAN_RATE_HZ = 4002
+    STREAM_ADDRESSES = 4004
+    STREAM_SAMPLES_PER_PACKET = 4006
+    STREAM_SETTLING_US = 4008
+    STREAM_RESOLUTION = 4010
+    STREAM_BUFFER_BYTES = 4012
+    STREAM_CLOCK_SOURCE = 4014
+    STREAM_TARGET = 4016
+    STREAM_DATA_TYPE = 4018
+    STREAM_SCANS = 4020
+    STREAM_SCAN_LIST = 4100
+    STREAM_DATA = 4500
+    STREAM_ENABLE = 4990
+    AIN_RANGE = 40000
+    AIN_NEGATIVE = 41000
+    LAST_ERROR = 55000
+    PRODUCT = 60000
+    FIRMWARE = 60004
+    SERIAL = 60028
+    FLASH_POINTER = 61810
+    FLASH = 61812
+
+
+TARGET_COMMAND = 16
+"""Value of STREAM_TARGET: the stream is read by commands, on the port and the connection of all commands."""
+FLASH_CONSTANTS = 0x3C4000
+"""Address of the calibration constants in the internal flash."""
+
+
+class Status(IntEnum):
+    """Status of a stream read, and errors that refuse a request (value of LAST_ERROR)."""
+
+    GOOD = 0
+    STREAM_IS_ACTIVE = 2605
+    STREAM_NOT_RUNNING = 2620
+    RECOVERING = 2940
+    RECOVERED = 2941
+    SCAN_OVERLAP = 2942
+    RECOVERED_TOO_MANY = 2943
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message.
+
+    Attributes:
+        number: transaction number; an answer has that of its request.
+        function: FEEDBACK, or REFUSED for an answer that refuses.
+        body: the bytes after the function.
+    """
+
+    number: int
+    function: int
+    body: bytes
+
+
+@dataclass
+class DecodedMessages:
+    """Messages of one read, and the number of bytes between them that belong to none."""
+
+    messages: list[Message] = field(default_factory=list[Message])
+    skipped_bytes: int = 0
+
+
+def encode(message: Message) -> bytes:
+    """Encode a message."""
+    head = _HEADER.pack(message.number, 0, 2 + len(message.body), _UNIT, message.function)
+    return head + message.body
+
+
+def write(register: int, data: bytes) -> bytes:
+    """Return the part of a feedback request that writes registers, two bytes each."""
+    return struct.pack(">BHB", _WRITE, register, len(data) // 2) + data
+
+
+def read(register: int, count: int) -> bytes:
+    """Return the part of a feedback request that reads registers."""
+    return struct.pack(">BHB", _READ, register, count)
+
+
+def request(number: int, parts: Sequence[bytes]) -> bytes:
+    """Return a feedback request of several parts, which the device carries out in their order."""
+    return encode(Message(number, FEEDBACK, b"".join(parts)))
+
+
+def stream_number(count: int) -> int:
+    """Return the transaction number of a stream read from its count, 0, 1, …"""
+    return FIRST_STREAM_ID | count % FIRST_STREAM_ID
+
+
+def samples_per_read(inputs: int) -> int:
+    """Return the number of samples of a stream read: as many whole scans as fit."""
+    return (MOST_REGISTERS - STATE_REGISTERS) // inputs * inputs
+
+
+def stream_request(count: int, inputs: int) -> bytes:
+    """Return a stream read from its count and the number of inputs in the scan list."""
+    registers = STATE_REGISTERS + samples_per_read(inputs)
+    return request(stream_number(count), [read(Register.STREAM_DATA, registers)])
+
+
+@dataclass(frozen=True)
+class StreamRead:
+    """Content of the answer to a stream read.
+
+    Attributes:
+        samples: in the order of the scan list, shape (n,).
+        backlog_bytes: bytes that wait in the device's buffer.
+        status: a Status, or an unknown number.
+        info: additional information: the number of skipped scans, if the status is RECOVERED.
+    """
+
+    samples: NDArray[np.uint16]
+    backlog_bytes: int
+    status: int
+    info: int
+
+
+def parse_stream(body: bytes) -> StreamRead | None:
+    """Read the body of the answer to a stream read; None if it is not one. Bytes after the samples are padding."""
+    if len(body) < 2 * STATE_REGISTERS:
+        return None
+    count, backlog, status, info = struct.unpack_from(">4H", body)
+    if len(body) < 2 * (STATE_REGISTERS + count):
+        return None
+    samples = np.frombuffer(body, ">u2", count, 2 * STATE_REGISTERS).astype(np.uint16)
+    return StreamRead(samples, backlog, status, info)
+
+
+class MessageDecoder:
+    """Decodes the device's bytes to messages. The result does not depend on the split into reads; memory is bounded."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> DecodedMessages:
+        """Decode the next bytes."""
+        stream, found, at = self._rest + data, DecodedMessages(), 0
+        while len(stream) - at >= _HEADER.size:
+            number, protocol, length, unit, function = _HEADER.unpack_from(stream, at)
+            known = protocol == 0 and unit == _UNIT and function in _ANSWER_FUNCTIONS
+            if not known or not 2 <= length <= _LONGEST_BYTES:
+                at += 1
+                found.skipped_bytes += 1
+                continue
+            end = at + 6 + length
+            if end > len(stream):
+                break
+            found.messages.append(Message(number, function, stream[at + _HEADER.size : end]))
+            at = end
+        self._rest = stream[at:]
+        return found
