@@ -471,7 +471,7 @@ class AnswersOnRequest(Protocol):
 
 @runtime_checkable
 class StopsBySettings(Protocol):
-    """A driver that needs the settings of a device for its stop, for example the address of a node behind a receiver."""
+    """A driver that needs the settings of a device for its stop, such as the address of a node behind a receiver."""
 
     def stop_by(self, settings: Any, talk: Talk) -> None:
         """End the stream of the device, in place of `Driver.stop`."""
