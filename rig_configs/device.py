@@ -119,7 +119,12 @@ class DisplacementSettings(DeviceSettings):
 
 
 class RotorNodeSettings(DeviceSettings):
-    """A node on the rotor: both pendulum encoders, the index mark, and the locks if the rig commands any."""
+    """A node on the rotor: both pendulum encoders, the index mark, and the locks if the rig commands any.
+
+    Attributes:
+        angles: whether its encoders measure the pendulums' angles for the rig. Otherwise another device does, and only
+            the index marks (and locks) of this node are used.
+    """
 
     calibration: ClassVar[tuple[str, ...]] = (
         "counts_per_revolution",
@@ -136,20 +141,22 @@ class RotorNodeSettings(DeviceSettings):
     zero_std_deg: NotNegative = USUAL_ZERO_STD_DEG
     clock_tolerance_ppm: Positive = 30.0
     locks: bool = True
+    angles: bool = True
     node: Annotated[int | None, Field(ge=0, le=255)] = None
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """Return the roles; see DeviceSettings."""
         tolerance = self.clock_tolerance_ppm
+        angles = PendulumAngles(
+            device=device,
+            topic="pendulums",
+            rate_Hz=float(self.rate_Hz),
+            zero_std_deg=self.zero_std_deg,
+            counts_per_revolution=self.counts_per_revolution,
+            clock_tolerance_ppm=tolerance,
+        )
         return (
-            PendulumAngles(
-                device=device,
-                topic="pendulums",
-                rate_Hz=float(self.rate_Hz),
-                zero_std_deg=self.zero_std_deg,
-                counts_per_revolution=self.counts_per_revolution,
-                clock_tolerance_ppm=tolerance,
-            ),
+            *([angles] if self.angles else []),
             RotorPhase(
                 device=device,
                 topic="tacho",
