@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -23,12 +24,24 @@ _STATUS_ANSWER_S = 1.0
 
 
 class MicroStrain(PlainDriver):
-    """See Driver."""
+    """See Driver.
+
+    The claim `checksum` is that of packets of version 3, and of the angle itself: a sensor whose output repeats with
+    each revolution does not show how many whole turns passed while packets were lost.
+    """
 
     name = "microstrain"
     rest_s: float = 0.01
     settings = MicroStrainNode
-    example: ClassVar[Mapping[str, Any]] = {"node_address": 307}
+    example: ClassVar[Mapping[str, Any]] = {  # potentiometers of ten turns: their output does not repeat
+        "node_address": 307,
+        "turns": False,
+        "slope_a_rad": 20 * math.pi / 65536,
+        "slope_b_rad": 20 * math.pi / 65536,
+        "offset_a_rad": -10 * math.pi,
+        "offset_b_rad": -10 * math.pi,
+        "counts_per_revolution": 6554,
+    }
     claims: frozenset[str] = frozenset({"checksum", "counts exactly", "falls silent"})
 
     def channels(self, settings: MicroStrainNode) -> tuple[Channel, ...]:

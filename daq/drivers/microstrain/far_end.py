@@ -296,7 +296,8 @@ class SimulatedMicroStrain(FarEnd):
         rows, self._pending = np.array(self._pending), []
         float_rows = self.data_type == _FLOAT or self._open
         kind = _FLOAT if float_rows else _UINT16
-        data = rows.astype(">f4").tobytes() if float_rows else (np.rint(rows) % 65536).astype(">u2").tobytes()
+        words = np.rint(rows) % 65536 if self._config.turns else np.clip(np.rint(rows), 0, 65535)
+        data = rows.astype(">f4").tobytes() if float_rows else words.astype(">u2").tobytes()
         tick = (number - self._first) % 65536
         after_ns = round(number * 1e9 / self._config.rate_Hz)
         if self._config.aspp == 1:

@@ -33,6 +33,7 @@ _CONTRADICTIONS = 3  # consecutive packets with other channels or another rate t
 _WRAP_NS = 2**32 * 10**9  # the beacon's seconds have 32 bits
 _MAX_ANGLE_RAD = 1e6
 _TURN_RAD = 2 * math.pi
+_LOCKS_RAD = (0.0, math.pi)  # angles of the closed locks, around which the angles begin
 _FAULTS = (channels.ENCODER_FAULT_A, channels.ENCODER_FAULT_B)
 
 Items = list[Batch | DeviceEvent]
@@ -69,8 +70,8 @@ class MicroStrainPipeline:
         self._run: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []  # times and values of consecutive packets
         self._missing = 0  # number of samples missing before them
         self._angles = [
-            ContinuedAngle(settings.slope_a_rad, settings.offset_a_rad, turns=settings.turns),
-            ContinuedAngle(settings.slope_b_rad, settings.offset_b_rad, turns=settings.turns),
+            ContinuedAngle(settings.slope_a_rad, settings.offset_a_rad, _LOCKS_RAD[0] if settings.turns else None),
+            ContinuedAngle(settings.slope_b_rad, settings.offset_b_rad, _LOCKS_RAD[1] if settings.turns else None),
         ]
         self._contradictions = 0
         self._foreign: set[int] = set()
@@ -250,12 +251,13 @@ class ContinuedAngle:
     Args:
         slope_rad: angle of one unit of the value, rad.
         offset_rad: angle at the value 0, rad.
-        turns: whether the output repeats with each revolution; an angle is then the nearest one to that before it.
+        near_rad: angle from which the first one is less than half a turn away, if the output repeats with each
+            revolution; each further angle is the nearest one to that before it. None: the output does not repeat.
     """
 
-    def __init__(self, slope_rad: float, offset_rad: float, *, turns: bool) -> None:
-        self._slope, self._offset, self._turns = slope_rad, offset_rad, turns
-        self._last: float | None = None  # newest angle within the sensor's range
+    def __init__(self, slope_rad: float, offset_rad: float, near_rad: float | None) -> None:
+        self._slope, self._offset = slope_rad, offset_rad
+        self._last = near_rad  # newest angle without the turns added to it
         self._turn = 0
 
     def of(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -264,11 +266,10 @@ class ContinuedAngle:
             angles = values * self._slope + self._offset
             valid = np.abs(angles) < _MAX_ANGLE_RAD
         angles[~valid] = np.nan
-        if not self._turns or not valid.any():
+        if self._last is None or not valid.any():
             return angles
         found = angles[valid]
-        before = found[0] if self._last is None else self._last
-        steps = -np.rint(np.diff(found, prepend=before) / _TURN_RAD).astype(np.int64)
+        steps = -np.rint(np.diff(found, prepend=self._last) / _TURN_RAD).astype(np.int64)
         turn = self._turn + np.cumsum(steps)
         self._last, self._turn = float(found[-1]), int(turn[-1])
         angles[valid] = found + turn * _TURN_RAD
