@@ -155,7 +155,7 @@ class SimulatedMicroStrain(FarEnd):
             del self._request[:size]
             address = int.from_bytes(frame[3 : 5 if self._config.aspp == 1 else 7], "big")
             payload = frame[head:-tail]
-            if not self._deaf:
+            if len(payload) >= 2 and not self._deaf:
                 out += self._execute(address, struct.unpack_from(">H", payload)[0], payload[2:], now_s)
         self._request.clear()
         return out

@@ -140,7 +140,8 @@ class MicroStrainPipeline:
             sweeps = wire.parse_sweeps(packet.payload, self._settings.aspp)
         except ValueError as fault:  # usual: a damaged packet that the check let pass
             return [self._damaged(str(fault))]
-        if wrong := self._contradicts(sweeps):
+        wrong = self._contradiction(sweeps)
+        if wrong is not None:
             return wrong
         self.has_reported = True
         self.base_rssi_dBm, self.node_rssi_dBm = packet.base_rssi_dBm, packet.node_rssi_dBm
@@ -217,14 +218,17 @@ class MicroStrainPipeline:
             return host_ns
         return min(device_ns + lag, host_ns)
 
-    def _contradicts(self, sweeps: wire.Sweeps) -> Items:
-        """Return the events of a packet whose channels or rate contradict the rig file; a complaint after several."""
+    def _contradiction(self, sweeps: wire.Sweeps) -> Items | None:
+        """Return the events of a packet whose channels or rate contradict the rig file; None without a contradiction.
+
+        Several such packets are a complaint.
+        """
         settings = self._settings
         missing = [number for number in settings.used_channels if number not in sweeps.channels]
         rate = RATES_HZ.get(sweeps.rate_code)
         if not missing and rate == settings.rate_Hz:
             self._contradictions, self.complaint = 0, ""
-            return []
+            return None
         self._contradictions += 1
         words = (
             f"the node does not send channel {', '.join(map(str, missing))}, only {sweeps.channels}"
