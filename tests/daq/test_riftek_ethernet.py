@@ -129,9 +129,11 @@ def test_packets_that_come_twice_or_late_give_no_samples() -> None:
 
 
 def test_a_sensor_that_starts_again_is_reported() -> None:
+    """Also if its number then happens to be that of a packet that is a little late."""
     line = pipeline()
     line.feed(RX, packet(100), at(100))
     assert kinds(line.feed(RX, packet(0), at(130))) == ["restart"]
+    assert [kinds(line.feed(RX, packet(250 + n), at(131 + n))) for n in range(4)] == [[], [], [], ["restart"]]
     assert line.losses["samples"] == 0
 
 
@@ -205,8 +207,9 @@ def test_faults_of_the_simulated_sensor_reach_the_host(fault: str, value: int, k
             bench.far.fail("x", math.nan)
 
 
-def test_a_sensor_without_supply_starts_again() -> None:
-    bench = DriverBench(RiftekEthernet(), seed=3)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sensor_without_supply_starts_again(seed: int) -> None:
+    bench = DriverBench(RiftekEthernet(), seed=seed)
     with bench.running():
         bench.begin()
         bench.time.pass_time(1.0)

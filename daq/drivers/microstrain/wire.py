@@ -227,7 +227,8 @@ def _time_ns(data: bytes, version: Version) -> int:
 
 def _values(data: bytes, kind: ValueType) -> NDArray[np.float64]:
     if kind.scale is None:
-        return np.frombuffer(data, ">f4").astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            return np.frombuffer(data, ">f4").astype(np.float64)
     octets = np.frombuffer(data, np.uint8).reshape(-1, kind.size).astype(np.int64)
     whole = octets @ (256 ** np.arange(kind.size - 1, -1, -1))
     if kind.signed:

@@ -22,6 +22,7 @@ from daq.items import TX, Batch, DeviceEvent
 
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 _MAX_OFF_S = 1.0  # difference of the numbers' time from the host's that shows a restart
+_MAX_LATE = 3  # consecutive packets that come twice or late; more show a restart
 _COUNTER_WRAP = 2**32
 
 Items = list[Batch | DeviceEvent]
@@ -53,6 +54,7 @@ class RiftekEthernetPipeline:
         self._wanted = settings.serial or (known if type(known) is int else 0)  # 0: the first one
         self._serial: int | None = None
         self._newest: tuple[int, int] | None = None  # number of the newest packet; its host time, ns
+        self._late = 0  # number of consecutive packets that came twice or late
         self._next = 0  # number of the next sample
 
     @property
@@ -82,9 +84,12 @@ class RiftekEthernetPipeline:
         if self.complaint:
             return out
         steps, is_restart = self._steps(packet.number, host_ns)
-        if steps <= 0 and not is_restart:
+        if steps <= 0 and not is_restart and self._late < _MAX_LATE:
+            self._late += 1
             self.repeated_packets += 1
             return out
+        is_restart |= steps <= 0
+        self._late = 0
         self._newest = packet.number, host_ns
         if is_restart:
             self._clock, self._next = ClockMap(self._settings.clock_tolerance_ppm, self._rules), 0
