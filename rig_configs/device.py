@@ -209,6 +209,8 @@ class RotorNodeSettings(DeviceSettings):
     Attributes:
         index_marks: whether its index marks are the rig's rotor phase. If not, they are ignored: another device marks
             the rotor's phase, or the node has no index sensor.
+        angles: whether its encoders measure the pendulums' angles for the rig. Otherwise another device does, and only
+            the index marks (and locks) of this node are used.
     """
 
     calibration: ClassVar[tuple[str, ...]] = (
@@ -229,20 +231,22 @@ class RotorNodeSettings(DeviceSettings):
     clock_tolerance_ppm: Positive = 30.0
     locks: bool = True
     index_marks: bool = True
+    angles: bool = True
     node: Annotated[int | None, Field(ge=0, le=255)] = None
 
     def roles(self, device: str) -> tuple[Role, ...]:
         """Return the roles; see DeviceSettings."""
         tolerance = self.clock_tolerance_ppm
+        angles = PendulumAngles(
+            device=device,
+            topic="pendulums",
+            rate_Hz=float(self.rate_Hz),
+            zero_std_deg=self.zero_std_deg,
+            counts_per_revolution=self.counts_per_revolution,
+            clock_tolerance_ppm=tolerance,
+        )
         return (
-            PendulumAngles(
-                device=device,
-                topic="pendulums",
-                rate_Hz=float(self.rate_Hz),
-                zero_std_deg=self.zero_std_deg,
-                counts_per_revolution=self.counts_per_revolution,
-                clock_tolerance_ppm=tolerance,
-            ),
+            *([angles] if self.angles else []),
             *([self._phase(device)] if self.index_marks else []),
             *([PendulumLocks(device=device)] if self.locks else []),
         )

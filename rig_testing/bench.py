@@ -23,6 +23,7 @@ from daq.drivers.contract import (
     SpeedControl,
     TurnsRotor,
     example_of,
+    stop_device,
 )
 from daq.drivers.played import PlayedDevice
 from daq.errors import LinkLost
@@ -226,7 +227,7 @@ class DriverBench:
         """
         if self.poller is not None:
             self.poller.stop()
-        self.driver.stop(self)
+        stop_device(self.driver, self.settings, self)
 
     @property
     def guard(self) -> RotorGuard:

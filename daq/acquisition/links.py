@@ -14,7 +14,7 @@ from daq.acquisition.core import Core, Note, Order
 from daq.acquisition.edge import Edge
 from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.acquisition.rotor_command import RotorCommand
-from daq.drivers.contract import AnswersOnRequest, ObservesIdentity, Poller, claims_of
+from daq.drivers.contract import AnswersOnRequest, ObservesIdentity, Poller, claims_of, stop_device
 from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
@@ -165,7 +165,7 @@ class Links:
             if name in self.refused:
                 continue
             with ignoring(_log, f"ending the stream of {name}", LinkLost, DeviceError):
-                device.driver.stop(self._talk(name))
+                stop_device(device.driver, device.settings, self._talk(name))
 
     def _stop_pollers(self) -> None:
         for poller in self._pollers.values():

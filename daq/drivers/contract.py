@@ -506,3 +506,24 @@ class AnswersOnRequest(Protocol):
     def poller(self, settings: Any, send: Callable[[bytes], None], clock: HostClock) -> Poller:
         """Make the poller of an open device."""
         ...
+
+
+@runtime_checkable
+class StopsBySettings(Protocol):
+    """A driver that needs the settings of a device for its stop, such as the address of a node behind a receiver."""
+
+    def stop_by(self, settings: Any, talk: Talk) -> None:
+        """End the stream of the device, in place of `Driver.stop`."""
+        ...
+
+
+def stop_device(driver: Driver, settings: Any, talk: Talk) -> None:
+    """End the stream of a device. The device may be disconnected.
+
+    Raises:
+        LinkLost, DeviceError: the device is disconnected.
+    """
+    if isinstance(driver, StopsBySettings):
+        driver.stop_by(settings, talk)
+    else:
+        driver.stop(talk)

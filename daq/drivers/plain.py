@@ -89,14 +89,16 @@ class RotorNodeDriver(PlainDriver):
     rest_s: float = 0.01
 
     def channels(self, settings: RotorNodeSettings) -> tuple[Channel, ...]:
-        """See Driver: the pendulums' angles."""
-        return (channels.PENDULUMS,)
+        """See Driver: the pendulums' angles, unless another device measures them for the rig."""
+        return (channels.PENDULUMS,) if settings.angles else ()
 
     def occasional(self, settings: RotorNodeSettings) -> tuple[Channel, ...]:
         """See Driver: the index marks, unless another device marks the rotor's phase."""
         return (channels.TACHO,) if settings.index_marks else ()
 
     def clocks(self, settings: RotorNodeSettings) -> tuple[SampleClock, ...]:
-        """See Driver: the node's clock."""
+        """See Driver: the node's clock, if its angles are recorded."""
+        if not settings.angles:
+            return ()
         rate, tolerance = settings.rate_Hz, settings.clock_tolerance_ppm
         return (SampleClock(channels.PENDULUMS.topic, rate, tolerance, "node_time_us", 1000, 2**32),)

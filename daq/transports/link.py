@@ -27,6 +27,7 @@ _log = logging.getLogger(__name__)
 _READ_BYTES = 65536  # size of the one reused buffer: allocating this size for every read fragments the heap
 _TTY_BYTES = 4096  # most that one read of a serial port or pty returns
 _FULL_BYTES = 2048  # a read of this size is followed by another one: more may have arrived
+_DATAGRAM_BUFFER_BYTES = 1 << 20  # a datagram that finds no room is lost
 _POLL_S = 0.1
 _LOCKED_ERRNOS = (errno.EAGAIN, errno.EBUSY)  # another program holds the lock of the serial port
 _REJECT_WAIT_S = 0.05  # wall s within which a far end that serves another program closes a new connection
@@ -65,8 +66,9 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
     """Open the link that a rig file names.
 
     Args:
-        port: serial device or pty ("/dev/ttyUSB0", "COM3"), "socket://host:port", any other URL that pyserial
-            supports, or "can:INTERFACE:CHANNEL" for an adapter that python-can supports ("can:socketcan:can0").
+        port: serial device or pty ("/dev/ttyUSB0", "COM3"), "socket://host:port", "udp://address:port" of this host
+            for a device that sends datagrams to it, any other URL that pyserial supports, or "can:INTERFACE:CHANNEL"
+            for an adapter that python-can supports ("can:socketcan:can0").
         baud: line rate of a serial port, baud.
         bitrate: bit rate of the CAN bus for "can:" ports, bit/s.
         parity: parity of a serial port: "N", "E" or "O".
@@ -81,6 +83,9 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
         if port.startswith("socket://"):
             host, _, number = port.removeprefix("socket://").rpartition(":")
             return SocketLink(host, int(number))
+        if port.startswith("udp://"):
+            host, _, number = port.removeprefix("udp://").rpartition(":")
+            return DatagramLink(host, int(number))
         return SerialLink(port, baud, parity)
     except (OSError, ValueError, serial.SerialException, can.CanError) as error:
         if isinstance(error, OSError) and error.errno in _LOCKED_ERRNOS:
@@ -221,6 +226,54 @@ class SocketLink:
         """See Link."""
         with contextlib.suppress(OSError):  # usual: the other end has closed the connection
             self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+
+class DatagramLink:
+    """A device that sends datagrams to a UDP port of this host. A read returns one datagram.
+
+    Args:
+        address: address of this host at which they arrive; "" or "0.0.0.0" for every one.
+        port: number of the port.
+    """
+
+    def __init__(self, address: str, port: int) -> None:
+        self.name: str = f"udp://{address}:{port}"
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            with ignoring(_log, "enlarging the buffer for datagrams", OSError):
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _DATAGRAM_BUFFER_BYTES)
+            self._socket.bind((address, port))
+        except BaseException:
+            self._socket.close()
+            raise
+        self._buffer = memoryview(bytearray(_READ_BYTES))
+        self._lock = threading.Lock()
+        self._sender: Any = None  # address of the newest datagram
+
+    def read(self, timeout_s: float) -> bytes:
+        """See Link."""
+        try:
+            ready, _, _ = select.select([self._socket], [], [], timeout_s)
+            if not ready:
+                return b""
+            count, self._sender = self._socket.recvfrom_into(self._buffer)
+        except (OSError, ValueError) as error:
+            raise LinkLost(f"{self.name}: lost while reading ({error})") from error
+        return bytes(self._buffer[:count])
+
+    def write(self, data: bytes) -> None:
+        """See Link. The bytes are sent to the device from which the newest datagram has come."""
+        if self._sender is None:
+            raise LinkLost(f"{self.name}: nothing has come from the device, so its address is unknown")
+        with self._lock:
+            try:
+                self._socket.sendto(data, self._sender)
+            except (OSError, ValueError) as error:
+                raise LinkLost(f"{self.name}: lost while writing ({error})") from error
+
+    def close(self) -> None:
+        """See Link."""
         self._socket.close()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import sys
 import threading
 import time
@@ -98,6 +99,35 @@ def test_the_error_for_a_missing_port_contains_what_to_check() -> None:
         open_link("/dev/no-such-port", 921_600)
     with pytest.raises(LinkLost, match="plugged in"):
         open_link("socket://127.0.0.1:1", 921_600)
+
+
+def test_a_device_that_sends_datagrams_is_read_one_by_one_and_answered() -> None:
+    device = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    device.bind(("127.0.0.1", 0))
+    free = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    free.bind(("127.0.0.1", 0))
+    port = free.getsockname()[1]
+    free.close()
+    link = open_link(f"udp://127.0.0.1:{port}", 0)
+    try:
+        assert link.read(0.01) == b""
+        with pytest.raises(LinkLost, match="address is unknown"):
+            link.write(b"?")
+        for data in (b"one", b"", b"two"):
+            device.sendto(data, ("127.0.0.1", port))
+        assert [link.read(3.0) for _ in range(3)] == [b"one", b"", b"two"]
+        link.write(b"answer")
+        assert device.recv(100) == b"answer"
+        with pytest.raises(LinkLost, match=r"another program has it open|cannot be opened"):
+            open_link(f"udp://127.0.0.1:{port}", 0)
+    finally:
+        device.close()
+        link.close()
+        link.close()
+    with pytest.raises(LinkLost, match="lost while reading"):
+        link.read(0.01)
+    with pytest.raises(LinkLost, match="lost while writing"):
+        link.write(b"x")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems may assign a pty's name again")

@@ -52,6 +52,7 @@ class NodePipeline:
         self.battery_low: bool = False
         self.heard_frames: tuple[int, int] | None = None
         self._device = device
+        self._records_angles = config.angles
         self._counts_per_revolution = config.counts_per_revolution
         self._radian = 2 * math.pi / config.counts_per_revolution
         self._marks_phase = config.index_marks
@@ -324,6 +325,8 @@ class NodePipeline:
             "flags": np.full(n - fresh, block.flags, np.uint32),
         }
         time_ns = self._clock.map(node_us[fresh:] * 1000, host_ns)
+        if not self._records_angles:
+            return []
         out: list[Batch | DeviceEvent] = []
         if missing:
             self.losses["samples"] += missing

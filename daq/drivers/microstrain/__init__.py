@@ -1,0 +1,1 @@
+"""MicroStrain (LORD) wireless nodes behind a base station on a serial port."""

@@ -1,0 +1,280 @@
+"""Pipeline of a MicroStrain node: packets of synchronized sampling to pendulum angles and further quantities.
+
+Samples have the time of the beacon, which the base station sends. The base station answers a periodic query with the
+beacon's time. This answer is on the line immediately, while sweeps wait in the node until a packet is full and until
+its turn on air has come. The lag of the newest answer is therefore the lag of the samples in the clock map.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import channels
+from daq.channels import Channel
+from daq.clock import ClockMap, ClockSeed, clock_rules
+from daq.drivers.microstrain import wire
+from daq.drivers.microstrain.answers import Answer, beacon_of
+from daq.drivers.microstrain.framing import PacketSearch
+from daq.drivers.microstrain.order import SweepOrder
+from daq.drivers.microstrain.rates import BASE_ADDRESS, RATES_HZ
+from daq.drivers.microstrain.settings import MicroStrainNode
+from daq.items import TX, Batch, DeviceEvent
+
+BEACON_LAG = "beacon_lag_ns"
+"""Key of the identity: host time minus the beacon's time at the opening, ns."""
+_LAG_VALID_NS = 60_000_000_000
+_MAX_FOREIGN_EVENTS = 16
+_CONTRADICTIONS = 3  # consecutive packets with other channels or another rate than the rig file's
+_WRAP_NS = 2**32 * 10**9  # the beacon's seconds have 32 bits
+_MAX_ANGLE_RAD = 1e6
+_TURN_RAD = 2 * math.pi
+_LOCKS_RAD = (0.0, math.pi)  # angles of the closed locks, around which the angles begin
+_FAULTS = (channels.ENCODER_FAULT_A, channels.ENCODER_FAULT_B)
+
+Items = list[Batch | DeviceEvent]
+
+
+class MicroStrainPipeline:
+    """Decoder of a node's packets behind a base station.
+
+    Attributes:
+        losses: see Pipeline. "samples": missing by tick and time; "damaged_packets": intact packets with impossible
+            content; "bytes": skipped; "foreign_packets": of other nodes.
+        has_reported, complaint: see DescribesItself; every packet has the node's channels and rate.
+        base_rssi_dBm, node_rssi_dBm: signal strength of the newest packet, dBm; None if unknown.
+        repeated_packets: number of packets that came again.
+    """
+
+    def __init__(
+        self, device: str, settings: MicroStrainNode, identity: Mapping[str, Any], quantities: Channel | None
+    ) -> None:
+        self.losses: dict[str, int] = {"samples": 0, "damaged_packets": 0, "bytes": 0, "foreign_packets": 0}
+        self.has_reported: bool = False
+        self.complaint: str = ""
+        self.base_rssi_dBm: int | None = None
+        self.node_rssi_dBm: int | None = None
+        self.repeated_packets: int = 0
+        self._device, self._settings, self._quantities = device, settings, quantities
+        self._search = PacketSearch(settings.aspp)
+        self._order = SweepOrder(settings.rate_Hz)
+        self._rules = clock_rules(identity)
+        self._clock = ClockMap(settings.clock_tolerance_ppm, self._rules, ClockSeed.of(identity))
+        known = identity.get(BEACON_LAG)
+        self._lag: tuple[int, int | None] | None = (known, None) if type(known) is int else None
+        self._index = 0  # number of the next sample
+        self._run: list[tuple[NDArray[np.int64], NDArray[np.float64]]] = []  # times and values of consecutive packets
+        self._missing = 0  # number of samples missing before them
+        self._angles = [
+            ContinuedAngle(settings.slope_a_rad, settings.offset_a_rad, _LOCKS_RAD[0] if settings.turns else None),
+            ContinuedAngle(settings.slope_b_rad, settings.offset_b_rad, _LOCKS_RAD[1] if settings.turns else None),
+        ]
+        self._contradictions = 0
+        self._foreign: set[int] = set()
+        self._status_reported = self._is_off = False
+
+    @property
+    def clock_seed(self) -> ClockSeed | None:
+        """See HasClockSeed."""
+        return self._clock.seed(_WRAP_NS)
+
+    def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
+        """See Pipeline."""
+        if direction == TX:
+            return []
+        found = self._search.feed(data)
+        out: Items = []
+        if found.skipped_bytes:
+            self.losses["bytes"] += found.skipped_bytes
+            text = f"{found.skipped_bytes} bytes skipped that belong to no intact packet"
+            out.append(DeviceEvent("damage", self._device, text, {"bytes": found.skipped_bytes}))
+        for packet in found.packets:
+            out += self._packet(packet, host_ns)
+        return out + self._run_ended(host_ns)
+
+    def _packet(self, packet: wire.Packet, host_ns: int) -> Items:
+        if packet.address == BASE_ADDRESS and packet.kind in wire.REPLIES:
+            return self._answered(packet, host_ns)
+        if packet.address != self._settings.node_address:
+            return self._foreign_packet(packet.address)
+        if packet.kind in wire.REPLIES:
+            return self._answered(packet, host_ns)
+        if packet.kind in wire.DISCOVERIES:
+            return [DeviceEvent("restart", self._device, "the node reports that it was switched on")]
+        return self._samples(packet, host_ns) if packet.kind == wire.SYNC_SAMPLES else []
+
+    def _foreign_packet(self, address: int) -> Items:
+        self.losses["foreign_packets"] += 1
+        if address in self._foreign or len(self._foreign) >= _MAX_FOREIGN_EVENTS:
+            return []
+        self._foreign.add(address)
+        text = f"packets of node {address} ignored: the rig file states node_address = {self._settings.node_address}"
+        return [DeviceEvent("foreign", self._device, text, {"node": address})]
+
+    # --- answers -------------------------------------------------------------------------------------------------
+
+    def _answered(self, packet: wire.Packet, host_ns: int) -> Items:
+        beacon = beacon_of(packet)
+        out: Items = []
+        if beacon is not None:
+            if beacon.is_on:
+                self._lag = host_ns - beacon.time_ns, host_ns
+            if not beacon.is_on and not self._is_off and self._status_reported:
+                text = "the base station's beacon is off: the node stops sampling. Open the device again"
+                out.append(DeviceEvent("fault", self._device, text))
+            self._is_off = not beacon.is_on
+            if self._status_reported:
+                return out
+            self._status_reported = True
+        text = Answer(packet.kind, packet.address, packet.payload, host_ns).text
+        return [*out, DeviceEvent("reply", self._device, text)]
+
+    # --- samples -------------------------------------------------------------------------------------------------
+
+    def _samples(self, packet: wire.Packet, host_ns: int) -> Items:
+        try:
+            sweeps = wire.parse_sweeps(packet.payload, self._settings.aspp)
+        except ValueError as fault:  # usual: a damaged packet that the check let pass
+            return [self._damaged(str(fault))]
+        wrong = self._contradiction(sweeps)
+        if wrong is not None:
+            return wrong
+        self.has_reported = True
+        self.base_rssi_dBm, self.node_rssi_dBm = packet.base_rssi_dBm, packet.node_rssi_dBm
+        place = self._order.feed(sweeps.tick, sweeps.time_ns, len(sweeps.values), host_ns)
+        if place.state == "repeated":
+            self.repeated_packets += 1
+            return []
+        out = self._run_ended(host_ns) if place.missing or place.state != "next" else []
+        if place.state == "node":
+            out.append(DeviceEvent("restart", self._device, "the node started to sample again: its ticks restart"))
+        elif place.state == "beacon":
+            out.append(DeviceEvent("restart", self._device, "the beacon's time was set: the clock restarts"))
+            self._clock, self._lag = ClockMap(self._settings.clock_tolerance_ppm, self._rules), None
+        self._missing += place.missing
+        period_ns = 1e9 / self._settings.rate_Hz
+        device_ns = sweeps.time_ns + np.rint(np.arange(len(sweeps.values)) * period_ns).astype(np.int64)
+        columns = [sweeps.channels.index(number) for number in self._settings.used_channels]
+        self._run.append((device_ns[place.known :], sweeps.values[place.known :, columns]))
+        return out
+
+    def _run_ended(self, host_ns: int) -> Items:
+        """Return the samples of the consecutive packets so far, after the event about the samples missing before."""
+        if not self._run:
+            return []
+        device_ns, used = (np.concatenate(parts) for parts in zip(*self._run, strict=True))
+        missing, self._missing = self._missing, 0
+        self._run.clear()
+        time_ns = self._clock.map(device_ns, self._arrival_ns(int(device_ns[-1]), host_ns))
+        self._index += missing
+        sequence = (self._index + np.arange(len(used))).astype(np.uint32)
+        self._index += len(used)
+        out: Items = []
+        if missing:
+            self.losses["samples"] += missing
+            span_s = missing / self._settings.rate_Hz
+            facts = {"samples": missing, "span_s": span_s, "time_ns": int(time_ns[0])}
+            if self.base_rssi_dBm is not None:
+                facts["rssi_dBm"] = self.base_rssi_dBm
+            out.append(DeviceEvent("gap", self._device, f"{missing} samples lost ({span_s * 1e3:.1f} ms)", facts))
+        out.append(Batch(channels.PENDULUMS, time_ns, sequence, self._angle_columns(used, sequence, device_ns)))
+        if self._quantities is not None:
+            columns = {name: used[:, 2 + k].copy() for k, name in enumerate(self._settings.quantities)}
+            out.append(Batch(self._quantities, time_ns, sequence, columns))
+        return out
+
+    def _angle_columns(
+        self, values: NDArray[np.float64], sequence: NDArray[np.uint32], device_ns: NDArray[np.int64]
+    ) -> dict[str, NDArray[Any]]:
+        thetas = [angle.of(values[:, k]) for k, angle in enumerate(self._angles)]
+        flags = np.zeros(len(sequence), np.uint32)
+        for theta, fault in zip(thetas, _FAULTS, strict=True):
+            flags[~np.isfinite(theta)] |= fault
+        step = _TURN_RAD / self._settings.counts_per_revolution
+        limit = float(2**31 - 1)
+        count_a, count_b = (np.clip(np.rint(np.nan_to_num(t) / step), -limit, limit).astype(np.int32) for t in thetas)
+        return {
+            "theta3_rad": thetas[0],
+            "theta4_rad": thetas[1],
+            "count_a": count_a,
+            "count_b": count_b,
+            "index": sequence,
+            "node_time_us": (device_ns // 1000).astype(np.uint64),
+            "flags": flags,
+        }
+
+    def _arrival_ns(self, device_ns: int, host_ns: int) -> int:
+        """Return the host time at which a sample would have arrived without delay; without an answer, its arrival."""
+        if self._lag is None:
+            return host_ns
+        lag, at_ns = self._lag
+        if at_ns is None:
+            self._lag = lag, host_ns
+        elif host_ns - at_ns > _LAG_VALID_NS:
+            return host_ns
+        return min(device_ns + lag, host_ns)
+
+    def _contradiction(self, sweeps: wire.Sweeps) -> Items | None:
+        """Return the events of a packet whose channels or rate contradict the rig file; None without a contradiction.
+
+        Several such packets are a complaint.
+        """
+        settings = self._settings
+        missing = [number for number in settings.used_channels if number not in sweeps.channels]
+        rate = RATES_HZ.get(sweeps.rate_code)
+        if not missing and rate == settings.rate_Hz:
+            self._contradictions, self.complaint = 0, ""
+            return None
+        self._contradictions += 1
+        words = (
+            f"the node does not send channel {', '.join(map(str, missing))}, only {sweeps.channels}"
+            if missing
+            else f"the node samples with {rate or f'rate code {sweeps.rate_code}'} Hz, the rig file states "
+            f"rate_Hz = {settings.rate_Hz}"
+        )
+        if self._contradictions < _CONTRADICTIONS:
+            return [self._damaged(words)]
+        self.losses["damaged_packets"] += 1
+        if self.complaint:
+            return []
+        self.has_reported, self.complaint = True, f"{words}. Correct the rig file or set up the node"
+        return [DeviceEvent("fault", self._device, self.complaint)]
+
+    def _damaged(self, reason: str) -> DeviceEvent:
+        self.losses["damaged_packets"] += 1
+        return DeviceEvent("damage", self._device, f"packet dropped: {reason}", {"reason": reason})
+
+
+class ContinuedAngle:
+    """Angles of a sensor from the values of its channel.
+
+    Args:
+        slope_rad: angle of one unit of the value, rad.
+        offset_rad: angle at the value 0, rad.
+        near_rad: angle from which the first one is less than half a turn away, if the output repeats with each
+            revolution; each further angle is the nearest one to that before it. None: the output does not repeat.
+    """
+
+    def __init__(self, slope_rad: float, offset_rad: float, near_rad: float | None) -> None:
+        self._slope, self._offset = slope_rad, offset_rad
+        self._last = near_rad  # newest angle without the turns added to it
+        self._turn = 0
+
+    def of(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the angles of consecutive values, rad, shape (n,); NaN for values that are not a reading."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            angles = values * self._slope + self._offset
+            valid = np.abs(angles) < _MAX_ANGLE_RAD
+        angles[~valid] = np.nan
+        if self._last is None or not valid.any():
+            return angles
+        found = angles[valid]
+        steps = -np.rint(np.diff(found, prepend=self._last) / _TURN_RAD).astype(np.int64)
+        turn = self._turn + np.cumsum(steps)
+        self._last, self._turn = float(found[-1]), int(turn[-1])
+        angles[valid] = found + turn * _TURN_RAD
+        return angles

@@ -1,0 +1,236 @@
+"""Packets of a MicroStrain base station: frames with their check, requests, and the sweeps of synchronized sampling.
+
+Version 1: ``AA``, delivery flags u8, type u8, address u16, length u8, payload, RSSI of the node i8, RSSI of the base
+station i8, sum u16. The sum is that of the bytes from the flags to the end of the payload. Version 3: ``AC``, flags u8,
+type u8, address u32, length u16, payload, RSSI i8 i8, CRC-32 of all bytes before it. Numbers are big endian. Requests
+of version 1 have no RSSI bytes; those of version 3 have ``7F 7F``.
+
+Source: the maker's open library (LORD-MicroStrain/MSCL). Unverified: the coding of RSSI in version 3.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.drivers.microstrain.rates import BASE_ADDRESS
+
+Version = Literal[1, 3]
+
+STARTS: dict[Version, int] = {1: 0xAA, 3: 0xAC}
+HEAD_BYTES: dict[Version, int] = {1: 6, 3: 9}
+TAIL_BYTES: dict[Version, int] = {1: 4, 3: 6}
+MAX_PAYLOAD = 255
+"""Longest accepted payload, bytes: the limit of version 1; radio packets of nodes are shorter."""
+
+# types of packets
+NODE_COMMAND, NODE_ERROR, NODE_SUCCESS = 0x00, 0x02, 0x22
+BASE_COMMAND, BASE_SUCCESS, BASE_ERROR, BASE_RECEIVED = 0x30, 0x31, 0x32, 0x34
+SYNC_SAMPLES = 0x1A
+REPLIES = frozenset((NODE_COMMAND, NODE_ERROR, 0x20, NODE_SUCCESS, BASE_SUCCESS, BASE_ERROR, BASE_RECEIVED))
+DISCOVERIES = frozenset((0x07, 0x17, 0x18))
+"""Types of the packets by which a node reports that it was switched on."""
+
+# commands
+PING, NODE_READ, START_SYNC, BASE_READ = 0x0001, 0x0007, 0x003B, 0x0073
+SET_TO_IDLE, SET_BEACON, BEACON_STATUS = 0x0091, 0xBEAC, 0xBEAD
+BEACON_OFF = 0xFFFF_FFFF
+"""Time in a command SET_BEACON that switches the beacon off."""
+
+# places in the EEPROM, of base stations and nodes
+CHANNEL_MASK, SERIAL_HIGH, SERIAL_LOW, MODEL, MODEL_OPTION, SAMPLE_RATE, FIRMWARE, FIRMWARE_2 = (
+    12,
+    20,
+    22,
+    46,
+    48,
+    72,
+    108,
+    110,
+)
+
+ERRORS = {
+    1: "no such place in the EEPROM",
+    2: "value out of bounds",
+    3: "read only",
+    4: "hardware fault",
+}
+"""Texts for the codes of a refusal."""
+
+_UNKNOWN_RSSI = 0x7F
+_MAX_MODE = 2
+_MAX_TIME_NS = 2**62
+_HEADS: dict[Version, int] = {1: 14, 3: 18}  # bytes of a payload with sweeps before the first sweep
+
+
+@dataclass(frozen=True)
+class ValueType:
+    """Type of the values in a packet.
+
+    Attributes:
+        size: bytes of a value.
+        signed: whether it is a signed integer.
+        scale: factor from the integer to the value; None for a floating-point number.
+        unused_bits: lowest bits that do not belong to the value.
+    """
+
+    size: int
+    signed: bool = False
+    scale: float | None = 1.0
+    unused_bits: int = 0
+
+
+VALUE_TYPES: dict[int, ValueType] = {
+    1: ValueType(2, unused_bits=1),
+    2: ValueType(4, scale=None),
+    3: ValueType(2),
+    4: ValueType(4),
+    7: ValueType(2),
+    8: ValueType(4, scale=None),
+    9: ValueType(3),
+    10: ValueType(2, scale=4.0),
+    11: ValueType(3, signed=True),
+    12: ValueType(2, signed=True, scale=64.0),
+    13: ValueType(3),
+    14: ValueType(2, scale=256.0),
+    15: ValueType(2, signed=True, scale=0.1),
+}
+"""Type of the values by its code. 2: calibrated by the node, 8: not; 10, 12, 14: low bits of the converter cut off."""
+
+
+@dataclass(frozen=True)
+class Packet:
+    """An intact packet from the base station.
+
+    Attributes:
+        kind: its type.
+        address: address of the node, or BASE_ADDRESS.
+        payload: its content.
+        node_rssi_dBm, base_rssi_dBm: signal strength at the node and at the base station, dBm; None if unknown. Version
+            1 has no check of these two.
+    """
+
+    kind: int
+    address: int
+    payload: bytes
+    node_rssi_dBm: int | None
+    base_rssi_dBm: int | None
+
+
+class Sweeps(NamedTuple):
+    """Consecutive sweeps, each with a value of each active channel.
+
+    Attributes:
+        rate_code: key of `rates.RATES_HZ`.
+        tick: number of the first sweep, modulo 65536.
+        time_ns: time of the first sweep on the beacon's clock, ns since 1970.
+        channels: numbers of the channels from 1, ascending.
+        values: shape (sweeps, channels).
+    """
+
+    rate_code: int
+    tick: int
+    time_ns: int
+    channels: tuple[int, ...]
+    values: NDArray[np.float64]
+
+
+# --- frames ------------------------------------------------------------------------------------------------------
+
+
+def packet_of(frame: bytes, version: Version) -> Packet | None:
+    """Return the packet of a frame of the length that its head states; None if its check is wrong."""
+    head, tail = HEAD_BYTES[version], TAIL_BYTES[version]
+    if version == 1:
+        expected, found = sum(frame[1:-4]) & 0xFFFF, int.from_bytes(frame[-2:], "big")
+    else:
+        expected, found = zlib.crc32(frame[:-4]), int.from_bytes(frame[-4:], "big")
+    if expected != found:
+        return None
+    node, base = (_rssi(byte) for byte in frame[-tail : 2 - tail])
+    return Packet(frame[2], int.from_bytes(frame[3 : 5 if version == 1 else 7], "big"), frame[head:-tail], node, base)
+
+
+def _rssi(byte: int) -> int | None:
+    return None if byte == _UNKNOWN_RSSI else byte - 256 if byte >= 128 else byte
+
+
+def request(version: Version, address: int, command: int, data: bytes = b"") -> bytes:
+    """Encode a command to the base station (BASE_ADDRESS) or to a node.
+
+    Args:
+        version: version of the packets.
+        address: address of the receiver.
+        command: number of the command.
+        data: its arguments.
+    """
+    payload = command.to_bytes(2, "big") + data
+    to_base = address == BASE_ADDRESS
+    kind = BASE_COMMAND if to_base else NODE_COMMAND
+    if version == 1:
+        body = bytes((0x0E if to_base else 0x05, kind)) + address.to_bytes(2, "big") + bytes((len(payload),)) + payload
+        return bytes((STARTS[1],)) + body + (sum(body) & 0xFFFF).to_bytes(2, "big")
+    body = bytes((STARTS[3], 0x01 if to_base else 0x04, kind)) + address.to_bytes(4, "big")
+    body += len(payload).to_bytes(2, "big") + payload + bytes((_UNKNOWN_RSSI, _UNKNOWN_RSSI))
+    return body + zlib.crc32(body).to_bytes(4, "big")
+
+
+def node_bytes(version: Version, address: int) -> bytes:
+    """Return the address of a node as an argument of a command to the base station."""
+    return address.to_bytes(2 if version == 1 else 4, "big")
+
+
+# --- sweeps ------------------------------------------------------------------------------------------------------
+
+
+def parse_sweeps(payload: bytes, version: Version) -> Sweeps:
+    """Parse the content of a packet SYNC_SAMPLES.
+
+    Raises:
+        ValueError: length, mode, data type, channels or time are impossible.
+    """
+    head = _HEADS[version]
+    if len(payload) <= head:
+        raise ValueError(f"expected more than {head} bytes of samples, got {len(payload)}")
+    at = 0 if version == 1 else 4  # version 3 begins with four bytes that are not used here
+    mask, rate, kind = int.from_bytes(payload[at : at + 2], "big"), payload[at + 2], payload[at + 3]
+    if version == 1:
+        if kind >> 4 > _MAX_MODE:
+            raise ValueError(f"expected a sampling mode up to {_MAX_MODE}, got {kind >> 4}")
+        kind &= 0x0F
+    if kind not in VALUE_TYPES or not mask:
+        raise ValueError(f"expected a known data type and channels, got type {kind}, mask {mask:#06x}")
+    time_ns = _time_ns(payload[at + 6 : head], version)
+    channels = tuple(n + 1 for n in range(16) if mask >> n & 1)
+    size = VALUE_TYPES[kind].size * len(channels)
+    if (len(payload) - head) % size:
+        raise ValueError(f"expected sweeps of {size} bytes, got {len(payload) - head} bytes")
+    values = _values(payload[head:], VALUE_TYPES[kind]).reshape(-1, len(channels))
+    return Sweeps(rate, int.from_bytes(payload[at + 4 : at + 6], "big"), time_ns, channels, values)
+
+
+def _time_ns(data: bytes, version: Version) -> int:
+    if version == 1:
+        seconds, nanoseconds = int.from_bytes(data[:4], "big"), int.from_bytes(data[4:], "big")
+        if nanoseconds >= 10**9:
+            raise ValueError(f"expected less than 10⁹ ns of a second, got {nanoseconds}")
+        return seconds * 10**9 + nanoseconds
+    time_ns = int.from_bytes(data, "big")
+    if time_ns >= _MAX_TIME_NS:
+        raise ValueError(f"expected a time before the year 2116, got {time_ns} ns")
+    return time_ns
+
+
+def _values(data: bytes, kind: ValueType) -> NDArray[np.float64]:
+    if kind.scale is None:
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            return np.frombuffer(data, ">f4").astype(np.float64)
+    octets = np.frombuffer(data, np.uint8).reshape(-1, kind.size).astype(np.int64)
+    whole = octets @ (256 ** np.arange(kind.size - 1, -1, -1))
+    if kind.signed:
+        whole -= (whole >> (8 * kind.size - 1)) << (8 * kind.size)
+    return (whole >> kind.unused_bits).astype(np.float64) * np.float64(kind.scale)

@@ -1,0 +1,1 @@
+"""RIFTEK RF60x (Acuity AR100, AR500) displacement sensors on Ethernet."""

@@ -1,0 +1,220 @@
+"""RF60x sensors on Ethernet: packets, losses by their number, identity, and other settings."""
+
+from __future__ import annotations
+
+import math
+import struct
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+from pydantic import ValidationError
+
+import rig_testing
+from daq.channels import displacement_channel
+from daq.drivers.riftek_ethernet import wire
+from daq.drivers.riftek_ethernet.driver import RiftekEthernet
+from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
+from daq.drivers.riftek_ethernet.stream import RiftekEthernetPipeline
+from daq.items import RX, TX, Batch, DeviceEvent
+from rig_testing.bench import DriverBench
+
+S = 1_000_000_000
+PACKET_S = 168 / 4000
+
+
+def settings(**more: Any) -> RiftekEthernetLaser:
+    table = {"driver": "riftek_ethernet", "port": "udp://0.0.0.0:603", "axis": "x", **more}
+    return RiftekEthernetLaser.model_validate(table)
+
+
+def pipeline(**more: Any) -> RiftekEthernetPipeline:
+    return RiftekEthernetPipeline("laser", settings(**more), displacement_channel("laser/x"), {})
+
+
+def packet(number: int, code: int = 8192, serial: int = 677, range_mm: int = 25, status: int = 0) -> bytes:
+    """A packet by the layout of the maker's library."""
+    data = 168 * struct.pack("<HB", code, status)
+    return data + struct.pack("<HHHBB", serial, 80, range_mm, number % 256, 0)
+
+
+def at(number: int) -> int:
+    """Host time of a packet, ns."""
+    return round((100 + number * PACKET_S) * S)
+
+
+def kinds(items: list[Batch | DeviceEvent]) -> list[str]:
+    return [item.kind for item in items if isinstance(item, DeviceEvent)]
+
+
+def test_a_packet_has_168_results_and_the_sensor_s_identity() -> None:
+    codes = np.arange(168) * 97
+    data = b"".join(struct.pack("<HB", code, code % 3) for code in codes.tolist())
+    data += bytes.fromhex("A502 5000 1900 FF 7B")
+    found = wire.parse(data)
+    assert (found.serial, found.base_mm, found.range_mm, found.number) == (677, 80, 25, 255)
+    assert found.codes.tolist() == codes.tolist()
+    assert found.status.tolist() == (codes % 3).tolist()
+    assert len(data) == wire.PACKET_BYTES == 512
+
+
+@given(st.integers(1, 5), st.lists(st.integers(0, 2560), max_size=8), st.binary(max_size=30))
+def test_any_split_gives_the_same_packets_also_after_damage(count: int, cuts: list[int], noise: bytes) -> None:
+    noise = noise.replace(b"\x19", b"")
+    data = packet(0) + noise + b"".join(packet(n) for n in range(1, count))
+    decoder, numbers, skipped = wire.PacketDecoder(25, "none"), list[int](), 0
+    for begin, end in pairwise([0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]):
+        part = decoder.feed(data[begin:end])
+        numbers, skipped = numbers + [p.number for p in part.packets], skipped + part.skipped_bytes
+    assert numbers == list(range(count))
+    assert skipped == (len(noise) if count > 1 else 0)
+
+
+@given(st.binary(max_size=2000), st.sampled_from(["none", "sum", "xor"]))
+def test_any_bytes_are_decoded(data: bytes, check: wire.Check) -> None:
+    decoder = wire.PacketDecoder(int.from_bytes(data[508:510], "little"), check)
+    found = decoder.feed(data + data)
+    assert found.skipped_bytes + 512 * len(found.packets) <= 2 * len(data)
+
+
+@pytest.mark.parametrize(("check", "value"), [("sum", 6), ("xor", 0)])
+def test_a_wrong_check_is_no_packet(check: wire.Check, value: int) -> None:
+    good = bytearray(packet(3, code=0))
+    assert wire.check_of(b"\x01\x02\x03", check) == value
+    good[-1] = wire.check_of(bytes(good[:-1]), check)
+    assert len(wire.PacketDecoder(25, check).feed(bytes(good)).packets) == 1
+    good[100] ^= 4
+    assert wire.PacketDecoder(25, check).feed(bytes(good)).packets == []
+
+
+def test_results_become_displacements() -> None:
+    line = pipeline(lever_ratio=2.0, no_target_codes=[0, 16384], valid_status=[0])
+    (batch,) = line.feed(RX, packet(0, code=12288), S)
+    assert isinstance(batch, Batch)
+    assert batch.columns["displacement_m"] == pytest.approx(0.25 * 0.025 / 2.0)
+    assert np.diff(batch.time_ns).tolist() == [250_000] * 167
+    assert batch.time_ns[-1] == S
+    for number, more in enumerate(({"code": 0}, {"code": 16384}, {"code": 16385}, {"status": 1}), 1):
+        (batch,) = line.feed(RX, packet(number, **more), S + number * 42_000_000)
+        assert isinstance(batch, Batch)
+        assert np.isnan(batch.columns["displacement_m"]).all()
+    assert line.losses == {"samples": 0, "bytes": 0, "invalid": 4 * 168}
+    assert line.feed(TX, packet(9), S) == []
+
+
+def test_lost_packets_are_counted_exactly_even_more_than_the_number_s_range() -> None:
+    line = pipeline()
+    line.feed(RX, packet(250), at(250))
+    gap, batch = line.feed(RX, packet(260), at(260))
+    assert isinstance(gap, DeviceEvent)
+    assert isinstance(batch, Batch)
+    assert (gap.kind, gap.facts["samples"], gap.facts["span_s"]) == ("gap", 9 * 168, pytest.approx(9 * PACKET_S))
+    assert batch.sequence[0] == 10 * 168
+    (gap, _) = line.feed(RX, packet(260 + 600), at(260 + 600))
+    assert isinstance(gap, DeviceEvent)
+    assert gap.facts["samples"] == 599 * 168
+    assert line.losses["samples"] == 608 * 168
+
+
+def test_packets_that_come_twice_or_late_give_no_samples() -> None:
+    line = pipeline()
+    for number in (0, 1, 3):
+        line.feed(RX, packet(number), at(number))
+    assert line.feed(RX, packet(3) + packet(2), at(3)) == []
+    assert line.repeated_packets == 2
+    assert kinds(line.feed(RX, packet(4), at(4))) == []
+    assert line.losses["samples"] == 168
+
+
+def test_a_sensor_that_starts_again_is_reported() -> None:
+    """Also if its number then happens to be that of a packet that is a little late."""
+    line = pipeline()
+    line.feed(RX, packet(100), at(100))
+    assert kinds(line.feed(RX, packet(0), at(130))) == ["restart"]
+    assert [kinds(line.feed(RX, packet(250 + n), at(131 + n))) for n in range(4)] == [[], [], [], ["restart"]]
+    assert line.losses["samples"] == 0
+
+
+def test_another_sensor_gives_no_samples() -> None:
+    line = pipeline(serial=678)
+    assert kinds(line.feed(RX, packet(0), S)) == ["fault"]
+    assert line.has_reported
+    assert "expected serial number 678" in line.complaint
+    assert line.feed(RX, packet(1), S) == []
+    damage, batch = line.feed(RX, packet(2, serial=678) + packet(3, serial=678), 2 * S)
+    assert isinstance(damage, DeviceEvent)
+    assert isinstance(batch, Batch)
+    assert line.complaint == ""
+    assert line.learned == {"serial": 678}
+    first = RiftekEthernetPipeline("laser", settings(), displacement_channel("laser/x"), {"serial": 5})
+    assert first.learned == {}
+    assert kinds(first.feed(RX, packet(0), S)) == ["fault"]
+
+
+def test_a_sensor_of_another_range_gives_bytes_that_are_not_packets() -> None:
+    line = pipeline()
+    (damage,) = line.feed(RX, 2 * packet(0, range_mm=50), S)
+    assert isinstance(damage, DeviceEvent)
+    assert "range of 25 mm" in damage.text
+    assert line.losses["bytes"] == 513
+
+
+def test_bytes_that_look_like_another_sensor_are_not_taken_for_one() -> None:
+    """The end of a packet that lost two bytes contains the range of the rig file by chance."""
+    line = pipeline()
+    line.feed(RX, packet(24), at(24))
+    found = line.feed(RX, packet(25)[2:] + packet(26), at(26))
+    assert kinds(found) == ["damage", "gap"]
+    assert line.complaint == ""
+    assert line.losses == {"samples": 168, "bytes": 510, "invalid": 0}
+
+
+def test_impossible_settings_are_refused() -> None:
+    with pytest.raises(ValidationError, match="whole number of millimetres"):
+        settings(range_m=0.0255)
+    with pytest.raises(ValidationError, match="checksum"):
+        settings(checksum="crc")
+
+
+class _Checked(RiftekEthernet):
+    example: ClassVar = {"axis": "y", "rate_Hz": 9400.0, "checksum": "sum", "serial": 12}
+
+
+@pytest.mark.parametrize("case", rig_testing.cases(_Checked()), ids=str)
+def test_a_sensor_with_a_check_passes_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
+    case()
+
+
+@pytest.mark.parametrize(
+    ("fault", "value", "kind"), [("dropped", 3, "samples"), ("blocked", 1, "invalid"), ("repeats", 1, "")]
+)
+def test_faults_of_the_simulated_sensor_reach_the_host(fault: str, value: int, kind: str) -> None:
+    bench = DriverBench(RiftekEthernet())
+    with bench.running():
+        bench.begin()
+        bench.time.pass_time(0.5)
+        bench.far.fail(fault, value)
+        bench.time.pass_time(1.0)
+        losses = {name: count for name, count in bench.pipeline.losses.items() if count}
+        assert set(losses) == {kind} - {""}
+        assert losses.get("samples", 3 * 168) == 3 * 168
+        bench.far.fail("other", 9)
+        bench.time.pass_time(0.5)
+        assert "got packets of sensor 9" in str(getattr(bench.pipeline, "complaint", ""))
+        with pytest.raises(ValueError, match="no fault 'x'"):
+            bench.far.fail("x", math.nan)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sensor_without_supply_starts_again(seed: int) -> None:
+    bench = DriverBench(RiftekEthernet(), seed=seed)
+    with bench.running():
+        bench.begin()
+        bench.time.pass_time(1.0)
+        bench.far.power(False, bench.motion.time_s)
+        bench.time.pass_time(1.5)
+        bench.far.power(True, bench.motion.time_s)
+        bench.time.pass_time(1.0)
+        assert set(kinds(bench.items)) & {"restart", "gap"}
