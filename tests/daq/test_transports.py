@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import threading
 import time
@@ -187,3 +188,18 @@ def test_a_serial_port_has_one_master() -> None:
     first.close()
     open_link(wire.port, 921_600).close()
     wire.close()
+
+
+@pytest.mark.parametrize("stop_bits", [1, 2])
+def test_a_serial_port_has_the_stop_bits_of_its_line(stop_bits):
+    termios: Any = pytest.importorskip("termios")
+    wire = PtyWire()
+    link = open_link(wire.port, 9600, None, "N", stop_bits)
+    try:
+        descriptor = os.open(wire.port, os.O_RDONLY | os.O_NOCTTY)
+        flags = termios.tcgetattr(descriptor)[2]
+        os.close(descriptor)
+    finally:
+        link.close()
+        wire.close()
+    assert bool(flags & termios.CSTOPB) == (stop_bits == 2)
