@@ -122,7 +122,7 @@ class ConverterControl:
     def why(self) -> str:
         """See SpeedSource."""
         code = self.fault_code()
-        return "" if code is None else f"; fault {states.fault_text(code)}"
+        return "" if code is None else f"; {states.fault_text(code)}"
 
     # --- requests ---------------------------------------------------------------------------------------------
 

@@ -258,7 +258,7 @@ class SimulatedConverter(FarEnd):
         self._received_s = self._now_s
         if self._deaf:
             return b""
-        if self._answers and not self._late_s:
+        if any(due_s <= self._now_s + _ANSWER_S for due_s, _ in self._answers):
             self.collisions += 1  # both drive the same two wires: neither frame is intact
             self._answers.clear()
             return b""

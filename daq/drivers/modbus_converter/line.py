@@ -11,6 +11,7 @@ from daq.drivers.modbus_converter.settings import ModbusConverter
 from daq.transports.host_clock import HostClock
 
 _TRIES = 3
+_LATEST_ANSWERS = 3  # answer times after which an answer does not come any more
 _SHORTEST_PAUSE_S = 0.00175  # between two frames, s: the standard's value above 19200 baud
 _PAUSE_BITS = 3.5 * 11
 
@@ -33,9 +34,11 @@ class Order:
 class RequestLine:
     """Sends requests one at a time.
 
-    The next request is sent when the last one is answered, or `answer_s` later. In the second case a read of the same
-    number of registers waits for another `answer_s`, because it could be confused with a late answer; a write does not
-    wait. `_deciding` protects the state, `_sending` keeps the order of what is sent; no lock is held during a wait.
+    The next request is sent when the last one is answered, or `answer_s` later. In the second case its answer may still
+    come, and it could be taken for that of the next read of the same number of registers. Therefore a read of another
+    number is sent first: its answer shows that no earlier one can follow, because a converter answers in order. Writes
+    need no such precaution: their answers repeat register and value, or are not relied on. `_deciding` protects the
+    state, `_sending` keeps the order of what is sent; no lock is held during a wait.
 
     Args:
         settings: table of the converter in the rig file.
@@ -57,7 +60,10 @@ class RequestLine:
         self._asked: Order | None = None
         self._asked_s = self._free_s = self._due_s = 0.0
         self._next_poll = 0
-        self._missed: tuple[tuple[int, ...], float] = ((), 0.0)  # shape of a request without answer; end of the wait
+        self._probes = [wire.Request(settings.address, function, settings.registers.status, 1), *self._polls]
+        self._missed: dict[
+            tuple[int, ...], float
+        ] = {}  # shapes of unanswered reads, and when their answers are overdue
         self.polling: bool = False
 
     def put(self, requests: Sequence[wire.Request], *, urgent: bool = False) -> list[Order]:
@@ -81,6 +87,7 @@ class RequestLine:
     def heard(self, answer: wire.Answer) -> None:
         """Take an answer that the pipeline has found for a request."""
         with self._deciding:
+            self._missed.clear()
             asked = self._asked
             if asked is not None and asked.request == answer.request:
                 asked.answer, self._asked = answer, None
@@ -104,26 +111,32 @@ class RequestLine:
             if now - self._asked_s < self._answer_s:
                 return None
             asked, self._asked = self._asked, None
-            self._missed = asked.request.shape, self._asked_s + 2 * self._answer_s
+            if asked.request.function in wire.READS:
+                self._missed[asked.request.shape] = self._asked_s + _LATEST_ANSWERS * self._answer_s
             if asked.tries > 0:
                 self._orders.appendleft(asked)
         if now < self._free_s:
             return None
-        if self._orders:
-            if self._confusable(self._orders[0].request, now):
-                return None
-            order = self._orders.popleft()
-        else:
-            if not self.polling or now < self._due_s or self._confusable(self._polls[self._next_poll], now):
-                return None
-            order = Order(self._polls[self._next_poll], tries=1)
-            self._next_poll = (self._next_poll + 1) % len(self._polls)
-            if self._next_poll == 0:  # rounds that are overdue are not made up for
-                self._due_s = max(self._due_s + self._period_s, now)
+        order = self._due(now)
+        if order is None:
+            return None
         order.tries -= 1
         self._asked, self._asked_s = order, now
         return order
 
+    def _due(self, now: float) -> Order | None:
+        if not self._orders and (not self.polling or now < self._due_s):
+            return None
+        wanted = self._orders[0].request if self._orders else self._polls[self._next_poll]
+        if self._confusable(wanted, now):
+            clear = [probe for probe in self._probes if not self._confusable(probe, now)]
+            return Order(clear[0], tries=1) if clear else None
+        if self._orders:
+            return self._orders.popleft()
+        self._next_poll = (self._next_poll + 1) % len(self._polls)
+        if self._next_poll == 0:  # rounds that are overdue are not made up for
+            self._due_s = max(self._due_s + self._period_s, now)
+        return Order(wanted, tries=1)
+
     def _confusable(self, request: wire.Request, now: float) -> bool:
-        shape, until_s = self._missed
-        return request.function in wire.READS and request.shape == shape and now < until_s
+        return request.function in wire.READS and now < self._missed.get(request.shape, 0.0)

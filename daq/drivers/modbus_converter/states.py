@@ -32,4 +32,4 @@ def statusword(status: int, fault: int) -> int:
 
 def fault_text(code: int) -> str:
     """Return a fault code for a message."""
-    return f"{code}, see its manual" if code else "no fault any more"
+    return f"fault {code}, see its manual" if code else "no fault any more"

@@ -20,7 +20,7 @@ def converter_checks(control: SpeedControl | None, events: Sequence[DeviceEvent]
     out: Checks = {}
     if control is not None:
         state = control.state
-        note = "" if state != states.FAULT else f"fault {states.fault_text(control.fault_code() or 0)}"
+        note = "" if state != states.FAULT else states.fault_text(control.fault_code() or 0)
         out["state"] = DeviceCheck(state, "no fault", state not in (states.FAULT, states.UNKNOWN), note)
     faults = [event.text for event in events if event.kind == "emergency" and event.facts["error_code"]]
     out["emergencies"] = DeviceCheck(", ".join(faults) or "none", "none", not faults)

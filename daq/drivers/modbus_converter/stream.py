@@ -1,8 +1,7 @@
 """Pipeline of a frequency converter: requests and answers to speed, state and fault.
 
-An answer belongs to the last request, and only until the next one is sent. The host sends a request whose answer could
-be confused with a late one only after a pause (`line.RequestLine`). A converter has no clock: samples get the host's
-time.
+An answer belongs to the last request, and only until the next one is sent. The host's order of requests prevents that a
+late answer fits the next request (`line.RequestLine`). A converter has no clock: samples get the host's time.
 """
 
 from __future__ import annotations
@@ -199,7 +198,5 @@ class ConverterPipeline:
         if before is None or states.state(self._registers, before[0]) != now:
             out.append(DeviceEvent("drive", self._device, now, {"statusword": status}))
         if fault != (0 if before is None else before[1]):
-            out.append(
-                DeviceEvent("emergency", self._device, f"fault {states.fault_text(fault)}", {"error_code": fault})
-            )
+            out.append(DeviceEvent("emergency", self._device, states.fault_text(fault), {"error_code": fault}))
         return out
