@@ -269,7 +269,8 @@ class SimulatedConverter(FarEnd):
             self._heard_s = self._now_s
         if answer and not self._mute:
             damaged = bytes([answer[0], answer[1] ^ 0x10, *answer[2:]]) if self._damages else answer
-            self._answers.append((self._now_s + _ANSWER_S + self._late_s, damaged))
+            free_s = self._answers[-1][0] if self._answers else self._now_s  # it answers in order
+            self._answers.append((max(free_s, self._now_s + self._late_s) + _ANSWER_S, damaged))
         return b""
 
     def _measure(self) -> None:

@@ -172,7 +172,7 @@ class ConverterPipeline:
     def _rotor_rpm(self, now: str, rpm: float, host_ns: int) -> float:
         """Return the speed of the rotor; NaN if the output was switched off while the rotor turned.
 
-        Without torque the reported frequency is 0, whatever the rotor does.
+        Without torque the reported frequency is 0 at any speed of the rotor.
         """
         if now == states.RUNNING:
             self._ran, self._released = (host_ns, rpm), False
