@@ -201,7 +201,7 @@ def test_a_stop_while_it_is_being_enabled_prevails(bench: Bench) -> None:
 
     def stop_at_once(rpm: float | None) -> None:
         permit(rpm)
-        if len(bench.permitted) == 3:
+        if len(bench.permitted) == 2:
             bench.drive.quick_stop()
 
     bench.drive._guarded = bench.drive._guarded.__class__(stop_at_once, bench._at_rest, lambda: 0.0)
@@ -210,6 +210,28 @@ def test_a_stop_while_it_is_being_enabled_prevails(bench: Bench) -> None:
     bench.time.pass_time(0.5)
     assert not bench.drive.enabled
     assert bench.converter.state == "off"
+
+
+def test_no_command_follows_a_stop_that_interrupts_it(bench: Bench) -> None:
+    bench.turn()
+    line = bench.drive._line
+    put = line.put
+
+    def put_and_stop(requests: Any, *, urgent: bool = False) -> Any:
+        orders = put(requests, urgent=urgent)
+        if not urgent:
+            bench.time.pass_time(0.0)
+            bench.drive._armed = False  # as a stop from another thread does
+            bench.drive._order_stop()
+        return orders
+
+    line.put = put_and_stop  # type: ignore[method-assign]  # the moment cannot be reached otherwise
+    begun = len(bench.sent())
+    with pytest.raises(DeviceError, match="300 rpm wanted, it is not enabled"):
+        bench.drive.set_speed(300)
+    bench.time.pass_time(0.5)
+    assert [request.values for request in bench.sent()[begun:] if request.values] == [(4,), (0,)]
+    assert abs(bench.rpm) < 1
 
 
 def test_a_converter_that_goes_on_running_is_not_released(bench: Bench) -> None:

@@ -86,11 +86,9 @@ class ConverterControl:
                 self._report, self._report_ns = report, self._clock.now_ns()
                 self._reports += 1
                 now = states.state(self._registers, report.status)
-                fallen = self._armed and now != states.RUNNING
-                if fallen:
+                if self._armed and now != states.RUNNING:
                     self._armed, self.dropped_out = False, self.dropped_out or now
-            if fallen:  # it may run again by itself after a fault
-                self._order_stop()
+                    self._order_stop()  # it may run again by itself after a fault
 
     def _recent(self) -> Report | None:
         """Return the newest report unless it is too old."""
@@ -138,14 +136,22 @@ class ConverterControl:
     def _confirmed(self, requests: Sequence[wire.Request], check: Callable[[], None] = lambda: None) -> list[Order]:
         """Send requests and wait for their answers.
 
+        Args:
+            requests: the requests.
+            check: called before they are queued, and while they wait; it raises to end the wait. It is called with the
+                lock held, so that no command follows the stop that prevents it.
+
         Raises:
             DeviceError: the converter does not answer, or refuses one.
         """
-        orders = self._line.put(requests)
+        with self._lock:
+            check()
+            orders = self._line.put(requests)
         deadline = self._clock.wall_s() + _CONFIRM_S
         try:
             while waiting := [order for order in orders if order.answer is None]:
-                check()
+                with self._lock:
+                    check()
                 if self._clock.wall_s() > deadline:
                     raise DeviceError(
                         f"drive: no answer to {_what(waiting[0].request)}. Look at its power and its line"
@@ -223,7 +229,6 @@ class ConverterControl:
             stops, self._armed, self.dropped_out, self.was_reset = self._stops, False, None, ""
 
         def check() -> None:
-            self._guarded.permit(None)
             if stops != self._stops:
                 raise DeviceError("drive: a stop was commanded while it was being enabled")
 
@@ -236,6 +241,7 @@ class ConverterControl:
             "its output is off and the rotor turns. Wait until it stands",
         )
         self.set_ramp(self._ramp_rpm_per_s)
+        self._guarded.permit(None)
         self._ordered = True
         try:
             commands = (*r.before_run, r.run)
@@ -261,6 +267,7 @@ class ConverterControl:
         """
         deadline = self._clock.wall_s() + _ENABLE_S
         while not ready():
+            self._guarded.permit(None)
             check()
             self._line.beat()
             if self._clock.wall_s() > deadline:
@@ -309,14 +316,10 @@ class ConverterControl:
         counts = round((rpm if r.reference_signed else abs(rpm)) / s.reference_rpm)
         if not (-0x8000 <= counts < 0x8000 if r.reference_signed else counts <= 0xFFFF):
             raise DeviceError(f"drive: {rpm:g} rpm wanted, which its register cannot carry: nothing was sent")
-        stops = self._stops
-        with self._lock:
-            if not self._armed:
-                raise DeviceError(f"drive: {rpm:g} rpm wanted, it is not enabled ({self.state}{self.why()})")
 
         def check() -> None:
-            if stops != self._stops:
-                raise DeviceError(f"drive: a stop was commanded while {rpm:g} rpm were being set")
+            if not self._armed:
+                raise DeviceError(f"drive: {rpm:g} rpm wanted, it is not enabled ({self.state}{self.why()})")
 
         self._confirmed([self._write(r.reference, counts & 0xFFFF), self._write(r.control, word)], check)
 
@@ -367,7 +370,7 @@ class ConverterControl:
         with self._lock:
             self._armed = False
             self._stops += 1
-        self._order_stop()
+            self._order_stop()
         self._line.beat()
 
     def stop(self, notify: Callable[[str], None] = lambda text: None) -> bool:
