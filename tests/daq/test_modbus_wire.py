@@ -38,15 +38,15 @@ def frame(text: str) -> bytes:
     return data + crc(data)
 
 
+def _write(address: int, register: int, values: list[int]) -> wire.Request:
+    return wire.Request(address, 6 if len(values) == 1 else 16, register, len(values), tuple(values))
+
+
 requests = st.one_of(
     st.builds(wire.Request, st.integers(1, 247), st.sampled_from([3, 4]), WORD, st.integers(1, 16)),
-    st.builds(lambda a, r, v: wire.Request(a, 6, r, 1, (v,)), st.integers(1, 247), WORD, WORD),
-    st.builds(
-        lambda a, r, v: wire.Request(a, 16, r, len(v), tuple(v)),
-        st.integers(1, 247),
-        WORD,
-        st.lists(WORD, min_size=1, max_size=5),
-    ),
+    st.builds(_write, st.integers(1, 247), WORD, st.lists(WORD, min_size=1, max_size=1)),
+    st.builds(_write, st.integers(1, 247), WORD, st.lists(WORD, min_size=2, max_size=5)),
+    st.builds(wire.Request, st.integers(1, 247), st.just(16), WORD, st.just(1), st.tuples(WORD)),
 )
 
 
