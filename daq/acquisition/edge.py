@@ -28,7 +28,7 @@ class Edge:
 
 
 def _connect(line: DeviceLine, port: str) -> Link:
-    return open_link(port, line.baud, line.bitrate, line.parity)
+    return open_link(port, line.baud, line.bitrate, line.parity, line.stop_bits)
 
 
 class UsbPorts:

@@ -32,12 +32,14 @@ class DeviceLine:
         baud: line rate of a serial port, baud.
         bitrate: bit rate of the CAN bus behind an adapter, bit/s; None without a bus.
         parity: parity of a serial port: none, even or odd.
+        stop_bits: stop bits of a serial port.
     """
 
     port: str
     baud: int
     bitrate: int | None = None
     parity: Literal["N", "E", "O"] = "N"
+    stop_bits: Literal[1, 2] = 1
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,7 @@ def open_outlets(log: Log, to: str) -> dict[str, Outlet]:
     try:
         for device, port in ports.items():
             line = lines[device]
-            outlets[device] = LinkOutlet(open_link(port, line.baud, line.bitrate, line.parity))
+            outlets[device] = LinkOutlet(open_link(port, line.baud, line.bitrate, line.parity, line.stop_bits))
     except BaseException:
         for outlet in outlets.values():
             outlet.close()

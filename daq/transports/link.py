@@ -62,7 +62,7 @@ class Link(Protocol):
         ...
 
 
-def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N") -> Link:
+def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N", stop_bits: int = 1) -> Link:
     """Open the link that a rig file names.
 
     Args:
@@ -72,6 +72,7 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
         baud: line rate of a serial port, baud.
         bitrate: bit rate of the CAN bus for "can:" ports, bit/s.
         parity: parity of a serial port: "N", "E" or "O".
+        stop_bits: stop bits of a serial port: 1 or 2.
 
     Raises:
         LinkLost: the port cannot be opened. The message contains the cause and what to check.
@@ -86,7 +87,7 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
         if port.startswith("udp://"):
             host, _, number = port.removeprefix("udp://").rpartition(":")
             return DatagramLink(host, int(number))
-        return SerialLink(port, baud, parity)
+        return SerialLink(port, baud, parity, stop_bits)
     except (OSError, ValueError, serial.SerialException, can.CanError) as error:
         if isinstance(error, OSError) and error.errno in _LOCKED_ERRNOS:
             raise LinkLost(
@@ -113,10 +114,17 @@ def _check_parity(port: Any) -> None:
 class SerialLink:
     """A serial port through pyserial. `read` returns as soon as bytes have arrived."""
 
-    def __init__(self, port: str, baud: int, parity: str = "N") -> None:
+    def __init__(self, port: str, baud: int, parity: str = "N", stop_bits: int = 1) -> None:
         self.name = port
         self._port: Any = serial.serial_for_url(
-            port, baudrate=baud, parity=parity, timeout=_POLL_S, write_timeout=1.0, exclusive=True, do_not_open=True
+            port,
+            baudrate=baud,
+            parity=parity,
+            stopbits=stop_bits,
+            timeout=_POLL_S,
+            write_timeout=1.0,
+            exclusive=True,
+            do_not_open=True,
         )
         self._port.open()
         with ignoring(_log, "setting low latency", ValueError, OSError, AttributeError, NotImplementedError):

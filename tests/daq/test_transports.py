@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 import sys
 import threading
@@ -244,3 +245,18 @@ def test_a_port_is_read_until_it_is_empty_and_keeps_what_came_before_a_loss(monk
     finally:
         monkeypatch.undo()
         wire.close()
+
+
+@pytest.mark.parametrize("stop_bits", [1, 2])
+def test_a_serial_port_has_the_stop_bits_of_its_line(stop_bits):
+    termios: Any = pytest.importorskip("termios")
+    wire = PtyWire()
+    link = open_link(wire.port, 9600, None, "N", stop_bits)
+    try:
+        descriptor = os.open(wire.port, os.O_RDONLY | os.O_NOCTTY)
+        flags = termios.tcgetattr(descriptor)[2]
+        os.close(descriptor)
+    finally:
+        link.close()
+        wire.close()
+    assert bool(flags & termios.CSTOPB) == (stop_bits == 2)

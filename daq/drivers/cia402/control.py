@@ -13,6 +13,7 @@ from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402 import faults, wire as cia402
 from daq.drivers.cia402.faults import REMEDY
 from daq.drivers.cia402.process_data import map_process_data
+from daq.drivers.cia402.profile import profile_of
 from daq.drivers.cia402.ramps import set_ramps
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.cia402.stream import DrivePipeline
@@ -68,7 +69,7 @@ class DriveControl:
             at_rest=lambda: None if math.isnan(self.actual_rpm) else abs(self.actual_rpm) <= config.rest_rpm,
             speed_rpm=lambda: abs(self.actual_rpm),
         )
-        self._report = cia301.cob_tpdo(1, config.node_id)
+        self._report, self._profile = cia301.cob_tpdo(1, config.node_id), profile_of(config)
         self._objects = NodeObjects("drive", config.node_id, send, clock)
         self._beat: Repeated | None = None
         self._bus_open = self._watched = self._ordered = False
@@ -87,7 +88,7 @@ class DriveControl:
         self._stopping_s: float | None = None  # time of the first of the present stop commands, wall s
         self._beat_ended = False  # whether the heartbeat was ended to make the drive stop by itself
         self._watch_ms = min(65535, round(clock.patience(config.heartbeat_timeout_ms)))
-        self._found: tuple[int, int] | None = None  # statusword and speed, rpm, when it was opened, from its objects
+        self._found: tuple[int, float] | None = None  # statusword and speed, rpm, when it was opened, from its objects
 
     def notice(self, pipeline: Pipeline) -> None:
         """See SpeedSource."""
@@ -99,11 +100,11 @@ class DriveControl:
         node, report = self._config.node_id, self._report
         for frame in cia301.own_frames(frames):
             identifier, data = frame.arbitration_id, frame.data
-            if identifier == report and len(data) >= cia402.TPDO1_BYTES:  # the most frequent case
+            if identifier == report and len(data) >= self._profile.size:  # the most frequent case
                 if self._started_again:  # the mapping may be the manufacturer's again, without a speed
                     continue
-                self._statusword, rpm = cia402.unpack_tpdo1(data)
-                self._reported_rpm, self._reported_ns = float(rpm), self._clock.now_ns()
+                self._statusword, self._reported_rpm = self._profile.unpack(data)
+                self._reported_ns = self._clock.now_ns()
                 if self._armed and self.state != cia402.OPERATION_ENABLED and self.dropped_out is None:
                     self.dropped_out = self.state
             elif identifier == cia301.cob_sdo_answer(node) and len(data) == 8:
@@ -144,14 +145,14 @@ class DriveControl:
         self._send(open_bus(c.bitrate))
         self._start_heartbeat()  # before the watch is set: a drive may require the heartbeat immediately
         self._objects.write(cia301.PRODUCER_HEARTBEAT, 0, c.heartbeat_ms, 2)
-        word, rpm = self._objects.read(cia402.STATUSWORD, 0), self._objects.read(cia402.ACTUAL_VELOCITY, 0)
-        self._found = None if word is None or rpm is None else (word & 0xFFFF, cia402.signed(rpm))
-        self._objects.write(cia402.MODE_OF_OPERATION, 0, cia402.MODE_VELOCITY, 1)
+        word, rpm = self._objects.read(cia402.STATUSWORD, 0), self._objects.read(self._profile.actual, 0)
+        self._found = None if word is None or rpm is None else (word & 0xFFFF, self._profile.rpm(rpm))
+        self._objects.write(cia402.MODE_OF_OPERATION, 0, self._profile.mode, 1)
         self._watched = True
         self._objects.write(cia301.CONSUMER_HEARTBEAT, 1, cia402.consumer_heartbeat(c.host_node_id, self._watch_ms), 4)
         self._beats_unwatched = self._beats
         self.set_ramp(c.ramp_rpm_per_s)
-        map_process_data(self._objects, c.node_id, in_torque=self._found_in_torque)
+        map_process_data(self._objects, c.node_id, self._profile, in_torque=self._found_in_torque)
         self._objects.send(0, bytes([NMT_START, c.node_id]))
 
     def set_ramp(self, rpm_per_s: float) -> None:
@@ -160,7 +161,7 @@ class DriveControl:
         Raises:
             DeviceError: the time of the drive's ramp is fixed and does not allow a ramp near this one.
         """
-        set_ramps(self._objects, rpm_per_s)
+        set_ramps(self._objects, rpm_per_s, self._config.ramp_units)
 
     def enable(self) -> None:
         """Bring the drive to OPERATION ENABLED with target speed 0.
@@ -248,7 +249,7 @@ class DriveControl:
                 faults.check_only_heartbeat(self._objects, lambda: self.emergencies, reset=True)
 
     def set_speed(self, rpm: float) -> None:
-        """Ramp to a speed, rpm; it is sent as a whole number.
+        """Ramp to a speed, rpm; in velocity mode it is sent as a whole number.
 
         Raises:
             DeviceError: the host's heartbeat is not sent.
@@ -258,7 +259,7 @@ class DriveControl:
         if rpm:
             self._check_heartbeat()
             self._stopping_s = None
-        self._pdo(self._run_word, round(rpm))
+        self._pdo(self._run_word, rpm)
 
     def disable(self) -> None:
         """Remove the torque; the rotor must be at rest.
@@ -352,9 +353,9 @@ class DriveControl:
         """Return the present emergencies for a message, with code and meaning; empty without one."""
         return faults.emergency_text(self.emergencies)
 
-    def _pdo(self, control: int, rpm: int) -> None:
+    def _pdo(self, control: int, rpm: float) -> None:
         self._ordered = True
-        self._objects.send(cia301.cob_rpdo(1, self._config.node_id), cia402.pack_rpdo1(control, rpm))
+        self._objects.send(cia301.cob_rpdo(1, self._config.node_id), self._profile.pack(control, rpm))
 
     def measure_time_out(self) -> TimeOut:
         """See MeasuresTimeOut: withhold the heartbeat until the drive's emergency 0x8130, or its fault, arrives."""

@@ -18,6 +18,14 @@ from daq.drivers.canopen.node import (
 )
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.drive_objects import drive_objects
+from daq.drivers.cia402.profile import (
+    PROFILE_ACCELERATION,
+    PROFILE_DECELERATION,
+    SPEED_ZERO,
+    TARGET_REACHED,
+    VELOCITY,
+    profile_of,
+)
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.simulated import FarEnd, FaultKind
 from daq.transports import slcan
@@ -78,6 +86,7 @@ class SimulatedDrive(FarEnd):
         self._config, self._motion, self._node, self._report_s = config, motion, config.node_id, report_s
         self.frames_sent: int = 0
         self.emergencies: list[int] = []
+        self._profile, self._halted = profile_of(config), False
         self._reports = True
         self._watch_ratio = 1.0
         self._reported_share = 1.0
@@ -85,14 +94,14 @@ class SimulatedDrive(FarEnd):
         self._adapter = Adapter()
         self._nmt = NmtState(self._node)
         self.state: str = cia402.SWITCH_ON_DISABLED
-        self._target_rpm = 0
+        self._target_rpm = 0.0
         self._heard_s: float | None = None  # last host heartbeat; None until the first
         self._tpdo_due = self._heartbeat_due = 0.0
         self._without_supply = False
         self._objects = self._initial_objects()
         measured = {
-            (cia402.STATUSWORD, 0): lambda: struct.pack("<H", _STATUS[self.state]),
-            (cia402.ACTUAL_VELOCITY, 0): lambda: struct.pack("<h", self._reported_rpm),
+            (cia402.STATUSWORD, 0): lambda: struct.pack("<H", self._statusword),
+            (self._profile.actual, 0): lambda: self._profile.pack(0, self._reported_rpm)[2:],
             (cia402.MODE_DISPLAY, 0): lambda: struct.pack("<b", self._objects[cia402.MODE_OF_OPERATION, 0][0]),
         }
         self._sdo = SdoServer(self._objects, measured, self._written)
@@ -100,7 +109,7 @@ class SimulatedDrive(FarEnd):
 
     def _initial_objects(self) -> Objects:
         timer_ms = max(1, round(self._report_s * 1e3))
-        return drive_objects(self._node) | _MAKERS | {(cia301.TPDO1, 5): (timer_ms, "<H")}
+        return drive_objects(self._node, self._profile) | _MAKERS | {(cia402.TPDO1, 5): (timer_ms, "<H")}
 
     @classmethod
     def of(cls, config: MotorDrive, world: World) -> SimulatedDrive:
@@ -139,12 +148,12 @@ class SimulatedDrive(FarEnd):
             case "reported share":
                 self._reported_share = float(value)
             case "speed":  # it runs away
-                self._target_rpm = int(value)
+                self._target_rpm = float(value)
             case _:
                 super().fail(what, value)
 
     def _restart(self) -> None:
-        self.state, self._target_rpm, self._heard_s = cia402.SWITCH_ON_DISABLED, 0, None
+        self.state, self._target_rpm, self._heard_s = cia402.SWITCH_ON_DISABLED, 0.0, None
         self._nmt.state = cia301.Heartbeat.PRE_OPERATIONAL
         self._out.append(slcan.CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP])))
 
@@ -169,8 +178,17 @@ class SimulatedDrive(FarEnd):
         return self._objects[cia301.CONSUMER_HEARTBEAT, 1][0] & 0xFFFF
 
     @property
-    def _reported_rpm(self) -> int:
-        return round(self.speed_rpm * self._reported_share)
+    def _reported_rpm(self) -> float:
+        return self.speed_rpm * self._reported_share
+
+    @property
+    def _statusword(self) -> int:
+        """State, and in profile velocity mode whether target and rest are reached."""
+        word, rpm = _STATUS[self.state], self._reported_rpm
+        if self._profile is VELOCITY:
+            return word
+        reached = abs(rpm - self._target_rpm) < 1 + 0.01 * abs(self._target_rpm)
+        return word | TARGET_REACHED * reached | SPEED_ZERO * (abs(rpm) < 1)
 
     @property
     def speed_rpm(self) -> float:
@@ -197,10 +215,9 @@ class SimulatedDrive(FarEnd):
             self._react(command)
         elif identifier == cia301.cob_sdo_request(self._node) and len(data) == 8:
             self._out.append(slcan.CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data)))
-        elif identifier == cia301.cob_rpdo(1, self._node) and len(data) == 4:
+        elif identifier == cia301.cob_rpdo(1, self._node) and len(data) == self._profile.size:
             if self._nmt.state == cia301.Heartbeat.OPERATIONAL:
-                control, target = cia402.unpack_rpdo1(data)
-                self._target_rpm = target
+                control, self._target_rpm = self._profile.unpack(data)
                 self._control(control)
         elif identifier == cia301.cob_heartbeat(self._objects[0x1016, 1][0] >> 16 & 0x7F):
             self._heard_s = now_s
@@ -216,13 +233,14 @@ class SimulatedDrive(FarEnd):
     def _written(self, index: int, sub: int, value: int) -> None:
         if (index, sub) == (cia402.CONTROLWORD, 0):
             self._control(value)
-        if (index, sub) == (cia402.TARGET_VELOCITY, 0):
-            self._target_rpm = value
+        if (index, sub) == (self._profile.target, 0):
+            self._target_rpm = value / self._profile.units_per_rpm
         if (index, sub) == (cia301.CONSUMER_HEARTBEAT, 1):
             self._heard_s = None  # the watch begins with the next heartbeat (CiA 301)
 
     def _control(self, word: int) -> None:
         s = self.state
+        self._halted = bool(word & cia402.HALT) and self._profile is not VELOCITY
         if word & 0x82 == 0x00:
             self.state = cia402.SWITCH_ON_DISABLED if s != cia402.FAULT else s
         elif word & 0x86 == 0x02:
@@ -251,12 +269,10 @@ class SimulatedDrive(FarEnd):
         self._send_as_second_host(now_s)
         self._watch(now_s)
         enabled = self.state == cia402.OPERATION_ENABLED
-        in_mode = self._objects[0x6060, 0][0] == cia402.MODE_VELOCITY
-        target = self._target_rpm if enabled and in_mode else 0
-        sub = 0x6048 if abs(target) * RPM >= abs(self._motion.speed_rad_s) else 0x6049
-        change, seconds = self._objects[sub, 1][0], self._objects[sub, 2][0]
+        in_mode = self._objects[0x6060, 0][0] == self._profile.mode
+        target = self._target_rpm if enabled and in_mode and not self._halted else 0
         stopping = self.state == cia402.QUICK_STOP_ACTIVE
-        ramp = change / max(1, seconds) if enabled else _QUICK_STOP_RPM_S if stopping else _COAST_RPM_S
+        ramp = self._ramp_rpm_s(target) if enabled else _QUICK_STOP_RPM_S if stopping else _COAST_RPM_S
         self._motion.target_rad_s = target * RPM
         self._motion.ramp_rad_s2 = ramp * RPM
         self._motion.braking = stopping
@@ -264,6 +280,14 @@ class SimulatedDrive(FarEnd):
             self.state = cia402.SWITCH_ON_DISABLED
         self._cyclic(now_s)
         return self._take()
+
+    def _ramp_rpm_s(self, target_rpm: float) -> float:
+        """Ramp towards a target speed, rpm/s."""
+        faster = abs(target_rpm) * RPM >= abs(self._motion.speed_rad_s)
+        if units := self._config.ramp_units:
+            return self._objects[PROFILE_ACCELERATION if faster else PROFILE_DECELERATION, 0][0] / units
+        index = cia402.VELOCITY_ACCELERATION if faster else cia402.VELOCITY_DECELERATION
+        return self._objects[index, 1][0] / max(1, self._objects[index, 2][0])
 
     def _send_as_second_host(self, now_s: float) -> None:
         """Send the heartbeat of another node with the host's number; the drive cannot distinguish the two."""
@@ -293,5 +317,5 @@ class SimulatedDrive(FarEnd):
             return
         while now_s >= self._tpdo_due:
             self._tpdo_due = max(self._tpdo_due + self._report_s, now_s - _MAX_LATE_S)
-            data = cia402.pack_tpdo1(_STATUS[self.state], self._reported_rpm)
+            data = self._profile.pack(self._statusword, self._reported_rpm)
             self._out.append(slcan.CanFrame(cia301.cob_tpdo(1, self._node), data))

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Generator, Iterable
 from functools import partial
 
+from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.identification import FoundDevice, IdentityRequest, IdentityTurns
@@ -35,7 +36,7 @@ def recognise(settings: MotorDrive, data: bytes) -> FoundDevice | None:
     """Return the node with the most reports of a valid CiA 402 state; see RecognisesBytes."""
     reports = Counter[int]()
     for frame in _frames(data):
-        node = frame.arbitration_id - cia402.cob_tpdo(1, 0)
+        node = frame.arbitration_id - cia301.cob_tpdo(1, 0)
         if 1 <= node <= 127 and len(frame.data) >= cia402.TPDO1_BYTES:
             word, _ = cia402.unpack_tpdo1(frame.data)
             reports[node] += cia402.state(word) != cia402.UNKNOWN
@@ -99,19 +100,19 @@ def _uploads(nodes: Iterable[int], index: int, sub: int) -> IdentityRequest:
     """Return the request that reads an object of some nodes; it is answered when each node has answered."""
     nodes = list(nodes)
     data = _SDO.pack(_UPLOAD, index, sub, 0)
-    lines = b"".join(slcan.encode(slcan.CanFrame(cia402.cob_sdo_request(node), data)) for node in nodes)
+    lines = b"".join(slcan.encode(slcan.CanFrame(cia301.cob_sdo_request(node), data)) for node in nodes)
 
     def is_answered(got: bytes, wanted: frozenset[int]) -> bool:
         return wanted <= {frame.arbitration_id for frame in _frames(got)}
 
-    wanted = frozenset(map(cia402.cob_sdo_answer, nodes))
+    wanted = frozenset(map(cia301.cob_sdo_answer, nodes))
     return IdentityRequest(lines, partial(is_answered, wanted=wanted), _ANSWER_S if len(nodes) == 1 else _BATCH_S)
 
 
 def _value(data: bytes, node: int, index: int, sub: int) -> int | None:
     """Return the value in a node's answer (expedited upload); None without it."""
     for frame in _frames(data):
-        if frame.arbitration_id == cia402.cob_sdo_answer(node) and len(frame.data) == _SDO.size:
+        if frame.arbitration_id == cia301.cob_sdo_answer(node) and len(frame.data) == _SDO.size:
             command, *place, value = _SDO.unpack(frame.data)
             if command & _EXPEDITED == _EXPEDITED and place == [index, sub]:
                 return value & (1 << 8 * (4 - (command >> 2 & 3))) - 1
@@ -119,4 +120,4 @@ def _value(data: bytes, node: int, index: int, sub: int) -> int | None:
 
 
 def _frames(data: bytes) -> list[slcan.CanFrame]:
-    return cia402.own_frames(slcan.LineDecoder().feed(data).frames)
+    return cia301.own_frames(slcan.LineDecoder().feed(data).frames)

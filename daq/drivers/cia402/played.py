@@ -15,6 +15,7 @@ from daq.drivers.canopen.node import (
 )
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.drive_objects import drive_objects
+from daq.drivers.cia402.profile import profile_of
 from daq.drivers.cia402.settings import MotorDrive
 from daq.drivers.played import PlayedDevice
 from daq.transports import slcan
@@ -34,12 +35,16 @@ class PlayedDrive(PlayedDevice):
         super().__init__(self._bus)
         self._node, self._host_beat = config.node_id, cia301.cob_heartbeat(config.host_node_id)
         self._adapter, self._nmt = Adapter(), NmtState(config.node_id)
-        self._report = re.compile(f"t{cia301.cob_tpdo(1, config.node_id):03X}[4-8]([0-9A-Fa-f]{{8}})".encode())
-        self._reported = bytes(4)
-        objects = drive_objects(config.node_id)
+        self._profile = profile_of(config)
+        size = self._profile.size
+        self._report = re.compile(
+            f"t{cia301.cob_tpdo(1, config.node_id):03X}[{size}-8]([0-9A-Fa-f]{{{2 * size}}})".encode()
+        )
+        self._reported = bytes(size)
+        objects = drive_objects(config.node_id, self._profile)
         measured = {
             (cia402.STATUSWORD, 0): lambda: self._reported[:2],
-            (cia402.ACTUAL_VELOCITY, 0): lambda: self._reported[2:],
+            (self._profile.actual, 0): lambda: self._reported[2:],
             (cia402.MODE_DISPLAY, 0): lambda: struct.pack("<b", objects[cia402.MODE_OF_OPERATION, 0][0]),
         }
         self._sdo = SdoServer(objects, measured, self._written)
@@ -72,8 +77,8 @@ class PlayedDrive(PlayedDevice):
             return slcan.CanFrame(cia301.cob_heartbeat(self._node), bytes([cia301.Heartbeat.BOOT_UP]))
         if identifier == cia301.cob_sdo_request(self._node) and len(data) == 8:
             return slcan.CanFrame(cia301.cob_sdo_answer(self._node), self._sdo.answer(data))
-        if identifier == cia301.cob_rpdo(1, self._node) and len(data) == 4:
-            self._turn(cia402.unpack_rpdo1(data)[0])
+        if identifier == cia301.cob_rpdo(1, self._node) and len(data) == self._profile.size:
+            self._turn(self._profile.unpack(data)[0])
         return None
 
     def _written(self, index: int, sub: int, value: int) -> None:

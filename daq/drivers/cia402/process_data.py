@@ -15,6 +15,7 @@ from daq.drivers.canopen import cia301
 from daq.drivers.canopen.node import NMT_PRE_OPERATIONAL
 from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.profile import VELOCITY, SpeedProfile
 from daq.errors import DeviceError, LinkLost
 from rig_basics.ignoring import ignoring
 
@@ -38,19 +39,21 @@ class _Pdo:
     Attributes:
         communication: index of its communication parameters.
         mapping: index of its mapping.
-        objects: objects that must be mapped.
+        entries: entries of the mapping that must be there.
         identifier: its COB-ID.
         reports: whether the drive sends it; then further mapped objects are allowed.
     """
 
     communication: int
     mapping: int
-    objects: tuple[int, ...]
+    entries: tuple[int, ...]
     identifier: int
     reports: bool
 
 
-def map_process_data(objects: NodeObjects, node_id: int, *, in_torque: bool = False) -> None:
+def map_process_data(
+    objects: NodeObjects, node_id: int, profile: SpeedProfile = VELOCITY, *, in_torque: bool = False
+) -> None:
     """Map controlword and target speed, statusword and actual speed, with reports at least every `_MAX_PERIOD_MS`.
 
     Drives may refuse changes in network operation. A drive that refuses a change leaves network operation, and the
@@ -59,13 +62,15 @@ def map_process_data(objects: NodeObjects, node_id: int, *, in_torque: bool = Fa
     Args:
         objects: objects of the drive.
         node_id: node number of the drive.
+        profile: mode of operation.
         in_torque: whether the drive turns or holds the rotor: then the process data that can stop it are not changed.
 
     Raises:
         DeviceError: the drive does not answer, refuses the mapping, or has torque and another mapping. Changes that
             were made are reversed.
     """
-    ordered, reported = (cia402.CONTROLWORD, cia402.TARGET_VELOCITY), (cia402.STATUSWORD, cia402.ACTUAL_VELOCITY)
+    ordered = profile.mapping(cia402.CONTROLWORD, profile.target)
+    reported = profile.mapping(cia402.STATUSWORD, profile.actual)
     pdos = (
         _Pdo(cia301.RPDO1, cia301.RPDO1_MAPPING, ordered, cia301.cob_rpdo(1, node_id), reports=False),
         _Pdo(cia301.TPDO1, cia301.TPDO1_MAPPING, reported, cia301.cob_tpdo(1, node_id), reports=True),
@@ -80,9 +85,10 @@ def map_process_data(objects: NodeObjects, node_id: int, *, in_torque: bool = Fa
         _map_all(objects, found)
     except DeviceError as error:
         raise DeviceError(
-            f"{error}. Process data is to be: {cia301.RPDO1_MAPPING:04X}h controlword and target speed (6040h, 6042h), "
-            f"{cia301.TPDO1_MAPPING:04X}h statusword and actual speed (6041h, 6044h), 16 bits each, both of "
-            "transmission type 255. Set the drive so with its maker's tool"
+            f"{error}. Process data is to be: {cia301.RPDO1_MAPPING:04X}h controlword and target speed "
+            f"(6040h, {profile.target:04X}h), {cia301.TPDO1_MAPPING:04X}h statusword and actual speed (6041h, "
+            f"{profile.actual:04X}h), 16 and {profile.bits} bits, both of transmission type 255. Set the drive so with "
+            "its maker's tool"
         ) from error
 
 
@@ -91,7 +97,7 @@ class _FoundPdo:
 
     def __init__(self, pdo: _Pdo, own: int, kind: int, inhibit: int, mapped: list[int | None]) -> None:
         self.pdo, self.own, self.kind, self.inhibit, self.mapped = pdo, own, kind, inhibit, mapped
-        self.wanted = [cia301.mapped_word(index) for index in pdo.objects]
+        self.wanted = list(pdo.entries)
         more = len(mapped) - len(self.wanted)
         self.entries_right = mapped[: len(self.wanted)] == self.wanted and (
             0 <= more <= _MAX_ENTRIES if pdo.reports else more == 0

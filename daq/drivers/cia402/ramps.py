@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from daq.drivers.canopen.objects import NodeObjects
 from daq.drivers.cia402 import wire as cia402
+from daq.drivers.cia402.profile import PROFILE_ACCELERATION, PROFILE_DECELERATION
 from daq.errors import DeviceError
 
 _RAMP_S = 10
 _MAX_RAMP_DEVIATION = 0.05  # relative deviation of the drive's ramp from the requested one
 
 
-def set_ramps(objects: NodeObjects, rpm_per_s: float) -> None:
+def set_ramps(objects: NodeObjects, rpm_per_s: float, units: float | None = None) -> None:
     """Set the ramps for speeding up and slowing down, rpm/s.
 
+    Args:
+        objects: objects of the drive.
+        rpm_per_s: rate, rpm/s.
+        units: of profile velocity mode: units of the ramp for 1 rpm/s; None: velocity mode.
+
     Raises:
-        DeviceError: the time of the drive's ramp is fixed and does not allow a ramp near this one.
+        DeviceError: the drive's ramp has a fixed time or too coarse a unit, which does not allow a ramp near this one.
     """
+    if units is not None:
+        _set_profile_ramps(objects, rpm_per_s, units)
+        return
     for index in (cia402.VELOCITY_ACCELERATION, cia402.VELOCITY_DECELERATION):
         seconds = _ramp_seconds(objects, index)
         change = max(1, round(rpm_per_s * seconds))
@@ -25,6 +34,17 @@ def set_ramps(objects: NodeObjects, rpm_per_s: float) -> None:
                 f"{seconds} s, which allows whole rpm in {seconds} s only, as {change / seconds:g} rpm/s"
             )
         objects.write(index, 1, change, 4)
+
+
+def _set_profile_ramps(objects: NodeObjects, rpm_per_s: float, units: float) -> None:
+    rate = max(1, round(rpm_per_s * units))
+    if abs(rate / units - rpm_per_s) > _MAX_RAMP_DEVIATION * rpm_per_s:
+        raise DeviceError(
+            f"drive: {rpm_per_s:g} rpm/s wanted; the unit of its ramp allows {rate / units:g} rpm/s. Look at "
+            "ramp_units_per_rpm_per_s"
+        )
+    for index in (PROFILE_ACCELERATION, PROFILE_DECELERATION):
+        objects.write(index, 0, rate, 4)
 
 
 def _ramp_seconds(objects: NodeObjects, index: int) -> int:

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from rig_configs.device import DeviceSettings
 from rig_configs.roles import AT_REST_RPM, Role, SpeedSource
+from rig_configs.table import Positive
 
 
 class MotorDrive(DeviceSettings):
@@ -20,6 +21,11 @@ class MotorDrive(DeviceSettings):
         heartbeat_ms: period of the heartbeats of host and drive, ms.
         heartbeat_timeout_ms: time without the host's heartbeat after which the drive stops, ms.
         ramp_rpm_per_s: rate of the rotor's ramp, rpm/s.
+        mode: mode of operation: "velocity" (vl, 6042h in rpm) or "profile velocity" (pv, 60FFh in a unit of the drive).
+        units_per_rpm: of profile velocity mode: number of the drive's units of speed (60FFh, 606Ch) for 1 rpm. A wrong
+            number scales every speed.
+        ramp_units_per_rpm_per_s: of profile velocity mode: number of the units of 6083h and 6084h for 1 rpm/s; None:
+            that of speeds.
         ramp_bits: whether bits 4 … 6 of the controlword are set during operation (007Fh in place of 000Fh), which some
             drives require.
         rest_rpm: largest reading of a standing rotor, rpm.
@@ -31,6 +37,9 @@ class MotorDrive(DeviceSettings):
     heartbeat_ms: Annotated[int, Field(ge=10, le=1000)] = 100
     heartbeat_timeout_ms: Annotated[int, Field(ge=50, le=800)] = 500
     ramp_rpm_per_s: Annotated[float, Field(gt=0, le=1000)] = 120.0
+    mode: Literal["velocity", "profile velocity"] = "velocity"
+    units_per_rpm: Positive = 1.0
+    ramp_units_per_rpm_per_s: Positive | None = None
     ramp_bits: bool = False
     rest_rpm: Annotated[float, Field(ge=AT_REST_RPM, le=10)] = AT_REST_RPM
 
@@ -44,4 +53,13 @@ class MotorDrive(DeviceSettings):
             raise ValueError(f"host_node_id and node_id are both {self.node_id}: the drive would watch itself")
         if self.heartbeat_timeout_ms < 2 * self.heartbeat_ms:
             raise ValueError("heartbeat_timeout_ms must be at least twice heartbeat_ms, or one late beat stops the rig")
+        if self.mode == "velocity" and (self.units_per_rpm != 1 or self.ramp_units_per_rpm_per_s is not None):
+            raise ValueError('units_per_rpm and ramp_units_per_rpm_per_s belong to mode = "profile velocity"')
+        if self.mode != "velocity" and self.ramp_bits:
+            raise ValueError('ramp_bits belongs to mode = "velocity"')
         return self
+
+    @property
+    def ramp_units(self) -> float | None:
+        """Units of 6083h and 6084h for 1 rpm/s; None in velocity mode."""
+        return None if self.mode == "velocity" else self.ramp_units_per_rpm_per_s or self.units_per_rpm

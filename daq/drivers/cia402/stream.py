@@ -12,6 +12,7 @@ from daq.drivers.can_lines import CanLines
 from daq.drivers.canopen import cia301
 from daq.drivers.cia402 import wire as cia402
 from daq.drivers.cia402.host_beats import HostBeats
+from daq.drivers.cia402.profile import profile_of
 from daq.drivers.cia402.settings import MotorDrive
 from daq.items import TX, Batch, DeviceEvent
 from daq.transports import slcan
@@ -40,6 +41,7 @@ class DrivePipeline:
         self.frames: list[slcan.CanFrame] = []
         self.complaint: str = ""
         self._device, self._node, self._host_node = device, config.node_id, config.host_node_id
+        self._profile = profile_of(config)
         self.host_beats: HostBeats = HostBeats(config.node_id, config.host_node_id)
         self._reported_ns = -_AGAIN_NS
         self._target_rpm = 0.0
@@ -58,12 +60,12 @@ class DrivePipeline:
         frames, events = self._lines.received(data)
         self.frames = cia301.own_frames(frames)
         out: list[Batch | DeviceEvent] = [*self._second_host(host_ns), *events]
-        rows: list[tuple[int, int, float]] = []  # statusword, actual and target speed in rpm
+        rows: list[tuple[int, float, float]] = []  # statusword, actual and target speed in rpm
         report, beat = cia301.cob_tpdo(1, self._node), cia301.cob_heartbeat(self._node)
         for frame in self.frames:
             if frame.arbitration_id == report:  # the most frequent case
-                if len(frame.data) >= cia402.TPDO1_BYTES:
-                    rows.append((*cia402.unpack_tpdo1(frame.data), self._target_rpm))
+                if len(frame.data) >= self._profile.size:
+                    rows.append((*self._profile.unpack(frame.data), self._target_rpm))
                 elif not self.complaint:
                     out.append(self._short(frame))
                 continue
@@ -95,13 +97,13 @@ class DrivePipeline:
         """Return the event about a report that is too short for statusword and speed; reported once."""
         self.complaint = (
             f"its reports (TPDO1) have {len(frame.data)} bytes; statusword and actual speed are "
-            f"{cia402.TPDO1_BYTES}. Look at the drive's mapping (1A00h)"
+            f"{self._profile.size}. Look at the drive's mapping (1A00h)"
         )
         return DeviceEvent("mapping", self._device, self.complaint, {"bytes": len(frame.data)})
 
     def _take_target(self, frame: slcan.CanFrame) -> None:
-        if frame.arbitration_id == cia301.cob_rpdo(1, self._node) and len(frame.data) == 4:
-            self._target_rpm = float(cia402.unpack_rpdo1(frame.data)[1])
+        if frame.arbitration_id == cia301.cob_rpdo(1, self._node) and len(frame.data) == self._profile.size:
+            self._target_rpm = self._profile.unpack(frame.data)[1]
 
     def _heartbeat(self, frame: slcan.CanFrame) -> list[Batch | DeviceEvent]:
         """Return the event of a boot-up or of a change of the network state. A drive reports only if operational."""
@@ -118,7 +120,7 @@ class DrivePipeline:
         text = f"network state {state.name.replace('_', '-')}" + ("" if operational else ": it reports no speed")
         return [DeviceEvent("network", self._device, text, {"network_state": int(state), "operational": operational})]
 
-    def _speed(self, rows: list[tuple[int, int, float]], host_ns: int) -> list[Batch | DeviceEvent]:
+    def _speed(self, rows: list[tuple[int, float, float]], host_ns: int) -> list[Batch | DeviceEvent]:
         out: list[Batch | DeviceEvent] = []
         for word, _, _ in rows:
             if word == self._status:

@@ -1,0 +1,1 @@
+"""Frequency converters (VFD) by Modbus RTU on a serial port."""

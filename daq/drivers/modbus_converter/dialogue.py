@@ -1,0 +1,42 @@
+"""Opening of a converter: its state is read until it answers. No command is sent."""
+
+from __future__ import annotations
+
+import queue
+from typing import Any
+
+from daq.drivers.contract import Talk
+from daq.drivers.modbus_converter import wire
+from daq.drivers.modbus_converter.settings import ModbusConverter
+from daq.errors import DeviceError
+
+_TRIES = 4
+
+
+def identify(device: str, settings: ModbusConverter, talk: Talk) -> dict[str, Any]:
+    """Read the state of the converter until it answers.
+
+    Returns:
+        Identity: table and address. A converter reports neither model nor serial number in a standard register.
+
+    Raises:
+        DeviceError: the converter does not answer, or refuses the read.
+    """
+    while not talk.replies.empty():
+        talk.replies.get_nowait()
+    register, count = settings.blocks[0]
+    request = wire.Request(settings.address, settings.registers.read_function, register, count)
+    for _ in range(_TRIES):
+        talk.send(wire.encode(request))
+        try:
+            talk.replies.get(timeout=2 * settings.answer_s)  # the next request must not meet a late answer
+        except queue.Empty:  # usual: the first answer may be lost
+            continue
+        talk.clock.wait(settings.answer_s)  # the converter's pause before the first request of `control`
+        return {"table": settings.table, "address": settings.address}
+    came = f"{talk.bytes_in} bytes came, none of them that answer" if talk.bytes_in else "nothing came"
+    raise DeviceError(
+        f"{device} on {settings.port}: no answer to a read of {count} registers from {register} on, {came} in {_TRIES} "
+        f"tries. Is the converter powered, its Modbus address {settings.address}, its line at {settings.baud} baud, "
+        f"parity {settings.parity}, {settings.stop_bits} stop bits, and is the register table right?"
+    )

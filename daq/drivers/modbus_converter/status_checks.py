@@ -1,0 +1,30 @@
+"""Checks of a converter that do not use its speed: its state, its faults, and the requests that it refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from daq.drivers.checks import Checks, DeviceCheck
+from daq.drivers.contract import SpeedControl
+from daq.drivers.modbus_converter import states
+from daq.items import DeviceEvent
+
+
+def converter_checks(control: SpeedControl | None, events: Sequence[DeviceEvent]) -> Checks:
+    """Return the checks of an open converter.
+
+    Args:
+        control: command of the converter; None if its bytes are only received.
+        events: events of the converter during the check.
+    """
+    out: Checks = {}
+    if control is not None:
+        state = control.state
+        note = "" if state != states.FAULT else states.fault_text(control.fault_code() or 0)
+        out["state"] = DeviceCheck(state, "no fault", state not in (states.FAULT, states.UNKNOWN), note)
+    faults = [event.text for event in events if event.kind == "emergency" and event.facts["error_code"]]
+    out["emergencies"] = DeviceCheck(", ".join(faults) or "none", "none", not faults)
+    refused = [event.text for event in events if event.kind == "refused"]
+    note = "compare the register table with its manual" if refused else ""
+    out["refused_requests"] = DeviceCheck(len(refused), 0, not refused, note)
+    return out

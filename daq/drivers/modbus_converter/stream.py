@@ -1,0 +1,202 @@
+"""Pipeline of a frequency converter: requests and answers to speed, state and fault.
+
+An answer belongs to the last request, and only until the next one is sent. The host's order of requests prevents that a
+late answer fits the next request (`line.RequestLine`). A converter has no clock: samples get the host's time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq import channels
+from daq.drivers.modbus_converter import states, wire
+from daq.drivers.modbus_converter.settings import ModbusConverter
+from daq.items import TX, Batch, DeviceEvent
+
+LATEST_S = 0.5
+"""Latest answer to a read after its request, rig s: an older state or speed gives no sample."""
+_SLACK = 1.5  # factor on the drop of speed that a stop along a ramp can cause between two reports
+
+Items = list[Batch | DeviceEvent]
+
+
+@dataclass(frozen=True)
+class Report:
+    """State and speed of the converter.
+
+    Attributes:
+        status: status word.
+        fault: code of the present fault, 0 without one or if it is not readable.
+        rpm: speed of the rotor for the reported frequency, rpm; NaN without torque at the rotor.
+    """
+
+    status: int
+    fault: int
+    rpm: float
+
+
+class ConverterPipeline:
+    """Decoder of one converter's line.
+
+    Attributes:
+        losses: see Pipeline. "unanswered": requests after which no byte came; "damaged_answers": requests after which
+            bytes without an intact answer came; "damaged_bytes": bytes outside of answers; "late": answers to a read
+            after `LATEST_S`; "refused": requests that the converter refused.
+        answers, reports: those of the last `feed`, for the host's command.
+    """
+
+    def __init__(self, device: str, settings: ModbusConverter) -> None:
+        kinds = ("unanswered", "damaged_answers", "damaged_bytes", "late", "refused")
+        self.losses: dict[str, int] = dict.fromkeys(kinds, 0)
+        self.answers: list[wire.Answer] = []
+        self.reports: list[Report] = []
+        self._device, self._settings, self._registers = device, settings, settings.registers
+        self._request: wire.Request | None = None
+        self._asked_ns = 0
+        self._asked_once = False  # whether a request was seen: an answer before it began before the log
+        self._received = bytearray()
+        self._missing = 0  # requests without an intact answer since the last one
+        self._words: dict[int, int] = {}  # registers of the present report
+        self._control, self._reference = settings.registers.stop, 0
+        self._status: tuple[int, int] | None = None
+        self._ran: tuple[int, float] | None = None  # time and speed of the last report while running
+        self._released = False  # whether the output was switched off at speed
+        self._refusal = ""
+
+    def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
+        """See Pipeline."""
+        self.answers, self.reports = [], []
+        if direction == TX:
+            request = wire.parse_request(data)
+            return [] if request is None else self._sent(request, host_ns)
+        if self._request is None:
+            return self._unexpected(len(data))
+        self._received += data
+        found = wire.find_answer(bytes(self._received), self._request)
+        if found is None:
+            surplus = len(self._received) - 2 * wire.LONGEST_FRAME_BYTES
+            if surplus <= 0:
+                return []
+            del self._received[:surplus]
+            return self._unexpected(surplus)
+        before, end, answer = found
+        after = len(self._received) - end
+        self._request = None
+        self._received.clear()
+        out = self._unexpected(before + after) + self._gap()
+        self.answers.append(answer)
+        return out + self._answered(answer, host_ns)
+
+    def _unexpected(self, count: int) -> Items:
+        if not count or not self._asked_once:
+            return []
+        self.losses["damaged_bytes"] += count
+        return [DeviceEvent("damage", self._device, f"{count} bytes outside of answers", {"bytes": count})]
+
+    def _sent(self, request: wire.Request, host_ns: int) -> Items:
+        out: Items = []
+        if self._request is not None:
+            self._missing += 1
+            if self._received:
+                self.losses["damaged_answers"] += 1
+                out = self._unexpected(len(self._received))
+            else:
+                self.losses["unanswered"] += 1
+        self._request, self._asked_ns, self._asked_once = request, host_ns, True
+        self._received.clear()
+        for register, value in enumerate(request.values, request.register):
+            if register == self._registers.control:
+                self._control = value
+            elif register == self._registers.reference:
+                self._reference = value
+        return out
+
+    def _gap(self) -> Items:
+        missing, self._missing = self._missing, 0
+        if not missing:
+            return []
+        return [DeviceEvent("gap", self._device, f"{missing} requests without an answer", {"samples": missing})]
+
+    def _answered(self, answer: wire.Answer, host_ns: int) -> Items:
+        if answer.exception:
+            return self._refused(answer)
+        if answer.request.function not in wire.READS:
+            return []
+        reply = DeviceEvent("reply", self._device, " ".join(map(str, answer.registers)), {})
+        block = answer.request.register, answer.request.count
+        if block not in self._settings.blocks:
+            return [reply]
+        if host_ns - self._asked_ns > LATEST_S * 1e9:
+            self.losses["late"] += 1
+            self._words.clear()
+            return [reply, DeviceEvent("damage", self._device, "an answer too late for a sample", {"samples": 1})]
+        if block == self._settings.blocks[0]:
+            self._words.clear()
+        self._words.update(enumerate(answer.registers, answer.request.register))
+        return [reply, *(self._report(host_ns) if block == self._settings.blocks[-1] else [])]
+
+    def _refused(self, answer: wire.Answer) -> Items:
+        self.losses["refused"] += 1
+        request = answer.request
+        what = "reading" if request.function in wire.READS else f"writing {', '.join(map(str, request.values))} to"
+        text = f"it refuses {what} register {request.register}: {answer.refusal}"
+        before, self._refusal = self._refusal, text
+        return [] if text == before else [DeviceEvent("refused", self._device, text, {"exception": answer.exception})]
+
+    # --- reports -----------------------------------------------------------------------------------------------
+
+    def _report(self, host_ns: int) -> Items:
+        """Return the sample of a whole report, and the events of what has changed."""
+        r, words = self._registers, self._words
+        if r.status not in words or (r.fault_code is not None and r.fault_code not in words):
+            return []  # a part of the report was lost
+        status = words[r.status]
+        now = states.state(r, status)
+        fault = 0 if r.fault_code is None or now != states.FAULT else words[r.fault_code]
+        rpm = self._settings.speed_rpm * states.reported_counts(r, status, words[r.speed])
+        report = Report(status, fault, self._rotor_rpm(now, rpm, host_ns))
+        words.clear()
+        out = self._changes(now, status, fault)
+        self.reports.append(report)
+        columns = {
+            "speed_rpm": np.array([report.rpm]),
+            "target_rpm": np.array([self._target_rpm]),
+            "statusword": np.array([states.statusword(status, fault)], np.uint32),
+        }
+        batch = Batch(channels.MOTOR, np.array([host_ns], np.int64), np.zeros(1, np.uint32), columns)
+        return [*out, batch]
+
+    def _rotor_rpm(self, now: str, rpm: float, host_ns: int) -> float:
+        """Return the speed of the rotor; NaN if the output was switched off while the rotor turned.
+
+        Without torque the reported frequency is 0 at any speed of the rotor.
+        """
+        if now == states.RUNNING:
+            self._ran, self._released = (host_ns, rpm), False
+        elif self._ran is not None:
+            ran_ns, ran_rpm = self._ran
+            drop = _SLACK * self._settings.quick_rpm_per_s * (host_ns - ran_ns) * 1e-9 + self._settings.rest_rpm
+            limit = self._settings.rest_rpm if now == states.FAULT else drop
+            self._released, self._ran = abs(ran_rpm) > limit, None
+        return math.nan if self._released else rpm
+
+    @property
+    def _target_rpm(self) -> float:
+        """Speed that the host commands, rpm; 0 unless it commands to run."""
+        r = self._registers
+        if self._control == r.run:
+            signed = (self._reference ^ 0x8000) - 0x8000 if r.reference_signed else self._reference
+            return self._settings.reference_rpm * signed
+        return -self._settings.reference_rpm * self._reference if self._control == r.run_reverse else 0.0
+
+    def _changes(self, now: str, status: int, fault: int) -> Items:
+        before, self._status = self._status, (status, fault)
+        out: Items = []
+        if before is None or states.state(self._registers, before[0]) != now:
+            out.append(DeviceEvent("drive", self._device, now, {"statusword": status}))
+        if fault != (0 if before is None else before[1]):
+            out.append(DeviceEvent("emergency", self._device, states.fault_text(fault), {"error_code": fault}))
+        return out
