@@ -19,6 +19,7 @@ from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.contract import FOREIGN, TimeOut
 from daq.items import DeviceEvent
 from daq.signals.laser_disturbances import SteadyLine, lines_in, thinned
+from rig_basics.arrays import Array
 from rig_configs.roles import DisplacementSensor, PendulumAngles
 from rig_configs.schema import Limits, Rig
 
@@ -42,8 +43,8 @@ class ObservedDisplacement:
         value_m: displacement of the disk centre, shape (n,), m; NaN for invalid samples.
     """
 
-    time_s: NDArray[np.floating]
-    value_m: NDArray[np.floating]
+    time_s: Array
+    value_m: Array
 
 
 @dataclass(frozen=True)
@@ -207,7 +208,7 @@ def _words_of(lines: Sequence[SteadyLine]) -> str:
     return "; ".join(line.words for line in lines)
 
 
-def _white_rms(value: NDArray[np.floating]) -> float:
+def _white_rms(value: Array) -> float:
     """Return the rms of the white part of evenly spaced values, from the median of the upper half of the spectrum."""
     window = np.hanning(len(value))
     power = np.abs(np.fft.rfft((value - value.mean()) * window)) ** 2

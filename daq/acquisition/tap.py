@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.acquisition.device_check import ObservedDisplacement
 from daq.acquisition.session import Session
 from daq.drivers.checks import Checks, DeviceCheck
+from rig_basics.arrays import Array
 from rig_configs.roles import Axis, DisplacementSensor, Roles
 
 _MAX_OFF_DEG = 30.0  # a tap by hand, with a sensor at right angles 90° off
@@ -27,8 +27,6 @@ _LEAST_M = 30e-6  # of a movement
 _NOISES = 3.0  # peak-to-peak values at rest that a movement exceeds
 _QUIET_S = 30.0  # longest wait for the column to come to rest between two taps, rig s
 _POLL_S = 0.05
-
-Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)

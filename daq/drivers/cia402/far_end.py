@@ -109,7 +109,7 @@ class SimulatedDrive(FarEnd):
 
     def _initial_objects(self) -> Objects:
         timer_ms = max(1, round(self._report_s * 1e3))
-        return drive_objects(self._node, self._profile) | _MAKERS | {(cia402.TPDO1, 5): (timer_ms, "<H")}
+        return drive_objects(self._node, self._profile) | _MAKERS | {(cia301.TPDO1, 5): (timer_ms, "<H")}
 
     @classmethod
     def of(cls, config: MotorDrive, world: World) -> SimulatedDrive:

@@ -35,7 +35,7 @@ class SyncSender(RequestLoop):
         self._misses = dict.fromkeys(self._expected, 0)
         self._lines = slcan.LineDecoder()
         self._write = send
-        request = Request(wire.SYNC, _ANSWERED, 1.0 / settings.rate_Hz, 2 * LATEST_S)
+        request = Request(lambda number: wire.SYNC, _ANSWERED, 1.0 / settings.rate_Hz, 2 * LATEST_S)
         super().__init__(request, self._sync, clock)
 
     def heard(self, data: bytes) -> None:

@@ -67,7 +67,7 @@ class MicroStrain(PlainDriver):
 
         query = wire.request(settings.aspp, wire.BASE_ADDRESS, wire.BEACON_STATUS)
         end = wire.BEACON_STATUS.to_bytes(2, "big")
-        return RequestLoop(Request(query, end, settings.beacon_status_s, _STATUS_ANSWER_S), send, clock)
+        return RequestLoop(Request(lambda number: query, end, settings.beacon_status_s, _STATUS_ANSWER_S), send, clock)
 
     def checks(
         self, settings: MicroStrainNode, pipeline: Any, control: SpeedControl | None, events: Sequence[DeviceEvent]
