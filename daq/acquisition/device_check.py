@@ -46,6 +46,11 @@ class ObservedDisplacement:
     time_s: Array
     value_m: Array
 
+    @classmethod
+    def since(cls, start_ns: int, time_ns: NDArray[np.int64], value_m: Array) -> ObservedDisplacement:
+        """Make it of times on the host's clock, ns, and the start of the observation on the same clock."""
+        return cls((time_ns - start_ns).astype(np.float64) * 1e-9, value_m)
+
 
 @dataclass(frozen=True)
 class ObservedAngles:

@@ -63,7 +63,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
 
 def _displacement(session: Session, topic: str, started_ns: int) -> ObservedDisplacement:
     time_ns, (value,) = session.recent.last(topic, ("displacement_m",), started_ns)
-    return ObservedDisplacement((time_ns - started_ns) * 1e-9, value)
+    return ObservedDisplacement.since(started_ns, time_ns, value)
 
 
 def _angles(session: Session, role: PendulumAngles, started_ns: int) -> ObservedAngles:
