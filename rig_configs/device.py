@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, cast
 
 from pydantic import BeforeValidator, ConfigDict, Field, field_validator
@@ -41,6 +42,8 @@ class DeviceSettings(RigTable):
         serial: serial number of the device, digits or text; any other device is refused. "": any.
         calibrated: date and time (UTC) of the newest calibration, as `rig calibrate` writes it; "": never.
         calibration_record: file name of its record and the first digits of the file's SHA-256.
+        least_delay_s: least time from a sample to the arrival of its bytes at the host: of a radio, a converter, a
+            filter. Times of several devices agree only if it is known, since a host cannot measure it.
         serial_limit: for devices whose serial number is a number: the first one that is too large.
     """
 
@@ -51,6 +54,7 @@ class DeviceSettings(RigTable):
     driver: str
     port: str
     serial: Annotated[str, BeforeValidator(_as_text), Field(max_length=80)] = ""
+    least_delay_s: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.0
     calibrated: Annotated[str, Field(max_length=40)] = ""
     calibration_record: Annotated[str, Field(max_length=200)] = ""
 
@@ -74,6 +78,14 @@ class DeviceSettings(RigTable):
             device: name of the device in the rig file.
         """
         return ()
+
+    def timed_roles(self, device: str) -> tuple[Role, ...]:
+        """Return the roles of the device with the least delay of its bytes; see `roles`."""
+        timed = DisplacementSensor | PendulumAngles | RotorPhase
+        if not self.least_delay_s:
+            return self.roles(device)
+        delay_s = self.least_delay_s
+        return tuple(replace(r, least_delay_s=delay_s) if isinstance(r, timed) else r for r in self.roles(device))
 
 
 class DisplacementTable(RigTable):
@@ -187,7 +199,12 @@ class DisplacementSettings(SampledTable, DeviceSettings):
         names_its_channel: whether the driver records in the channel `topic`; otherwise it cannot be a witness.
     """
 
-    calibration: ClassVar[tuple[str, ...]] = (*DISPLACEMENT_CALIBRATION, "calibrated", "calibration_record")
+    calibration: ClassVar[tuple[str, ...]] = (
+        *DISPLACEMENT_CALIBRATION,
+        "least_delay_s",
+        "calibrated",
+        "calibration_record",
+    )
 
     names_its_channel: ClassVar[bool] = False
 
@@ -219,6 +236,7 @@ class RotorNodeSettings(DeviceSettings):
         "index_angle_std_deg",
         "zero_std_deg",
         "clock_tolerance_ppm",
+        "least_delay_s",
         "calibrated",
         "calibration_record",
     )

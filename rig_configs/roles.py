@@ -37,6 +37,7 @@ class DisplacementSensor:
         lever_ratio: its displacement over the disk centre's.
         gain_std: relative standard uncertainty of calibration and lever together.
         clock_tolerance_ppm: standard uncertainty of its clock's rate.
+        least_delay_s: least time from a sample to the arrival of its bytes at the host.
         witness: whether another sensor measures the displacement along the axis for the rig, and this one checks it.
         direction_deg: angle from +x, counter-clockwise, of the direction of increasing readings; None: its axis'.
         direction_std_deg: standard uncertainty of the mounting relative to the suspension's axes.
@@ -56,6 +57,7 @@ class DisplacementSensor:
     witness: bool = False
     direction_deg: Finite | None = None
     direction_std_deg: NotNegative = USUAL_DIRECTION_STD_DEG
+    least_delay_s: NotNegative = 0.0
     clock: str = ""
 
     @property
@@ -77,6 +79,7 @@ class PendulumAngles:
     Attributes:
         counts_per_revolution: counts of each encoder.
         zero_std_deg: standard uncertainty of each encoder's zero relative to the imbalance direction.
+        least_delay_s: see DisplacementSensor.
     """
 
     role: ClassVar[str] = "pendulum angles"
@@ -87,6 +90,7 @@ class PendulumAngles:
     counts_per_revolution: Annotated[int, Field(ge=1)]
     zero_std_deg: NotNegative
     clock_tolerance_ppm: NotNegative
+    least_delay_s: NotNegative = 0.0
 
     @property
     def step_rad(self) -> float:
@@ -101,6 +105,7 @@ class RotorPhase:
     Attributes:
         index_angle_deg: ψ (imbalance direction from +x) at the mark.
         index_angle_std_deg: its standard uncertainty.
+        least_delay_s: see DisplacementSensor.
     """
 
     role: ClassVar[str] = "rotor phase"
@@ -110,6 +115,7 @@ class RotorPhase:
     index_angle_deg: Finite
     clock_tolerance_ppm: NotNegative
     index_angle_std_deg: NotNegative = 0.0
+    least_delay_s: NotNegative = 0.0
 
 
 @dataclass(frozen=True)

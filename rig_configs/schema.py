@@ -278,7 +278,7 @@ class Rig(RigTable):
     @property
     def roles(self) -> Roles:
         """Roles of its devices, which all code above the drivers uses."""
-        return Roles.of(role for name, device in self.devices.items() for role in device.roles(name))
+        return Roles.of(role for name, device in self.devices.items() for role in device.timed_roles(name))
 
     @property
     def known(self) -> KnownNumbers:
@@ -364,7 +364,7 @@ class Rig(RigTable):
 
     def roles_json(self) -> bytes:
         """Return the roles by device for a reader of a log without the drivers."""
-        roles = {name: [role_table(role) for role in device.roles(name)] for name, device in self.devices.items()}
+        roles = {name: [role_table(role) for role in device.timed_roles(name)] for name, device in self.devices.items()}
         return json.dumps(roles).encode()
 
     @property

@@ -121,7 +121,12 @@ def trials_of(drivers: Iterable[Driver], port: str, has_rate: bool) -> list[Tria
 
 
 def _may_be_on(trial: Trial, port: str, has_rate: bool) -> bool:
-    """Whether such a device can be on a port: on a CAN channel a device of a bus, on a serial port one with a rate."""
+    """Whether such a device can be on a port: on a CAN channel a device of a bus, on a serial port one with a rate.
+
+    A device that a file describes is not looked for.
+    """
+    if trial.settings.files:
+        return False
     if port.startswith("can:"):
         return trial.line.bitrate is not None
     return trial.line.baud > 0 or not has_rate

@@ -4,8 +4,9 @@ A driver converts what its sensor reports with range and lever. The displacement
 
     displacement = gain_factor × the driver's displacement + offset_m,
 
-with both numbers from the device's table in the rig file. A log contains this table, so that its bytes are decoded with
-the calibration of its own date. The raw words of the sensor (`code`) are not changed.
+with both numbers from the device's table in the rig file. Bytes arrive at least `least_delay_s` after their samples;
+the driver receives the time of their arrival less this delay. A log contains this table, so that its bytes are decoded
+with the calibration of its own date. The raw words of the sensor (`code`) are not changed.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from daq.drivers.contract import Pipeline
-from daq.items import Batch, DeviceEvent
+from daq.items import RX, Batch, DeviceEvent
 from rig_configs.device import DeviceSettings, displacement_tables
 
 _FIELD = "displacement_m"
@@ -25,11 +26,12 @@ def calibrated(pipeline: Pipeline, settings: DeviceSettings) -> Pipeline:
     """Return the pipeline with the calibration of its settings applied to its displacements.
 
     The same object is returned, since drivers read the attributes of their own pipelines. Without a calibration (factor
-    1, offset 0) it is not changed.
+    1, offset 0, least delay 0) it is not changed.
     """
     lines = {table.topic: (table.gain_factor, table.offset_m) for table in displacement_tables(settings)}
     lines = {topic: line for topic, line in lines.items() if line != (1.0, 0.0)}
-    if not lines:
+    delay_ns = round(settings.least_delay_s * 1e9)
+    if not lines and not delay_ns:
         return pipeline
     decode = pipeline.feed
 
@@ -40,7 +42,8 @@ def calibrated(pipeline: Pipeline, settings: DeviceSettings) -> Pipeline:
         return replace(item, columns={**item.columns, _FIELD: gain * item.columns[_FIELD] + offset_m})
 
     def feed(direction: int, data: bytes, host_ns: int) -> list[Batch | DeviceEvent]:
-        return [corrected(item) for item in decode(direction, data, host_ns)]
+        sent_ns = host_ns - delay_ns if direction == RX else host_ns
+        return [corrected(item) for item in decode(direction, data, sent_ns)]
 
     pipeline.feed = feed
     return pipeline

@@ -9,7 +9,7 @@ import numpy as np
 from daq.channels import DEVICE_TICK_S, suspects
 from daq.clock import ClockLine
 from daq.log import Log
-from daq.signals.run_clocks import clock_line, node_times, samples_of, since_start, tolerance_ppm
+from daq.signals.run_clocks import clock_line, node_times, samples_of, since_start
 from rig_basics.arrays import Array
 from rig_configs.roles import DisplacementSensor
 
@@ -31,7 +31,7 @@ def laser_signal(
     if "device_ticks" not in samples.columns:
         return (since_start(samples.time_ns, start_s), displacement), shared
     device_s = samples.device_ticks * DEVICE_TICK_S
-    line = clock_line(device_s, samples.log_time_ns, start_s, tolerance_ppm(role))
+    line = clock_line(device_s, samples.log_time_ns, start_s, role)
     return (np.asarray(line.host_s(device_s), np.float64), displacement), line
 
 

@@ -18,6 +18,8 @@ from rig_configs.roles import DisplacementSensor, PendulumAngles, Roles, RotorPh
 ASSUMED_TOLERANCE_PPM = 50.0
 """Standard uncertainty of the rate of a clock without stated tolerance: ordinary quartz, one year in a laboratory."""
 CHANNELS = ("laser/x", "laser/y", "pendulums", "tacho")
+Timed = DisplacementSensor | PendulumAngles | RotorPhase
+
 NO_DEVICE = ClockLine(0.0, 0.0, 0.0, 0.0, 0.0)
 """Line of channels that are on the common clock already."""
 
@@ -70,11 +72,12 @@ def recorder_name(run: Mapping[str, str]) -> str:
     return f"recorder {name}" if name else "recorder"
 
 
-def clock_line(device_s: Array, log_ns: NDArray[np.int64], start_s: float, tolerance_ppm: float) -> ClockLine:
-    """Fit the clock line through the last sample of every read."""
+def clock_line(device_s: Array, log_ns: NDArray[np.int64], start_s: float, role: Timed | None) -> ClockLine:
+    """Fit the clock line through the last sample of every read, earlier by the least delay of the device's bytes."""
     last = np.flatnonzero(np.diff(log_ns, append=log_ns[-1] + 1))
     step_s = float(np.median(np.diff(device_s))) if len(device_s) > 1 else 0.0
-    return fit_line(device_s[last], since_start(log_ns[last], start_s), tolerance_ppm, step_s)
+    arrived_s = since_start(log_ns[last], start_s) - (0.0 if role is None else role.least_delay_s)
+    return fit_line(device_s[last], arrived_s, tolerance_ppm(role), step_s)
 
 
 def since_start(time_ns: NDArray[np.int64], start_s: float) -> Array:
@@ -113,10 +116,10 @@ def _node_line(log: Log, usual: str, role: PendulumAngles | RotorPhase | None, s
     samples = samples_of(log, role.topic if role else usual)
     if samples is None or "node_time_us" not in samples.columns:
         return None
-    return clock_line(samples.node_time_us * 1e-6, samples.log_time_ns, start_s, tolerance_ppm(role))
+    return clock_line(samples.node_time_us * 1e-6, samples.log_time_ns, start_s, role)
 
 
-def tolerance_ppm(role: DisplacementSensor | PendulumAngles | RotorPhase | None) -> float:
+def tolerance_ppm(role: Timed | None) -> float:
     """Return the tolerance of the rate of a role's clock, ppm; the default without a role."""
     return ASSUMED_TOLERANCE_PPM if role is None else role.clock_tolerance_ppm
 

@@ -30,6 +30,7 @@ _RESET_S = 0.05  # wall s for which each controlword is held while a fault is re
 _MAX_BEAT_AGE_S = 0.3  # wall s by which a heartbeat may be late on a busy host
 _OFF_S, _OFF_REPEAT_S = 0.5, 0.1  # wall s to wait for the end of the torque, and between two commands
 _MOST_TIME_OUTS = 4  # stated time-outs for which the measured one is awaited
+_REPORT_DELAY_S = 0.03  # wall s, from the drive's time-out to its emergency in the host
 _MAX_WATCH_RATIO = 2  # of the drive's heartbeat timeout to the requested one; a drive may round it
 _TORQUE = (cia402.OPERATION_ENABLED, cia402.QUICK_STOP_ACTIVE, cia402.FAULT_REACTION)
 _MAX_EMERGENCIES = 30  # emergencies that are kept for a message
@@ -366,14 +367,17 @@ class DriveControl:
         self.emergencies = [code for code in self.emergencies if code != cia301.HEARTBEAT_ERROR]
         self._beat.stop()
         end_s = self._beat_s + self._clock.wall(_MOST_TIME_OUTS * stated_ms * 1e-3) + 1.0
-        while (heard := cia301.HEARTBEAT_ERROR in self.emergencies) is False and self._clock.wall_s() < end_s:
+        looked_s, longest_s, heard = self._clock.wall_s(), 0.0, False
+        while not heard and looked_s < end_s:
             self._clock.wait(0.002)
-        silent_s = self._clock.wall_s() - self._beat_s
+            before_s, looked_s = looked_s, self._clock.wall_s()
+            heard, longest_s = cia301.HEARTBEAT_ERROR in self.emergencies, max(longest_s, looked_s - before_s)
+        silent_s = looked_s - self._beat_s
         self._start_heartbeat()
         if self._recent_state == cia402.FAULT:
             self._reset_if_only_heartbeat(self._clock.wall_s() + 3.0)
-        measured_s = self._clock.patience(silent_s) if heard else None
-        return TimeOut(measured_s, stated_ms * 1e-3, self._clock.patience(_MAX_BEAT_AGE_S * 0.1))
+        resolution_s = self._clock.patience(_REPORT_DELAY_S + 2 * longest_s)  # a busy host is late
+        return TimeOut(self._clock.patience(silent_s) if heard else None, stated_ms * 1e-3, resolution_s)
 
     def _start_heartbeat(self) -> None:
         identifier, operational = cia301.cob_heartbeat(self._config.host_node_id), bytes([cia301.Heartbeat.OPERATIONAL])

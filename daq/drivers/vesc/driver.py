@@ -24,7 +24,7 @@ _FAULTY = ("FAULT", "KILL SWITCH OPEN", "UNKNOWN")
 
 
 class VescDriver(PlainDriver):
-    """See Driver."""
+    """See Driver: what controllers on a serial port and on a CAN bus have in common, as on a serial port."""
 
     name = "vesc"
     rest_s: float = 0.01
@@ -89,6 +89,10 @@ class VescDriver(PlainDriver):
 
         return VescControl(settings, send, clock, guard)
 
+
+class SerialVescDriver(VescDriver):
+    """See Driver, AnswersIdentityRequest and AnnouncesItself: a controller on its serial port or its network bridge."""
+
     def identity_request(self, settings: Vesc) -> IdentityTurns:
         """See AnswersIdentityRequest."""
         from daq.drivers.vesc.identity import identity_turns
@@ -103,4 +107,4 @@ class VescDriver(PlainDriver):
         return ANNOUNCEMENT
 
 
-DRIVER = VescDriver()
+DRIVER = SerialVescDriver()
