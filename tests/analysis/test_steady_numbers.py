@@ -324,11 +324,11 @@ def test_an_approach_that_is_not_over_is_extrapolated(rig: Rig) -> None:
     assert found.state == "not settled"
     assert found.to_come.model != UNEXPLAINED
     assert found.theta_rad[0].value == pytest.approx(THETA[0], abs=3 * found.theta_rad[0].std)
-    assert found.to_come.rate_per_s == pytest.approx(0.3, rel=0.15)
+    assert found.to_come.rate_per_s == pytest.approx(0.3, rel=0.25)  # the noise may leave a second rate open
     at_end = math.radians(1.0) * math.exp(0.3 * (END_S - found.to_s))
     mean = at_end * (math.exp(0.3 * 6.0) - 1) / (0.3 * 6.0)
     assert found.to_come.shift[0] == pytest.approx(-mean, rel=0.1)
-    assert found.to_come.to_come[0] == pytest.approx(-at_end, rel=0.15)
+    assert found.to_come.to_come[0] == pytest.approx(-at_end, rel=0.2)
     assert found.to_come.shift[1] == pytest.approx(0.0, abs=STEP)
     assert 10 < found.to_come.windows <= 20
 

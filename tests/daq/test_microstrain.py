@@ -16,7 +16,6 @@ from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
 import rig_testing
-from daq.acquisition.session import Session
 from daq.drivers.microstrain import wire
 from daq.drivers.microstrain.driver import MicroStrain
 from daq.drivers.microstrain.far_end import SimulatedMicroStrain
@@ -26,13 +25,12 @@ from daq.drivers.microstrain.settings import MicroStrainNode
 from daq.drivers.microstrain.stream import MicroStrainPipeline
 from daq.errors import DeviceError, LogError
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
 from daq.signals.run import load_run
-from rig_configs import load_rig
 from rig_testing.bench import DriverBench
 from rig_testing.subject import together
+from tests.daq.lockstep_log import recorded_at_rest
 
 NODE, RATE_HZ, UTC_S, S = 307, 256, 1_700_000_000, 1_000_000_000
 RATE_CODE = 105
@@ -541,16 +539,11 @@ def test_a_rig_has_its_angles_from_this_node_and_its_marks_from_another_device(t
     file = tmp_path / "rig.toml"
     text = (resources.files("rig_configs") / "by_hand.toml").read_text()
     file.write_text(text.replace("locks = false", "locks = false\nangles = false") + NODES)
-    sim = LockstepRig(load_rig(file, settings=["virtual.seed=4"]))
-    session = Session(load_rig(file, settings=["virtual.seed=4", *sim.port_settings()]), sim.clock, edge=sim.edge)
-    assert session.rig.roles.angles is not None
-    assert session.rig.roles.phase is not None
-    assert (session.rig.roles.angles.device, session.rig.roles.phase.device) == ("angles", "encoder")
-    with session:
-        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        sim.clock.sleep(4.0)
-        session.stop_recording({})
     log = tmp_path / "a.mcap"
+    roles = recorded_at_rest(file, log, ["virtual.seed=4"]).roles
+    assert roles.angles is not None
+    assert roles.phase is not None
+    assert (roles.angles.device, roles.phase.device) == ("angles", "encoder")
     assert [row.topic for row in check(log) if row.difference] == []
     with open_log(log) as opened:
         found = opened["pendulums"]

@@ -14,7 +14,6 @@ from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
 import rig_testing
-from daq.acquisition.session import Session
 from daq.channels import displacement_channel
 from daq.drivers.polled_laser import wire
 from daq.drivers.polled_laser.driver import PolledLaserDriver
@@ -23,13 +22,12 @@ from daq.drivers.polled_laser.settings import PolledLaser
 from daq.drivers.polled_laser.stream import PolledPipeline
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
-from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
 from daq.signals.run import load_run
 from daq.virtual_rig.beam import Beam
-from rig_configs import load_rig
 from rig_testing.bench import DriverBench
+from tests.daq.lockstep_log import recorded_at_rest
 
 MS = 1_000_000
 
@@ -303,14 +301,8 @@ def test_a_session_polls_it_while_it_reads_the_other_devices(tmp_path: Path) -> 
     """It is asked at its rate, and decoding the log's bytes gives the same samples again."""
     file = tmp_path / "rig.toml"
     file.write_text((resources.files("rig_configs") / "virtual.toml").read_text() + GAUGE)
-    settings = ["virtual.seed=4", "virtual.sensors.axis_angle_deg=0"]
-    sim = LockstepRig(load_rig(file, settings=settings))
-    session = Session(load_rig(file, settings=[*settings, *sim.port_settings()]), sim.clock, edge=sim.edge)
-    with session:
-        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        sim.clock.sleep(4.0)
-        session.stop_recording({})
     log = tmp_path / "a.mcap"
+    recorded_at_rest(file, log, ["virtual.seed=4", "virtual.sensors.axis_angle_deg=0"])
     assert [row.topic for row in check(log) if row.difference] == []
     with open_log(log) as opened:
         asked = [chunk for chunk in opened.raw("gauge") if chunk.direction == TX]
