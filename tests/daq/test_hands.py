@@ -13,6 +13,7 @@ from hypothesis import given, strategies as st
 
 from daq.acquisition.device_check import device_checks
 from daq.acquisition.interlocks import Interlocks
+from daq.acquisition.observation import observe
 from daq.acquisition.session import Session
 from daq.errors import DeviceError, ProcedureError
 from daq.guided_tests.hands import SEEN_RAD, release_time
@@ -23,7 +24,6 @@ from daq.virtual_rig.simulated_operator import SimulatedOperator
 from identification import NotIdentifiable, identify
 from identification.pendulums.release import fit_release
 from identification.pendulums.suspension_knowledge import Knowledge
-from rig_cli.check_page import look_at
 from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
@@ -50,7 +50,7 @@ def quiet(text: str, share: float | None) -> None:
 def test_one_laser_is_checked_rings_down_and_is_identified(one: tuple[VirtualRigProcess, Rig], tmp_path: Path) -> None:
     process, rig = one
     with Session(rig, process.clock) as session:
-        checks = device_checks(rig, look_at(session, 0.5))
+        checks = device_checks(rig, observe(session, 0.5))
         assert list(checks) == ["probe"]
         assert [what for what, found in checks["probe"].items() if not found.passed] == []
         tests = Procedures(session, SimulatedOperator(process.line), tmp_path, quiet)
