@@ -317,7 +317,7 @@ def test_the_progress_never_exceeds_the_whole() -> None:
 def test_every_installed_driver_is_tried_and_its_settings_are_valid() -> None:
     assert FAILED == []
     on_any = {each.driver.name for each in trials_of(DRIVERS, "socket://h:1", False)}
-    assert on_any == {each.name for each in DRIVERS}
+    assert on_any == {each.name for each in DRIVERS if not each.settings.files}  # a file describes the others
 
 
 ON_A_BUS = {"cia402", "cia406", "odrive", "vesc_can"}
