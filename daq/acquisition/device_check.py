@@ -31,6 +31,7 @@ _MAX_LINE_SHARE = 2e-4  # amplitude of a steady line, of the measuring range
 _MAX_ANGLE_NOISE_COUNTS = 2.0  # rms, in closed locks
 _MAX_TIME_OUT_SHARE, _MAX_TIME_OUT_S = 0.1, 0.03  # deviation of the time-out, of what the drive states, and in addition
 _MAX_CLOCK_STD_NS = 1e6  # 7° of the rotor at 1200 rpm
+_CLOCK_S = 5.0  # observation that is necessary for it; a shorter one is less certain
 _MIN_SPECTRUM = 256  # samples for a level of noise
 
 
@@ -91,7 +92,8 @@ class RigObservation:
         angles, speed: None if the rig has no such device.
         time_out: time-out of the speed source, or the reason why it was not measured; None without a speed source.
         own: checks of the devices' drivers, by device.
-        clock_stds_ns: stated standard uncertainties of the devices' times on the common clock, ns, by device.
+        clock_stds_ns: stated standard uncertainties of the devices' times on the common clock, ns, by device;
+            medians of the second half.
         unopened: reasons why devices are not open, by device.
         complaints: contradictions between what devices report of themselves and the rig file, by device.
     """
@@ -133,7 +135,7 @@ def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
         lost = look.losses.get(name, {})
         by_air = "radio_frames" in lost and roles.angles is not None
         if name in look.clock_stds_ns:
-            checks |= _clock(look.clock_stds_ns[name])
+            checks |= _clock(look.clock_stds_ns[name], look.seconds)
         checks |= _losses(lost, roles.angles.rate_Hz * look.seconds if by_air and roles.angles is not None else 0.0)
         checks |= _restarts([e for e in look.events if e.device == name])
         if name in look.complaints and passed(checks):
@@ -259,13 +261,14 @@ def _speed(seen: ObservedSpeed, rest_rpm: float) -> Checks:
     }
 
 
-def _clock(std_ns: float) -> Checks:
+def _clock(std_ns: float, seconds: float) -> Checks:
     """Check the stated uncertainty of a device's times, without the least delay of its path."""
-    fine = std_ns <= _MAX_CLOCK_STD_NS
+    most_ns = _MAX_CLOCK_STD_NS * max(1.0, _CLOCK_S / seconds)
+    fine = std_ns <= most_ns
     note = (
         "" if fine else "its bytes arrive very unevenly: look at the adapter, its latency setting, and the host's load"
     )
-    most = f"at most {_MAX_CLOCK_STD_NS * 1e-3:g}"
+    most = f"at most {most_ns * 1e-3:g}"
     return {"clock_std_us": DeviceCheck(round(std_ns * 1e-3, 1), most, fine, note)}
 
 

@@ -36,9 +36,12 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
     session.device_event_observers.append(events.append)
     before, started = session.losses(), session.clock.now_ns()
     begun_s = session.clock.wall_s()
+    stds: dict[str, list[float]] = {}
     while (passed := session.clock.wall_s() - begun_s) < seconds:
         progress(passed / seconds)
         session.clock.wait(min(_STEP_S, seconds - passed))
+        for name, std_ns in session.clock_stds_ns().items():
+            stds.setdefault(name, []).append(std_ns)
     wait = session.clock.now_ns() + int(_STATUS_WAIT_S * 1e9)
     while not session.all_identified() and session.clock.now_ns() < wait:
         session.clock.sleep(_STEP_S)
@@ -55,7 +58,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
         speed=speed and ObservedSpeed(plain[speed.topic], session.drive.actual_rpm),
         time_out=None if speed is None or speed.device in unopened else _time_out(session, speed),
         own=_with_duties(session.own_checks(events), roles),
-        clock_stds_ns=session.clock_stds_ns(),
+        clock_stds_ns={name: float(np.median(found[len(found) // 2 :])) for name, found in stds.items()},
         unopened=unopened,
         complaints={name: text for name in session.rig.devices if (text := session.identification_of(name)[1])},
     )
