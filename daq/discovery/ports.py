@@ -13,13 +13,13 @@ from typing import Any
 import can
 from serial.tools import list_ports
 
+from daq.transports.port_names import CAN_INTERFACES_WITHOUT_HARDWARE
 from rig_basics.ignoring import ignoring
 
 _log = logging.getLogger(__name__)
 
 _BY_ID = Path("/dev/serial/by-id")
 _USB_DEVICES = Path("/sys/bus/usb/devices")
-_NOT_HARDWARE = frozenset({"virtual", "udp_multicast", "socketcand"})  # the last one waits for broadcasts
 _SERIAL = frozenset({"serial", "slcan", "robotell", "seeedstudio"})  # their adapters are listed as serial ports
 _DETECTION_S = 3.0
 
@@ -121,7 +121,9 @@ def can_channels(network: bool = False) -> list[CanChannel]:
     Args:
         network: whether servers of CAN channels on the network are searched too, by their broadcasts.
     """
-    left_out = _SERIAL | (_NOT_HARDWARE - {"socketcand"} if network else _NOT_HARDWARE)
+    left_out = _SERIAL | (
+        CAN_INTERFACES_WITHOUT_HARDWARE - {"socketcand"} if network else CAN_INTERFACES_WITHOUT_HARDWARE
+    )
     logging.getLogger("can").addHandler(logging.NullHandler())  # it reports each adapter whose software is missing
     interfaces = sorted(can.VALID_INTERFACES - left_out)
     found: list[CanChannel] = []

@@ -133,7 +133,7 @@ class LabJack(DeviceSettings):
     @field_validator("port")
     @classmethod
     def _is_no_second_port(cls, port: str) -> str:
-        if port.startswith("socket://") and port.endswith(":702"):
+        if port.endswith(":702"):
             raise ValueError("expected port 502, that of the commands; the stream is read by commands, not on port 702")
         return port
 

@@ -8,6 +8,7 @@ from daq.drivers.identification import Announcement, FoundDevice, IdentityReques
 from daq.drivers.vesc import wire
 from daq.drivers.vesc.packets import PacketDecoder
 from daq.drivers.vesc.settings import Vesc
+from daq.transports.port_names import network_port
 
 ANNOUNCED_ON = 65_109
 """UDP port to which a VESC Express broadcasts its address each second. Source: its firmware, main/comm_wifi.c."""
@@ -47,7 +48,7 @@ def announced(data: bytes, sender: str) -> NetworkDevice | None:
     except ValueError:  # usual: the datagram of another device
         return None
     host = sender if address.is_unspecified else str(address)
-    return NetworkDevice(f"socket://{host}:{int(rest[1])}", FoundDevice({}, {"name": name}))
+    return NetworkDevice(network_port(host, int(rest[1])), FoundDevice({}, {"name": name}))
 
 
 ANNOUNCEMENT = Announcement(ANNOUNCED_ON, announced)
