@@ -94,7 +94,7 @@ def _files_of(table: Mapping[str, Any]) -> Mapping[str, str]:
     """Return `DeviceSettings.files` of a device's driver; errors of the driver's name are left to the schema."""
     try:
         return settings_of(str(table.get("driver"))).files
-    except ValueError:
+    except ValueError:  # usual: the schema names the driver
         return {}
 
 

@@ -165,7 +165,7 @@ class SerialLink:
             Number of bytes in the buffer. A loss of the connection is left to the next read, so that no byte is lost.
         """
         last = size
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # usual: the next read reports the loss
             while last >= _FULL_BYTES and size <= _READ_BYTES - _TTY_BYTES:
                 ready, _, _ = select.select([descriptor], [], [], 0.0)
                 last = os.readv(descriptor, [self._buffer[size : size + _TTY_BYTES]]) if ready else 0
