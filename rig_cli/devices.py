@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from daq.drivers.contract import Driver
     from daq.transports import HostClock
 
+_OPENED = ("device", "unknown device", "silent")
 _SHOW_S = 0.1  # period of the progress bar
 
 
@@ -35,7 +36,10 @@ def devices(
     list_only: Annotated[bool, Parameter(negative="", help="list the ports, open none of them")] = False,
     json: Json = False,
 ) -> int:
-    """List ports and the devices on them, with tables to paste into a rig file; without --ask no byte is sent."""
+    """List ports and the devices on them, with tables to paste into a rig file; without --ask no byte is sent.
+
+    The exit code is 3 if a port that --port names cannot be opened.
+    """
     from daq.discovery.ports import can_channels, serial_ports, usb_can_adapters
     from daq.discovery.trials import drivers_found
     from daq.transports.host_clock import HostClock
@@ -67,13 +71,15 @@ def devices(
         "tables": _tables(results, announced),
         "notes": notes,
     }
+    unopened = port is not None and any(each.state not in _OPENED for each in results)
+    code = 3 if unopened else 0
     if json:
         print_json(facts)
-        return 0
+        return code
     from rig_cli.devices_page import print_devices  # rich's tables are slow
 
     print_devices(facts, asked=ask, searched=not list_only)
-    return 0
+    return code
 
 
 def _passive(channels: Sequence[Any]) -> list[str]:

@@ -23,6 +23,8 @@ NEEDED = {  # what else a command needs to come as far as its numbers; nothing o
     "demo": ("--rig", f"{ABSENT}.toml"),
     "diff": (f"{ABSENT}.toml", f"{ABSENT}.toml"),
     "plan": (f"{ABSENT}.toml", "--want", "zeta1=1%"),
+    "calibrate": (f"{ABSENT}.toml", "encoder"),
+    "devices": (),
     "pluck": ("x", "--control", f"{ABSENT}.json"),
     "turn": ("60", "--control", f"{ABSENT}.json"),
     "fault": ("mute", "laser_x", "--control", f"{ABSENT}.json"),
