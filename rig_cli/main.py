@@ -35,7 +35,7 @@ _VERBS = {  # modules are imported when their verb is called: `rig --help` and `
         "reported.",
     },
     "rig_cli.acquire": {
-        "check": "Validate a rig file, open its devices, compare them with the file; exit 1 when a device fails a "
+        "check": "Validate a rig file, open its devices, compare them with the file; exit 3 when a device fails a "
         "check.",
         "record": "Record every device until Ctrl-C, for --duration, or until all are silent; shows rates, losses and "
         "the disk.",

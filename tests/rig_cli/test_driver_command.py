@@ -92,7 +92,7 @@ def test_a_driver_of_a_module_that_fails_exits_1(capsys: pytest.CaptureFixture[s
         ("strangers_driver:OTHER", "no attribute 'OTHER'"),
         ("strangers_driver:NONE", "is not a driver"),
         (":", "no driver"),
-        ("pendulum-balancer-rig", "expected pendulum-balancer-rig:NAME with one of cia402, optoncdt"),
+        ("pendulum-balancer-rig", "expected pendulum-balancer-rig:NAME with one of cia402, cia406"),
     ],
 )
 def test_no_such_driver_is_bad_use(capsys: pytest.CaptureFixture[str], name: str, words: str) -> None:

@@ -114,7 +114,7 @@ def test_a_slip_of_a_unit_warns_before_a_device_is_opened(
     ("words", "code", "why"),
     [
         ("check no.toml", 2, "no such rig file"),
-        ("check virtual --set devices.laser_x.port=/dev/nope", 3, "/dev/nope"),
+        ("log nosuch.mcap", 2, "nosuch.mcap"),
         ("predict virtual --pont A", 2, "--pont"),
         ("predikt virtual", 2, "predikt"),
         ("predict", 2, "requires an argument"),
