@@ -47,6 +47,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
         session.clock.sleep(_STEP_S)
     session.device_event_observers.remove(events.append)
     roles, plain, unopened = session.rig.roles, plain_rates(session, started), session.unopened
+    scale = session.clock.patience(1.0)  # delays of the host are wall time
     speed, lasers = roles.speed, (*roles.displacements, *roles.witnesses)
     return RigObservation(
         seconds=(session.clock.now_ns() - started) * 1e-9,
@@ -58,7 +59,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
         speed=speed and ObservedSpeed(plain[speed.topic], session.drive.actual_rpm),
         time_out=None if speed is None or speed.device in unopened else _time_out(session, speed),
         own=_with_duties(session.own_checks(events), roles),
-        clock_stds_ns={name: float(np.median(found[len(found) // 2 :])) for name, found in stds.items()},
+        clock_stds_ns={name: float(np.median(found[len(found) // 2 :])) / scale for name, found in stds.items()},
         unopened=unopened,
         complaints={name: text for name in session.rig.devices if (text := session.identification_of(name)[1])},
     )
