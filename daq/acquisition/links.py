@@ -162,7 +162,7 @@ class Links:
         """End the streams. A lost device does not prevent the end of the others."""
         self._stop_pollers()
         for name, device in self._devices.items():
-            if name in self.refused:
+            if name not in self._readers:
                 continue
             with ignoring(_log, f"ending the stream of {name}", LinkLost, DeviceError):
                 stop_device(device.driver, device.settings, self._talk(name))
@@ -241,7 +241,7 @@ class Links:
             for name in list(core.gone):
                 yield from self.reopened(name, command)
             for name in sorted(mute):
-                if command is not None:
+                if command is not None and name not in self.refused:
                     yield from self._woken(name, command)
         finally:
             self._attending = False

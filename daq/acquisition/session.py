@@ -88,6 +88,7 @@ class Session:
         self._command: RotorCommand | None = None
         self._ticking: Repeated | None = None
         self._opened = False
+        self._commanded = False  # whether the drive was set up, so that it must be stopped
 
     # --- beginning and end ---------------------------------------------------------------------------------------
 
@@ -100,6 +101,7 @@ class Session:
             links.read()
             links.start_streams()
             if self._command.drive is not None and self._command.drive_name not in links.refused:
+                self._commanded = True
                 with links.refusing(self._command.drive_name, DeviceError, LinkLost):
                     self._command.drive.start()
             self._wait_alive("every device to send samples")
@@ -227,7 +229,7 @@ class Session:
         if self._command is None or self._links is None:
             return True, ""
         drive = self._command.drive_name
-        if drive in self._links.refused:  # it was never commanded
+        if drive in self._links.refused and not self._commanded:
             self._links.stop_streams()
             return True, ""
         released = self._command.bring_to_rest(self._notify, self._opened, self._reach_drive)

@@ -173,3 +173,28 @@ def test_a_radio_that_loses_a_fifth_is_found() -> None:
     lossy = ["virtual.radio.burst_start=0.1", "virtual.radio.burst_stop=0.3", "virtual.radio.loss_in_burst=0.8"]
     found = set(failed(checked(lossy)))
     assert {"encoder lost_samples"} <= found <= {"encoder lost_samples", "encoder lost_radio_frames"}
+
+
+def test_a_drive_that_falls_silent_after_its_set_up_is_stopped_and_its_heartbeat_ends() -> None:
+    """It was commanded, so the end of the check commands its stop, and no thread goes on sending."""
+    rig = load_rig("virtual")
+    far = LockstepRig(rig)
+    session = Session(load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge)
+    session.lenient = True
+    far.clock.after(0.5, lambda: _fault(far, "drive", "silent reports"), world=True)
+    with session:
+        observe(session, 1.0)
+    state = far.ask("state")
+    far.clock.wait(2.0)
+    assert far.far.far_ends["drive"].facts()["watchdog_ms"] == 0, state
+
+
+def test_a_device_without_a_port_does_not_stop_the_commands_of_the_others() -> None:
+    far = LockstepRig(load_rig("virtual"))
+    session = Session(load_rig("virtual", settings=far.port_settings()), far.clock, edge=far.edge)
+    session.lenient = True
+    far.cables["laser_x"].cut()
+    with session:
+        session.clock.wait(5.0)  # longer than a silent line
+        session.command_node("lock both")
+        assert set(session.unopened) == {"laser_x"}

@@ -366,6 +366,15 @@ class DriveControl:
         assert self._beat is not None
         self.emergencies = [code for code in self.emergencies if code != cia301.HEARTBEAT_ERROR]
         self._beat.stop()
+        try:
+            return self._time_out(stated_ms)
+        finally:
+            self._start_heartbeat()
+            if self._recent_state == cia402.FAULT:
+                self._reset_if_only_heartbeat(self._clock.wall_s() + 3.0)
+
+    def _time_out(self, stated_ms: int) -> TimeOut:
+        """Wait for the report of the missing heartbeat, which has just been ended."""
         end_s = self._beat_s + self._clock.wall(_MOST_TIME_OUTS * stated_ms * 1e-3) + 1.0
         looked_s, longest_s, heard = self._clock.wall_s(), 0.0, False
         while not heard and looked_s < end_s:
@@ -373,9 +382,6 @@ class DriveControl:
             before_s, looked_s = looked_s, self._clock.wall_s()
             heard, longest_s = cia301.HEARTBEAT_ERROR in self.emergencies, max(longest_s, looked_s - before_s)
         silent_s = looked_s - self._beat_s
-        self._start_heartbeat()
-        if self._recent_state == cia402.FAULT:
-            self._reset_if_only_heartbeat(self._clock.wall_s() + 3.0)
         resolution_s = self._clock.patience(_REPORT_DELAY_S + 2 * longest_s)  # a busy host is late
         return TimeOut(self._clock.patience(silent_s) if heard else None, stated_ms * 1e-3, resolution_s)
 
