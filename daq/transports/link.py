@@ -88,7 +88,7 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
             host, _, number = port.removeprefix("udp://").rpartition(":")
             return DatagramLink(host, int(number))
         return SerialLink(port, baud, parity, stop_bits)
-    except (OSError, ValueError, serial.SerialException, can.CanError) as error:
+    except (OSError, ValueError, OverflowError, serial.SerialException, can.CanError) as error:
         if isinstance(error, OSError) and error.errno in _LOCKED_ERRNOS:
             raise LinkLost(
                 f"{port}: another program has it open ({error}). End that program first: a line has one master"

@@ -260,3 +260,9 @@ def test_a_serial_port_has_the_stop_bits_of_its_line(stop_bits):
         link.close()
         wire.close()
     assert bool(flags & termios.CSTOPB) == (stop_bits == 2)
+
+
+@pytest.mark.parametrize("port", ["udp://127.0.0.1:99999", "udp://127.0.0.1:x", "udp://", "socket://127.0.0.1:99999"])
+def test_a_port_of_the_network_that_cannot_be_is_a_lost_link(port: str) -> None:
+    with pytest.raises(LinkLost, match="cannot be opened"):
+        open_link(port, 0)
