@@ -238,7 +238,7 @@ class Line:
     def rows(self) -> list[tuple[float, float, int]]:
         found = [item for item in self.items if isinstance(item, Batch)]
         names = ("speed_rpm", "target_rpm", "statusword")
-        return [tuple(float(b.columns[name][0]) for name in names) for b in found]  # type: ignore[misc]  # three names
+        return [tuple(float(b.columns[name][0]) for name in names) for b in found]
 
     def kinds(self) -> list[str]:
         return [item.kind for item in self.items if isinstance(item, DeviceEvent) and item.kind != "reply"]
