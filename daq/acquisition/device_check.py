@@ -134,10 +134,11 @@ def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
     for name, checks in out.items():
         lost = look.losses.get(name, {})
         by_air = "radio_frames" in lost and roles.angles is not None
+        on_air = roles.angles.rate_Hz * look.seconds if by_air and roles.angles is not None else 0.0
         if name in look.clock_stds_ns:
-            checks |= _clock(look.clock_stds_ns[name], look.seconds)
-        checks |= _losses(lost, roles.angles.rate_Hz * look.seconds if by_air and roles.angles is not None else 0.0)
-        checks |= _restarts([e for e in look.events if e.device == name])
+            checks.update(_clock(look.clock_stds_ns[name], look.seconds))
+        checks.update(_losses(lost, on_air))
+        checks.update(_restarts([e for e in look.events if e.device == name]))
         if name in look.complaints and passed(checks):
             checks["identity"] = DeviceCheck("differs", "as in the rig file", False, look.complaints[name])
     return out | {name: {"opened": DeviceCheck("no", "yes", False, why)} for name, why in look.unopened.items()}
