@@ -3,6 +3,8 @@
 Both byte orders, counters that begin again after 0.3 s and 4 s, a timestamp and a value table are in it.
 """
 
+from typing import Any
+
 DBC = """VERSION ""
 
 NS_ :
@@ -29,7 +31,7 @@ VAL_ 256 Distance 8388607 "NoTarget" ;
 VAL_ 2147484160 Distance 65535 "NoTarget" ;
 """
 
-SETTINGS = {
+SETTINGS: dict[str, Any] = {
     "dbc_text": DBC,
     "bitrate": 1_000_000,
     "x": {

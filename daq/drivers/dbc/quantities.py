@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.channels import Channel
+from daq.drivers.dbc.layouts import MessageLayout
 from daq.drivers.dbc.settings import CanSensors
 from daq.drivers.dbc.silence import SilenceWatch
 from daq.items import Batch, DeviceEvent
@@ -20,7 +21,7 @@ class QuantityStream:
 
     def __init__(self, device: str, settings: CanSensors, name: str, channel: Channel) -> None:
         table = settings.quantities[name]
-        self.message = settings.message(table.message)
+        self.message: MessageLayout = settings.message(table.message)
         self._channel, self._number = channel, 0
         self._signals = {field: self.message.signals[signal] for field, signal in table.fields.items()}
         self._invalid = {field: settings.invalid_raw(table.invalid, signal) for field, signal in self._signals.items()}

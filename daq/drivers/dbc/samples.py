@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from daq.channels import DEVICE_TICK_S, Channel
 from daq.clock import ClockMap, ClockSeed
-from daq.drivers.dbc.layouts import SignalLayout
+from daq.drivers.dbc.layouts import MessageLayout, SignalLayout
 from daq.drivers.dbc.positions import Placed, Positions
 from daq.drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal
 from daq.drivers.dbc.silence import SilenceWatch
@@ -42,7 +42,7 @@ class LaserStream:
         clock: tuple[int, ClockSeed | None],
         losses: dict[str, int],
     ) -> None:
-        self.message = group.message
+        self.message: MessageLayout = group.message
         self._device, self._group, self._losses = device, group, losses
         self._lasers = [_Laser(settings, table, signal, by_topic[table.topic]) for table, signal in group.lasers]
         table = group.lasers[0][0]

@@ -25,7 +25,7 @@ class PlayedConverter(PlayedDevice):
     def hear(self, data: bytes) -> bytes:
         """See PlayedDevice."""
         answers = self._server.receive(data)
-        self.commands = self._server.requests
+        self.commands: int = self._server.requests
         return answers
 
     def _reads(self, register: int, count: int) -> bool:

@@ -68,6 +68,7 @@ class SimulatedOdrive(FarEnd):
         self._settings, self._motion = settings, motion
         self._watchdog_s = settings.watchdog_s if watchdog_s is None else watchdog_s
         self._bits = _ERROR_BITS[settings.firmware]
+        self.error: int = 0
         self.frames_sent: int = 0
         self.errors: list[int] = []
         self._adapter = Adapter()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import binascii
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 from daq.drivers.can_lines import Adapter
@@ -62,8 +62,12 @@ class SimulatedVescCan(SimulatedVesc):
         frames = [(5, bytes([at]) + payload[at : at + 7]) for at in range(0, len(payload), 7)]
         check = binascii.crc_hqx(payload, 0)
         frames.append((7, bytes([self._bus.controller_id, 1, 0, len(payload), check >> 8, check & 0xFF])))
-        self.frames_sent += len(frames)
-        return b"".join(encode(CanFrame(command * 256 + host, data, extended=True)) for command, data in frames)
+        return self._encoded([CanFrame(command * 256 + host, data, extended=True) for command, data in frames])
+
+    def _encoded(self, frames: Sequence[CanFrame]) -> bytes:
+        """Return the text of frames and count them."""
+        self.frames_sent: int = self.frames_sent + len(frames)
+        return b"".join(map(encode, frames))
 
     def step(self, now_s: float) -> bytes:
         """Update the controller up to `now_s`; return the status messages that are due."""
@@ -76,8 +80,7 @@ class SimulatedVescCan(SimulatedVesc):
                 data = values.erpm.to_bytes(4, "big", signed=True)
                 data += round(values.motor_A * 10).to_bytes(2, "big", signed=True)
                 data += round(values.duty * 1000).to_bytes(2, "big", signed=True)
-                out += encode(CanFrame(0x900 + self._bus.controller_id, data, extended=True))
-                self.frames_sent += 1
+                out += self._encoded([CanFrame(0x900 + self._bus.controller_id, data, extended=True)])
             if self._adapter.open and self._second_host:
                 data = (7000).to_bytes(4, "big")
                 out += encode(CanFrame(0x300 + self._bus.controller_id, data, extended=True))
