@@ -421,7 +421,7 @@ class TimeOut:
 
     Attributes:
         measured_s: time from the last sign of life to the report that it is missing, s; None without such a report.
-        stated_s: time-out that the device states, s; None if it states none.
+        stated_s: time-out that the device states, or that it must have by the rig file, s; None without either.
         resolution_s: uncertainty of `measured_s` from the periods of messages and reports, s.
     """
 

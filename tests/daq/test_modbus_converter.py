@@ -399,3 +399,38 @@ def test_the_simulated_converter_refuses_what_it_does_not_have(bench: Bench) -> 
         assert order.answer.exception == exception
     values: dict[str, Any] = dict(bench.converter.facts())
     assert values["collisions"] == 0
+
+
+# --- its time-out, measured ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("ratio", "expected"), [(1.0, 1.025), (1.7, 1.625), (0.5, 0.4), (3.0, 3.0)])
+def test_its_time_out_is_measured_by_silence(bench: Bench, ratio: float, expected: float) -> None:
+    bench.converter.fail("time-out", ratio)
+    found = bench.drive.measure_time_out()
+    assert found.measured_s is not None
+    assert found.stated_s == pytest.approx(1.0)
+    assert found.measured_s == pytest.approx(expected, abs=0.06)
+    assert abs(found.measured_s - ratio) <= found.resolution_s + 0.02
+    bench.turn()
+    assert bench.rpm == pytest.approx(200, rel=0.01), "its fault was reset and polling goes on"
+
+
+def test_a_converter_that_shows_no_fault_at_rest_is_not_judged(bench: Bench) -> None:
+    bench.converter.fail("time-out", 100.0)
+    with pytest.raises(DeviceError, match="watch only while they run"):
+        bench.drive.measure_time_out()
+    bench.turn()
+    with pytest.raises(DeviceError, match="must stand"):
+        bench.drive.measure_time_out()
+
+
+def test_without_a_code_of_its_fault_the_time_out_is_not_measured() -> None:
+    class NoCode(ModbusConverterDriver):
+        example: ClassVar = {"registers": {"watchdog_fault": None}}
+
+    bench = Bench(NoCode())
+    with bench.running():
+        bench.begin()
+        with pytest.raises(DeviceError, match="no code of its fault"):
+            bench.drive.measure_time_out()

@@ -531,3 +531,43 @@ def test_the_stand_in_for_playing_accepts_any_identity(identity: dict[str, Any])
 def test_the_kit_passes_with_firmware_0_5_and_a_gear(case: rig_testing.ContractCase) -> None:
     if case.name not in ("mutations", "memory"):  # the same decoder as with the example
         case()
+
+
+@pytest.mark.parametrize("ratio", [1.0, 3.0, 0.4])
+def test_its_time_out_is_measured_at_rest(ratio: float) -> None:
+    with running(variant(firmware="0.5")) as bench:
+        bench.begin()
+        bench.axis.fail("time-out", ratio)
+        bench.time.pass_time(0.3)
+        found = bench.drive.measure_time_out()
+        assert found.measured_s is not None
+        assert abs(found.measured_s - 0.5 * ratio) <= found.resolution_s
+        assert found.resolution_s < 0.2
+        assert found.stated_s == 0.5
+        assert wire.AXIS_STATE not in bench.commands()
+
+
+def test_a_watchdog_that_is_off_has_no_time_out() -> None:
+    with running(variant(firmware="0.5")) as bench:
+        bench.far = SimulatedOdrive(axis(firmware="0.5"), bench.motion, watchdog_s=0.0)
+        bench.begin()
+        bench.time.pass_time(0.3)
+        assert bench.drive.measure_time_out().measured_s is None
+
+
+def test_its_time_out_is_not_measured_while_it_drives_or_has_a_fault_or_is_not_known_to_watch() -> None:
+    with running(variant(firmware="0.5")) as bench:
+        bench.runs(100.0)
+        with pytest.raises(DeviceError, match="must stand"):
+            bench.drive.measure_time_out()
+        bench.drive.stop()
+        bench.axis.fail("fault", 0x40)
+        bench.time.pass_time(0.3)
+        with pytest.raises(DeviceError, match="without a fault"):
+            bench.drive.measure_time_out()
+        assert bench.axis.error & 0x40, "a fault is not cleared"
+    with running() as bench:
+        bench.begin()
+        bench.time.pass_time(0.3)
+        with pytest.raises(DeviceError, match="proves_watchdog"):
+            bench.drive.measure_time_out()

@@ -7,7 +7,7 @@ import math
 import threading
 from collections.abc import Callable, Sequence
 
-from daq.drivers.contract import Pipeline, RotorGuard
+from daq.drivers.contract import Pipeline, RotorGuard, TimeOut
 from daq.drivers.modbus_converter import states, wire
 from daq.drivers.modbus_converter.line import Order, RequestLine
 from daq.drivers.modbus_converter.settings import ModbusConverter
@@ -24,6 +24,7 @@ _ENABLE_S = 3.0  # wall s for the converter to run
 _OFF_S = 1.0  # wall s for the converter to switch its output off at rest
 _CONFIRM_S = 2.0  # wall s for the answers to some requests, with their repetitions
 _MIN_BEAT_S, _BEAT_S = 0.002, 0.004  # wall s, period of the thread that sends requests
+_SILENCES = (0.8, 1.25, 2.0, 4.0)  # silences after which the fault is looked for, in stated timeouts
 _MAX_RAMP_DEVIATION = 0.05  # relative deviation of the converter's ramp from the requested one
 _UNCONFIRMED = (
     "it does not answer: the stop is not confirmed. Its own communication timeout stops it, if it works. Look at its "
@@ -232,12 +233,16 @@ class ConverterControl:
             if stops != self._stops:
                 raise DeviceError("drive: a stop was commanded while it was being enabled")
 
-        self._wait(lambda: self._recent() is not None, check, "it does not answer. Look at its power and its line")
-        self._reset_if_only_watchdog(check)
+        def permitted() -> None:
+            self._guarded.permit(None)
+            check()
+
+        self._wait(lambda: self._recent() is not None, permitted, "it does not answer. Look at its power and its line")
+        self._reset_if_only_watchdog(permitted)
         self._check_watchdog()
         self._wait(
             lambda: self.state == states.RUNNING or self._guarded.at_rest() is not False,
-            check,
+            permitted,
             "its output is off and the rotor turns. Wait until it stands",
         )
         self.set_ramp(self._ramp_rpm_per_s)
@@ -249,7 +254,7 @@ class ConverterControl:
             reports = self._reports + 1
             self._wait(
                 lambda: self.state == states.RUNNING and self._reports > reports,
-                check,
+                permitted,
                 "expected it to run. Look at its source of commands (the serial line), and at its terminals for enable",
             )
             with self._lock:
@@ -267,7 +272,6 @@ class ConverterControl:
         """
         deadline = self._clock.wall_s() + _ENABLE_S
         while not ready():
-            self._guarded.permit(None)
             check()
             self._line.beat()
             if self._clock.wall_s() > deadline:
@@ -298,6 +302,41 @@ class ConverterControl:
                 "started again, or does not accept the timeout. A drive that does not stop when its host is gone must "
                 "not turn the rotor. Look at its supply, then start again"
             )
+
+    def measure_time_out(self) -> TimeOut:
+        """See MeasuresTimeOut: stop polling for longer and longer, until the converter has the fault of its timeout."""
+        r = self._registers
+        if r.watchdog is None or r.watchdog_fault is None:
+            raise DeviceError(
+                "its register table has no communication timeout, or no code of its fault (watchdog_fault)"
+            )
+        if not self._guarded.at_rest() or self.state in (states.RUNNING, states.FAULT, states.UNKNOWN):
+            raise DeviceError(f"the rotor must stand and the converter be off, it is in {self.state}{self.why()}")
+        stated_s = self._read(r.watchdog) * r.watchdog_step_s
+        longest_s = 0.0
+        for share in _SILENCES:
+            silent_s = self._stay_silent(share * stated_s)
+            if self.state == states.FAULT:
+                self._reset_if_only_watchdog(lambda: None)
+                return TimeOut((longest_s + silent_s) / 2, stated_s, (silent_s - longest_s) / 2)
+            longest_s = silent_s
+        raise DeviceError(
+            f"no fault within {longest_s:.1f} s without requests while its output is off: some converters watch only "
+            "while they run. Pull the host's plug at a low speed and measure the time until it stops"
+        )
+
+    def _stay_silent(self, seconds: float) -> float:
+        """Send no requests for some rig s, then read state and fault code; return how long it was."""
+        self._line.polling = False
+        try:
+            self._wait(lambda: self._line.idle, lambda: None, "it does not answer. Look at its power and its line")
+            begun_ns = self._line.sent_ns
+            self._clock.wait(self._clock.wall(seconds))
+            reports, end_ns = self._reports + 1, self._clock.now_ns()
+        finally:
+            self._line.polling = True
+        self._wait(lambda: self._reports > reports, lambda: None, "it does not answer. Look at its power and its line")
+        return (end_ns - begun_ns) * 1e-9
 
     def set_speed(self, rpm: float) -> None:
         """See SpeedSource.

@@ -159,6 +159,13 @@ class SimulatedConverter(FarEnd):
         "late": FaultKind("it answers late", 0.15, meaning="by this time, s", limits=(0, 10)),
         "refuses": FaultKind("it refuses every write", 4, meaning="the exception code", limits=(0, 255)),
         "damage": FaultKind("its answers are damaged on the line"),
+        "time-out": FaultKind(
+            "its communication timeout is not the one in its register",
+            3.0,
+            end=1,
+            meaning="ratio to it",
+            limits=(0.01, 1e3),
+        ),
         "reported share": FaultKind(
             "it reports a wrong speed", 0.5, end=1, meaning="share of the true speed", limits=(-2, 2)
         ),
@@ -172,7 +179,8 @@ class SimulatedConverter(FarEnd):
         self.collisions: int = 0
         self.faults: list[int] = []
         self._now_s, self._received_s = 0.0, -1.0
-        self._late_s, self._exception, self._reported_share = 0.0, 0, 1.0
+        self._late_s, self._exception = 0.0, 0
+        self._reported_share = self._watch_ratio = 1.0
         self._mute = self._deaf = self._damages = False
         self._server = RegisterServer(settings, {}, self._written)
         self._start()
@@ -221,6 +229,8 @@ class SimulatedConverter(FarEnd):
                 self._exception = int(value)
             case "damage":
                 self._damages = bool(value)
+            case "time-out":
+                self._watch_ratio = float(value)
             case "reported share":
                 self._reported_share = float(value)
             case "speed":
@@ -356,7 +366,7 @@ class SimulatedConverter(FarEnd):
 
     def _watch(self) -> None:
         """Stop along the ramp if no request has come within the timeout; at rest there is a fault."""
-        limit_ms = self.watchdog_ms
+        limit_ms = self.watchdog_ms * self._watch_ratio
         if not limit_ms or self._heard_s is None or (self._now_s - self._heard_s) * 1e3 <= limit_ms:
             return
         self._heard_s = None  # the watch begins again with the next request

@@ -47,6 +47,7 @@ class RequestLine:
 
     Attributes:
         polling: whether state and speed are read periodically.
+        sent_ns: time at which the newest request was sent, ns since 1970.
     """
 
     def __init__(self, settings: ModbusConverter, send: Callable[[bytes], None], clock: HostClock) -> None:
@@ -65,6 +66,7 @@ class RequestLine:
             tuple[int, ...], float
         ] = {}  # shapes of unanswered reads, and when their answers are overdue
         self.polling: bool = False
+        self.sent_ns: int = 0
 
     def put(self, requests: Sequence[wire.Request], *, urgent: bool = False) -> list[Order]:
         """Queue requests, and return them with their future answers; urgent ones replace all that wait."""
@@ -76,6 +78,12 @@ class RequestLine:
                     self._asked.tries = 0
             self._orders.extend(orders)
         return orders
+
+    @property
+    def idle(self) -> bool:
+        """Whether no request waits, and the last one is answered."""
+        with self._deciding:
+            return not self._orders and self._asked is None
 
     def drop(self, orders: Sequence[Order]) -> None:
         """Remove requests that are not needed any more."""
@@ -103,6 +111,7 @@ class RequestLine:
             with self._deciding:
                 order = self._next(self._clock.wall_s())
             if order is not None:
+                self.sent_ns = self._clock.now_ns()
                 self._send(wire.encode(order.request))
 
     def _next(self, now: float) -> Order | None:

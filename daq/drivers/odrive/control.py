@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from daq.drivers.contract import Pipeline, RotorGuard
+from daq.drivers.contract import Pipeline, RotorGuard, TimeOut
 from daq.drivers.odrive import stream, wire
 from daq.drivers.odrive.settings import Odrive
 from daq.drivers.odrive.stream import OdrivePipeline
 from daq.drivers.repeated_command import RESTARTED, UNKNOWN, Mode, RepeatedCommand
+from daq.errors import DeviceError
 from daq.transports import slcan
 from daq.transports.host_clock import HostClock
 
 _REQUEST_S = 0.3  # wall s between two requests of closed-loop control: a second one interrupts it for a moment
 _BRAKE_S = 1.0  # wall s of braking without effect after which the torque is removed
+_MOST_TIME_OUTS = 4  # stated time-outs for which the measured one is awaited
+_REPORT_DELAY_S = 0.05  # wall s, longest time of a heartbeat from the controller to this process
 _BRAKES = 0.9  # share of the first speed above which a rotor counts as not braked
 
 
@@ -164,6 +167,29 @@ class OdriveControl(RepeatedCommand):
             f"drive: expected closed-loop control, its state is {self.state}{self.why()}. Are motor and encoder "
             "calibrated? Look at its errors with the maker's software"
         )
+
+    def measure_time_out(self) -> TimeOut:
+        """See MeasuresTimeOut: clear the watchdog's error, which also feeds it, and wait for the error to return."""
+        beat, watchdog, s = self._recent(), wire.WATCHDOG[self._settings.firmware], self._settings
+        if not s.needs_proof:
+            raise DeviceError(
+                f"not verified for an idle axis of firmware {s.firmware} (proves_watchdog = true if it is)"
+            )
+        if beat is None or beat.state != wire.IDLE or beat.error & ~watchdog or not self._guarded.at_rest():
+            raise DeviceError(f"the rotor must stand and the axis be idle without a fault, it is in {self.state}")
+        with self._sending:
+            self._send(_text(wire.clear_errors(s.node_id)))
+            fed_ns, fed_s = self._clock.now_ns(), self._clock.wall_s()
+        looked_s, delay_ns = fed_s, self._clock.patience(_REPORT_DELAY_S) * 1e9
+        end_s, longest_s, expired = fed_s + _MOST_TIME_OUTS * s.watchdog_s + 1.0, 0.0, False
+        while not expired and looked_s < end_s:
+            self._clock.wait(0.002)
+            before_s, looked_s = looked_s, self._clock.wall_s()
+            longest_s = max(longest_s, looked_s - before_s)
+            late = self._beat_ns - fed_ns > delay_ns  # an earlier one may have been sent before the error was cleared
+            expired = late and self._beat is not None and bool(self._beat.error & watchdog)
+        resolution_s = self._clock.wall(s.heartbeat_ms * 1e-3) + _REPORT_DELAY_S + 2 * longest_s
+        return TimeOut(looked_s - fed_s if expired else None, s.watchdog_s, resolution_s)
 
     def _send_release(self) -> Callable[[], bool]:
         """Send the command to release the rotor; a later heartbeat in the state IDLE confirms it."""

@@ -60,6 +60,9 @@ class SimulatedOdrive(FarEnd):
             meaning="to this speed, rpm",
             limits=(-10_000, 10_000),
         ),
+        "time-out": FaultKind(
+            "its watchdog is not set as in the rig file", 3.0, end=1, meaning="ratio to it", limits=(0.01, 1e3)
+        ),
         "deaf": FaultKind("no message reaches it; it still reports"),
         "second host": FaultKind("another node on the bus commands the axis"),
     }
@@ -74,7 +77,7 @@ class SimulatedOdrive(FarEnd):
         self._adapter = Adapter()
         self._without_supply = self._deaf = self._second_host = False
         self._sends = {"reports": True, "heartbeat": True}
-        self._reported_share = 1.0
+        self._reported_share = self._watchdog_ratio = 1.0
         self._now_s = self._beat_due_s = self._estimates_due_s = 0.0
         self._out: list[CanFrame] = []
         self._start(0.0, booted_s=0.0)
@@ -124,6 +127,8 @@ class SimulatedOdrive(FarEnd):
                 self._reported_share = float(value)
             case "speed":
                 self._runaway_rpm = float(value)
+            case "time-out":
+                self._watchdog_ratio = float(value)
             case "deaf":
                 self._deaf = bool(value)
             case "second host":
@@ -221,7 +226,7 @@ class SimulatedOdrive(FarEnd):
     def _watch(self) -> None:
         if self.state == _UNDEFINED and self._now_s >= self._ready_s:
             self.state = _IDLE
-        late = self._now_s - self._heard_s > self._watchdog_s
+        late = self._now_s - self._heard_s > self._watchdog_s * self._watchdog_ratio
         if self._watchdog_s and late and not self.error & self._bits["watchdog"]:
             self._trip(self._bits["watchdog"])
 
