@@ -26,7 +26,18 @@ from daq.lockstep.rig import LockstepRig
 from rig_configs import load_rig
 
 SECONDS = 10.0  # the default of `rig check`
-HEALTHY_RIGS = ("virtual", "virtual", "other_devices", "one_laser", "by_hand")
+HEALTHY_RIGS = (
+    "virtual",
+    "virtual",
+    "other_devices",
+    "one_laser",
+    "by_hand",
+    "virtual",
+    "other_devices",
+    "ethernet_lasers",
+    "analogue_lasers",
+    "can_lasers",
+)
 
 
 @dataclass(frozen=True)

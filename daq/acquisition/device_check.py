@@ -25,6 +25,7 @@ from rig_configs.schema import Limits, Rig
 
 _MAX_INVALID_SHARE = 0.01  # of a laser's samples at rest; single flashes of light are allowed
 _MAX_RADIO_LOSS_SHARE = 0.05  # of the samples sent by radio; larger losses make long gaps in the angles
+_MAX_HOST_RATE_ERROR = 0.02  # relative, of a channel without a device clock: the host or the bus makes its period
 _MIN_SPEED_REPORTS_HZ = 10.0  # for the interlocks of the drive's speed
 _MAX_NOISE_SHARE = 5e-4  # rms of the white noise, of the measuring range
 _MAX_LINE_SHARE = 2e-4  # amplitude of a steady line, of the measuring range
@@ -86,6 +87,7 @@ class RigObservation:
     Attributes:
         seconds: duration, s.
         rates: rates of the channels with a device clock, by topic; None if unknown.
+        host_rates_Hz: samples per second on the host's clock, of all channels, by topic; NaN if unknown.
         losses: losses during the observation, by device and kind.
         events: events of all devices.
         displacements: samples of the displacement sensors, by topic.
@@ -100,6 +102,7 @@ class RigObservation:
 
     seconds: float
     rates: Mapping[str, Rate | None]
+    host_rates_Hz: Mapping[str, float]
     losses: Mapping[str, Mapping[str, int]]
     events: Sequence[DeviceEvent]
     displacements: Mapping[str, ObservedDisplacement]
@@ -118,12 +121,12 @@ def device_checks(rig: Rig, look: RigObservation) -> dict[str, Checks]:
     roles = rig.roles
     lasers = (*roles.displacements, *roles.witnesses)
     for sensor in lasers:
-        found = _rate_checks(look.rates.get(sensor.topic), sensor.rate_Hz)
+        found = _rate_checks(look, sensor.topic, sensor.rate_Hz)
         found |= _displacement(sensor, rig.limits, look.displacements[sensor.topic])
         several = sum(other.device == sensor.device for other in lasers) > 1
         out[sensor.device] |= {f"{sensor.axis} {name}": check for name, check in found.items()} if several else found
     if roles.angles is not None and look.angles is not None:
-        out[roles.angles.device] |= _rate_checks(look.rates.get(roles.angles.topic), roles.angles.rate_Hz)
+        out[roles.angles.device] |= _rate_checks(look, roles.angles.topic, roles.angles.rate_Hz)
         out[roles.angles.device] |= _encoders(look.angles)
     if roles.speed is not None and look.speed is not None:
         out[roles.speed.device] |= _speed(look.speed, roles.rest_rpm) | _time_out(look.time_out)
@@ -160,7 +163,13 @@ def common_factor(look: RigObservation) -> float | None:
     return float(np.mean(factors)) if max(factors) < 1.02 * min(factors) else None
 
 
-def _rate_checks(rate: Rate | None, nominal_Hz: float) -> Checks:
+def _rate_checks(look: RigObservation, topic: str, nominal_Hz: float) -> Checks:
+    """Check the rate of a channel: with a device clock by that clock, else by the host's times."""
+    if topic not in look.rates:
+        found, tolerance = look.host_rates_Hz[topic], _MAX_HOST_RATE_ERROR + 2.0 / (nominal_Hz * look.seconds)
+        ok = abs(found / nominal_Hz - 1.0) <= tolerance
+        return {"rate_Hz": DeviceCheck(round(found, 2), f"{nominal_Hz:g} ± {tolerance:.1%}", ok, "by the host's clock")}
+    rate = look.rates[topic]
     if rate is None:
         return {"rate_Hz": DeviceCheck(None, nominal_Hz, False, "too few samples")}
     bound = f"± {rate.bound_ppm:.0f} ppm in {rate.span_s:.1f} s"

@@ -52,6 +52,7 @@ def observe(session: Session, seconds: float, progress: Progress = lambda share:
     return RigObservation(
         seconds=(session.clock.now_ns() - started) * 1e-9,
         rates=session.rates.rates(),
+        host_rates_Hz=plain,
         losses={name: _more(lost, before[name]) for name, lost in session.losses().items()},
         events=events,
         displacements={sensor.topic: _displacement(session, sensor.topic, started) for sensor in lasers},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -89,6 +90,7 @@ def healthy() -> Seen:
     return Seen(
         seconds=2.0,
         rates={"laser/x": rate(4000), "laser/y": rate(4000), "pendulums": rate(1000)},
+        host_rates_Hz={},
         losses={
             "laser_x": {"samples": 0, "invalid": 3},
             "laser_y": {"samples": 0},
@@ -208,10 +210,19 @@ def test_an_open_lock_is_no_fault_and_its_position_not_judged() -> None:
     assert "locked_B_deg" in checks
 
 
+@pytest.mark.parametrize(("host_Hz", "ok"), [(990.0, True), (970.0, False), (1030.0, False), (math.nan, False)])
+def test_a_channel_without_a_device_clock_is_judged_by_the_hosts(host_Hz: float, ok: bool) -> None:
+    look = healthy()
+    rates = {topic: found for topic, found in look.rates.items() if topic != "pendulums"}
+    checks = replace(look, rates=rates, host_rates_Hz={"pendulums": host_Hz}).judged()["encoder"]
+    assert checks["rate_Hz"].passed == ok
+    assert "clock_ppm" not in checks
+
+
 def test_a_rig_of_one_sensor_is_judged_by_that_one() -> None:
     one = RIG.model_copy(update={"devices": {"probe": RIG.devices["laser_x"]}})
     look = RigObservation(
-        2.0, {"laser/x": rate(4000)}, {"probe": {"samples": 0}}, [], {"laser/x": displaced(np.full(9, 3e-3))}
+        2.0, {"laser/x": rate(4000)}, {}, {"probe": {"samples": 0}}, [], {"laser/x": displaced(np.full(9, 3e-3))}
     )
     devices = device_checks(one, look)
     assert [(name, key) for name, c in devices.items() for key, found in c.items() if not found.passed] == [

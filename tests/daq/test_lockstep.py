@@ -24,7 +24,7 @@ from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
 from rig_testing.fault_schedules import Schedule, ScheduledFault, draw, run
 
-SHIPPED = ("virtual", "other_devices", "by_hand", "one_laser")
+SHIPPED = ("virtual", "other_devices", "by_hand", "one_laser", "ethernet_lasers", "analogue_lasers", "can_lasers")
 
 
 def opened(name: str, *settings: str) -> tuple[LockstepRig, Session]:
