@@ -51,6 +51,7 @@ _SPREAD_SHARE = 0.6  # share of the samples, the nearest ones, that enter a fit'
 _SAME_SPREAD = 1.01  # ratio up to which two spreads are equal: the random difference if nothing moves
 _MAX_SPREAD_RATIO = 0.3  # of a fit's spread to the motion's: above it the readings are mostly of another motion
 _OTHER_CLOCK_S = 1.0  # difference above which a clock is the pipeline's own count
+_HOST_COUNTS_AFTER_S = 1.5  # from the start of the log; before, a host that counts samples finds no loss
 _TURNS_RPM = 20.0  # speed above which a rotor turns with certainty
 _SPOILING = ("garbage", "bit errors", "lost bytes")  # line faults after which a line without a checksum is not checked
 _TURNS_S = (STEP_S, (0.004, 0.016), (0.012, 0.020))  # of quick adapters, of others, of those that buffer for 16 ms
@@ -307,12 +308,14 @@ def _spread(values: Array) -> float:
 def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock, bool]]:
     """Yield channels on a device's own clock whose samples must be right in spite of the faults.
 
-    The third value is whether the device counts missing samples itself. Otherwise its clock is the host's count.
+    The third value is whether the device counts missing samples itself. Otherwise its clock is the host's count, which
+    finds no loss before it knows how late the reads usually are.
     """
+    early = {fault.device for fault in schedule.faults if fault.at_s < _HOST_COUNTS_AFTER_S}
     for name, device in devices_of(rig.devices).items():
-        checked = "checksum" in claims_of(device.driver)
-        if name not in _restarted(schedule) and (checked or name not in _spoilt(schedule)):
-            exact = "counts exactly" in claims_of(device.driver)
+        checked, exact = ("checksum" in claims_of(device.driver)), "counts exactly" in claims_of(device.driver)
+        sound = (checked or name not in _spoilt(schedule)) and (exact or name not in early)
+        if name not in _restarted(schedule) and sound:
             yield from ((name, clock, exact) for clock in device.clocks)
 
 

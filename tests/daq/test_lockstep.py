@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -405,10 +406,12 @@ def test_the_judge_sees_early_times_of_a_wire_that_carries_none(
     assert any(text.startswith("laser/x: times are -") for text in found.wrong)
 
 
-@pytest.mark.parametrize("seed", [413, 1674])
-def test_the_judge_does_not_take_other_motion_for_early_times(seed: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("seed", "delay_s"), [(413, 0.0), (1674, 2.0)])
+def test_the_judge_does_not_take_other_motion_for_early_times(seed: int, delay_s: float, tmp_path: Path) -> None:
     """Rounded readings of a rotor at rest that moves once; a laser perpendicular to a whirl along the other axis."""
-    result = run("other_devices", draw(load_rig("other_devices"), seed), tmp_path)
+    drawn = draw(load_rig("other_devices"), seed)
+    later = [replace(fault, at_s=fault.at_s + delay_s) for fault in drawn.faults]
+    result = run("other_devices", replace(drawn, faults=tuple(later)), tmp_path)
     assert result.wrong == []
 
 
