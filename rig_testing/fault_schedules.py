@@ -309,7 +309,7 @@ def _trusted(rig: Rig, schedule: Schedule) -> Iterator[tuple[str, SampleClock, b
     """Yield channels on a device's own clock whose samples must be right in spite of the faults.
 
     The third value is whether the device counts missing samples itself. Otherwise its clock is the host's count, which
-    finds no loss before it knows how late the reads usually are.
+    shows no loss before the usual lateness of the reads is known.
     """
     early = {fault.device for fault in schedule.faults if fault.at_s < _HOST_COUNTS_AFTER_S}
     for name, device in devices_of(rig.devices).items():
