@@ -44,6 +44,6 @@ def refuse_shared_ports(devices: Mapping[str, DeviceSettings], source: str = "")
             place = f"{source}: " if source else ""
             raise RigFileError(
                 f"{place}devices.{other}.port and devices.{name}.port are both {device.port!r}: a port has one "
-                "device. Give each the port that it is plugged into; several devices behind one CAN adapter need a network "
-                "interface (can:socketcan:…)"
+                "device. Give each the port that it is plugged into; several devices behind one CAN adapter need a "
+                "network interface (can:socketcan:…)"
             )

@@ -27,6 +27,7 @@ _log = logging.getLogger(__name__)
 _READ_BYTES = 65536  # size of the one reused buffer: allocating this size for every read fragments the heap
 _TTY_BYTES = 4096  # most that one read of a serial port or pty returns
 _FULL_BYTES = 2048  # a read of this size is followed by another one: more may have arrived
+_MOST_FOREIGN = 16  # senders that are reported
 _DATAGRAM_BUFFER_BYTES = 1 << 20  # a datagram that finds no room is lost
 _POLL_S = 0.1
 _LOCKED_ERRNOS = (errno.EAGAIN, errno.EBUSY)  # another program holds the lock of the serial port
@@ -67,8 +68,9 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
 
     Args:
         port: serial device or pty ("/dev/ttyUSB0", "COM3"), "socket://host:port", "udp://address:port" of this host
-            for a device that sends datagrams to it, any other URL that pyserial supports, or "can:INTERFACE:CHANNEL"
-            for an adapter that python-can supports ("can:socketcan:can0").
+            for a device that sends datagrams to it ("?from=ADDRESS" at the end: from this address alone), any other
+            URL that pyserial supports, or "can:INTERFACE:CHANNEL" for an adapter that python-can supports
+            ("can:socketcan:can0").
         baud: line rate of a serial port, baud.
         bitrate: bit rate of the CAN bus for "can:" ports, bit/s.
         parity: parity of a serial port: "N", "E" or "O".
@@ -85,8 +87,9 @@ def open_link(port: str, baud: int, bitrate: int | None = None, parity: str = "N
             host, _, number = port.removeprefix("socket://").rpartition(":")
             return SocketLink(host, int(number))
         if port.startswith("udp://"):
-            host, _, number = port.removeprefix("udp://").rpartition(":")
-            return DatagramLink(host, int(number))
+            place, _, sender = port.removeprefix("udp://").partition("?from=")
+            host, _, number = place.rpartition(":")
+            return DatagramLink(host, int(number), sender)
         return SerialLink(port, baud, parity, stop_bits)
     except (OSError, ValueError, OverflowError, serial.SerialException, can.CanError) as error:
         if isinstance(error, OSError) and error.errno in _LOCKED_ERRNOS:
@@ -243,9 +246,12 @@ class DatagramLink:
     Args:
         address: address of this host at which they arrive; "" or "0.0.0.0" for every one.
         port: number of the port.
+        device: address of the device; datagrams from other addresses are dropped. "": any.
     """
 
-    def __init__(self, address: str, port: int) -> None:
+    def __init__(self, address: str, port: int, device: str = "") -> None:
+        self._device = socket.gethostbyname(device) if device else ""
+        self._foreign: set[str] = set()  # other senders, each reported once
         self.name: str = f"udp://{address}:{port}"
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -265,9 +271,15 @@ class DatagramLink:
             ready, _, _ = select.select([self._socket], [], [], timeout_s)
             if not ready:
                 return b""
-            count, self._sender = self._socket.recvfrom_into(self._buffer)
+            count, sender = self._socket.recvfrom_into(self._buffer)
         except (OSError, ValueError) as error:
             raise LinkLost(f"{self.name}: lost while reading ({error})") from error
+        if self._device and sender[0] != self._device:
+            if sender[0] not in self._foreign and len(self._foreign) < _MOST_FOREIGN:
+                self._foreign.add(sender[0])
+                _log.warning("%s: datagrams from %s are dropped: the device is %s", self.name, sender[0], self._device)
+            return b""
+        self._sender = sender
         return bytes(self._buffer[:count])
 
     def write(self, data: bytes) -> None:

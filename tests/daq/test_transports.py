@@ -262,6 +262,26 @@ def test_a_serial_port_has_the_stop_bits_of_its_line(stop_bits):
     assert bool(flags & termios.CSTOPB) == (stop_bits == 2)
 
 
+@pytest.mark.skipif(sys.platform == "darwin", reason="127.0.0.2 is not an address of the loopback interface there")
+def test_datagrams_of_others_are_dropped_and_reported_once(caplog: pytest.LogCaptureFixture) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    link = open_link(f"udp://127.0.0.1:{port}?from=127.0.0.1", 0)
+    with contextlib.closing(link), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.2", 0))
+        for _ in range(3):
+            other.sendto(b"foreign", ("127.0.0.1", port))
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
+            device.sendto(b"own", ("127.0.0.1", port))
+            assert [link.read(5.0) for _ in range(4)] == [b"", b"", b"", b"own"]
+            link.write(b"answer")
+            assert device.recv(100) == b"answer"
+    assert [record.getMessage() for record in caplog.records] == [
+        f"udp://127.0.0.1:{port}: datagrams from 127.0.0.2 are dropped: the device is 127.0.0.1"
+    ]
+
+
 @pytest.mark.parametrize("port", ["udp://127.0.0.1:99999", "udp://127.0.0.1:x", "udp://", "socket://127.0.0.1:99999"])
 def test_a_port_of_the_network_that_cannot_be_is_a_lost_link(port: str) -> None:
     with pytest.raises(LinkLost, match="cannot be opened"):
