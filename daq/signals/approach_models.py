@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.signals.decay import decay_means
+from daq.signals.normal_equations import solve
 from rig_basics.arrays import Array
 
 SLOWEST_PER_S = 0.05  # an approach at a slower rate is a straight line within the windows
@@ -138,15 +139,11 @@ class WhitenedMeans:
             across, right: normal equations of limit and shapes, shapes (q, g, 1 + p, 1 + p), (q, g, 1 + p).
         """
         p = shapes.forms.shape[2]
-        ridge = _RIDGE * np.trace(across, axis1=2, axis2=3)[..., None, None]
-        prior = np.zeros((len(scale), 1, 1 + p, 1 + p))
-        prior[:, 0, range(1, 1 + p), range(1, 1 + p)] = scale**-2
-        precision = across + prior + ridge * np.diag([0.0] + [1.0] * p)
-        covariance = np.asarray(np.linalg.inv(precision), np.float64)
-        fit = (covariance @ right[..., None])[..., 0]
+        prior = np.column_stack([np.zeros(len(scale)), scale**-2])
+        fit, variance, log_determinant = solve(across, right, prior, _RIDGE)
         misfit = (self._seen**2).sum(axis=1)[:, None] - (fit * right).sum(axis=2)
         chi2 = misfit - (fit[..., 1:] ** 2 / scale[:, None] ** 2).sum(axis=2)
-        narrowed = np.log(np.linalg.det(precision)) + 2 * np.log(scale).sum(axis=1)[:, None]
+        narrowed = log_determinant + 2 * np.log(scale).sum(axis=1)[:, None]
         evidence = -0.5 * (misfit + narrowed).sum(axis=0) + share
         left = -(fit[..., 1:] * shapes.last).sum(axis=2)
         most = np.argmax(np.abs(fit[..., 1:] * shapes.last).sum(axis=0), axis=1) if p else None
@@ -156,7 +153,7 @@ class WhitenedMeans:
         return Points(
             evidence,
             (self._origin[:, None] + fit[..., 0] * unit).T,
-            (covariance[..., 0, 0] * unit**2).T,
+            (variance * unit**2).T,
             (left * unit).T,
             (size * unit).T,
             rate,
