@@ -214,6 +214,20 @@ def test_errors_are_emergencies_once_and_their_end_is_one() -> None:
     assert kinds(pipeline.feed(RX, text(beat()), 2 * MS)) == ["drive", "emergency"]
 
 
+def test_error_codes_that_are_sent_periodically_are_an_event_only_when_they_change() -> None:
+    """Firmware 0.6 sends them with a period of its own: ten events a second with the same codes filled the log."""
+
+    def codes(active: int, reason: int) -> CanFrame:
+        return CanFrame(0x23, struct.pack("<II", active, reason))
+
+    pipeline = OdrivePipeline("drive", axis())
+    assert kinds(pipeline.feed(RX, text(*[codes(0, 0)] * 5), 0)) == ["status"]
+    assert kinds(pipeline.feed(RX, text(*[codes(0x200, 0x200)] * 5), MS)) == ["status"]
+    assert pipeline.errors == {"active_errors": 0x200, "disarm_reason": 0x200}
+    pipeline.feed(RX, text(beat(), beat(0x200), beat()), 2 * MS)
+    assert kinds(pipeline.feed(RX, text(beat(0x200), codes(0x200, 0x200)), 3 * MS)) == ["drive", "emergency", "status"]
+
+
 @pytest.mark.parametrize("firmware", ["0.5", "0.6"])
 def test_an_expired_watchdog_is_an_emergency_only_of_a_driven_rotor(firmware: str) -> None:
     expired = wire.WATCHDOG[firmware]
