@@ -11,6 +11,7 @@ from daq.channels import Channel
 from daq.drivers.checks import Checks, DeviceCheck
 from daq.drivers.cia406.settings import EncoderBus
 from daq.drivers.contract import DeviceLine, Pipeline, Poller, SpeedControl, Talk
+from daq.drivers.identification import IdentityTurns
 from daq.drivers.plain import PlainDriver
 from daq.drivers.played import PlayedDevice
 from daq.drivers.simulated import FarEnd
@@ -85,6 +86,12 @@ class Cia406(PlainDriver):
         from daq.drivers.cia406.played import PlayedEncoders
 
         return PlayedEncoders(settings, identity)
+
+    def identity_request(self, settings: EncoderBus) -> IdentityTurns:
+        """See AnswersIdentityRequest."""
+        from daq.drivers.cia406.identity import identity_turns
+
+        return identity_turns(settings)
 
     def prepare(self) -> None:
         """See Driver."""
