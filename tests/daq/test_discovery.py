@@ -201,6 +201,9 @@ def test_serial_number_and_firmware_are_reported() -> None:
     assert search(Cable.of("vesc"), ask=True).found.identity["hardware"] == "60_MK5"
     drive = search(Cable.of("cia402"), ask=True).found.identity
     assert drive == {"vendor_id": "0xa11", "serial": 24601}
+    encoders = search(Cable.of("cia406"), ask=True).found.identity
+    assert list(encoders) == ["node_3", "node_4", "node_5"]
+    assert all(str(each).startswith("serial ") for each in encoders.values())
     module = search(Cable.of("xbee"), ask=True).found.identity
     own = {"module_firmware": "100A", "module_hardware": "2E48", "module_serial": "0013A20040522BAA"}
     assert module == {"node": 1, "firmware": "1.4", "battery_mV": 3712, **own}

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Generator
 from typing import Any
 
-from daq.drivers.canopen.identity import Search, close, find_nodes, identity_of, read
+from daq.drivers.canopen import cia301
+from daq.drivers.canopen.identity import Search, close, find_nodes, read
 from daq.drivers.cia406 import wire
 from daq.drivers.cia406.settings import EncoderBus
 from daq.drivers.identification import FoundDevice, IdentityRequest, IdentityTurns
@@ -25,10 +26,10 @@ def identity_turns(settings: EncoderBus) -> IdentityTurns:
     if found.nodes:
         nodes = sorted(found.nodes)
         known: dict[str, Any] = dict(zip(_NODES, nodes, strict=False))
-        identity: dict[str, int | str] = {}
+        identity: dict[str, str] = {}
         for node in nodes:
-            parts = yield from identity_of(node)
-            identity |= {f"node_{node}_{name}": value for name, value in parts.items()}
+            serial = yield from read(node, cia301.IDENTITY, 4)
+            identity[f"node_{node}"] = "no serial number" if serial is None else f"serial {serial}"
         if (per_turn := (yield from _counts_per_revolution(nodes[0]))) is not None:
             known["counts_per_revolution"] = per_turn
         if found.bitrate is not None:
