@@ -59,7 +59,7 @@ class OdrivePipeline:
         self._device, self._settings = device, settings
         self._following = Following(device, round(settings.follow_s * 1e3 / settings.estimates_ms))
         self._other_host = OtherHost(device)
-        self._told: dict[str, int] = {}  # error codes of the present errors that an event has given
+        self._shown: dict[str, int] = {}  # error codes that an event has shown
         self._introduced: set[int] = set()  # commands whose first report since the bus was opened was announced
         self._target_rpm, self._commanded = 0.0, False
         self._beat: wire.Heartbeat | None = None
@@ -156,7 +156,7 @@ class OdrivePipeline:
         known = 0 if before is None else before.error
         new = beat.error & ~known & ~expected
         if new:
-            self._told.clear()
+            self._shown.clear()
             facts = {"error_code": beat.error, "axis_state": beat.state, "firmware": self._settings.firmware}
             return [DeviceEvent("emergency", self._device, f"axis error 0x{beat.error:08X}", facts)]
         if known & ~wire.WATCHDOG[self._settings.firmware] and not beat.error:
@@ -177,9 +177,9 @@ class OdrivePipeline:
         if not errors:
             return []
         self.errors |= errors
-        if self._told == self._told | errors:  # some releases of 0.6 send them periodically
+        if self._shown == self._shown | errors:  # some releases of 0.6 send them periodically
             return []
-        self._told |= errors
+        self._shown |= errors
         text = ", ".join(f"{name} 0x{code:X}" for name, code in errors.items())
         return [DeviceEvent("status", self._device, text, errors)]
 
