@@ -105,6 +105,17 @@ def test_polls_without_an_answer_are_counted() -> None:
     assert pipeline.losses["unanswered"] == 3
 
 
+def test_the_poll_of_a_release_does_not_make_the_one_before_it_a_loss() -> None:
+    """It is sent at once, while the answer to the one before may still be on its way; both are answered."""
+    pipeline = VescPipeline("drive", SETTINGS)
+    pipeline.feed(TX, wire.get_values(), 1)
+    pipeline.feed(TX, wire.release() + wire.get_values(), 2)
+    assert events(pipeline.feed(RX, answer(RUNNING) * 2, 3), "gap") == []
+    for _ in range(3):
+        pipeline.feed(TX, wire.release() + wire.get_values(), 4)
+    assert events(pipeline.feed(RX, answer(RUNNING), 5), "gap")[0].facts["samples"] == 2
+
+
 def test_a_rotor_that_does_not_follow_is_reported_once_until_it_does() -> None:
     pipeline = VescPipeline("drive", SETTINGS)
     pipeline.feed(TX, wire.set_rpm(7000), 1)

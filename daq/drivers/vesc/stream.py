@@ -150,7 +150,9 @@ class VescPipeline:
                 self._unanswered += 1
             self._polled = True
         elif (command := wire.parse_command(payload)) is not None:
-            self._command = _COMMANDS[command.what]
+            before, self._command = self._command, _COMMANDS[command.what]
+            if self._command == FREE != before:  # the poll that follows a release does not wait for an earlier answer
+                self._polled = False
             self._target_rpm = command.number / self._pole_pairs if self._command == SPEED else 0.0
 
     def _identity(self, payload: bytes) -> DeviceEvent:
