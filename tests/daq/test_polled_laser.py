@@ -190,6 +190,15 @@ def test_a_request_without_an_answer_is_a_lost_sample_reported_once() -> None:
     assert line.losses["unasked"] == 1
 
 
+def test_a_log_may_begin_between_a_request_and_its_answer() -> None:
+    """A recording begins while the sensor is polled. Answers to requests that another program sends are unasked."""
+    line = pipeline()
+    assert line.feed(RX, b"M1,+01.0000\r", 0) == []
+    assert line.losses["unasked"] == 0
+    line.feed(RX, b"M1,+01.0000\r", 20 * MS)
+    assert line.losses["unasked"] == 1
+
+
 def test_an_answer_that_is_too_late_has_no_known_time_and_is_dropped() -> None:
     line = pipeline()
     line.feed(TX, b"M1\r", 0)

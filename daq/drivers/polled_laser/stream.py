@@ -51,6 +51,7 @@ class PolledPipeline:
         self._line = bytearray()
         self._joined = False  # whether the beginning of the line's present text was received
         self._refusals = 0  # since the last reading
+        self._begun = False  # whether there was a request, or an answer to one from before the log's begin
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
@@ -74,7 +75,7 @@ class PolledPipeline:
     def _asked(self, data: bytes, host_ns: int) -> Items:
         if data != self._request:
             return []
-        self._joined = True
+        self._joined = self._begun = True
         out: Items = []
         if self._asked_ns is not None:
             self._lost += 1
@@ -93,6 +94,9 @@ class PolledPipeline:
                 return []
             self.losses["damaged_lines"] += 1
             return [DeviceEvent("damage", self._device, f"not an answer: {line[:40]!r}", {"lines": 1})]
+        if not self._begun:
+            self._begun = True
+            return []
         if self._asked_ns is None or host_ns - self._asked_ns > LATEST_S * 1e9:
             self._counter += self._asked_ns is not None
             self._asked_ns = None
