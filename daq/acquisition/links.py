@@ -14,7 +14,14 @@ from daq.acquisition.core import Core, Note, Order
 from daq.acquisition.edge import Edge
 from daq.acquisition.reader import DeviceReader, OpenDevice
 from daq.acquisition.rotor_command import RotorCommand
-from daq.drivers.contract import AnswersOnRequest, ObservesIdentity, Poller, claims_of, stop_device
+from daq.drivers.contract import (
+    AnswersOnRequest,
+    MeasuresAtOpening,
+    ObservesIdentity,
+    Poller,
+    claims_of,
+    stop_device,
+)
 from daq.drivers.devices import Device
 from daq.errors import DeviceError, LinkLost
 from daq.items import DeviceEvent
@@ -290,7 +297,10 @@ class Links:
         device = self._devices[name]
         talk = OpenDevice(self._readers[name], self._clock, lambda: None)
         found, known = device.driver.open(name, device.settings, talk), self._identities.get(name, {})
-        changed = [key for key in known if key in self._reported[name] and found.get(key) != known[key]]
+        fixed = self._reported[name]
+        if isinstance(device.driver, MeasuresAtOpening):
+            fixed -= device.driver.measured
+        changed = [key for key in known if key in fixed and found.get(key) != known[key]]
         if changed:
             differences = ", ".join(f"{key} {found.get(key)} instead of {known[key]}" for key in changed)
             raise _AnotherDevice(f"{name}: another device answers on this link: {differences}")

@@ -111,7 +111,7 @@ class RateWatch:
     def feed(self, batch: Batch, host_ns: int) -> None:
         """Add the samples of one read."""
         device_ns = int(batch.columns[self._field][-1]) * self._tick_ns
-        sequence = int(batch.sequence[-1])
+        sequence = batch.sequence.astype(np.int64)
         if self._restarted:
             self._restarted, self._last = False, None
             self._bins.clear()
@@ -119,8 +119,9 @@ class RateWatch:
             passed, passed_host = device_ns - self._last[0], host_ns - self._last[1]
             if passed < 0 or max(passed_host, abs(passed - passed_host)) > _MAX_GAP_NS:
                 self._bins.clear()
-            self._count += (sequence - self._last[2]) % self._wrap
-        self._last = device_ns, host_ns, sequence
+            # step by step, since a counter of a few bits begins again several times in one read
+            self._count += int(np.sum(np.diff(sequence, prepend=self._last[2]) % self._wrap))
+        self._last = device_ns, host_ns, int(sequence[-1])
         number, lag = device_ns // _BIN_NS, host_ns - device_ns
         if self._bins and self._bins[-1][0] == number:
             if lag < self._bins[-1][2]:

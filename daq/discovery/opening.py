@@ -84,9 +84,9 @@ def programs_with(port: str) -> Iterator[str]:
 
     Linux only, and only programs whose open files this user may see. Reading from such a port takes its bytes.
     """
-    if sys.platform != "linux" or not has_line_rate(port):
-        return
     device = os.path.realpath(port)
+    if sys.platform != "linux" or not has_line_rate(device):  # a simulated device may have both ends of its pty open
+        return
     for folder in _PROCESSES.glob("[0-9]*"):
         if folder.name == str(os.getpid()):
             continue

@@ -511,6 +511,17 @@ class AnswersOnRequest(Protocol):
 
 
 @runtime_checkable
+class MeasuresAtOpening(Protocol):
+    """A driver whose identities contain measured values: they differ each time the same device is opened.
+
+    Attributes:
+        measured: their keys.
+    """
+
+    measured: frozenset[str]
+
+
+@runtime_checkable
 class StopsBySettings(Protocol):
     """A driver that needs the settings of a device for its stop, such as the address of a node behind a receiver."""
 

@@ -191,6 +191,33 @@ def test_a_cycle_of_the_counter_that_is_lost_whole_is_counted() -> None:
     assert x.columns["device_ticks"][0] == 50 * 700
 
 
+@pytest.mark.parametrize("lost", [255, 256, 300, 700])
+def test_the_timestamp_shows_a_lost_cycle_that_the_host_cannot_see(lost: int) -> None:
+    """At 4 kHz the counter begins again every 64 ms; after 255 lost frames its number is that of the frame before."""
+    line = pipeline(quantities={}, y=None, x__rate_Hz=4000.0, bitrate=1_000_000)
+    found: Items = []
+    for first in (*range(20, 4020, 40), *range(4020 + lost, 8020 + lost, 40)):
+        numbers = range(first, first + 40)
+        frames = b"".join(frame("LaserX", Distance=10_000, Count=n % 256, Time=250 * n) for n in numbers)
+        found += line.feed(RX, frames, 500 * MS + 250_000 * numbers[-1] + 5 * MS * (first % 3))
+    assert kinds(found) == ["gap"]
+    assert line.losses["samples"] == lost
+    counted = np.concatenate([batch.sequence for batch in batches(found, "laser/x")])
+    assert len(counted) == 8000
+    assert int(counted[-1]) - int(counted[0]) == 7999 + lost
+
+
+def test_a_damaged_timestamp_is_not_a_lost_cycle() -> None:
+    line = pipeline(quantities={}, y=None)
+    for i in range(20):
+        line.feed(RX, x_frames(20 * i, 20, 10_000 * i), 1000 * MS + 10 * i * MS)
+    damaged = frame("LaserX", Distance=1, Count=400 % 256, Time=500 * 400 + 2**20)
+    line.feed(RX, damaged + x_frames(401, 19, 500 * 401), 1200 * MS)
+    found = line.feed(RX, x_frames(420, 20, 500 * 420), 1210 * MS)
+    assert line.losses["samples"] <= 1
+    assert batches(found, "laser/x")[0].sequence.tolist() == list(range(420, 440))
+
+
 def test_a_late_read_is_not_a_lost_cycle() -> None:
     line = pipeline(quantities={}, y=None)
     for i in range(20):

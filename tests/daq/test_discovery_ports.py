@@ -216,6 +216,21 @@ def test_a_program_that_does_not_lock_its_port_is_found(monkeypatch: pytest.Monk
     assert list(programs_with("socket://h:1")) == []
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc")
+def test_a_simulated_device_that_keeps_both_ends_of_its_pty_open_is_no_other_program(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Its link has a stable name; it keeps the end of the host open because the other end fails without one."""
+    link = tmp_path / "laser"
+    link.symlink_to("/dev/pts/812")
+    (tmp_path / "proc" / "812" / "fd").mkdir(parents=True)
+    (tmp_path / "proc" / "812" / "fd" / "4").symlink_to("/dev/pts/812")
+    (tmp_path / "proc" / "812" / "comm").write_text("python3\n")
+    monkeypatch.setattr(opening, "_PROCESSES", tmp_path / "proc")
+    assert list(programs_with(str(link))) == []
+    assert list(programs_with("/dev/pts/812")) == []
+
+
 # --- tables ----------------------------------------------------------------------------------------------------------
 
 

@@ -14,6 +14,9 @@ import pytest
 
 from daq.acquisition.session import Session
 from daq.clock import ClockMap
+from daq.drivers.microstrain.driver import MicroStrain
+from daq.drivers.optoncdt.driver import OptoNcdt
+from daq.drivers.xbee.driver import XBee
 from daq.errors import AcquisitionError, DeviceError, LinkLost
 from daq.guided_tests.procedure import Procedures
 from daq.lockstep.clock import SimulatedClock, WaitNeverEnds
@@ -284,6 +287,25 @@ def test_another_device_on_the_cable_is_left_alone(tmp_path: Path) -> None:
         assert ["serial 14200001 instead of another" in event["text"] for event in refused] == [True], "reported once"
         assert not any(event["kind"] == "back" for event in log.events)
     assert any("instead of another" in notice for notice in session.notices)
+
+
+def test_a_measured_value_is_no_other_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The signal of a radio and the lag of a beacon differ each time the device is opened."""
+    assert MicroStrain.measured == {"beacon_lag_ns"}
+    assert XBee.measured == {"rssi_dBm"}
+    sim, session = opened("virtual")
+    with session:
+        monkeypatch.setattr(OptoNcdt, "measured", frozenset({"serial"}), raising=False)
+        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        session.identities["laser_x"]["serial"] = "another"
+        sim.ask("unplug", device="laser_x")
+        sim.clock.wait(0.5)
+        sim.ask("plug", device="laser_x")
+        wait_checking(session, 5.0)
+        session.stop_recording({})
+    with open_log(tmp_path / "a.mcap") as log:
+        assert any(event["kind"] == "back" for event in log.events)
+        assert not any(event["kind"] == "other" for event in log.events)
 
 
 def test_no_device_is_reopened_while_the_rotor_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

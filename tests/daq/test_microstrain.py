@@ -289,6 +289,18 @@ def test_a_beacon_that_is_off_is_reported_once() -> None:
     assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == []
 
 
+def test_a_beacon_that_the_host_switches_off_is_no_fault_and_its_next_state_is_a_reply() -> None:
+    """The device is opened again during a recording; the queries of the beacon continue meanwhile."""
+    line = pipeline()
+    line.feed(RX, status(UTC_S * S), UTC_S * S)
+    line.feed(RX, packet(0x31, bytes.fromhex("beac ffffffff"), 0x1234), UTC_S * S)
+    assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == ["reply"]
+    assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == []
+    line.feed(RX, packet(0x31, bytes.fromhex("beac") + UTC_S.to_bytes(4, "big"), 0x1234), UTC_S * S)
+    assert kinds(line.feed(RX, status(UTC_S * S), UTC_S * S)) == ["reply"]
+    assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == ["fault"]
+
+
 def test_packets_of_other_nodes_are_counted_and_reported_once() -> None:
     line = pipeline()
     foreign = packet(0x1A, bytes(30), 308)

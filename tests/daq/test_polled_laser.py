@@ -190,6 +190,15 @@ def test_a_request_without_an_answer_is_a_lost_sample_reported_once() -> None:
     assert line.losses["unasked"] == 1
 
 
+def test_a_log_may_begin_between_a_request_and_its_answer() -> None:
+    """A recording begins while the sensor is polled. Answers to requests that another program sends are unasked."""
+    line = pipeline()
+    assert line.feed(RX, b"M1,+01.0000\r", 0) == []
+    assert line.losses["unasked"] == 0
+    line.feed(RX, b"M1,+01.0000\r", 20 * MS)
+    assert line.losses["unasked"] == 1
+
+
 def test_an_answer_that_is_too_late_has_no_known_time_and_is_dropped() -> None:
     line = pipeline()
     line.feed(TX, b"M1\r", 0)
@@ -207,10 +216,38 @@ def test_damage_and_refusals_are_counted_and_a_first_line_that_was_cut_is_not() 
     line.feed(TX, b"M1\r", 0)
     assert events(line.feed(RX, b"M1,+0?.0000\r", MS)) == ["damage"]
     assert events(line.feed(RX, b"x" * 1000 + b"\r", MS)) == ["damage"]
-    assert events(line.feed(RX, b"ER,M1,01\r", MS)) == ["reply", "fault"]
+    assert events(line.feed(RX, b"ER,M1,01\r", MS)) == ["reply"]
     line.feed(TX, b"M1\r", 2 * MS)
     assert events(line.feed(RX, b"ER,M1,01\r", 3 * MS)) == ["reply"]
     assert line.losses == {"samples": 0, "damaged_lines": 2, "unasked": 0, "refused": 2, "invalid": 0}
+
+
+def test_refusals_in_a_row_are_a_fault_and_a_single_one_is_not() -> None:
+    """A fault ends a recording."""
+    line = pipeline()
+    found: list[list[str]] = []
+    answers = [b"ER,M1,01\r", b"ER,M1,01\r", b"M1,+00.0000\r", *[b"ER,M1,01\r"] * 4]
+    for number, answer in enumerate(answers):
+        line.feed(TX, b"M1\r", 10 * number * MS)
+        found.append(events(line.feed(RX, answer, (10 * number + 5) * MS)))
+    assert found == [["reply"]] * 5 + [["reply", "fault"], ["reply"]]
+    assert line.losses["refused"] == 6
+
+
+def test_the_echo_of_a_request_is_ignored() -> None:
+    """Two-wire adapters return what the host sends."""
+    line = pipeline()
+    line.feed(TX, b"M1\r", 0)
+    assert line.feed(RX, b"M1\r", MS) == []
+    ((_, metres),) = samples(line.feed(RX, b"M1,+01.0000\r", 2 * MS))
+    assert metres == pytest.approx(1e-3)
+    assert sum(line.losses.values()) == 0
+
+
+def test_the_first_output_is_that_of_a_single_sensor() -> None:
+    assert sensor(dialect="IL").output == 0
+    assert sensor(dialect="HL-G1").output == 1
+    assert sensor(dialect="IL", output=2).output == 2
 
 
 @pytest.mark.parametrize("text", [b"XXXXXXXX", b"+FFFFFFF", b"+26.0000"])

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from daq import channels
-from daq.acquisition.rate_watch import RateWatches
+from daq.acquisition.rate_watch import RateWatch, RateWatches
+from daq.drivers.contract import SampleClock
 from daq.drivers.optoncdt import wire as optoncdt
 from daq.items import Batch, DeviceEvent
 from rig_configs import load_rig
@@ -151,3 +152,17 @@ def test_a_restart_begins_the_rate_again() -> None:
     rate = watches.rates()["laser/x"]
     assert rate is not None
     assert rate.rate_Hz == pytest.approx(4000.0, rel=1e-4)
+
+
+def test_a_counter_that_begins_again_several_times_in_one_read_counts_all_samples() -> None:
+    """A counter of four bits in a CAN message; the host reads 40 frames at once."""
+    watch = RateWatch(SampleClock("laser/x", 1000.0, 30.0, "device_ticks", 10_000, 16))
+    for read in range(500):
+        numbers = np.arange(40 * read, 40 * read + 40)
+        columns = {"device_ticks": (100 * numbers).astype(np.uint64)}
+        batch = Batch(channels.LASER_X, 1_000_000 * numbers, (numbers % 16).astype(np.uint32), columns)
+        watch.feed(batch, 40_000_000 * read)
+    rate = watch.rate()
+    assert rate is not None
+    assert rate.rate_Hz == pytest.approx(1000.0, rel=1e-4)
+    assert rate.ok

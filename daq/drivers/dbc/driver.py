@@ -52,7 +52,7 @@ class DbcDriver(PlainDriver):
                 table.clock_tolerance_ppm,
                 "device_ticks",
                 tick_ns,
-                2 ** min(32, 32 if group.counter is None else group.counter.bits.length),
+                2**32,
             )
             for group in settings.groups()
             if group.has_clock

@@ -1,7 +1,8 @@
 """Continuous numbers of the frames of one message, from a counter or a timestamp that begins again.
 
-A number that jumps forward is a gap. The host's times decide how often the counter began again in a gap, and whether
-the jump leads into the future, which no gap does: the sensor started again, or the frame is damaged.
+A number that jumps forward is a gap. The timestamps of the same frames, or else the host's times, decide how often the
+counter began again in a gap. The host's times decide whether the jump leads into the future, which no gap does: the
+sensor started again, or the frame is damaged.
 """
 
 from __future__ import annotations
@@ -39,6 +40,21 @@ class Placed:
     doubtful: int = 0
 
 
+@dataclass
+class Stamps:
+    """Timestamps of the frames of one read.
+
+    Attributes:
+        values: raw numbers, shape (n,).
+        wrap: number of values, after which they begin again; longer than the gaps that a counter is asked about.
+        step: their difference from one frame to the next.
+    """
+
+    values: NDArray[np.int64]
+    wrap: int
+    step: float
+
+
 class Positions:
     """Places the frames of one message.
 
@@ -55,25 +71,29 @@ class Positions:
         self._odd: int | None = None  # number of the newest frame that was not kept
         self._least_ns = math.inf  # least delay so far
         self._heard_ns = 0
+        self._stamp: int = 0  # timestamp of the newest frame
 
-    def feed(self, values: NDArray[np.int64], host_ns: int) -> Placed:
+    def feed(self, values: NDArray[np.int64], host_ns: int, stamps: Stamps | None = None) -> Placed:
         """Place the frames of one read.
 
         Args:
             values: numbers of the frames, shape (n,), n ≥ 1.
             host_ns: time of the read.
+            stamps: the sensor's own times of these frames.
         """
         values = values & (self.wrap - 1)
         self._least_ns += _LEAK * (host_ns - self._heard_ns)
         self._heard_ns = host_ns
         if self._last is None:
             self._last = int(values[0]) - round(self._step)
+            self._stamp = int(stamps.values[0]) - round(stamps.step) if stamps else 0
         steps = np.diff(values, prepend=self._last % self.wrap) % self.wrap
-        if bool(np.all(np.abs(steps - self._step) < 0.5 * self._step)):
+        if bool(np.all(np.abs(steps - self._step) < 0.5 * self._step)) and self._agree(steps, stamps):
             self._odd = None
             placed = Placed(np.ones(len(values), np.bool_), self._last + np.cumsum(steps))
+            self._stamp = int(stamps.values[-1]) if stamps else 0
         else:
-            placed = self._each(values, host_ns)
+            placed = self._each(values, host_ns, stamps)
         if len(placed.position):
             self._last = int(placed.position[-1])
             self._least_ns = min(self._least_ns, self._delay_ns(self._last, host_ns))
@@ -82,7 +102,14 @@ class Positions:
     def _delay_ns(self, position: int, host_ns: int) -> float:
         return host_ns - position * self._unit_ns
 
-    def _each(self, values: NDArray[np.int64], host_ns: int) -> Placed:
+    def _agree(self, steps: NDArray[np.int64], stamps: Stamps | None) -> bool:
+        """Whether no frame is later by its timestamp than by its number, by half a cycle of the number or more."""
+        if stamps is None:
+            return True
+        passed = np.diff(stamps.values, prepend=self._stamp) % stamps.wrap / stamps.step
+        return bool(np.all(passed - steps / self._step < 0.5 * self.wrap / self._step))
+
+    def _each(self, values: NDArray[np.int64], host_ns: int, stamps: Stamps | None) -> Placed:
         """Place frames one by one."""
         placed = Placed(np.zeros(len(values), np.bool_), np.zeros(0, np.int64))
         positions: list[int] = []
@@ -93,7 +120,7 @@ class Positions:
             behind_ns = (len(values) - 1 - index) * self._step * self._unit_ns
             late_ns = self._delay_ns(last + step, host_ns) - behind_ns - self._least_ns
             late_ns = late_ns if math.isfinite(late_ns) else 0.0
-            turns = self._turns(late_ns)
+            turns = self._turns(late_ns) if stamps is None else self._stamped_turns(stamps, index, step, late_ns)
             if missing < 0 and not turns:  # the same number again
                 placed.doubtful += 1
                 continue
@@ -108,9 +135,10 @@ class Positions:
             elif missing or turns:
                 step += turns * self.wrap
                 placed.gaps[len(positions)] = round(step / self._step) - 1
-                if turns and self.wrap * self._unit_ns < _LATE_NS:
+                if turns and stamps is None and self.wrap * self._unit_ns < _LATE_NS:
                     placed.about.add(len(positions))
             self._odd = None
+            self._stamp = int(stamps.values[index]) if stamps else 0
             last += step
             positions.append(last)
             placed.kept[index] = True
@@ -123,3 +151,14 @@ class Positions:
         if late_ns < max(wrap_ns - _EARLY_NS, _LATE_NS):
             return 0
         return int((late_ns + _EARLY_NS) / wrap_ns)
+
+    def _stamped_turns(self, stamps: Stamps, index: int, step: int, late_ns: float) -> int:
+        """Return how often the counter has begun again in a gap, from the timestamps at its ends.
+
+        A timestamp that the host's time contradicts is damaged, or began again too: then the host's time decides.
+        """
+        passed = (int(stamps.values[index]) - self._stamp) % stamps.wrap / stamps.step * self._step
+        turns = max(0, round((passed - step) / self.wrap))
+        if abs(late_ns - turns * self.wrap * self._unit_ns) < _LATE_NS:
+            return turns
+        return self._turns(late_ns)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from daq.channels import DEVICE_TICK_S, Channel
 from daq.clock import ClockMap, ClockSeed
 from daq.drivers.dbc.layouts import MessageLayout, SignalLayout
-from daq.drivers.dbc.positions import Placed, Positions
+from daq.drivers.dbc.positions import Placed, Positions, Stamps
 from daq.drivers.dbc.settings import CanSensors, LaserGroup, LaserSignal
 from daq.drivers.dbc.silence import SilenceWatch
 from daq.items import Batch, DeviceEvent
@@ -78,7 +78,7 @@ class LaserStream:
         out: Items = [*self._watch.heard(host_ns)]
         number = device = None
         if self._frames is not None and self._group.counter is not None:
-            number = self._frames.feed(self._group.counter.raw(data), host_ns)
+            number = self._frames.feed(self._group.counter.raw(data), host_ns, self._stamps(data))
             out += self._events(number)
             data = data[number.kept]
         if self._times is not None and self._group.timestamp is not None and len(data):
@@ -89,13 +89,19 @@ class LaserStream:
             out += self._samples(data, number, device, host_ns)
         return out
 
+    def _stamps(self, data: NDArray[np.uint8]) -> Stamps | None:
+        """Return the timestamps of frames, or None without a timestamp."""
+        if self._times is None or self._group.timestamp is None:
+            return None
+        wrap = self._times.wrap
+        return Stamps(self._group.timestamp.raw(data) & (wrap - 1), wrap, self._period_ns / self._group.tick_ns)
+
     def _samples(self, data: NDArray[np.uint8], number: Placed | None, device: Placed | None, host_ns: int) -> Items:
         if number is None:
             numbers = np.arange(self._number, self._number + len(data))
             self._number += len(data)
         else:
             numbers = number.position if device is None else number.position[device.kept]
-            numbers = numbers % (self._frames.wrap if self._frames is not None else 1)
         if device is not None:
             device_ns = np.rint(device.position * self._group.tick_ns).astype(np.int64)
         elif number is not None:

@@ -43,6 +43,7 @@ class MicroStrain(PlainDriver):
         "counts_per_revolution": 6554,
     }
     claims: frozenset[str] = frozenset({"checksum", "counts exactly", "falls silent"})
+    measured: frozenset[str] = frozenset({"beacon_lag_ns"})
 
     def channels(self, settings: MicroStrainNode) -> tuple[Channel, ...]:
         """See Driver: the pendulums' angles, and further quantities if the rig file has any."""

@@ -28,6 +28,7 @@ def identify(device: str, settings: PolledLaser, talk: Talk) -> dict[str, Any]:
     request = dialect.request(settings.output)
     while not talk.replies.empty():
         talk.replies.get_nowait()
+    refusal: str = ""
     for _ in range(_TRIES):
         talk.send(request)
         try:
@@ -35,12 +36,15 @@ def identify(device: str, settings: PolledLaser, talk: Talk) -> dict[str, Any]:
         except queue.Empty:  # usual: the first answer may be lost
             continue
         found = dialect.parse(answer, settings.output)
-        if isinstance(found, wire.Refusal):
-            raise DeviceError(
-                f"{device} on {settings.port}: expected a value for {request!r}, got {answer!r}: {found.why}. Check "
-                f"devices.{device}.output, and that the sensor is in its measuring state"
-            )
-        return {"dialect": settings.dialect, "output": settings.output}
+        if isinstance(found, wire.Reading):
+            return {"dialect": settings.dialect, "output": settings.output}
+        if isinstance(found, wire.Refusal):  # the first request may have been joined to the rest of an earlier one
+            refusal = f"got {answer!r}: {found.why}"
+    if refusal:
+        raise DeviceError(
+            f"{device} on {settings.port}: expected a value for {request!r}, {refusal}. Check "
+            f"devices.{device}.output, and that the sensor is in its measuring state"
+        )
     raise DeviceError(
         f"{device} on {settings.port}: no answer to {request!r} in {_TRIES} tries. Is it a {dialect.sensors} at "
         f"{settings.baud} baud, parity {settings.parity}, and does the line carry both directions?"

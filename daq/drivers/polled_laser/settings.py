@@ -20,7 +20,8 @@ class PolledLaser(DisplacementSettings):
 
     Attributes:
         dialect: texts of the sensor, a key of `wire.DIALECTS`.
-        output: number of the output or amplifier; for HL-G1 the sensor's address.
+        output: number of the output or amplifier; for HL-G1 the sensor's address. By default the first one: 0 for IL,
+            otherwise 1.
         baud: line rate of the sensor, baud.
         parity: parity of the line.
         rate_Hz: requests per second. The sensor may answer fewer.
@@ -40,6 +41,12 @@ class PolledLaser(DisplacementSettings):
     unit_m: Annotated[float, Field(gt=0, le=1)] | None = None
     delay_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     positive: Literal["away", "towards"] = "away"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_first_output(cls, table: dict[str, object]) -> dict[str, object]:
+        dialect = wire.DIALECTS.get(str(table.get("dialect")))
+        return {"output": dialect.outputs[0]} | table if dialect else table
 
     @property
     def metres_per_unit(self) -> float:

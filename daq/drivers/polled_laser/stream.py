@@ -20,6 +20,8 @@ from daq.items import TX, Batch, DeviceEvent
 COUNTER_WRAP = 2**32
 LATEST_S = 0.5
 """Latest answer after its request, s. The host waits twice as long for it, so that it is not taken for the next one."""
+_REFUSALS = 3
+"""Refusals in a row that are a fault. A single one is a lost sample, for example while the sensor is being operated."""
 _TICK_NS = round(channels.DEVICE_TICK_S * 1e9)
 
 Items = list[Batch | DeviceEvent]
@@ -48,7 +50,8 @@ class PolledPipeline:
         self._last_ns = 0
         self._line = bytearray()
         self._joined = False  # whether the beginning of the line's present text was received
-        self._refusal = ""
+        self._refusals = 0  # since the last reading
+        self._begun = False  # whether there was a request, or an answer to one from before the log's begin
 
     def feed(self, direction: int, data: bytes, host_ns: int) -> Items:
         """See Pipeline."""
@@ -72,7 +75,7 @@ class PolledPipeline:
     def _asked(self, data: bytes, host_ns: int) -> Items:
         if data != self._request:
             return []
-        self._joined = True
+        self._joined = self._begun = True
         out: Items = []
         if self._asked_ns is not None:
             self._lost += 1
@@ -87,10 +90,13 @@ class PolledPipeline:
     def _answered(self, line: bytes, joined: bool, host_ns: int) -> Items:
         found = self._dialect.parse(line, self._output) if len(line) <= wire.LONGEST_LINE_BYTES else None
         if found is None:
-            if not joined:  # the line began before the reception
+            if not joined or line + b"\r" == self._request:  # cut at its beginning, or the line's echo
                 return []
             self.losses["damaged_lines"] += 1
             return [DeviceEvent("damage", self._device, f"not an answer: {line[:40]!r}", {"lines": 1})]
+        if not self._begun:
+            self._begun = True
+            return []
         if self._asked_ns is None or host_ns - self._asked_ns > LATEST_S * 1e9:
             self._counter += self._asked_ns is not None
             self._asked_ns = None
@@ -104,15 +110,15 @@ class PolledPipeline:
         reply = DeviceEvent("reply", self._device, line.decode("latin-1"))
         if isinstance(found, wire.Refusal):
             return [reply, *self._refused(found)]
-        self._refusal = ""
+        self._refusals = 0
         return [reply, self._sample(found, asked_ns, host_ns)]
 
     def _refused(self, found: wire.Refusal) -> Items:
         self.losses["refused"] += 1
         self._counter += 1
-        if found.why == self._refusal:
+        self._refusals += 1
+        if self._refusals != _REFUSALS:
             return []
-        self._refusal = found.why
         return [DeviceEvent("fault", self._device, f"the sensor refuses its request: {found.why}")]
 
     def _sample(self, found: wire.Reading, asked_ns: int, host_ns: int) -> Batch:

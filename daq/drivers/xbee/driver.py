@@ -25,6 +25,7 @@ class XBee(RotorNodeDriver):
     settings = XBeeNode
     example: ClassVar[Mapping[str, Any]] = {"node_address": "0013A20040522BAB"}
     claims: frozenset[str] = frozenset({"checksum", "counts exactly"})
+    measured: frozenset[str] = frozenset({"rssi_dBm"})
     usual: tuple[Mapping[str, Any], ...] = ({}, {"baud": 9_600, "rate_Hz": 100}, {"baud": 57_600}, {"baud": 230_400})
 
     def pipeline(self, device: str, settings: XBeeNode, identity: Mapping[str, Any]) -> Pipeline:
