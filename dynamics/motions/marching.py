@@ -152,7 +152,7 @@ def _rates_here(y: Array, t: float, segment: int, system: RealSystem, phase: Arr
 
 
 @compiled(nogil=True)
-def march(  # noqa: PLR0912, PLR0915 - one function: split, the loop's state would be passed in each call
+def march(  # noqa: PLR0912, PLR0915 - one function: in parts it took 1.04 to 1.2 times as long
     y: Array,
     t: float,
     limit: float,

@@ -237,7 +237,7 @@ def _half(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def frictional_motion(  # noqa: PLR0912, PLR0915 - the one loop in which slides and sticks follow each other
+def frictional_motion(  # noqa: PLR0912, PLR0915 - one loop: in parts it took 1.25 to 2.2 times as long
     start: Array,
     start_s: float,
     times: Array,
