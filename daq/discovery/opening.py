@@ -39,8 +39,11 @@ class PortNotOpened(Exception):
 
 
 def has_line_rate(port: str) -> bool:
-    """Whether the rate of a port's line matters: a serial port. Terminals of programs (ptys), TCP and CAN have none."""
-    return "://" not in port and not port.startswith("can:") and not _TERMINAL.fullmatch(port)
+    """Whether the rate of a port's line matters: a serial port. Terminals of programs (ptys), TCP and CAN have none.
+
+    A link counts as the port to which it leads.
+    """
+    return "://" not in port and not port.startswith("can:") and not _TERMINAL.fullmatch(os.path.realpath(port))
 
 
 def open_port(line: DeviceLine) -> Link:

@@ -231,6 +231,17 @@ def test_a_simulated_device_that_keeps_both_ends_of_its_pty_open_is_no_other_pro
     assert list(programs_with("/dev/pts/812")) == []
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="ptys")
+def test_a_link_to_a_terminal_is_a_terminal_which_its_own_program_may_keep_open(tmp_path: Path) -> None:
+    far, near = os.openpty()
+    link = tmp_path / "emulator"
+    link.symlink_to(os.ttyname(near))
+    assert not has_line_rate(str(link))
+    assert list(programs_with(str(link))) == []
+    os.close(far)
+    os.close(near)
+
+
 # --- tables ----------------------------------------------------------------------------------------------------------
 
 

@@ -378,6 +378,16 @@ def test_a_silent_converter_cannot_be_opened() -> None:
         bench.begin()
 
 
+def test_a_converter_with_other_registers_cannot_be_opened_and_its_refusal_is_the_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = Bench()
+    monkeypatch.setattr(bench.converter._server, "_read", lambda function, *block: bytes([0x80 | function, 2]))
+    reason = 'refuses reading register 8448: exception 2: no such register, .* Is the register table "generic" right'
+    with bench.running(), pytest.raises(DeviceError, match=reason):
+        bench.begin()
+
+
 def test_a_line_that_is_lost_is_reported(bench: Bench) -> None:
     bench.turn()
     bench.gone = True

@@ -89,8 +89,20 @@ def test_any_split_gives_the_same_packets(counts: list[int], cuts: list[int], no
     assert skipped == len(data) - sum(len(wire.encode(p)) for p in sent)
 
 
-def test_distances_and_error_codes_become_displacements() -> None:
-    line = pipeline(range_m=0.01, lever_ratio=2.0)
+def test_a_distance_is_signed_nanometres_and_the_largest_numbers_are_error_codes() -> None:
+    """The maker's manual of the optoNCDT 2300, value output by Ethernet: a wrong reading is 300 times too large."""
+    line = pipeline(range_m=0.02)
+    codes = [10_000_000, 0, 20_000_000, 2**32 - 100_000]
+    (batch,) = line.feed(RX, packet(0, codes + list(range(0x7FFF_FFF5, 0x7FFF_FFFC))), S)
+    assert isinstance(batch, Batch)
+    found = batch.columns["displacement_m"]
+    assert found[:4] == pytest.approx([0.0, -0.01, 0.01, -0.0101], abs=1e-12)
+    assert np.isnan(found[4:]).all()
+    assert line.losses["invalid"] == 7
+
+
+def test_words_of_the_serial_line_become_displacements_by_its_formula() -> None:
+    line = pipeline(range_m=0.01, lever_ratio=2.0, scaling="ILD1420")
     (batch,) = line.feed(RX, packet(0, [32760, 642, 262076]), S)
     assert isinstance(batch, Batch)
     found = batch.columns["displacement_m"]
@@ -178,7 +190,7 @@ def test_words_without_one_distance_are_refused(words: tuple[str, ...]) -> None:
 
 
 class _Three(EthernetDriver):
-    example: ClassVar = {"axis": "y", "words": ["SHUTTER", "DIST", "INTENSITY"], "scaling": "ILD1900", "serial": 12}
+    example: ClassVar = {"axis": "y", "words": ["SHUTTER", "INTENSITY", "DIST"], "scaling": "ILD1900", "serial": 12}
 
 
 class _Packets(EthernetDriver):

@@ -13,6 +13,11 @@ from daq.errors import DeviceError
 _TRIES = 4
 
 
+def is_read(reply: str) -> bool:
+    """Whether a reply of the pipeline consists of the registers read, and not of a refusal."""
+    return reply.replace(" ", "").isdigit()
+
+
 def identify(device: str, settings: ModbusConverter, talk: Talk) -> dict[str, Any]:
     """Read the state of the converter until it answers.
 
@@ -29,9 +34,11 @@ def identify(device: str, settings: ModbusConverter, talk: Talk) -> dict[str, An
     for _ in range(_TRIES):
         talk.send(wire.encode(request))
         try:
-            talk.replies.get(timeout=2 * settings.answer_s)  # the next request must not meet a late answer
+            reply = talk.replies.get(timeout=2 * settings.answer_s)  # the next request must not meet a late answer
         except queue.Empty:  # usual: the first answer may be lost
             continue
+        if not is_read(reply):
+            raise DeviceError(f'{device} on {settings.port}: {reply}. Is the register table "{settings.table}" right?')
         talk.clock.wait(settings.answer_s)  # the converter's pause before the first request of `control`
         return {"table": settings.table, "address": settings.address}
     came = f"{talk.bytes_in} bytes came, none of them that answer" if talk.bytes_in else "nothing came"

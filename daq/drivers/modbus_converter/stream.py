@@ -144,7 +144,9 @@ class ConverterPipeline:
         what = "reading" if request.function in wire.READS else f"writing {', '.join(map(str, request.values))} to"
         text = f"it refuses {what} register {request.register}: {answer.refusal}"
         before, self._refusal = self._refusal, text
-        return [] if text == before else [DeviceEvent("refused", self._device, text, {"exception": answer.exception})]
+        reply = DeviceEvent("reply", self._device, text, {})
+        new = text != before
+        return [reply, *([DeviceEvent("refused", self._device, text, {"exception": answer.exception})] if new else [])]
 
     # --- reports -----------------------------------------------------------------------------------------------
 

@@ -8,15 +8,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.drivers.optoncdt import distance_words
-from daq.drivers.optoncdt_ethernet import wire
+from daq.drivers.optoncdt_ethernet import distances, wire
 from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
 from daq.drivers.simulated import FarEnd, FaultKind, MotionInterval
 from daq.virtual_rig.beam import Beam
 from daq.virtual_rig.world import World
 
 _ORDER = 4120175
-_NO_PEAK, _BEFORE, _BEHIND = 262076, 262077, 262078
 _FLAGS = (0x1, 0x0)
 
 
@@ -38,7 +36,7 @@ class SimulatedEthernetLaser(FarEnd):
     def __init__(self, settings: EthernetLaser, beam: Beam, serial: int) -> None:
         self._settings, self._beam = settings, beam
         self._serial = settings.serial_number or serial
-        self._scaling = distance_words.SCALINGS[settings.scaling]
+        self._codes = distances.codes_of(settings.scaling)
         self._counter = int(beam.rng.integers(0, wire.COUNTER_WRAP))  # of the next frame, or packet
         self._blocked = False
         self._drop = 0
@@ -69,10 +67,11 @@ class SimulatedEthernetLaser(FarEnd):
 
     def _words(self, reading: NDArray[np.floating], numbers: NDArray[np.int64]) -> NDArray[np.uint32]:
         half = 0.5 * self._settings.range_m
-        code = distance_words.code(np.clip(reading, -half, half) + half, self._settings.range_m, self._scaling)
-        code = np.where(reading > half, _BEHIND, np.where(reading < -half, _BEFORE, code)).astype(np.uint32)
+        code = distances.code(np.clip(reading, -half, half) + half, self._settings.range_m, self._settings.scaling)
+        outside = np.where(reading > half, self._codes["behind"], self._codes["before"])
+        code = np.where(np.abs(reading) > half, outside, code).astype(np.uint32)
         if self._blocked:
-            code[:] = _NO_PEAK
+            code[:] = self._codes["no peak"]
         words = np.tile((numbers % 2**16).astype(np.uint32)[:, None], (1, len(self._settings.words)))
         words[:, self._settings.words.index("DIST")] = code
         return words

@@ -21,7 +21,8 @@ class EthernetLaser(DisplacementSettings):
     Attributes:
         rate_Hz: measuring rate to which the sensor is set, Hz.
         words: values of a frame in their order, DIST among them, as set on the sensor's web page.
-        scaling: model whose formula converts the distance words.
+        scaling: meaning of a distance word: "nm", signed nanometres, for the sensor's own Ethernet output; or the model
+            whose formula converts the words of its serial line, if a converter passes these on.
         counts: what the counter of a packet counts. Not verified: the manual does not state it.
     """
 
@@ -32,7 +33,7 @@ class EthernetLaser(DisplacementSettings):
     words: Annotated[tuple[Word, ...], Field(strict=False, min_length=1, max_length=wire.MOST_FRAME_BYTES // 4)] = (
         "DIST",
     )
-    scaling: Literal["ILD1420", "ILD1900"] = "ILD1420"
+    scaling: Literal["nm", "ILD1420", "ILD1900"] = "nm"
     counts: Literal["frames", "packets"] = "frames"
 
     @field_validator("words")

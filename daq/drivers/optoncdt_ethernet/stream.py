@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from daq import channels
 from daq.clock import ClockMap, ClockSeed, clock_rules
-from daq.drivers.optoncdt import distance_words
-from daq.drivers.optoncdt_ethernet import wire
+from daq.drivers.optoncdt_ethernet import distances, wire
 from daq.drivers.optoncdt_ethernet.settings import EthernetLaser
 from daq.items import TX, Batch, DeviceEvent
 
@@ -41,7 +40,6 @@ class EthernetPipeline:
         self.has_reported: bool = False
         self.complaint: str = ""
         self._device, self._channel, self._settings = device, channel, settings
-        self._scaling = distance_words.SCALINGS[settings.scaling]
         self._place = settings.words.index("DIST")
         self._period_ns = 1e9 / settings.rate_Hz
         self._decoder = wire.PacketDecoder(len(settings.words))
@@ -151,7 +149,7 @@ class EthernetPipeline:
         device_ns = np.rint(number * self._period_ns).astype(np.int64)
         time_ns = self._clock.map(device_ns, host_ns)
         range_m = self._settings.range_m
-        distance = distance_words.metres(code, range_m, self._scaling)
+        distance = distances.metres(code, range_m, self._settings.scaling)
         self.losses["invalid"] += int(np.count_nonzero(np.isnan(distance)))
         counter = (number % wire.COUNTER_WRAP).astype(np.uint32)
         columns: dict[str, NDArray[Any]] = {

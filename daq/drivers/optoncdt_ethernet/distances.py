@@ -1,0 +1,41 @@
+"""Distance words of an optoNCDT 2300 on Ethernet.
+
+The sensor itself sends the distance as a signed number of nanometres; the largest numbers are error codes. A converter
+between its serial line and Ethernet passes the words of the serial line on, which the other scalings are for.
+Source: docs/protocols/optoncdt_ethernet.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from daq.drivers.optoncdt import distance_words
+
+NANOMETRES = "nm"
+"""Scaling of the sensor's own Ethernet output."""
+MOST_NM = 2_147_000_000
+"""Largest distance either way, nm; larger words are error codes."""
+_STEP_M = 1e-9
+_NM_CODES = {"no peak": 0x7FFF_FFFB, "before": 0x7FFF_FFFA, "behind": 0x7FFF_FFF9}
+_SERIAL_CODES = {"no peak": 262_076, "before": 262_077, "behind": 262_078}
+
+
+def codes_of(scaling: str) -> dict[str, int]:
+    """Return the words for no peak, and for a peak before and behind the measuring range."""
+    return _NM_CODES if scaling == NANOMETRES else _SERIAL_CODES
+
+
+def metres(words: NDArray[np.uint32], range_m: float, scaling: str) -> NDArray[np.float64]:
+    """Return the distances from the start of the measuring range, m; NaN for error codes."""
+    if scaling != NANOMETRES:
+        return distance_words.metres(words, range_m, distance_words.SCALINGS[scaling])
+    signed = words.view(np.int32).astype(np.float64)
+    return np.where(np.abs(signed) <= MOST_NM, signed * _STEP_M, np.nan)
+
+
+def code(metres: ArrayLike, range_m: float, scaling: str) -> NDArray[np.uint32]:
+    """Return the words of distances; inverse of `metres`."""
+    if scaling != NANOMETRES:
+        return distance_words.code(metres, range_m, distance_words.SCALINGS[scaling])
+    return np.rint(np.asarray(metres, np.float64) / _STEP_M).astype(np.int32).view(np.uint32)
