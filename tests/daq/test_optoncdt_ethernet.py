@@ -223,3 +223,37 @@ def test_a_session_records_it_and_decodes_its_log_again(tmp_path: Path) -> None:
     with open_log(tmp_path / "a.mcap") as log:
         assert len(log["laser/net"]) == pytest.approx(6000, abs=60)
     assert set(losses.values()) == {0}
+
+
+# --- a scaling that cannot be right ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scaling", "word", "remedy"), [("nm", 32_760, 'scaling = "ILD1420"'), ("ILD1420", 10_000_000, 'scaling = "nm"')]
+)
+def test_words_of_the_other_scaling_give_a_fault_and_no_more_samples(scaling: str, word: int, remedy: str) -> None:
+    line = pipeline(range_m=0.02, scaling=scaling)
+    for number in range(11):
+        items = line.feed(RX, packet(100 * number, [word + number] * 100), number * S // 50)
+    assert kinds(items) == []
+    assert remedy in line.complaint
+    assert not [item for item in items if isinstance(item, Batch)]
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"range_m": 0.02, "scaling": "nm"}, [10_000_000] * 1100),
+        ({"range_m": 0.02, "scaling": "nm"}, [32_760] * 999 + [-5] * 101),
+        ({"range_m": 0.02, "scaling": "nm"}, [0x7FFF_FFFB] * 1100),
+        ({"range_m": 0.02, "scaling": "ILD1420"}, [32_760] * 1100),
+        ({"range_m": 0.02, "scaling": "ILD1420"}, [262_076] * 1100),
+        ({"range_m": 0.001, "scaling": "nm"}, [50_000] * 1100),
+    ],
+)
+def test_words_that_fit_their_scaling_are_no_fault(more: dict[str, Any], words: list[int]) -> None:
+    line = pipeline(**more)
+    for at in range(0, 1100, 100):
+        codes = [word % 2**32 for word in words[at : at + 100]]
+        line.feed(RX, packet(at, codes), at * S // 5000)
+    assert line.complaint == ""

@@ -17,6 +17,10 @@ NANOMETRES = "nm"
 MOST_NM = 2_147_000_000
 """Largest distance either way, nm; larger words are error codes."""
 _STEP_M = 1e-9
+_MOST_SERIAL = 262_143  # largest word of 18 bits: 0.26 mm in nanometres
+_LEAST_NM = 300_000  # a word above those of the serial line
+_LEAST_RANGE_M = 2e-3  # of a sensor whose words are compared: a larger part of a smaller range is ambiguous
+_WATCHED_WORDS = 1000
 _NM_CODES = {"no peak": 0x7FFF_FFFB, "before": 0x7FFF_FFFA, "behind": 0x7FFF_FFF9}
 _SERIAL_CODES = {"no peak": 262_076, "before": 262_077, "behind": 262_078}
 
@@ -39,3 +43,32 @@ def code(metres: ArrayLike, range_m: float, scaling: str) -> NDArray[np.uint32]:
     if scaling != NANOMETRES:
         return distance_words.code(metres, range_m, distance_words.SCALINGS[scaling])
     return np.rint(np.asarray(metres, np.float64) / _STEP_M).astype(np.int32).view(np.uint32)
+
+
+class ScalingWatch:
+    """Compares the first words with the other scaling, since the two differ by a factor of some hundred.
+
+    Args:
+        scaling, range_m: settings of the sensor.
+    """
+
+    def __init__(self, scaling: str, range_m: float) -> None:
+        self._scaling, self._range_m = scaling, range_m
+        self._left = _WATCHED_WORDS if range_m >= _LEAST_RANGE_M else 0
+
+    def contradiction(self, words: NDArray[np.uint32]) -> str:
+        """Take the next words; return what contradicts the scaling once all watched ones do, "" otherwise."""
+        if not self._left:
+            return ""
+        known = words[words <= MOST_NM]
+        largest = _MOST_SERIAL if self._scaling == NANOMETRES else round(self._range_m / _STEP_M)
+        least = 0 if self._scaling == NANOMETRES else _LEAST_NM
+        if not np.all((known >= least) & (known <= largest)):
+            self._left = 0
+            return ""
+        self._left = max(0, self._left - len(known))
+        if self._left:
+            return ""
+        if self._scaling == NANOMETRES:
+            return 'its distances are words of a serial line, not nanometres: set scaling = "ILD1420", or "ILD1900"'
+        return 'its distances are nanometres, not words of a serial line: set scaling = "nm"'

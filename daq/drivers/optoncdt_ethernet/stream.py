@@ -54,6 +54,7 @@ class EthernetPipeline:
         self._previous = 0  # number of its frames
         self._next = 0  # number of the next sample
         self._joined = False
+        self._watch = distances.ScalingWatch(settings.scaling, settings.range_m)
 
     @property
     def learned(self) -> dict[str, int]:
@@ -94,6 +95,9 @@ class EthernetPipeline:
                 out.append(self._batch(np.concatenate(numbers), np.concatenate(words), host_ns))
                 numbers, words = [], []
             out += gap
+            out += self._doubted(packet)
+            if self.complaint:
+                continue
             count = len(packet.frames)
             numbers.append(np.arange(self._next, self._next + count))
             words.append(packet.frames[:, self._place])
@@ -118,6 +122,14 @@ class EthernetPipeline:
         if not self.complaint:
             return []
         return [DeviceEvent("fault", self._device, self.complaint, {"serial": packet.serial})]
+
+    def _doubted(self, packet: wire.Packet) -> Items:
+        """Take no samples whose scaling is wrong: the amplitude would be too small by a factor of some hundred."""
+        found = self._watch.contradiction(packet.frames[:, self._place])
+        if not found:
+            return []
+        self.has_reported, self.complaint = True, found
+        return [DeviceEvent("fault", self._device, found, {"scaling": self._settings.scaling})]
 
     def _gap(self, packet: wire.Packet) -> Items:
         """Return the event about samples missing before a packet, and set the number of its first sample."""
