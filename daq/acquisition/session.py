@@ -170,7 +170,8 @@ class Session:
         Args:
             because: error that ended the session; None if it ended without one.
         Raises:
-            DeviceError: the rotor turns or may turn, and `because` is None.
+            DeviceError: the rotor turns or may turn, and `because` is None. A `lenient` session has it in
+                `rotor_warning` only.
         """
         if self._core.closing:
             return
@@ -190,7 +191,7 @@ class Session:
                     self._ticking.stop()
                 if self._links is not None:
                     self._links.close()
-        if not at_rest and because is None:
+        if not at_rest and because is None and not self.lenient:
             raise DeviceError(self.rotor_warning)
 
     @property

@@ -198,3 +198,20 @@ def test_a_device_without_a_port_does_not_stop_the_commands_of_the_others() -> N
         session.clock.wait(5.0)  # longer than a silent line
         session.command_node("lock both")
         assert set(session.unopened) == {"laser_x"}
+
+
+def test_a_drive_that_refuses_its_set_up_is_judged_where_nothing_else_measures_the_rotor() -> None:
+    whole = load_rig("analogue_lasers")
+    alone = whole.model_copy(update={"devices": {"inverter": whole.devices["inverter"]}})
+    far = LockstepRig(alone)
+    port = far.cables["inverter"].port
+    rig = alone.model_copy(
+        update={"devices": {"inverter": alone.devices["inverter"].model_copy(update={"port": port})}}
+    )
+    session = Session(rig, far.clock, edge=far.edge)
+    session.lenient = True
+    _fault(far, "inverter", "refuses", value=4)
+    with session:
+        found = device_checks(rig, observe(session, 1.0))
+    assert "it refuses 10 in register" in failed(found)["inverter opened"]
+    assert "keep away from it" in session.rotor_warning
