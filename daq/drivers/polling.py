@@ -23,7 +23,8 @@ class Request:
 
     Attributes:
         data: returns the bytes of a request from its number, 0, 1, …
-        end: byte that ends an answer; b"" if any bytes are one.
+        end: byte that ends an answer; b"" if any bytes are one. With it an echo of the request, as on a line with two
+            wires, is no answer.
         period_s: time from one request to the next, rig s.
         answer_s: wall time after which a request counts as unanswered and the next one is sent, s.
     """
@@ -49,6 +50,7 @@ class RequestLoop:
         self._asked_s: float | None = None  # wall time of the request that is not answered yet
         self._due_s = 0.0
         self._number = 0  # of the next request
+        self._echo = b""  # part of the newest request whose echo may still come
         self._repeated: Repeated | None = None
 
     def start(self) -> None:
@@ -60,10 +62,22 @@ class RequestLoop:
 
     def heard(self, data: bytes) -> None:
         """See Poller."""
-        if self._request.end in data:
-            with self._lock:
+        with self._lock:
+            answered = self._request.end in self._without_echo(data)
+            if answered:
                 self._asked_s = None
+        if answered:
             self._beat()
+
+    def _without_echo(self, data: bytes) -> bytes:
+        """Return the bytes that follow an echo of the request, which may come in parts; the caller holds the lock."""
+        data = data.lstrip(b"\n") if self._request.end == b"\r" else data  # of the answer before
+        length = min(len(data), len(self._echo))
+        if not self._request.end or data[:length] != self._echo[:length]:
+            self._echo = b""
+            return data
+        self._echo = self._echo[length:]
+        return data[length:]
 
     def stop(self) -> None:
         """See Poller."""
@@ -79,9 +93,10 @@ class RequestLoop:
                 return
             self._asked_s = now
             self._due_s = max(self._due_s + period, now)  # requests that are overdue are not made up for
-            number, self._number = self._number, self._number + 1
+            self._echo = data = self._request.data(self._number)
+            self._number += 1
         with ignoring(_log, "polling a device without a link", LinkLost):
-            self._send(self._request.data(number))
+            self._send(data)
 
     def _failed(self, error: Exception) -> None:
         _log.error("polling ended: %s", error)

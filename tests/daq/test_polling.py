@@ -62,6 +62,27 @@ def test_an_answer_in_parts_counts_with_its_end() -> None:
     assert len(line.asked_s) == 2
 
 
+@pytest.mark.parametrize("parts", [[b"M1\r"], [b"\nM", b"1", b"\r"], [b"M", b"1\rM"]])
+def test_the_echo_of_a_request_is_no_answer(parts: list[bytes]) -> None:
+    line = Line(None)
+    line.loop.start()
+    assert len(line.run(0.05)) == 1
+    for part in parts:
+        line.loop.heard(part)
+    assert line.run(0.3) == [], "the answer is still to come"
+    line.loop.heard(b"M1,+01.0000\r"[parts[-1].endswith(b"M") :])
+    assert len(line.asked_s) == 2
+
+
+def test_an_answer_that_begins_like_the_request_is_one() -> None:
+    line = Line(None)
+    line.loop.start()
+    line.run(0.2)
+    line.loop.heard(b"M1")
+    line.loop.heard(b",+01.0000\r")
+    assert len(line.asked_s) == 2
+
+
 def test_a_request_without_an_answer_is_given_up() -> None:
     line = Line(None)
     line.loop.start()
