@@ -16,6 +16,7 @@ import numpy as np
 from daq.acquisition.device_check import ObservedDisplacement
 from daq.acquisition.session import Session
 from daq.drivers.checks import Checks, DeviceCheck
+from daq.errors import AcquisitionError
 from rig_basics.arrays import Array
 from rig_configs.roles import Axis, DisplacementSensor, Roles
 
@@ -41,7 +42,7 @@ class Tap:
         return math.sqrt(sum(value**2 for value in self.response_m.values()))
 
 
-class NoTap(Exception):
+class NoTap(AcquisitionError):
     """No movement was seen in time."""
 
 

@@ -6,6 +6,8 @@ import math
 import re
 from dataclasses import dataclass
 
+from daq.errors import AcquisitionError
+
 _UNITS_M = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
 _FORM = re.compile(
@@ -15,7 +17,7 @@ _FORM = re.compile(
 )
 
 
-class BadLength(ValueError):
+class BadLength(AcquisitionError, ValueError):
     """The text is not a length. The message contains the expected form."""
 
 

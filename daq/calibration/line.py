@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
+from daq.errors import AcquisitionError
 from rig_basics.arrays import Array
 
 _NORMAL_95 = 1.959964  # half of a 95 % interval of the normal distribution, in standard deviations
@@ -25,7 +26,7 @@ _SAME_M = 1e-9
 _BISECTIONS = 100
 
 
-class TooFewPositions(ValueError):
+class TooFewPositions(AcquisitionError, ValueError):
     """The positions do not determine a gain. The text contains what to do."""
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from daq.drivers.contract import DeviceLine
-from daq.errors import LinkLost
+from daq.errors import AcquisitionError, LinkLost
 from daq.transports import Link, open_link
 from rig_basics.ignoring import ignoring
 
@@ -30,7 +30,7 @@ State = Literal["in use", "no permission", "not opened"]
 """Why a port cannot be opened."""
 
 
-class PortNotOpened(Exception):
+class PortNotOpened(AcquisitionError):
     """A port that cannot be opened; `state` is the reason, the message contains what to do."""
 
     def __init__(self, state: State, text: str) -> None:

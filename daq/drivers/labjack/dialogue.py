@@ -23,7 +23,7 @@ _MODELS = {4.0: "T4", 7.0: "T7"}
 _SINGLE_ENDED = 199
 
 
-class RequestRefused(Exception):
+class RequestRefused(DeviceError):
     """The device refused a request; `code` is the value of its register LAST_ERROR, 0 if it did not state it."""
 
     def __init__(self, code: int) -> None:
