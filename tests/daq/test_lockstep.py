@@ -272,16 +272,21 @@ def test_a_sensor_that_lost_power_is_set_up_again(tmp_path: Path) -> None:
         )
 
 
-def test_another_device_on_the_cable_is_left_alone(tmp_path: Path) -> None:
-    sim, session = opened("virtual")
+def _record_a_laser_with_another_serial_number(sim: LockstepRig, session: Session, log: Path) -> None:
+    """Record while a laser is unplugged and plugged in again, whose known serial number is not its own."""
     with session:
-        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
+        session.start_recording(log, {"test": "record"})
         session.identities["laser_x"]["serial"] = "another"
         sim.ask("unplug", device="laser_x")
         sim.clock.wait(0.5)
         sim.ask("plug", device="laser_x")
         wait_checking(session, 5.0)
         session.stop_recording({})
+
+
+def test_another_device_on_the_cable_is_left_alone(tmp_path: Path) -> None:
+    sim, session = opened("virtual")
+    _record_a_laser_with_another_serial_number(sim, session, tmp_path / "a.mcap")
     with open_log(tmp_path / "a.mcap") as log:
         refused = [event for event in log.events if event["kind"] == "other"]
         assert ["serial 14200001 instead of another" in event["text"] for event in refused] == [True], "reported once"
@@ -294,15 +299,8 @@ def test_a_measured_value_is_no_other_device(tmp_path: Path, monkeypatch: pytest
     assert MicroStrain.measured == {"beacon_lag_ns"}
     assert XBee.measured == {"rssi_dBm"}
     sim, session = opened("virtual")
-    with session:
-        monkeypatch.setattr(OptoNcdt, "measured", frozenset({"serial"}), raising=False)
-        session.start_recording(tmp_path / "a.mcap", {"test": "record"})
-        session.identities["laser_x"]["serial"] = "another"
-        sim.ask("unplug", device="laser_x")
-        sim.clock.wait(0.5)
-        sim.ask("plug", device="laser_x")
-        wait_checking(session, 5.0)
-        session.stop_recording({})
+    monkeypatch.setattr(OptoNcdt, "measured", frozenset({"serial"}), raising=False)
+    _record_a_laser_with_another_serial_number(sim, session, tmp_path / "a.mcap")
     with open_log(tmp_path / "a.mcap") as log:
         assert any(event["kind"] == "back" for event in log.events)
         assert not any(event["kind"] == "other" for event in log.events)
