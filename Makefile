@@ -1,6 +1,7 @@
 # Two commands do everything on a machine that has Python >= 3.11 and make:
 #   make demo    the main job on the built-in virtual rig, ends with a report
 #   make test    lint, types, layers and the whole test suite
+# make test-thorough runs the tests with all their cases (hours; the suite of make test runs a part of them).
 # make docs builds the documentation site from the installed wheel into out/docs, with warnings as errors.
 # make platforms resolves the dependencies from wheels alone for Linux, Windows and macOS.
 # After a change of a tutorial's code, make tutorials executes all of them anew and keeps their outputs.
@@ -16,7 +17,7 @@ UV := .tools/uv-$(UV_VERSION)/bin/uv
 UV_FILE := $(UV)
 endif
 
-.PHONY: demo test tutorials docs platforms setup lint clean
+.PHONY: demo test test-thorough tutorials docs platforms setup lint clean
 
 demo: setup
 	$(UV) run --no-sync rig demo --out out/demo
@@ -24,6 +25,9 @@ demo: setup
 
 test: setup lint
 	$(UV) run --no-sync pytest -n 2
+
+test-thorough: setup
+	RIG_TESTS_THOROUGH=1 $(UV) run --no-sync pytest -n 2
 
 tutorials: setup
 	$(UV) run --no-sync python -m tests.tutorials.notebooks
