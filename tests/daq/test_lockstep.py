@@ -27,6 +27,7 @@ from daq.signals.run import load_run
 from daq.virtual_rig.simulated_operator import SimulatedOperator
 from rig_configs import load_rig
 from rig_testing.fault_schedules import Schedule, ScheduledFault, draw, run
+from tests.effort import cases, thorough
 
 SHIPPED = ("virtual", "other_devices", "by_hand", "one_laser", "ethernet_lasers", "analogue_lasers", "can_lasers")
 
@@ -191,7 +192,7 @@ class Hand(SimulatedOperator):
             begin += seconds
 
 
-@pytest.mark.parametrize("seconds", [1.2, 6.0, 20.0])
+@pytest.mark.parametrize("seconds", [pytest.param(1.2, marks=thorough), 6.0, pytest.param(20.0, marks=thorough)])
 def test_a_column_that_is_still_held_has_not_rung_down(seconds: float, tmp_path: Path) -> None:
     sim, session = opened("virtual")
     with session:
@@ -391,9 +392,9 @@ def test_a_silent_drive_at_rest_is_reported_as_not_released_and_the_others_are_s
 def test_under_every_fault_schedule_the_log_is_correct_and_the_rotor_stops(
     rig: str, block: int, tmp_path: Path
 ) -> None:
-    """40 schedules, each by its seed; `python -m benchmarks.fault_schedules` runs thousands."""
-    known = load_rig(rig)
-    for seed in range(5 * block, 5 * block + 5):
+    """Schedules by their seeds; `python -m benchmarks.fault_schedules` runs thousands."""
+    known, each = load_rig(rig), cases(3, 25)
+    for seed in range(each * block, each * (block + 1)):
         result = run(rig, draw(known, seed), tmp_path)
         assert result.wrong == [], (seed, result.schedule)
 
@@ -440,7 +441,7 @@ def test_the_judge_does_not_take_other_motion_for_early_times(seed: int, delay_s
     "fault",
     [
         ScheduledFault(1.5, 0.3, "", "busy"),
-        ScheduledFault(1.5, 1.5, "encoder", "garbage", 200.0),
+        pytest.param(ScheduledFault(1.5, 1.5, "encoder", "garbage", 200.0), marks=thorough),
         ScheduledFault(1.5, 0.8, "laser_y", "unplug"),
     ],
 )
