@@ -94,6 +94,7 @@ def drawn(seed: int) -> list[Action]:
 @pytest.mark.parametrize("seed", range(cases(7, 200)))
 def test_no_path_releases_at_rest_spins_up_unlocked_or_leaves_the_rotor_turning(tmp_path: Path, seed: int) -> None:
     sim = LockstepRig(load_rig("virtual", settings=[f"virtual.seed={seed}"]))
+    sim.turn_s = (0.004, 0.016)
     rig = load_rig("virtual", settings=[f"virtual.seed={seed}", *sim.port_settings()])
     watch, controls, session = Watch(sim), Controls(), Session(rig, sim.clock, edge=sim.edge)
     try:
