@@ -17,7 +17,7 @@ UV := .tools/uv-$(UV_VERSION)/bin/uv
 UV_FILE := $(UV)
 endif
 
-.PHONY: demo test test-thorough tutorials docs platforms setup lint clean
+.PHONY: demo test test-thorough tutorials docs platforms setup lint types duplicates clean
 
 demo: setup
 	$(UV) run --no-sync rig demo --out out/demo
@@ -48,14 +48,19 @@ platforms: | $(UV_FILE)
 lint: setup
 	$(UV) run --no-sync ruff check .
 	$(UV) run --no-sync ruff format --check .
-	$(UV) run --no-sync pyright
 	$(UV) run --no-sync lint-imports
-	$(UV) run --no-sync pylint --score=n $(patsubst %/py.typed,%,$(wildcard */py.typed)) benchmarks tests examples
+	$(MAKE) --jobs 2 types duplicates
+
+types: setup
+	$(UV) run --no-sync pyright
 	mkdir -p out
 	for package in */py.typed; do \
 		$(UV) run --no-sync pyright --ignoreexternal --verifytypes $${package%/*} >out/types.txt \
 			|| { cat out/types.txt; exit 1; }; \
 	done
+
+duplicates: setup
+	$(UV) run --no-sync pylint --score=n $(patsubst %/py.typed,%,$(wildcard */py.typed)) benchmarks tests examples
 
 setup: | $(UV_FILE)
 	$(UV) sync --frozen --inexact --quiet --compile-bytecode
