@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from scipy.stats import kstest
+from scipy.stats import binom, kstest
 from synthetic import Campaign
 from test_joint import OWN, TRUTH, draw, spoilt
 
@@ -23,6 +23,7 @@ from identification.joint.limits import SOURCES, limits
 from identification.joint.provenance import kept_tests, rebuilt, with_tests
 from rig_configs import IdentifiedParameters, ParametersFileError
 from rig_configs.error_label import ErrorLabel
+from tests.effort import cases
 
 NAN = float("nan")
 GAINS = np.array([4e-4, -7e-4])  # of lasers that stay the same
@@ -79,13 +80,13 @@ def test_a_changed_spring_is_reported_in_plain_words() -> None:
 def test_no_change_is_called_one_in_few_of_many_pairs() -> None:
     """Holm keeps the chance of any false "changed" at its level: 5 % of 80 pairs, and the overall test too."""
     rng = np.random.default_rng(2)
-    single = overall = 0
-    for _ in range(80):
+    single, overall, count = 0, 0, cases(40, 80)
+    for _ in range(count):
         found = compare_parameters(parameters_of(draw(rng)[0], None), parameters_of(draw(rng)[0], None))
         single += bool(found.significant(0.05))
         overall += found.p < 0.05
-    assert single <= 10
-    assert 1 <= overall <= 10
+    assert single <= binom.isf(2e-3, count, 0.05)
+    assert overall <= binom.isf(2e-3, count, 0.05)
 
 
 def test_changes_that_go_together_are_found_though_each_is_small() -> None:
@@ -128,7 +129,8 @@ def test_the_std_of_a_change_with_shared_logs_is_what_many_draws_show() -> None:
     """Two logs in both, one more in NEW: the change comes from that one alone."""
     rng = np.random.default_rng(5)
     z, alone = [], []
-    for _ in range(150):
+    count = cases(60, 150)
+    for _ in range(count):
         estimates, _ = draw(rng, ("spin-down", "spin-down", "point-E"))
         old = parameters_of(estimates[:2])
         new = parameters_of(estimates)
@@ -136,7 +138,7 @@ def test_the_std_of_a_change_with_shared_logs_is_what_many_draws_show() -> None:
         change = next(c for c in found.changes if c.name == "c3_Nms_per_rad")
         z.append(change.z)
         alone.append(change.change / np.hypot(old.std[change.name], new.std[change.name]))
-    assert 0.9 < np.std(z) < 1.1
+    assert abs(np.std(z) - 1) < 2.5 / np.sqrt(2 * count)
     assert np.std(alone) < 0.8  # as independent the change would look too sure to be there
 
 
@@ -167,14 +169,14 @@ def test_p_is_uniform_however_the_logs_overlap(first: tuple[int, ...], second: t
     """Nothing has changed: p of all changes together is uniform, and each change's z has a spread of one."""
     rng = np.random.default_rng([*first, 100, *second])
     p, z = [], []
-    for _ in range(80):
+    for _ in range(cases(30, 80)):
         estimates, _ = draw(rng, DAMPING)
         found = compare_parameters(*(parameters_of([estimates[i] for i in which]) for which in (first, second)))
         p.append(found.p)
         z += [c.z for c in found.changes]
         assert found.dof == 2
     assert kstest(p, "uniform").pvalue > 1e-3
-    assert 0.85 < np.std(z) < 1.15
+    assert abs(np.std(z) - 1) < 3 / np.sqrt(len(z))
 
 
 @pytest.mark.parametrize("serial", ["L1", None])
@@ -185,7 +187,7 @@ def test_a_campaign_against_its_own_beginning_has_not_changed(
     """Campaigns with gains and clocks: small p values have at most their nominal frequency for any common part."""
     rng = np.random.default_rng([*first, 200, *second])
     p = []
-    for _ in range(25):
+    for _ in range(cases(6, 25)):
         estimates, _ = draw(rng)
         old, new = (parameters_of([estimates[i] for i in which], serial) for which in (first, second))
         found = compare_parameters(old, new)
@@ -204,7 +206,7 @@ def test_a_clock_common_to_what_stayed_and_what_came_is_no_change() -> None:
     """
     rng = np.random.default_rng(31)
     tests, rate, p = ("run-up", "spin-down", "point-E", "point-E"), 2e-5, []
-    for _ in range(40):
+    for _ in range(cases(15, 40)):
         estimates = []
         for estimate in draw(rng, tests, gains=np.zeros(2))[0]:
             power = np.array([{"k": 2.0, "c": 1.0}.get(n[0], 0.0) for n in estimate.names])

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from scipy.stats import binom
 from synthetic import Campaign
 
 from identification import Estimate, NotIdentifiable, combine, identify
@@ -14,6 +15,7 @@ from identification.joint import joint_estimate
 from identification.joint.agreement import verdict
 from rig_configs.error_label import ErrorLabel
 from rig_configs.parameters_file import PARAMETER_UNITS
+from tests.effort import cases
 
 TRUTH = {
     "k1_N_per_m": 2616.65,
@@ -82,30 +84,30 @@ def spoilt(estimates: list[Estimate], index: int, name: str, share: float) -> li
 
 @pytest.mark.parametrize("tests", [CAMPAIGN, ("ring-down-x",) * 3 + ("run-up",) * 2, ("spin-down",) * 2 + ("point-E",)])
 def test_good_sets_are_seldom_called_bad(tests: tuple[str, ...]) -> None:
-    """At most 1 % of 1000 sets; the stated chance is 0.2 %."""
-    rng = np.random.default_rng(20261121)
-    alarms = sum(verdict(draw(rng, tests)[0]).alarm for _ in range(1000))
-    assert alarms <= 10
+    """The stated chance is 0.2 %."""
+    rng, count = np.random.default_rng(20261121), cases(200, 1000)
+    alarms = sum(verdict(draw(rng, tests)[0]).alarm for _ in range(count))
+    assert alarms <= binom.isf(1e-5, count, 0.002)
 
 
 def test_somewhat_heavier_tails_do_not_flood_with_alarms() -> None:
     """Student's t with ten degrees of freedom, of the same variance."""
-    rng = np.random.default_rng(7)
-    assert sum(verdict(draw(rng, heavy_tails=True)[0]).alarm for _ in range(1000)) <= 20
+    rng, count = np.random.default_rng(7), cases(200, 1000)
+    assert sum(verdict(draw(rng, heavy_tails=True)[0]).alarm for _ in range(count)) <= binom.isf(1e-5, count, 0.007)
 
 
 def test_detection_power_over_the_size_of_a_fault() -> None:
     """One of three equal tests off by a number of its own standard deviations: detected and correctly named."""
     rng = np.random.default_rng(3)
-    seen = {}
-    for size in (4.0, 6.0, 8.0, 12.0):
+    seen, count = {}, cases(100, 300)
+    for size in (6.0, 8.0, 12.0):
         named = alarms = 0
-        for _ in range(300):
+        for _ in range(count):
             sets, _ = draw(rng, ("spin-down",) * 4)
             found = verdict(spoilt(sets, 2, "c3_Nms_per_rad", size * 1e-3))
             alarms += found.alarm
             named += found.alarm and found.suspects == (2,)
-        seen[size] = (alarms / 300, named / 300)
+        seen[size] = (alarms / count, named / count)
     assert seen[6.0][0] > 0.7
     assert seen[8.0] >= (0.99, 0.9)
     assert seen[12.0] == (1.0, 1.0)
@@ -125,8 +127,8 @@ def test_one_bad_log_is_named_and_does_not_drag_the_result(
     tests: tuple[str, ...], index: int, name: str, share: float
 ) -> None:
     rng = np.random.default_rng(index)
-    outside = 0
-    for _ in range(60):
+    outside, count = 0, cases(15, 60)
+    for _ in range(count):
         good, true = draw(rng, tests)
         found = joint_estimate(spoilt(good, index, name, share))
         assert list(found.left_out) == [index]
@@ -137,7 +139,7 @@ def test_one_bad_log_is_named_and_does_not_drag_the_result(
         without = combine([e for i, e in enumerate(good) if i != index])[0]
         assert value == pytest.approx(without.values[name], abs=1e-6 * std)
         assert std <= 2.2 * without.std[name]
-    assert outside <= 9  # 5 % of 60 are 3
+    assert outside <= binom.isf(2e-3, count, 0.05)
 
 
 def test_of_five_recordings_the_bad_one_is_left_out() -> None:
