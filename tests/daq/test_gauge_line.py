@@ -43,7 +43,7 @@ def readings(
 
 @pytest.mark.parametrize(("seat_m", "count"), [(0.0, 5), (2e-6, 5), (2e-6, 3)])
 def test_a_gain_that_is_off_by_3_per_mille_lies_in_95_per_cent_of_the_intervals(seat_m: float, count: int) -> None:
-    hits, tried = np.zeros(2), cases(60, 200)
+    hits, tried = np.zeros(2), cases(100, 200)
     for seed in range(tried):
         line = fit_line(readings(seed, seat_m=seat_m, positions=np.linspace(-4e-3, 4e-3, count)), RANGE_M)
         offset, std = line.offset_m(0.0)
