@@ -9,6 +9,7 @@ from hypothesis import given, settings, strategies as st
 
 from daq.signals.approach import bound
 from daq.signals.rounding import code_noise, half_width
+from tests.effort import cases
 
 WINDOW_S = 1.02
 
@@ -34,7 +35,7 @@ counts = st.integers(9, 30)
 seeds = st.integers(0, 1000)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=cases(20, 40))
 @given(sizes, st.floats(0.09, 1.5), widths, counts, seeds)
 def test_one_rate_is_bounded(left: float, rate: float, width: float, count: int, seed: int) -> None:
     left = min(left, 2.9 * math.exp(-rate * 9 * WINDOW_S))  # nine windows earlier it was still moving
@@ -57,7 +58,7 @@ def test_two_rates_near_each_other_are_bounded(slow: float, fast: float, share: 
     assert found.mean_off > found.remaining
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=cases(20, 60))
 @given(sizes, st.floats(0.1, 0.6), st.floats(0.6, 2.5), st.floats(0, 6.3), widths, counts, seeds)
 def test_a_decaying_swing_is_bounded(
     left: float, rate: float, turn: float, phase: float, width: float, count: int, seed: int
@@ -70,7 +71,7 @@ def test_a_decaying_swing_is_bounded(
     assert bound(edges, values, width, 2.0).remaining >= 0.6 * to_come - 2 * width
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=cases(20, 40))
 @given(st.floats(0.15, 1.0), st.floats(20, 1000), counts, seeds, st.sampled_from([1.0, -1.0]))
 def test_growth_that_shows_has_no_bound(rate: float, size: float, count: int, seed: int, sign: float) -> None:
     edges, width = windows(count), 1e-3
@@ -112,7 +113,7 @@ def test_identical_means_leave_no_drift() -> None:
     assert bound(edges, values, 7.7e-4, 2.0).remaining < 1.5e-3
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=cases(40, 100))
 @given(st.floats(0, 0.6), st.floats(-0.5, 0.5), st.integers(0, 100))
 def test_half_width_holds_the_mean_of_a_noisy_code(noise: float, offset: float, seed: int) -> None:
     """Compared with the rounding itself, for any position within a count: codes alternate on an edge without noise."""
@@ -125,7 +126,7 @@ def test_half_width_holds_the_mean_of_a_noisy_code(noise: float, offset: float, 
         assert seen == pytest.approx(noise, rel=0.25)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=cases(20, 60))
 @given(st.floats(0, 3), st.floats(-0.5, 0.5))
 def test_half_width_holds_the_mean_of_a_wobbling_code(ripple: float, offset: float) -> None:
     codes = np.round(offset + ripple * np.cos(2 * np.pi * np.arange(20_000) / 20_000))

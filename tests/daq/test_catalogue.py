@@ -28,6 +28,7 @@ from daq.items import Batch
 from daq.log.file import LogFile
 from daq.log.verdicts import SUFFIX, LoggedVerdict, digest_of, keep_verdict, verdict_of
 from daq.mcap.writer import BlockWriter
+from tests.effort import cases
 
 T0 = 1_700_000_000_000_000_000
 LATER_NS = 10**10
@@ -511,7 +512,7 @@ OPERATIONS = st.lists(st.tuples(WHAT, NAMES, st.integers(0, 9)), max_size=12)
 
 
 @given(OPERATIONS)
-@settings(max_examples=40)
+@settings(max_examples=cases(20, 40))
 def test_the_cache_changes_no_answer(
     tmp_path_factory: pytest.TempPathFactory, operations: list[tuple[str, str, int]]
 ) -> None:

@@ -34,6 +34,7 @@ from daq.replay import check
 from rig_configs import load_rig
 from rig_configs.roles import PendulumAngles, PendulumLocks, RotorPhase
 from rig_testing.bench import DriverBench
+from tests.daq.kit_cases import kit_cases
 
 MS = 1_000_000
 PERIOD_NS = 10 * MS
@@ -714,14 +715,7 @@ class _OtherSense(Cia406):
     }
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(case, id=f"{kind.__name__}-{case}")
-        for kind in (_OwnTimers, _OtherSense)
-        for case in rig_testing.cases(kind())
-    ],
-)
+@pytest.mark.parametrize("case", kit_cases((_OwnTimers, _OtherSense)))
 def test_every_way_of_sampling_passes_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
     case()
 

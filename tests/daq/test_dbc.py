@@ -30,6 +30,7 @@ from daq.replay.calibration import Calibration
 from daq.transports.slcan import CanFrame, encode
 from rig_configs import RigFileError, load_rig
 from rig_testing.bench import DriverBench
+from tests.daq.kit_cases import kit_cases
 
 MS = 1_000_000
 Items = list[Batch | DeviceEvent]
@@ -344,15 +345,10 @@ class _NoCounter(DbcDriver):
 _SLOW = {"mutations", "memory", "split", "counter wrap"}
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(case, id=f"{kind.__name__}-{case}")
-        for kind in (_OneMessage, _NoCounter)
-        for case in rig_testing.cases(kind())
-        if str(case) not in _SLOW
-    ],
-)
+_OTHERS = (_OneMessage, _NoCounter)
+
+
+@pytest.mark.parametrize("case", kit_cases(_OTHERS, without=[(kind, name) for kind in _OTHERS for name in _SLOW]))
 def test_other_descriptions_pass_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
     case()
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings as hypothesis_settings, strategies as st
 
+from daq.discovery import search as search_module
 from daq.discovery.opening import PortNotOpened
 from daq.discovery.search import PortSearch, Result
 from daq.discovery.trials import Trial, drivers_found, evidence_of, trials_of, usual_rate
@@ -20,6 +21,7 @@ from daq.drivers.simulated import FarEnd
 from daq.errors import LinkLost
 from daq.transports import slcan
 from tests.daq.far_end_on_port import PORT, Cable, CableLink, SilentDevice, Source
+from tests.effort import cases, thorough
 
 DRIVERS, FAILED = drivers_found()
 ASKING = [each for each in DRIVERS if isinstance(each, AnswersIdentityRequest)]
@@ -52,10 +54,17 @@ def streaming_riftek(**settings: Any) -> Cable:
     ("make", "name", "expected"),
     [
         (streaming_optoncdt, "optoncdt", {"baud": 921_600, "rate_Hz": 4000.0}),
-        (lambda: streaming_optoncdt(baud=230_400, rate_Hz=1000.0), "optoncdt", {"baud": 230_400, "rate_Hz": 1000.0}),
-        (streaming_riftek, "riftek", {"baud": 921_600, "parity": "E", "rate_Hz": 4000.0}),
+        pytest.param(
+            lambda: streaming_optoncdt(baud=230_400, rate_Hz=1000.0),
+            "optoncdt",
+            {"baud": 230_400, "rate_Hz": 1000.0},
+            marks=thorough,
+        ),
+        pytest.param(streaming_riftek, "riftek", {"baud": 921_600, "parity": "E", "rate_Hz": 4000.0}, marks=thorough),
         (lambda: streaming_riftek(baud=9600, rate_Hz=200.0), "riftek", {"baud": 9600, "rate_Hz": 200.0}),
-        (lambda: streaming_riftek(rate_Hz=500.0), "riftek", {"baud": 921_600, "rate_Hz": 500.0}),
+        pytest.param(
+            lambda: streaming_riftek(rate_Hz=500.0), "riftek", {"baud": 921_600, "rate_Hz": 500.0}, marks=thorough
+        ),
         (
             lambda: Cable.of("rotorlink", baud=230_400, rate_Hz=500),
             "rotorlink",
@@ -145,7 +154,7 @@ def test_a_foreign_device_gets_no_driver(make: Callable[[np.random.Generator], b
 
 
 @given(st.lists(st.binary(max_size=300), max_size=8))
-@hypothesis_settings(max_examples=40)
+@hypothesis_settings(max_examples=cases(15, 40))
 def test_bytes_of_any_kind_convince_no_driver_and_raise_nothing(parts: list[bytes]) -> None:
     reads = [(part, 1_700_000_000_000_000_000 + i * 20_000_000) for i, part in enumerate(parts)]
     for trial in trials_of(DRIVERS, PORT, True):
@@ -153,8 +162,10 @@ def test_bytes_of_any_kind_convince_no_driver_and_raise_nothing(parts: list[byte
         assert found is None or not found.convinces
 
 
-def test_reading_ends_on_a_line_that_never_pauses() -> None:
-    cable = Cable(lambda world: Source(lambda: bytes(200_000)))
+def test_reading_ends_on_a_line_that_never_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    most = cases(50_000, search_module._MOST_BYTES)
+    monkeypatch.setattr(search_module, "_MOST_BYTES", most)
+    cable = Cable(lambda world: Source(lambda: bytes(most // 5)))
     assert search(cable).state == "unknown device"
     assert cable.clock.now < 3
 

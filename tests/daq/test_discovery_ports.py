@@ -363,11 +363,17 @@ def test_a_device_that_announces_itself_is_found_once() -> None:
 
 
 def test_a_request_is_broadcast_and_its_answer_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = PromptClock()
+
+    def read_and_end(data: bytes, host: str) -> NetworkDevice | None:
+        clock.now += 10.0  # the search ends at once: an answer has been taken
+        return read(data, host)
+
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
         device.bind(("127.0.0.1", 0))
         device.settimeout(10)
         monkeypatch.setattr(network, "_BROADCAST", "127.0.0.1")
-        own: Any = Announcing("a", Announcement(0, read, b"who?", device.getsockname()[1], wait_s=5.0))
+        own: Any = Announcing("a", Announcement(0, read_and_end, b"who?", device.getsockname()[1], wait_s=5.0))
 
         def answer() -> None:
             data, host = device.recvfrom(100)
@@ -376,7 +382,7 @@ def test_a_request_is_broadcast_and_its_answer_taken(monkeypatch: pytest.MonkeyP
 
         answering = threading.Thread(target=answer)
         answering.start()
-        found, _ = announced_devices([own], PromptClock())
+        found, _ = announced_devices([own], clock)
         answering.join()
     assert [each.device.found.identity for each in found] == [{"name": "eight"}]
 

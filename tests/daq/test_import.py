@@ -24,6 +24,7 @@ from daq.log.losses import losses_of
 from daq.signals.run import Run, load_run
 from rig_configs import load_rig
 from tests.daq.small_log import write_small_log
+from tests.effort import cases
 
 RIG = load_rig("virtual")
 T = np.arange(200) / 1000
@@ -344,7 +345,7 @@ def test_missing_marks_are_counted_from_rest_on(lost: set[int], acceleration: fl
     assert bool(warnings) == bool(lost)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=cases(20, 40), deadline=None)
 @given(
     values=st.lists(st.floats(-0.01, 0.01, allow_subnormal=True), min_size=20, max_size=60),
     delimiter=st.sampled_from([",", ";", "\t", " ", "|"]),

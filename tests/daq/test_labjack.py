@@ -33,6 +33,8 @@ from daq.signals.run import load_run
 from rig_configs import load_rig
 from rig_configs.roles import DisplacementSensor, OtherQuantity, Roles, RotorPhase
 from rig_testing.bench import DriverBench, Items
+from tests.daq.kit_cases import LONG
+from tests.effort import thorough
 
 S = 1_000_000_000
 START = 1_700_000_000 * S
@@ -386,11 +388,17 @@ def _driver(table: dict[str, Any]) -> LabJackDriver:
     return Other()
 
 
+def _cases(driver: LabJackDriver) -> list[Any]:
+    """Without those that take long and do not depend on the settings."""
+    others = [case for case in rig_testing.cases(driver) if "mutations" not in case.name and "wrap" not in case.name]
+    return [pytest.param(case, marks=[thorough] if case.name in LONG else []) for case in others]
+
+
 @pytest.mark.parametrize(
     "case",
     [
-        *rig_testing.cases(_driver({"lasers": LASERS, "tacho": {"input": "FIO2", "edge": "falling"}})),
-        *rig_testing.cases(
+        *_cases(_driver({"lasers": LASERS, "tacho": {"input": "FIO2", "edge": "falling"}})),
+        *_cases(
             _driver(
                 {
                     "lasers": {"far": {"axis": "y", "input": "AIN5", "near_V": 10.0, "far_V": 2.0, "witness": "far"}},
@@ -403,8 +411,6 @@ def _driver(table: dict[str, Any]) -> LabJackDriver:
     ids=str,
 )
 def test_contract(case: rig_testing.ContractCase) -> None:
-    if "mutations" in str(case) or "wrap" in str(case):
-        pytest.skip("these take long and do not depend on the settings")
     case()
 
 

@@ -14,6 +14,7 @@ from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.errors import DeviceError
 from daq.items import RX, Batch, DeviceEvent
 from tests.daq.hand_made_laser import HandMadeLaser
+from tests.effort import cases
 
 START_NS = 1_700_000_000_000_000_000
 RATES_HZ = (
@@ -77,7 +78,7 @@ def test_at_every_rate_losses_are_exact(rate_Hz: float, lost: int) -> None:
         assert [event.kind for event in events] == ["gap"] * (lost > 0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=cases(20, 60), deadline=None)
 @given(
     st.one_of(st.sampled_from(RATES_HZ), st.floats(10.0, 50_000.0)),
     st.integers(0, 2**32 - 1),
@@ -98,7 +99,7 @@ def test_at_any_rate_nothing_is_lost_that_was_not(
     assert {event.kind for event in events} <= {"gap"}
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=cases(20, 40), deadline=None)
 @given(st.sampled_from(RATES_HZ), st.integers(300, 600), st.integers(0, 11))
 def test_at_any_rate_a_lost_byte_costs_at_most_two_samples(rate_Hz: float, block: int, byte: int) -> None:
     counters = np.arange(1000)

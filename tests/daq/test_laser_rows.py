@@ -12,6 +12,7 @@ from daq.drivers.optoncdt.blocks import measure
 from daq.drivers.optoncdt.stream import LaserPipeline
 from daq.items import RX, Batch, DeviceEvent
 from rig_configs import load_rig
+from tests.effort import cases
 
 LASER = load_rig("virtual").devices["laser_x"]
 START_NS = 1_700_000_000_000_000_000
@@ -45,7 +46,7 @@ def ticks_of(items: list[Batch | DeviceEvent]) -> np.ndarray:
     return np.concatenate([i.columns["device_ticks"] for i in items if isinstance(i, Batch)]).astype(np.int64)
 
 
-@settings(max_examples=60)
+@settings(max_examples=cases(20, 60))
 @example(3694.0, 0, [54], 0)
 @given(
     st.floats(300.0, 10_000.0),

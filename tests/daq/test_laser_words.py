@@ -14,6 +14,7 @@ from daq.drivers.optoncdt.stream import DEFAULT_WORDS, LaserPipeline
 from daq.errors import DeviceError
 from daq.items import RX, Batch, DeviceEvent
 from rig_configs import load_rig
+from tests.effort import cases
 
 DEVICES = load_rig("virtual").devices
 START_NS = 1_700_000_000_000_000_000
@@ -67,7 +68,7 @@ K = np.arange(70_000, 70_080)
 USUAL = ("DIST", "COUNTER", "TIMESTAMP")
 
 
-@settings(max_examples=60)
+@settings(max_examples=cases(20, 60))
 @given(ORDERS, st.integers(0, 77), st.lists(st.integers(0, 2000), max_size=6))
 @example(["DIST"], 40, [])
 @example(["DIST", "TIMESTAMP", "COUNTER"], 40, [])
@@ -123,7 +124,7 @@ def test_words_without_counter_and_timestamp_are_counted_as_unusable(announced: 
     assert any("no samples without" in event.text for event in events)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=cases(20, 40), deadline=None)
 @given(ORDERS, ORDERS, st.data())
 def test_no_words_and_no_text_invent_losses_or_break_it(
     true: list[str], announced: list[str], data: st.DataObject

@@ -10,6 +10,8 @@ from hypothesis import given, settings, strategies as st
 import daq.signals.limit as limit_module
 from daq.signals.limit import ApproachLimit, limit
 from daq.signals.rounding import half_width, rounding_covariance, rounding_terms
+from tests.daq.few_draws import mean_limit, share_limits, square_limits
+from tests.effort import cases
 
 WINDOW_S = 1.02
 STEP = 2 * math.pi / 4096
@@ -73,18 +75,20 @@ def test_intervals_of_95_percent_hold_the_limit(
 ) -> None:
     """Without the share for approaches that are not exponential: here all are exponential."""
     monkeypatch.setattr(limit_module, "MODEL_SHARE", 0.0)
-    off, refused = [], 0
-    for seed in range(70):
+    off, refused, count = [], 0, cases(16, 70)
+    for seed in range(count):
         found, ends = drawn(kind, seed)
         if found is None:
             refused += 1
         else:
             off.append((found.values - ends) / np.sqrt(np.diag(found.covariance)))
     z = np.array(off)
-    assert refused <= 2
-    assert 0.92 <= np.mean(np.abs(z) < 1.96) <= 0.985
-    assert 0.5 < np.mean(z**2) < 1.4
-    assert abs(np.mean(z)) < 0.25
+    assert refused <= 2 * count / 70
+    fewest, most = share_limits(z.size, 210, 0.92, 0.985)
+    assert fewest <= np.mean(np.abs(z) < 1.96) <= most
+    least, largest = square_limits(z.size, 210, 0.5, 1.4)
+    assert least < np.mean(z**2) < largest
+    assert abs(np.mean(z)) < mean_limit(z.size, 210, 0.25)
 
 
 @pytest.mark.parametrize("noise_steps", [0.0, 0.1, 0.3])
@@ -92,7 +96,7 @@ def test_intervals_hold_the_limit_of_a_rounded_angle(noise_steps: float, monkeyp
     """The rounding error is common to windows with a constant code: a mean over windows does not reduce it."""
     monkeypatch.setattr(limit_module, "MODEL_SHARE", 0.0)
     edges, off, claimed = windows(20), [], []
-    for seed in range(100):
+    for seed in range(cases(20, 100)):
         rng = np.random.default_rng([seed, 11])
         end, slow, left = rng.uniform(-2, 2, 2), rate(rng, 0.1, 0.3), 2 * STEP * rng.standard_normal(2)
         seen = np.empty((20, 2))
@@ -110,8 +114,8 @@ def test_intervals_hold_the_limit_of_a_rounded_angle(noise_steps: float, monkeyp
         claimed.append(std / STEP)
     z = np.array(off)
     print(noise_steps, np.mean(np.abs(z) < 1.96), np.mean(z**2), np.median(claimed))
-    assert np.mean(np.abs(z) < 1.96) >= 0.92
-    assert np.mean(z**2) < 1.3
+    assert np.mean(np.abs(z) < 1.96) >= share_limits(z.size, 200, 0.92)[0]
+    assert np.mean(z**2) < square_limits(z.size, 200, 0.0, 1.3)[1]
     assert np.median(claimed) < 0.4
 
 
@@ -125,7 +129,7 @@ def test_a_standing_code_leaves_a_step_over_root_twelve_however_long_it_stands()
         assert 0.98 < math.sqrt(found.covariance[0, 0]) / (STEP / math.sqrt(12)) < 2.0
 
 
-@settings(max_examples=40)
+@settings(max_examples=cases(20, 40))
 @given(st.floats(0, 0.5), st.floats(0, 3))
 def test_the_deviation_of_rounding_is_that_of_rounding_itself(noise: float, ripple: float) -> None:
     """Over all positions between two codes; the rms over neighbouring ripples, and never above the largest error."""
@@ -146,7 +150,7 @@ def _normal_quantiles(count: int) -> np.ndarray:
     return erfinv(2 * (np.arange(count) + 0.5) / count - 1)
 
 
-@settings(max_examples=15)
+@settings(max_examples=cases(5, 15))
 @given(st.integers(0, 50), st.floats(-1e3, 1e3), st.floats(-3, 3).map(lambda p: 10.0**p))
 def test_shifted_and_scaled_data_shift_and_scale_the_answer(seed: int, shift: float, scale: float) -> None:
     rng = np.random.default_rng(seed)
@@ -165,7 +169,7 @@ def test_shifted_and_scaled_data_shift_and_scale_the_answer(seed: int, shift: fl
 @pytest.mark.parametrize("count", [12, 30])
 def test_a_straight_line_and_growth_have_no_limit(growth: Motion, count: int) -> None:
     edges = windows(count)
-    for seed in range(4):
+    for seed in range(cases(1, 4)):
         rng = np.random.default_rng(seed)
         seen = np.stack([means(growth, edges), -0.5 * means(growth, edges)], axis=1)
         assert limit(edges, seen + rng.standard_normal(seen.shape), white(count, 2)) is None
@@ -211,7 +215,7 @@ def test_what_moves_late_may_be_little() -> None:
     rng, z = np.random.default_rng(21), list[float]()
     edges = np.arange(30.0)[:, None] + [0.0, 1.0]
     t = edges.mean(axis=1)
-    for _ in range(25):
+    for _ in range(cases(8, 25)):
         fast, slow = rng.standard_normal(4), 0.015 * rng.standard_normal(4)
         means = np.exp(-0.19 * t)[:, None] * fast + np.exp(-0.08 * t)[:, None] * slow
         means = means + 2e-3 * rng.standard_normal(means.shape)
@@ -224,7 +228,7 @@ def test_what_moves_late_may_be_little() -> None:
 def test_what_is_not_exponential_yet_does_not_pull_the_limit() -> None:
     """θ' = −λ sin θ from 0.1 rad: the square of the approach hardly changes χ² of 30 windows, but shifts the limit."""
     far = 0
-    for seed in range(40):
+    for seed in range(cases(10, 40)):
         rng = np.random.default_rng([seed, 11])
         edges = windows(30)
         towards = rng.uniform(0, 2 * math.pi)
@@ -239,7 +243,7 @@ def test_what_is_not_exponential_yet_does_not_pull_the_limit() -> None:
         found = limit(edges, seen + rng.standard_normal(seen.shape), white(30, 4))
         assert found is not None
         far += found.values @ np.linalg.solve(found.covariance, found.values) > 14.9  # 0.5 % of cases
-    assert far <= 1
+    assert far <= cases(0, 1)
 
 
 def test_a_square_of_the_size_expected_does_not_pull_the_limit() -> None:
@@ -250,7 +254,7 @@ def test_a_square_of_the_size_expected_does_not_pull_the_limit() -> None:
         return np.full(4, 8.0 * (np.ptp(stretch[:, 0]) / 400.0) ** 2)
 
     pulled = {"looked for": list[np.ndarray](), "not": list[np.ndarray]()}
-    for seed in range(40):
+    for seed in range(cases(12, 40)):
         rng = np.random.default_rng([seed, 31])
         slow = rate(rng, 0.18, 0.22)
         motions = [
@@ -264,8 +268,8 @@ def test_a_square_of_the_size_expected_does_not_pull_the_limit() -> None:
             assert found is not None
             pulled[name].append(found.values / np.sqrt(np.diag(found.covariance)))
     z = np.array(pulled["looked for"])
-    assert np.abs(z.mean(axis=0)).max() < 0.4
-    assert np.mean(np.abs(z) < 1.96) > 0.92
+    assert np.abs(z.mean(axis=0)).max() < mean_limit(len(z), 40, 0.4)
+    assert np.mean(np.abs(z) < 1.96) > share_limits(z.size, 160, 0.92)[0]
     assert np.abs(np.mean(pulled["not"], axis=0)).max() > 0.7
 
 

@@ -15,6 +15,7 @@ from daq.errors import ChannelMissing, LogError
 from daq.log import open_log
 from daq.mcap.chunks import CHUNK_LIMIT_BYTES
 from daq.mcap.writer import MAGIC, BlockWriter
+from tests.effort import cases
 
 T0 = 1_700_000_000_000_000_000
 BLOCKS, PER_BLOCK = 12, 25
@@ -157,7 +158,7 @@ def test_cut_anywhere(tmp_path, kind, request):
     assert len(set(counts)) == BLOCKS + 1
 
 
-@settings(max_examples=150)
+@settings(max_examples=cases(40, 150))
 @given(st.sampled_from(["whole", "plain"]), st.floats(0, 1, exclude_max=True))
 def test_a_flipped_bit_is_noticed_and_costs_one_chunk_at_most(tmp_path_factory, whole, plain, kind, place):
     damaged = bytearray({"whole": whole, "plain": plain}[kind])
@@ -172,7 +173,7 @@ def test_a_flipped_bit_is_noticed_and_costs_one_chunk_at_most(tmp_path_factory, 
 
 
 @given(st.binary(max_size=400), st.integers(0, 3000), st.sampled_from(["whole", "plain"]))
-@settings(max_examples=100)
+@settings(max_examples=cases(40, 100))
 def test_hostile_bytes_never_break_it(tmp_path_factory, whole, plain, junk, place, kind):
     original = {"whole": whole, "plain": plain}[kind]
     data = MAGIC + original[8:place] + junk + original[place + len(junk) :]

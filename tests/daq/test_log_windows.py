@@ -12,6 +12,7 @@ from daq.errors import ChannelMissing, LogError
 from daq.log import open_log
 from daq.mcap.file_bytes import FileBytes
 from daq.mcap.writer import LIBRARY, BlockWriter
+from tests.effort import cases
 
 T0 = 1_700_000_000_000_000_000
 MS = 10**6
@@ -52,7 +53,7 @@ def path(tmp_path):
 TIMES = st.integers(0, 60)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=cases(20, 60), deadline=None)
 @given(
     st.lists(st.tuples(TIMES, st.lists(TIMES, max_size=5)), min_size=1, max_size=12),
     TIMES,

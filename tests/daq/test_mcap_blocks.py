@@ -17,6 +17,7 @@ from daq import channels as ch
 from daq.log import open_log
 from daq.mcap.writer import BlockWriter, CopiedChunk, metadata_crc
 from tests.daq.small_log import write_small_log
+from tests.effort import cases
 
 T0 = 1_700_000_000_000_000_000
 
@@ -85,7 +86,7 @@ BLOCKS = st.lists(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=cases(20, 60))
 @given(BLOCKS, st.sampled_from(["zstd", "none"]), st.sampled_from([1, 300, 256 * 1024]))
 def test_any_times_in_any_order(blocks, compression, chunk_bytes):
     wanted = []

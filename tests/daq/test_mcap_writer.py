@@ -13,6 +13,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from daq import channels as ch
 from daq.mcap.writer import RESTATE_EVERY, BlockWriter
+from tests.effort import cases
 
 T0 = 1_700_000_000_000_000_000
 
@@ -46,7 +47,7 @@ STEPS = st.lists(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=cases(20, 60))
 @given(STEPS, st.sampled_from(["zstd", "none"]), st.sampled_from([1, 200, 2000, 256 * 1024]))
 def test_the_library_reads_what_was_written(steps, compression, chunk_bytes):
     stream = io.BytesIO()

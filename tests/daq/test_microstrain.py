@@ -30,6 +30,7 @@ from daq.replay import check
 from daq.signals.run import load_run
 from rig_testing.bench import DriverBench
 from rig_testing.subject import together
+from tests.daq.kit_cases import kit_cases
 from tests.daq.lockstep_log import recorded_at_rest
 
 NODE, RATE_HZ, UTC_S, S = 307, 256, 1_700_000_000, 1_000_000_000
@@ -388,14 +389,7 @@ class _Old(MicroStrain):
     claims: frozenset[str] = frozenset({"counts exactly", "falls silent"})
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(case, id=f"{kind.__name__}-{case}")
-        for kind in (_OneTurn, _Old)
-        for case in rig_testing.cases(kind())
-    ],
-)
+@pytest.mark.parametrize("case", kit_cases((_OneTurn, _Old)))
 def test_other_settings_pass_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
     case()
 

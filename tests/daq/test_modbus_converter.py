@@ -17,6 +17,7 @@ from daq.errors import DeviceError, LinkLost
 from daq.items import RX, TX, DeviceEvent
 from rig_basics.units import TO_RPM
 from rig_testing.bench import DriverBench
+from tests.daq.kit_cases import kit_cases
 
 
 class _INVT(ModbusConverterDriver):
@@ -40,12 +41,10 @@ _SHORT = (_INVT, _Altivar)  # answers of at most 11 bytes: the kit damages longe
 
 @pytest.mark.parametrize(
     "case",
-    [
-        pytest.param(case, id=f"{kind.__name__}-{case}")
-        for kind in (_INVT, _MMax, _Altivar, _Others)
-        for case in rig_testing.cases(kind())
-        if not (kind in _SHORT and str(case) == "damage") and (kind is _Others or str(case) != "mutations")
-    ],
+    kit_cases(
+        (_INVT, _MMax, _Altivar, _Others),
+        without=[*((kind, "damage") for kind in _SHORT), *((kind, "mutations") for kind in (_INVT, _MMax, _Altivar))],
+    ),
 )
 def test_every_table_passes_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
     case()

@@ -26,6 +26,7 @@ from daq.lockstep.rig import LockstepRig
 from daq.log import open_log
 from daq.replay import check
 from rig_configs import load_rig
+from tests.daq.kit_cases import kit_cases
 
 S = 1_000_000_000
 HEADER = struct.Struct("<IIIIIHHI")
@@ -201,9 +202,7 @@ class _Packets(EthernetDriver):
 KINDS = (_Three, _Packets)
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(case, id=f"{kind.__name__}-{case}") for kind in KINDS for case in rig_testing.cases(kind())]
-)
+@pytest.mark.parametrize("case", kit_cases(KINDS))
 def test_every_set_up_passes_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
     case()
 

@@ -6,6 +6,7 @@ from hypothesis import given, settings, strategies as st
 
 from daq.signals.order_noise import OrderNoise
 from daq.signals.window_means import WindowMeans, amplitude_means, orbit_means, whole_revolutions
+from tests.effort import cases
 
 RATE, WHITE_M = 2000.0, 4e-6
 WINDOWS = 20
@@ -85,7 +86,7 @@ def test_amplitudes_have_the_larger_part_of_the_noise() -> None:
     assert sizes.width == pytest.approx(3.5 * sizes.noise)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=cases(20, 50), deadline=None)
 @given(st.lists(st.booleans(), min_size=8, max_size=20), st.floats(-0.45, 0.45))
 def test_covariance_of_windows_with_gaps_is_positive(kept: list[bool], neighbours: float) -> None:
     starts = np.flatnonzero([*kept, True, True]).astype(float)

@@ -27,6 +27,7 @@ from daq.replay import check
 from daq.signals.run import load_run
 from daq.virtual_rig.beam import Beam
 from rig_testing.bench import DriverBench
+from tests.daq.kit_cases import kit_cases
 from tests.daq.lockstep_log import recorded_at_rest
 
 MS = 1_000_000
@@ -289,14 +290,7 @@ class _HLG1(PolledLaserDriver):
     example: ClassVar = {"axis": "x", "dialect": "HL-G1", "output": 16, "parity": "O"}
 
 
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(case, id=f"{kind.__name__}-{case}")
-        for kind in (_LKG5000, _IL, _HLG1)
-        for case in rig_testing.cases(kind())
-    ],
-)
+@pytest.mark.parametrize("case", kit_cases((_LKG5000, _IL, _HLG1)))
 def test_every_dialect_passes_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
     case()
 

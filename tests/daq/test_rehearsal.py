@@ -11,14 +11,21 @@ from daq import open_log
 from daq.errors import OperatorStop
 from daq.lockstep import Rehearsal
 from rig_configs import RigFileError
+from tests.effort import thorough
 
 
-def test_a_seed_gives_the_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("test", "numbers"),
+    [("run-up", {"top_rpm": 600.0, "duration_s": 5.0}), pytest.param("ring-down-x", {}, marks=thorough)],
+)
+def test_a_seed_gives_the_same_bytes_and_another_seed_others(
+    test: str, numbers: dict[str, float], tmp_path: Path
+) -> None:
     logs = []
     for folder, seed in (("first", 3), ("second", 3), ("third", 4)):
         with Rehearsal("virtual", tmp_path / folder, [f"virtual.seed={seed}"]) as rehearsal:
-            done = rehearsal.record("ring-down-x")
-            assert (done.test, done.missed) == ("ring-down-x", "")
+            done = rehearsal.record(test, **numbers)
+            assert (done.test, done.missed) == (test, "")
             logs.append(done.log.read_bytes())
     assert logs[0] == logs[1]
     assert logs[0] != logs[2]

@@ -20,6 +20,7 @@ from daq.drivers.riftek_ethernet.settings import RiftekEthernetLaser
 from daq.drivers.riftek_ethernet.stream import RiftekEthernetPipeline
 from daq.items import RX, TX, Batch, DeviceEvent
 from rig_testing.bench import DriverBench
+from tests.daq.kit_cases import kit_cases
 
 S = 1_000_000_000
 PACKET_S = 168 / 4000
@@ -182,7 +183,7 @@ class _Checked(RiftekEthernet):
     example: ClassVar = {"axis": "y", "rate_Hz": 9400.0, "checksum": "sum", "serial": 12}
 
 
-@pytest.mark.parametrize("case", rig_testing.cases(_Checked()), ids=str)
+@pytest.mark.parametrize("case", kit_cases((_Checked,)))
 def test_a_sensor_with_a_check_passes_the_tests_of_drivers(case: rig_testing.ContractCase) -> None:
     case()
 

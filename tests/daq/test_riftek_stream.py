@@ -19,6 +19,7 @@ from daq.drivers.riftek.settings import RiftekLaser
 from daq.drivers.riftek.stream import RiftekPipeline
 from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
+from tests.effort import cases
 
 START_NS = 1_700_000_000_000_000_000
 MIDDLE = wire.FULL_SCALE // 2
@@ -305,7 +306,7 @@ def test_a_lone_false_result_is_suspect() -> None:
     assert [event.kind for event in events] == ["suspect"]
 
 
-@settings(max_examples=40)
+@settings(max_examples=cases(20, 40))
 @given(st.lists(st.one_of(st.integers(1, 60), st.binary(max_size=9)), max_size=10), st.integers(1, 50))
 def test_the_split_into_reads_changes_no_value(parts: list[int | bytes], cut: int) -> None:
     data, at = b"", 0
@@ -336,7 +337,7 @@ def test_the_same_bytes_at_the_same_times_give_the_same_batches() -> None:
             assert np.array_equal(one.columns[name], two.columns[name], equal_nan=True)
 
 
-@settings(max_examples=40)
+@settings(max_examples=cases(20, 40))
 @given(
     st.lists(
         st.tuples(st.sampled_from([RX, RX, TX]), st.binary(max_size=300), st.integers(-(10**9), 10**10)), max_size=20

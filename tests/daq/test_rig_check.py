@@ -16,6 +16,7 @@ from daq.drivers.checks import Checks
 from daq.drivers.optoncdt.far_end import SimulatedLaser
 from daq.lockstep.rig import LockstepRig
 from rig_configs import load_rig
+from tests.effort import thorough
 
 SECONDS = 2.0
 LONG_S = 10.0  # the default of `rig check`
@@ -70,7 +71,7 @@ def failed(found: dict[str, Checks]) -> dict[str, str]:
     return {what: one.note for what, one in notes if not one.passed}
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=thorough)])
 def test_a_healthy_rig_passes(seed: int) -> None:
     assert failed(checked([f"virtual.seed={seed}"], tap=True, seconds=LONG_S)) == {}
 
@@ -112,7 +113,7 @@ def test_a_missing_device_is_found_and_the_others_are_still_checked() -> None:
     assert found["laser_x"]["rate_Hz"].passed
 
 
-@pytest.mark.parametrize("device", ["laser_x", "encoder", "drive"])
+@pytest.mark.parametrize("device", ["laser_x", pytest.param("encoder", marks=thorough), "drive"])
 def test_a_silent_device_is_found_and_the_others_are_still_checked(device: str) -> None:
     found = failed(checked(prepare=lambda far: _fault(far, device, "mute")))
     assert set(found) == {f"{device} opened"}

@@ -27,6 +27,7 @@ from rig_cli.simulated import VirtualRigProcess
 from rig_configs import load_rig
 from rig_configs.schema import Rig
 from tests.conftest import TIME_SCALE
+from tests.effort import thorough
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="signals and ptys need POSIX")
 
@@ -152,7 +153,7 @@ def recording_host(path: Path, rig: VirtualRigProcess, scale: float, *wrapper: s
 
 
 @needs_posix
-@pytest.mark.parametrize(("scale", "after_s"), [(1.0, 0.3), (4.0, 0.06), (4.0, 1.1)])
+@pytest.mark.parametrize(("scale", "after_s"), [pytest.param(1.0, 0.3, marks=thorough), (4.0, 0.06), (4.0, 1.1)])
 def test_a_killed_host_loses_little_and_the_drive_stops_by_itself(scale: float, after_s: float, tmp_path: Path) -> None:
     with VirtualRigProcess("virtual", [], scale) as rig:
         path = tmp_path / "killed.mcap"
@@ -299,7 +300,7 @@ def test_the_virtual_rig_ends_with_its_parent_process() -> None:
 
 
 @needs_posix
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", pytest.param("SIGHUP", marks=thorough)])
 def test_ctrl_c_a_polite_kill_and_a_hang_up_end_a_recording_with_a_whole_log(
     virtual_rig: VirtualRigProcess, tmp_path: Path, name: str
 ) -> None:

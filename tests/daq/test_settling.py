@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from daq.signals.settling import RotorSignals, Settling, SettlingLimits, locked_settled, settled
+from tests.effort import cases
 
 STEP = 2 * np.pi / 4096
 SPEED = 49.0
@@ -69,7 +70,7 @@ def test_remaining_bounds_an_exponential_approach(rate: float) -> None:
 @pytest.mark.parametrize("end_deg", [0.08, 0.3, 2.0])
 def test_leaving_an_unstable_balance_is_never_settled(rate: float, end_deg: float) -> None:
     """At the end the pendulums are only end_deg from the saddle; the drift is below every tolerance, and grows."""
-    for seed in range(8):
+    for seed in range(cases(2, 8)):
         result = judge(lambda t: 0.18 + math.radians(end_deg) * np.exp(rate * (t - 30.0)), seed=seed)
         assert not result.settled, (seed, result)
         assert result.remaining_rad == math.inf
@@ -152,7 +153,7 @@ def coded(
 @pytest.mark.parametrize("noise", [0.0, 0.3, 2.0])
 def test_steady_pendulums_are_settled_with_any_encoder(counts: int, noise: float) -> None:
     """Constant counts above all: the means differ by floating point noise only."""
-    for seed in range(6):
+    for seed in range(cases(3, 6)):
         data = coded(lambda t: 0 * t, counts, noise, 14.0, ripple=(seed % 3) * 2e-3, seed=seed)
         result = settled(RotorSignals(*data))
         assert result.settled, (seed, result.why)
@@ -234,7 +235,7 @@ def _wander(count: int, rate_Hz: float, seed: int) -> np.ndarray:
 def test_lasers_that_wander_are_no_motion() -> None:
     """At 2.5 Hz an amplitude of a window scatters by 2 µm; pendulums at rest are settled nevertheless."""
     for duration in (18.0, 40.0):
-        for seed in range(6):
+        for seed in range(cases(2, 6)):
             data = list(signals(lambda t: 1.0 + 0 * t, speed=5 * np.pi, duration=duration, seed=seed))
             data[5], data[7] = (data[j] + _wander(len(data[j]), 4000.0, seed + 10 * j) for j in (5, 7))
             result = settled(RotorSignals(*data), angle_step_rad=STEP)
@@ -242,7 +243,7 @@ def test_lasers_that_wander_are_no_motion() -> None:
 
 
 def test_lasers_that_wander_do_not_hide_an_orbit_or_pendulums_that_move() -> None:
-    for seed in range(4):
+    for seed in range(cases(2, 4)):
         orbit = list(
             signals(lambda t: 1.0 + 0 * t, amplitude=lambda t: 1e-3 + 1e-4 * np.exp(-0.1 * (t - 20.0)), seed=seed)
         )

@@ -25,6 +25,7 @@ from daq.errors import DeviceError
 from daq.items import RX, TX, Batch, DeviceEvent
 from daq.transports import HostClock, slcan
 from rig_configs import load_rig
+from tests.effort import cases
 
 DEVICES = load_rig("virtual").devices
 START_NS = 1_700_000_000_000_000_000
@@ -435,7 +436,7 @@ def test_a_status_of_a_dongle_lost_on_the_cable_hides_no_frame_lost_on_air() -> 
     assert (pipeline.losses["cable_frames"], pipeline.losses["radio_frames"]) == (1, 1)
 
 
-@settings(max_examples=200)
+@settings(max_examples=cases(40, 200))
 @given(st.sets(st.integers(4, 89), max_size=60), st.booleans(), st.integers(1, 2))
 def test_samples_sent_again_fill_the_holes_of_lost_blocks(lost: set[int], own_seq: bool, behind: int) -> None:
     """Each block is sent twice, the second time behind one newer block or two; a loss is what never came."""
@@ -491,7 +492,7 @@ def test_losses_of_air_and_cable_are_counted_separately() -> None:
     assert (pipeline.losses["cable_frames"], pipeline.losses["radio_frames"]) == (2, 3)
 
 
-@settings(max_examples=150)
+@settings(max_examples=cases(40, 150))
 @given(st.data())
 def test_the_quick_way_through_undamaged_blocks_gives_what_the_full_decoder_gives(data: st.DataObject) -> None:
     counters = np.cumsum(data.draw(st.lists(st.sampled_from([1] * 30 + [2, 7]), min_size=10, max_size=120)))

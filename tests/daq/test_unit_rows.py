@@ -13,6 +13,7 @@ from daq.exchange import ExchangeError
 from daq.exchange.csv_dialect import sniff
 from daq.exchange.unit_words import is_unit_row, name_and_unit, unit_word
 from tests.daq.test_import import bring_in, text
+from tests.effort import cases
 
 T = np.arange(60) * 0.5
 X = 2 * np.cos(0.3 * T)
@@ -124,7 +125,7 @@ def test_words_for_units() -> None:
     assert name_and_unit("speed [1/min]") == ("speed", "rpm")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=cases(20, 60), deadline=None)
 @given(cells=st.lists(st.text(max_size=8), min_size=1, max_size=5))
 def test_any_cells_are_a_unit_row_or_none(cells: list[str]) -> None:
     if is_unit_row(cells):

@@ -24,6 +24,7 @@ from identification import identify
 from rig_cli.main import run as main
 from rig_configs import load_rig
 from rig_configs.roles import DisplacementSensor, role_table
+from tests.effort import cases, thorough
 
 Floats = NDArray[np.float64]
 NOISE_M = 4e-6
@@ -60,7 +61,7 @@ def compared(
 @pytest.mark.parametrize("rates", [(4000.0, 4000.0), (4000.0, 1000.0), (500.0, 4000.0)])
 @pytest.mark.parametrize("gain", [1.0, 0.97])
 def test_the_ratio_and_its_uncertainty_are_honest(rates: tuple[float, float], gain: float) -> None:
-    found = [compared(seed, gain, rates=rates) for seed in range(40)]
+    found = [compared(seed, gain, rates=rates) for seed in range(cases(15, 40))]
     z = np.array([(one.ratio - gain) / one.ratio_std for one in found])
     assert np.mean([one.ratio for one in found]) == pytest.approx(gain, abs=1e-4)  # a tenth of the calibration's
     assert 0.6 < np.std(z) < 1.5
@@ -129,7 +130,7 @@ lever_ratio = 1.3
 """
 
 
-@pytest.mark.parametrize("driver", ["optoncdt", "riftek"])
+@pytest.mark.parametrize("driver", [pytest.param("optoncdt", marks=thorough), "riftek"])
 def test_a_built_in_sensor_is_a_witness_of_another_s_axis(driver: str, tmp_path: Path) -> None:
     """Its own channel, its own lever, its own clock: the ratio shows that both measure the same motion."""
     file = tmp_path / "rig.toml"
