@@ -14,6 +14,8 @@ from identification.joint import joint_estimate
 from identification.joint.agreement import verdict
 from rig_configs.error_label import ErrorLabel
 from rig_configs.parameters_file import PARAMETER_UNITS
+from tests.count_limits import most
+from tests.effort import cases
 
 TRUTH = {
     "k1_N_per_m": 2616.65,
@@ -83,15 +85,16 @@ def spoilt(estimates: list[Estimate], index: int, name: str, share: float) -> li
 @pytest.mark.parametrize("tests", [CAMPAIGN, ("ring-down-x",) * 3 + ("run-up",) * 2, ("spin-down",) * 2 + ("point-E",)])
 def test_good_sets_are_seldom_called_bad(tests: tuple[str, ...]) -> None:
     """At most 1 % of 1000 sets; the stated chance is 0.2 %."""
-    rng = np.random.default_rng(20261121)
-    alarms = sum(verdict(draw(rng, tests)[0]).alarm for _ in range(1000))
-    assert alarms <= 10
+    rng, count = np.random.default_rng(20261121), cases(200, 1000)
+    alarms = sum(verdict(draw(rng, tests)[0]).alarm for _ in range(count))
+    assert alarms <= most(10, 1000, 0.002, count)
 
 
 def test_somewhat_heavier_tails_do_not_flood_with_alarms() -> None:
     """Student's t with ten degrees of freedom, of the same variance."""
-    rng = np.random.default_rng(7)
-    assert sum(verdict(draw(rng, heavy_tails=True)[0]).alarm for _ in range(1000)) <= 20
+    rng, count = np.random.default_rng(7), cases(200, 1000)
+    alarms = sum(verdict(draw(rng, heavy_tails=True)[0]).alarm for _ in range(count))
+    assert alarms <= most(20, 1000, 0.01, count)
 
 
 def test_detection_power_over_the_size_of_a_fault() -> None:
@@ -125,8 +128,8 @@ def test_one_bad_log_is_named_and_does_not_drag_the_result(
     tests: tuple[str, ...], index: int, name: str, share: float
 ) -> None:
     rng = np.random.default_rng(index)
-    outside = 0
-    for _ in range(60):
+    outside, count = 0, cases(12, 60)
+    for _ in range(count):
         good, true = draw(rng, tests)
         found = joint_estimate(spoilt(good, index, name, share))
         assert list(found.left_out) == [index]
@@ -137,7 +140,7 @@ def test_one_bad_log_is_named_and_does_not_drag_the_result(
         without = combine([e for i, e in enumerate(good) if i != index])[0]
         assert value == pytest.approx(without.values[name], abs=1e-6 * std)
         assert std <= 2.2 * without.std[name]
-    assert outside <= 9  # 5 % of 60 are 3
+    assert outside <= most(9, 60, 0.05, count)  # 5 % of 60 are 3
 
 
 def test_of_five_recordings_the_bad_one_is_left_out() -> None:

@@ -8,6 +8,8 @@ from scipy.integrate import solve_ivp
 
 from identification import fit_ring_down
 from identification.ring_down.resolution import Resolution
+from tests.count_limits import most
+from tests.effort import cases, thorough
 
 NAMES = ("f1_Hz", "zeta1", "f2_Hz", "zeta2", "axis_angle_deg")
 
@@ -30,8 +32,18 @@ def assert_covers(fit, true: tuple[float, ...], most: float = 4.5) -> None:
         assert abs(fit.values[name] - value) < most * fit.std[name], name
 
 
-@pytest.mark.parametrize("angle", [-20.0, -3.0, 0.0, 20.0])
-@pytest.mark.parametrize(("f1", "f2", "zeta"), [(3.0, 11.6, 0.02), (5.0, 3.0, 0.01), (3.0, 4.0, 0.2)])
+@pytest.mark.parametrize(
+    ("f1", "f2", "zeta", "angle"),
+    [
+        pytest.param(*modes, angle, marks=() if angle in kept else thorough)
+        for modes, kept in (
+            ((3.0, 11.6, 0.02), (-20.0, 0.0)),
+            ((5.0, 3.0, 0.01), (-3.0,)),
+            ((3.0, 4.0, 0.2), (20.0,)),
+        )
+        for angle in (-20.0, -3.0, 0.0, 20.0)
+    ],
+)
 def test_angle_and_modes_come_out(angle: float, f1: float, f2: float, zeta: float) -> None:
     t = np.arange(12_000) / 1000
     signal = pair(t, [(f1, zeta, 1e-3, 0.3), (f2, zeta, 5e-4, 1.0)], angle, 5e-6)
@@ -61,8 +73,14 @@ def test_equal_frequencies_of_different_damping_are_resolved() -> None:
     assert_covers(fit, (4.0, 0.01, 4.0, 0.02, -15.0))
 
 
-@pytest.mark.parametrize("split", [0.0, 0.02, 0.06])
-@pytest.mark.parametrize("zeta", [1e-3, 0.01, 0.1])
+@pytest.mark.parametrize(
+    ("zeta", "split"),
+    [
+        pytest.param(zeta, split, marks=() if (zeta, split) in ((1e-3, 0.02), (0.01, 0.0), (0.1, 0.06)) else thorough)
+        for zeta in (1e-3, 0.01, 0.1)
+        for split in (0.0, 0.02, 0.06)
+    ],
+)
 def test_a_closer_pair_is_reported_as_not_resolved(split: float, zeta: float) -> None:
     t = np.arange(20_000) / 1000
     f2 = 3 * (1 + zeta * split)
@@ -76,19 +94,20 @@ def test_a_closer_pair_is_reported_as_not_resolved(split: float, zeta: float) ->
 
 
 def test_profile_intervals_cover_where_the_angle_is_free() -> None:
-    """Eight unresolved pairs: 95 % intervals of f and ζ miss rarely.
+    """Unresolved pairs: 95 % intervals of f and ζ miss rarely.
 
     One pair's intervals miss together, so pairs are counted; of 60 pairs one misses.
     """
     t = np.arange(12_000) / 1000
     missed = 0
-    for seed in range(8):
+    count = cases(3, 8)
+    for seed in range(count):
         rng = np.random.default_rng(seed)
         modes = [(3.0, 0.01, 1e-3, rng.uniform(0, 6)), (3.0015, 0.01, 7e-4, rng.uniform(0, 6))]
         fit = fit_ring_down(t, pair(t, modes, rng.uniform(-20, 20), 1e-5, seed))
         true = dict(zip(NAMES, (3.0, 0.01, 3.0015, 0.01), strict=False))
         missed += not all(fit.intervals[n][0] <= v <= fit.intervals[n][1] for n, v in true.items() if n in fit.values)
-    assert missed <= 1
+    assert missed <= most(1, 8, 1 / 60, count)
 
 
 def test_a_nearly_silent_sensor() -> None:
