@@ -22,13 +22,14 @@ from analysis.figures.residuals import draw_residuals
 from analysis.figures.sheet import sheet
 from analysis.figures.slip import draw_slip
 from analysis.figures.stability_map import MapPoint, draw_points_on_map
-from analysis.maps.answers import answer
+from analysis.maps.answers import MapAnswer, answer
 from analysis.maps.axes import MapAxis
-from analysis.maps.families import BorderFamily, SearchRange
+from analysis.maps.families import BestValue, BorderFamily, SearchRange
 from analysis.maps.question import MapQuestion, rig_source
 from daq.log import open_log
 from daq.signals.run import Run
 from tests.daq.small_log import write_small_log
+from tests.effort import THOROUGH, thorough
 from tests.figures.drawn_texts import drawn_texts, faults
 from tests.figures.figure_runs import MODEL, point, ring_down, run_up
 
@@ -96,15 +97,29 @@ def _residuals() -> Figure:
     return draw_residuals([ring_down_x, FitCurve("spin-down: A", time[:900], angle + noise[:900], angle, "°", "angle")])
 
 
-def _map(**more: Any) -> Figure:
-    x = MapAxis(("speed_ratio",), 0.5, 6.0, 40)
-    y = MapAxis(("suspension.zeta1", "suspension.zeta2"), 0.005, 0.2, 12, True)
-    return draw_map(answer(MapQuestion(rig_source("virtual"), x, y, quantity="decay-rate", accuracy=1e-6, **more)))[0]
+def _answered(columns: int = 40, rows: int = 12, **more: Any) -> MapAnswer:
+    x = MapAxis(("speed_ratio",), 0.5, 6.0, columns)
+    y = MapAxis(("suspension.zeta1", "suspension.zeta2"), 0.005, 0.2, rows, True)
+    return answer(MapQuestion(rig_source("virtual"), x, y, quantity="decay-rate", accuracy=1e-6, **more))
+
+
+def _map() -> Figure:
+    return draw_map(_answered())[0]
 
 
 def _family() -> Figure:
+    """Only the thorough run searches the best value: tests/analysis/test_best_value.py tests the search."""
     damping = ("pendulums.a.damping_Nms_per_rad", "pendulums.b.damping_Nms_per_rad")
-    return _map(family=BorderFamily(damping, (1e-3, 4e-3)), best=SearchRange(damping, 1e-4, 1e-2, True), borders=True)
+    family, best = BorderFamily(damping, (1e-3, 4e-3)), SearchRange(damping, 1e-4, 1e-2, True)
+    if THOROUGH:
+        return draw_map(_answered(family=family, best=best, borders=True))[0]
+    found = _answered(10, 4, family=family, borders=True)
+    values = np.geomspace(best.low, best.high, 19)
+    shares = 0.8 - 0.1 * np.log10(values / values[12]) ** 2
+    made_up = BestValue(
+        values, shares, np.full(19, 2e-3), values[12], (values[11], values[13]), shares[12], 1e-3, at_end=False
+    )
+    return draw_map(replace(found, question=replace(found.question, best=best), best=made_up))[0]
 
 
 _OTHERS: dict[str, Callable[[], Figure]] = {
@@ -122,7 +137,18 @@ _OTHERS: dict[str, Callable[[], Figure]] = {
 }
 
 
-@pytest.mark.parametrize(("kind", "number"), [(kind, i) for kind, draws in _OF_RUNS.items() for i in range(len(draws))])
+_MORE = {("time", 0), ("orbit", 1), ("orbit", 3), ("dial", 1), ("bode", 1), ("waterfall", 1), ("orders", 1)}
+"""Figures whose parts the other figures of their kind have too."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "number"),
+    [
+        pytest.param(kind, i, marks=thorough if (kind, i) in _MORE else ())
+        for kind, draws in _OF_RUNS.items()
+        for i in range(len(draws))
+    ],
+)
 def test_a_figure_of_runs_can_be_read(kind: str, number: int) -> None:
     assert faults(_OF_RUNS[kind][number]()) == []
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import cache
 
 import numpy as np
 import pytest
@@ -32,6 +34,12 @@ def words(figure: Figure) -> str:
     return re.sub(r"\s+", " ", " ".join(text.text for text in drawn_texts(figure)))
 
 
+@cache
+def drawn(draw: Callable[..., Figure], with_model: bool) -> Figure:
+    """The run-up's figure, drawn once for all tests that read it."""
+    return draw(run_up(), MODEL) if with_model else draw(run_up())
+
+
 def later(run: Run, shift_s: float) -> Run:
     """The same run in a log that began earlier."""
     return replace(
@@ -46,11 +54,10 @@ def later(run: Run, shift_s: float) -> Run:
 
 
 @pytest.mark.parametrize("draw", [draw_bode, draw_polar, draw_orbit, draw_time])
-def test_every_figure_of_lasers_and_phase_names_their_lag(draw: object) -> None:
+def test_every_figure_of_lasers_and_phase_names_their_lag(draw: Callable[..., Figure]) -> None:
     (sentence,) = lag_words(passed_vectors(run_up(), MODEL))
-    assert callable(draw)
-    assert sentence in words(draw(run_up(), MODEL))
-    assert "stamps that are shifted" not in words(draw(run_up()))
+    assert sentence in words(drawn(draw, with_model=True))
+    assert "stamps that are shifted" not in words(drawn(draw, with_model=False))
 
 
 @pytest.mark.parametrize("draw", [draw_orbit, draw_time])
@@ -71,7 +78,7 @@ def late_ms(text: str) -> dict[str, float]:
 
 
 def test_bands_hold_the_models_own_vectors() -> None:
-    figure = draw_bode(run_up(), MODEL)
+    figure = drawn(draw_bode, with_model=True)
     found = passed_vectors(run_up(), None).measured["x"]
     lower = figure.axes[2]
     band = next(c for c in lower.collections if isinstance(c, PolyCollection) and c.get_label() == NAME)
@@ -89,9 +96,8 @@ def test_bands_hold_the_models_own_vectors() -> None:
 
 
 @pytest.mark.parametrize("draw", [draw_polar, draw_orbit])
-def test_intervals_are_drawn_and_named_in_the_plane(draw: object) -> None:
-    assert callable(draw)
-    figure = draw(run_up())
+def test_intervals_are_drawn_and_named_in_the_plane(draw: Callable[..., Figure]) -> None:
+    figure = drawn(draw, with_model=False)
     assert any(patch.get_label() == NAME for axes in figure.axes for patch in axes.patches)
     assert "95 % intervals of the measured vectors" in words(figure)
 
@@ -110,7 +116,7 @@ def test_steady_curves_that_leave_a_plot_are_named() -> None:
     found = passed_vectors(run_up(), MODEL).steady["x"]
     largest = 1e3 * float(np.max(np.abs(found.amplitude_m)))
     for draw in (draw_bode, draw_polar):
-        assert f"steady response leaves the plot: x reaches {largest:.3g} mm" in words(draw(run_up(), MODEL))
+        assert f"steady response leaves the plot: x reaches {largest:.3g} mm" in words(drawn(draw, with_model=True))
 
 
 def test_both_phase_panels_have_one_step() -> None:

@@ -17,6 +17,7 @@ from identification.run_up.fit import fit_run_up_run
 from identification.run_up.forced_oscillator import Excitation, responses_at
 from identification.run_up.result import run_up_estimate
 from identification.run_up.slow_roll import bow_answer, turning
+from tests.effort import thorough
 
 OWN = (18.0, 0.02)
 TIMES = np.linspace(0.5, 9.5, 901)
@@ -105,7 +106,13 @@ def test_a_bow_without_terms_is_the_linear_answer() -> None:
 
 @pytest.mark.parametrize(
     "effects",
-    [["quadratic"], ["cubic=0.03"], ["quadratic", "bow"], ["cubic", "bow"], ["cubic", "phase_step", "speed_noise"]],
+    [
+        pytest.param(["quadratic"], marks=thorough),
+        pytest.param(["cubic=0.03"], marks=thorough),
+        ["quadratic", "bow"],
+        pytest.param(["cubic", "bow"], marks=thorough),
+        ["cubic", "phase_step", "speed_noise"],
+    ],
 )
 def test_values_at_zero_amplitude(effects: list[str]) -> None:
     """Without the terms ζ2 is 180 standard deviations off, or the passage is not followed at all; a bow that is added

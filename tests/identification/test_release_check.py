@@ -24,6 +24,8 @@ from rig_configs import PARAMETER_UNITS, IdentifiedParameters, Rig
 from rig_configs.error_label import ErrorLabel
 from rig_configs.known import FRICTION, ZERO_A, ZERO_B
 from rig_configs.suspension_terms import TERMS
+from tests.count_limits import mean_square_limit
+from tests.effort import cases
 
 SHARE = {
     "k1_N_per_m": 1e-4,
@@ -74,7 +76,7 @@ def checked(run: Run, rig: Rig, found: IdentifiedParameters) -> ReleaseRows:
 
 def test_what_is_left_after_the_known_errors_is_the_noise_that_was_promised() -> None:
     chi2, whole, count = 0.0, 0.0, 0
-    for seed in range(6):
+    for seed in range(cases(2, 6)):
         campaign = Campaign(40 + seed, clock_rate_std=0.0)
         found, true = identified(campaign, seed), campaign.truth.identified()
         runs = [campaign.point(name, 6.0) for name in "ADE"]
@@ -88,8 +90,11 @@ def test_what_is_left_after_the_known_errors_is_the_noise_that_was_promised() ->
             whole += float(rows.values @ np.linalg.solve(covariance(rows, found), rows.values))
             count += len(rows.values)
             assert np.linalg.norm(rows.values) > 5 * math.sqrt(len(rows.values))  # the errors were there to be seen
-    assert 0.75 < chi2 / count < 1.3
-    assert 0.5 < whole / count < 1.6
+    of = count * 6 // cases(2, 6)
+    low, high = (mean_square_limit(limit, of, count) for limit in (0.75, 1.3))
+    assert low < chi2 / count < high
+    low, high = (mean_square_limit(limit, of, count) for limit in (0.5, 1.6))
+    assert low < whole / count < high
 
 
 @pytest.mark.parametrize("share", [0.02, -0.1])
@@ -121,7 +126,7 @@ def test_a_wrong_pendulum_mass_in_the_rig_file_is_found(campaign: Campaign, rele
 def test_releases_together_are_met_to_the_noise_by_one_wrong_mass_alone() -> None:
     """Rows that are linear about each release's own fit, far apart along what a release hardly shows, are not."""
     left, count = 0.0, 0
-    for seed in range(3):
+    for seed in range(cases(1, 3)):
         campaign = Campaign(60 + seed, clock_rate_std=0.0)
         found, name = identified(campaign, seed), "pendulums.b.mass_kg"
         rig = campaign.rig.with_number(name, 1.003 * campaign.rig.physics.b.mass_kg)
@@ -138,7 +143,7 @@ def test_releases_together_are_met_to_the_noise_by_one_wrong_mass_alone() -> Non
         left += float(rest @ np.linalg.solve(total, rest))
         count += len(values) - 1
         assert size == pytest.approx(0.003 * campaign.rig.physics.b.mass_kg, rel=0.2)
-    assert left / count < 1.3
+    assert left / count < mean_square_limit(1.3, count * 3 // cases(1, 3), count)
 
 
 def test_all_that_tests_share_is_held_where_releases_agree(campaign: Campaign, release_d: Run) -> None:

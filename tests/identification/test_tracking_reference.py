@@ -16,6 +16,7 @@ from identification.tracking import reference
 from identification.tracking.reference import FilterpyFilter
 from identification.tracking.replay import TrackedRun, track
 from identification.tracking.unscented import STATES, TALLY
+from tests.effort import cases
 
 TRUTH = Campaign(6, clock_rate_std=0.0).truth
 WRONG = TRUTH.with_values(c3_Nms_per_rad=3e-3, c4_Nms_per_rad=3e-4)
@@ -32,7 +33,10 @@ def release(campaign: Campaign, record_s: float) -> Run:
 def both(request: pytest.FixtureRequest) -> tuple[TrackedRun, TrackedRun]:
     """A release at speed, and two flicks one after the other at rest: fast and reference, from wrong dampings."""
     campaign = Campaign(6, clock_rate_std=0.0)
-    run = release(campaign, 1.5) if request.param == "release" else campaign.spin_down(record_s=3.0, apart_s=1.0)
+    if request.param == "release":
+        run = release(campaign, cases(6, 15) / 10)
+    else:
+        run = campaign.spin_down(record_s=3.0, apart_s=1.0)
     return track(run, WRONG), track(run, WRONG, setting="reference")
 
 
@@ -85,7 +89,7 @@ class Watched(Campaign):
 
 def test_smoothed_rates_are_nearer_to_the_truth() -> None:
     campaign = Watched(6, clock_rate_std=0.0)
-    run = release(campaign, 1.0)
+    run = release(campaign, cases(4, 10) / 10)
     slow = track(run, WRONG, setting="reference", batch_s=0.01)
     found = slow.smoothed
     assert found is not None
