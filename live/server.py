@@ -53,6 +53,19 @@ class _Viewer:
         self.state_sent_s = -math.inf  # time of the newest state that it was sent
         self._free = asyncio.Event()
         self._free.set()
+        self._state_asked = False
+        self._loop = asyncio.get_running_loop()
+
+    def ask_state(self) -> None:
+        """Send the current state even if frames are unanswered. Any thread."""
+        self._loop.call_soon_threadsafe(self._ask_state)
+
+    def _ask_state(self) -> None:
+        self._state_asked = True
+        self._free.set()
+
+    def _full(self) -> bool:
+        return self.sent - self.answered >= MOST_UNANSWERED
 
     async def listen(self) -> None:
         """Receive views and answers until the connection ends."""
@@ -74,15 +87,17 @@ class _Viewer:
         state_s = slow_s = -1e9
         due = time.monotonic()
         while True:
-            if self.sent - self.answered >= MOST_UNANSWERED:
+            if self._full() and not self._state_asked:
                 self._free.clear()
                 await self._free.wait()
             now = time.monotonic()
-            if now - state_s >= _STATE_S:
-                state_s = now
+            if self._state_asked or now - state_s >= _STATE_S:
+                self._state_asked, state_s = False, now
                 facts = {**self._pictures.state(), **extra(), "missed": self.missed}
                 await self._socket.send_text(json.dumps(facts, ensure_ascii=False))
                 self.state_sent_s = now
+            if self._full():
+                continue
             if now - slow_s >= _SLOW_S:
                 slow_s = now
                 await self._socket.send_bytes(self._pictures.slow())
@@ -128,8 +143,10 @@ class PageApplication:
         return len(self._viewers)
 
     def flush_state(self, timeout_s: float) -> None:
-        """Wait until every viewer has been sent the current state, or until the timeout. Any thread."""
+        """Send every viewer the current state and wait until that is done, or until the timeout. Any thread."""
         begun_s = time.monotonic()
+        for viewer in list(self._viewers):  # a busy one has not answered its frames and would show the run as stale
+            viewer.ask_state()
         late_s = begun_s + timeout_s
         while any(viewer.state_sent_s < begun_s for viewer in list(self._viewers)) and time.monotonic() < late_s:
             time.sleep(_LOOK_S)

@@ -11,6 +11,7 @@ from analysis.quantities.amplification import amplification_factors, principal_a
 from analysis.quantities.orbits import forward_backward, orbit_ellipse, turned
 from analysis.quantities.slip import slip_track
 from analysis.quantities.spectra import amplitude_spectrum, full_spectrum, power_density
+from tests.effort import THOROUGH
 
 parts = st.complex_numbers(min_magnitude=1e-7, max_magnitude=1e-2, allow_nan=False)
 
@@ -117,7 +118,7 @@ def split_run_up(axis_rad: float, noise: float, seed: int = 0):
 
 def test_amplification_on_principal_axes_is_the_same_however_the_sensors_are_turned() -> None:
     found = {}
-    for degrees in (-45.0, 0.0, 20.0, 44.0):
+    for degrees in (0.0, 44.0, *((-45.0, 20.0) if THOROUGH else ())):
         x, y = split_run_up(math.radians(degrees), 1e-5)
         axis = principal_axis(x, y)
         assert math.sin(2 * (axis - math.radians(degrees))) == pytest.approx(0, abs=0.02)

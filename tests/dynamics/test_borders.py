@@ -23,6 +23,7 @@ from dynamics.stability.borders import FLUTTER, Borders, stability_borders
 from dynamics.stability.map_plane import SpeedStiffnessPlane, multiplier_at
 from dynamics.stability.stability_map import stability_map
 from tests.dynamics.nominal import rig
+from tests.effort import thorough
 
 Array = NDArray[np.floating]
 
@@ -150,7 +151,7 @@ def test_points_of_a_border_are_exact_and_contain_how_stability_is_lost() -> Non
                 assert inside < 1
 
 
-@pytest.mark.parametrize("zeta", [0.005, 0.1])
+@pytest.mark.parametrize("zeta", [0.005, pytest.param(0.1, marks=thorough)])
 def test_multipliers_along_borders_are_those_that_scipy_finds(zeta: float) -> None:
     """Over a whole revolution, by equations written independently."""
     parameters = rig(zeta=zeta)

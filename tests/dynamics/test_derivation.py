@@ -25,6 +25,7 @@ from dynamics.derivation.scenes import compiled, moving_rows, rig_values, scene_
 from dynamics.equations.balancing import balanced_angles
 from dynamics.equations.kernels import FA, jacobian, rates
 from dynamics.steady.singular_points import singular_points
+from tests.effort import cases
 
 BOTH = (True, True)
 SCENES = {
@@ -116,7 +117,7 @@ def derived(
 
 
 @pytest.mark.parametrize("scene", SCENES)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=cases(10, 40), deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_kernel_equals_the_derivation(scene: str, seed: int) -> None:
     released, options = SCENES[scene]
@@ -137,7 +138,7 @@ def test_kernel_equals_the_derivation(scene: str, seed: int) -> None:
     assert np.array_equal(tangent[:4], np.hstack([np.zeros((4, 4)), np.diag([1, 1, *free])]))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=cases(8, 20), deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_both_frames_give_one_motion(seed: int) -> None:
     """x + i y = z e^{iψ}: derived apart in each frame, the accelerations agree to 30 digits."""

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +31,7 @@ from dynamics.bench import arb_peer, heyoka_peer
 from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
 from dynamics.motions.locked_motion import locked_state
 from tests.dynamics.nominal import from_domain, rig
+from tests.effort import THOROUGH, cases, thorough
 
 ACCURACY = 1e-8
 S = 0.075 * 0.054  # first mass moment of the nominal pendulum, kg m
@@ -102,18 +105,46 @@ NAMED = {
 }
 
 
-@pytest.mark.parametrize("name", NAMED)
+SUITE = {
+    "zeta1 0, zeta2 2",
+    "zeta and c34 exactly 0",
+    "K 1e4",
+    "K one ulp above 1",
+    "speed ratio 1e-3",
+    "speed ratio 100",
+    "S_P 1e-300",
+    "S_A + S_B one ulp above S_P, c34 0",
+    "|S_A − S_B| one ulp below S_P",
+    "pendulums of 1e-9 kg, stiff",
+    "balls",
+    "nominal",
+    "c34 50",
+    "ramp of 1000 rpm/s",
+}
+"""One of each kind; the others are in the thorough run."""
+
+
+def sweep(names: Iterable[str]) -> list[Any]:
+    """The names as parameters, those outside the suite marked."""
+    return [name if name in SUITE else pytest.param(name, marks=thorough) for name in names]
+
+
+@pytest.mark.parametrize("name", sweep(NAMED))
 def test_multipliers_at_a_named_extreme_are_true(name: str) -> None:
     true_to_the_reference(*NAMED[name])
+
+
+IN_PAIRS = {(1e-2, 30.0), (1e-5, 0.83), (1e-10, 3.3), (1e-11, 0.1)}  # the suite has each accuracy and each speed once
 
 
 @pytest.mark.parametrize("accuracy", [1e-2, 1e-5, 1e-10, 1e-11])
 def test_the_accuracy_asked_is_met_at_every_setting(accuracy: float) -> None:
     for speed_ratio in (0.1, 0.83, 3.3, 30.0):
-        true_to_the_reference(rig(), speed_ratio, accuracy)
+        if THOROUGH or (accuracy, speed_ratio) in IN_PAIRS:
+            true_to_the_reference(rig(), speed_ratio, accuracy)
 
 
-@settings(max_examples=25, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=cases(8, 25), deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 2**32 - 1))
 def test_multipliers_of_a_draw_are_true_or_refused(seed: int) -> None:
     pytest.importorskip("flint")
@@ -211,7 +242,7 @@ RELEASES = {
 }
 
 
-@pytest.mark.parametrize("name", RELEASES)
+@pytest.mark.parametrize("name", sweep(RELEASES))
 def test_a_release_at_a_named_extreme_is_true(name: str) -> None:
     p, speed_ratio, duration, ramp = RELEASES[name]
     release(p, speed_ratio, duration, 1e-8, ramp)

@@ -73,7 +73,7 @@ def _integrated(theta: tuple[float, float], imperfect: Imperfections) -> tuple[c
 
     end = 40.0
     start = np.array([0, 0, *theta, 0, 0, _SPEED, _SPEED])
-    u = solve_ivp(rates, (0, end), start, rtol=1e-9, atol=1e-11).y[:, -1]
+    u = solve_ivp(rates, (0, end), start, method="DOP853", rtol=1e-9, atol=1e-11).y[:, -1]
     phase = _SPEED * end
     return complex(u[0], u[1]) * np.exp(-1j * phase), ((u[2:4] - phase) % (2 * math.pi)).tolist()
 

@@ -17,6 +17,7 @@ from dynamics.equations.parameters import Pendulum, RotorParameters
 from dynamics.errors import NoBalancedState, NotConverged, OutsideDomain
 from dynamics.steady.steady_state import SteadyState
 from tests.dynamics.nominal import from_domain, rig
+from tests.effort import cases, thorough
 
 needs_heyoka = pytest.mark.skipif(heyoka_peer.heyoka() is None, reason="heyoka has wheels for Linux only")
 
@@ -65,7 +66,7 @@ def test_multipliers_of_the_balanced_state(point: float, expected: float) -> Non
 
 
 @needs_heyoka
-@pytest.mark.parametrize("ratio", [0.83, 1.6, 2.6, 3.3, 5.8])
+@pytest.mark.parametrize("ratio", [0.83, *(pytest.param(r, marks=thorough) for r in (1.6, 2.6, 3.3)), 5.8])
 def test_multipliers_agree_with_heyoka_to_1e_10(ratio: float) -> None:
     """All eight multipliers of every steady state at the point, from its own start state."""
     p = rig()
@@ -110,7 +111,7 @@ def test_published_isotropic_states(
     assert 1e3 * stable.amplitude_m == pytest.approx(amplitude_mm, abs=6e-7)
 
 
-@settings(max_examples=25)
+@settings(max_examples=cases(12, 25))
 @given(st.integers(0, 2**32 - 1))
 def test_the_small_model_equals_the_bigger_ones(seed: int) -> None:
     """Isotropic: rest points of the rotating frame against orbits over half and over a whole revolution."""
@@ -196,7 +197,7 @@ def test_one_locked_pendulum_and_no_pendulum() -> None:
     assert state.multiplier_max == pytest.approx(decay, rel=1e-12)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=cases(12, 60), deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_over_the_whole_domain_an_answer_holds_or_is_refused(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -13,6 +13,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from live.replayed import Replayed
 from live.serving import Serving
+from tests.effort import thorough
 
 X, Y, THREE, FOUR, MODEL = (86, 180, 233), (230, 159, 0), (47, 199, 155), (217, 143, 184), (242, 242, 242)
 WAIT_MS = 30_000
@@ -140,7 +141,7 @@ def test_a_server_that_is_gone_is_marked_within_a_second(page: Page, serving: Se
     expect(page.locator("#strip-y")).to_have_class(re.compile("stale"), timeout=1500)
 
 
-@pytest.mark.parametrize("width", [360, 800, 1100])
+@pytest.mark.parametrize("width", [360, pytest.param(800, marks=thorough), 1100])
 def test_narrow_screens_need_no_sideways_scrolling(
     page: Page, serving: Serving, replayed: Replayed, width: int
 ) -> None:

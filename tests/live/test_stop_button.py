@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from playwright.sync_api import Page, expect
 
 from daq.channels import TX
 from daq.log import open_log
-from rig_cli.simulated import VirtualRigProcess
 
 WITHIN_S = 0.2
-ATTEMPTS = 3  # a machine that is busy with something else may keep browser and rig waiting
+ATTEMPTS = 3  # a machine that is busy with something else may keep browser and page waiting
+WAIT_MS = 60_000  # limit of the waits for an answer, of which no assertion is about its time
 QUICK_STOP = b"t205402000000"  # SLCAN: the drive's command, controlword 2, target 0
 NOTE_CLICK = """document.getElementById("stop").addEventListener("pointerdown", () => {
   window.clicked_ms = performance.timeOrigin + performance.now();
@@ -30,7 +32,7 @@ def test_the_click_halts_the_drive_and_the_run_ends_whole(page: Page, tmp_path: 
 
 def _shows_that_it_ended(page: Page, log: str) -> None:
     """The server has ended: the page keeps its last state and offers no command any more."""
-    expect(page.locator("#link")).to_have_text("run ended", timeout=5_000)
+    expect(page.locator("#link")).to_have_text("run ended", timeout=WAIT_MS)
     expect(page.locator("#test .step")).to_have_text(f"run ended: {log}")
     for control in ("[data-verb=pause]", "[data-verb=resume]", "[data-verb=abort]", "#note input", "#note button"):
         expect(page.locator(control)).to_be_visible()
@@ -42,36 +44,52 @@ def _shows_that_it_ended(page: Page, log: str) -> None:
     expect(page.locator("#strip-x b")).to_contain_text("mm")
 
 
-def _from_click_to_command_s(page: Page, tmp_path: Path) -> float:
-    """A run-up that is stopped by the button; all that does not depend on how busy the machine is, is asserted."""
-    with VirtualRigProcess("virtual", ["virtual.seed=3"], 1.0) as rig:  # real time: a click is one of this world
-        settings = [part for setting in rig.port_settings() for part in ("--set", setting)]
-        command = [sys.executable, "-m", "rig_cli.main", "test", "virtual", "run-up", "--live", "--out", str(tmp_path)]
-        running = subprocess.Popen(
-            [*command, "--json", *settings], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
+@contextmanager
+def _running(folder: Path, times: Path) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "tests.live.paced_run", "run-up", str(folder), str(times)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         try:
-            assert running.stdout is not None
-            first = json.loads(running.stdout.readline())
-            assert set(first) == {"url", "token"}
-            assert first["token"] in first["url"]
-            page.goto(first["url"])
-            expect(page.locator("#test .step")).to_have_text("run-up: ramp", timeout=120_000)
-            expect(page.locator("#stop")).to_be_enabled(timeout=30_000)
-            page.fill("#note input", "a note from the page")
-            page.press("#note input", "Enter")
-            expect(page.locator("#test .answer")).to_contain_text("noted: a note from the page", timeout=30_000)
-            page.evaluate(NOTE_CLICK)
-            page.click("#stop")
-            expect(page.locator("#stop")).to_contain_text("STOPPED", timeout=5_000)
-            clicked_ns = int(page.evaluate("window.clicked_ms") * 1e6)
-            expect(page.locator("#alert")).to_contain_text("stopped by the button of the live page", timeout=5_000)
-            rest, output = running.communicate(timeout=60)
-            (path,) = tmp_path.glob("*.mcap")
-            _shows_that_it_ended(page, path.name)
-        finally:
-            running.kill()
-            running.wait()
+            yield running
+        except BaseException:
+            running.terminate()
+            raise
+
+
+def _shows_the_ramp(page: Page, running: subprocess.Popen[str]) -> None:
+    """Wait for the ramp; a run that has ended before it is shown with its reason."""
+    step = page.locator("#test .step")
+    while "run-up: ramp" not in step.inner_text():
+        assert running.poll() is None, running.communicate()
+        page.wait_for_timeout(50)
+
+
+def _from_click_to_command_s(page: Page, tmp_path: Path) -> float:
+    """A run-up that is stopped by the button; all that does not depend on how busy the machine is, is asserted.
+
+    The delay is one of rig time, which stops while the machine keeps rig or host waiting, and never runs faster than
+    wall time.
+    """
+    folder, times = tmp_path / "logs", tmp_path / "times.json"
+    folder.mkdir(parents=True)
+    with _running(folder, times) as running:
+        assert running.stdout is not None
+        first = json.loads(running.stdout.readline())
+        assert set(first) == {"url", "token"}
+        assert first["token"] in first["url"]
+        page.goto(first["url"])
+        _shows_the_ramp(page, running)
+        expect(page.locator("#stop")).to_be_enabled(timeout=30_000)
+        page.fill("#note input", "a note from the page")
+        page.press("#note input", "Enter")
+        expect(page.locator("#test .answer")).to_contain_text("noted: a note from the page", timeout=30_000)
+        page.evaluate(NOTE_CLICK)
+        page.click("#stop")
+        expect(page.locator("#stop")).to_contain_text("STOPPED", timeout=WAIT_MS)
+        clicked_ns = int(page.evaluate("window.clicked_ms") * 1e6)
+        expect(page.locator("#alert")).to_contain_text("stopped by the button of the live page", timeout=WAIT_MS)
+        rest, output = running.communicate(timeout=WAIT_MS / 1000)
+        (path,) = folder.glob("*.mcap")
+        _shows_that_it_ended(page, path.name)
     assert running.returncode == 130, output
     assert json.loads(rest)["error"] == "stopped by the button of the live page"
     with open_log(path) as log:
@@ -87,4 +105,10 @@ def _from_click_to_command_s(page: Page, tmp_path: Path) -> float:
     assert kinds["stop"] == "stopped by the button of the live page"
     assert kinds["note"] == "a note from the page"
     assert "live page" in ended
-    return (min(sent_ns) - clicked_ns) * 1e-9
+    return (min(sent_ns) - _rig_ns(times, clicked_ns)) * 1e-9
+
+
+def _rig_ns(times: Path, wall_ns: int) -> int:
+    """Rig time at a wall time: that of the last pair before it."""
+    pairs: list[tuple[int, int]] = json.loads(times.read_text())
+    return max(rig_ns for noted_ns, rig_ns in pairs if noted_ns <= wall_ns)

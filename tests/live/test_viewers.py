@@ -59,6 +59,22 @@ def test_a_viewer_that_answers_nothing_gets_no_more_than_a_few(serving: Serving)
         assert serving.page._viewers[1].sent >= 40
 
 
+def test_a_viewer_that_answers_nothing_is_sent_the_last_state(serving: Serving) -> None:
+    with _viewer(serving) as asleep, _viewer(serving) as awake:
+        _frames(awake, 10)
+        begun_s = time.monotonic()
+        serving.page.flush_state(WAIT_S)
+        assert time.monotonic() - begun_s < WAIT_S
+        last_state_s = serving.page._viewers[0].state_sent_s
+        assert last_state_s >= begun_s
+        _frames(awake, 10)
+        states = [viewer.state_sent_s for viewer in serving.page._viewers]
+        assert states[0] == last_state_s < states[1]  # one state, and it waits again
+        assert serving.page._viewers[0].sent == MOST_UNANSWERED
+        received = [asleep.recv(timeout=WAIT_S) for _ in range(MOST_UNANSWERED + 4)]
+        assert isinstance(received[-1], str)
+
+
 def test_a_replay_waits_at_its_beginning_until_a_viewer_looks(point_log: Path) -> None:
     with open_log(point_log) as log:
         source = Replayed(log, rig_of(log))
