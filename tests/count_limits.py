@@ -5,6 +5,8 @@ The limits are stated for the thorough run's number of draws; with this number e
 
 from __future__ import annotations
 
+import math
+
 from scipy.stats import binom, chi2
 
 _SAME = 1 + 1e-9  # a probability that is equal but for rounding is equal
@@ -32,3 +34,19 @@ def most(limit: int, of: int, share: float, count: int) -> int:
 def fewest(limit: int, of: int, share: float, count: int) -> int:
     """Smallest number of hits with a chance of `share` among `count` draws, from that among `of` draws."""
     return count - most(of - limit, of, 1 - share, count)
+
+
+def share_limits(count: int, of: int, low: float, high: float = 1.0) -> tuple[float, float]:
+    """Limits of the share of `count` intervals of 95 % that hold, from those of `of` intervals."""
+    least = fewest(math.ceil(low * of), of, 0.95, count)
+    return least / count, most(math.floor(high * of), of, 0.95, count) / count
+
+
+def square_limits(count: int, of: int, low: float, high: float) -> tuple[float, float]:
+    """Limits of the mean square of `count` normal draws, from those of `of` draws."""
+    return mean_square_limit(low, of, count), mean_square_limit(high, of, count)
+
+
+def mean_limit(count: int, of: int, at: float) -> float:
+    """Limit of the mean of `count` draws, from that of `of` draws."""
+    return at * math.sqrt(of / count)

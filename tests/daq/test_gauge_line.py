@@ -13,7 +13,7 @@ from daq.calibration.line import GaugeReading, TooFewPositions, fit_line
 from daq.calibration.sensor import SensorSetup, calibrate, mean_with_std
 from daq.drivers.optoncdt.settings import Laser
 from rig_basics.arrays import Array
-from tests.daq.few_draws import share_limits
+from tests.count_limits import share_limits
 from tests.effort import cases
 
 RANGE_M = 0.025

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 import daq.signals.limit as limit_module
 from daq.signals.limit import ApproachLimit, limit
 from daq.signals.rounding import half_width, rounding_covariance, rounding_terms
-from tests.daq.few_draws import mean_limit, share_limits, square_limits
+from tests.count_limits import mean_limit, share_limits, square_limits
 from tests.effort import cases
 
 WINDOW_S = 1.02
