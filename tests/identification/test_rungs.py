@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import get_args
 
 import pytest
 
 from benchmarks.worlds import Effects, Spread, draw_world, record
+from daq.signals.run import Run
 from identification import Identification, NotIdentifiable, identify
 from identification.rungs import RUNGS, Rung, held_back
+from rig_configs import Rig
 
 SEED = 1000
 
 
-def identified(test: str, effects: Effects, without: tuple[str, ...]) -> Identification:
+@lru_cache
+def recorded(test: str, effects: Effects) -> tuple[Rig, Run]:
+    """One recording for the identifications with and without a rung."""
     world = draw_world(SEED, Spread.exact(), effects)
-    return identify([record(world, SEED, test)], world.rig, without=without)
+    return world.rig, record(world, SEED, test)
+
+
+def identified(test: str, effects: Effects, without: tuple[str, ...]) -> Identification:
+    rig, run = recorded(test, effects)
+    return identify([run], rig, without=without)
 
 
 def has_warning(found: Identification, words: str) -> bool:

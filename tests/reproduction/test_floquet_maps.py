@@ -12,6 +12,7 @@ from dynamics.equations.parameters import RotorParameters
 from dynamics.stability.borders import Borders, stability_borders
 from dynamics.stability.map_plane import SpeedStiffnessPlane
 from reproduction.items import damping_families, floquet_maps
+from tests.effort import thorough
 from tests.reproduction.judged import column, made, verdicts
 
 
@@ -47,6 +48,7 @@ def test_multipliers_along_the_line(tmp_path: Path) -> None:
     assert at == pytest.approx([1.361992, 0.978556], abs=2e-3)
 
 
+@thorough
 def test_families(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def coarse(p: RotorParameters) -> Borders:
         plane = SpeedStiffnessPlane(p, balanced_angles(p)[0])

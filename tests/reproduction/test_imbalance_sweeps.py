@@ -17,6 +17,7 @@ from reproduction.recorded import as_stated
 from reproduction.workspace import Workspace
 from rig_configs import load_rig
 from tests.dynamics.nominal import rig
+from tests.effort import thorough
 from tests.reproduction.judged import column, made, verdicts
 
 
@@ -50,6 +51,7 @@ def test_below_resonance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert wrong == ["Below resonance the pendulums stay together, wherever the balancing area lies."], "one area only"
 
 
+@thorough
 def test_above_resonance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _few(nonidentical_pendulums, "ABOVE", monkeypatch, (0.0013, 0.0040))
     for number in ("3.13", "3.14"):
@@ -57,6 +59,7 @@ def test_above_resonance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert list(column(made("3.13", tmp_path), "recorded", "type")) == ["II", "I"]
 
 
+@thorough
 def test_equal_pendulums(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _few(identical_pendulums, "SERIES", monkeypatch, (0.0040,), 2)
     monkeypatch.setattr(identical_pendulums, "GRID", 3)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tests.effort import thorough
 from tests.reproduction.judged import column, made, verdicts
 
 
+@thorough  # the campaign of tests/benchmarks/test_believed_figures.py records and judges points in the suite
 def test_point_d(tmp_path: Path) -> None:
     found = made("4.13", tmp_path)
     assert set(verdicts(found).values()) == {"holds"}
