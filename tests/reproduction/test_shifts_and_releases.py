@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from reproduction.items import recorded_shifts, shifted_pivots
+from tests.effort import thorough
 from tests.reproduction.judged import column, made, verdicts
 
 
-@pytest.mark.parametrize("number", ["3.15", "3.18"])
+@pytest.mark.parametrize("number", [pytest.param("3.15", marks=thorough), "3.18"])
 def test_a_release_is_followed(number: str, tmp_path: Path) -> None:
     found = made(number, tmp_path)
     assert set(verdicts(found).values()) == {"holds"}
@@ -27,6 +28,7 @@ def test_shifted_pivots_computed(tmp_path: Path) -> None:
     assert set(verdicts(made("3.22", tmp_path)).values()) == {"holds"}
 
 
+@thorough
 def test_shifted_pivots_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorded_shifts, "RECORDED", (0.0, 0.5, 1.5, 2.6, 3.0))
     monkeypatch.setattr(recorded_shifts, "_FRICTION_STARTS", 4)

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from reproduction.items import friction_arms, start_ups
+from tests.effort import thorough
 from tests.reproduction.judged import column, made, verdicts
 
 
+@thorough
 def test_balls_scatter_and_reduce(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(start_ups, "COUNT", 3)
     found = made("3.27", tmp_path)
