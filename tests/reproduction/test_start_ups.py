@@ -26,6 +26,7 @@ def test_balls_scatter_and_reduce(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert np.ptp(column(found, "start-ups", "lower_deg")) > 3
 
 
+@thorough
 def test_pendulums_settle_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(start_ups, "COUNT", 4)
     found = made("3.29", tmp_path)
