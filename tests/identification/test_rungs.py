@@ -13,6 +13,7 @@ from daq.signals.run import Run
 from identification import Identification, NotIdentifiable, identify
 from identification.rungs import RUNGS, Rung, held_back
 from rig_configs import Rig
+from tests.effort import thorough
 
 SEED = 1000
 
@@ -71,6 +72,7 @@ def test_there_are_no_other_rungs() -> None:
         held_back(["lines", "colour"])
 
 
+@thorough
 def test_friction_and_drag_held_back_leave_viscous_damping() -> None:
     """A spin-down alone then gives c without friction: the interval does not contain its uncertainty."""
     free, held = identified("spin-down", Effects(), ()), identified("spin-down", Effects(), ("friction", "drag"))

@@ -20,6 +20,7 @@ from studies.errors import EngineLost, OtherSoftware
 from studies.running import run_study
 from studies.study import Study
 from studies.tile_files import TileFolder
+from tests.effort import thorough
 from tests.studies.small_maps import DaskProcesses, X, Y, dask_processes, small_map
 
 pytestmark = pytest.mark.xdist_group("dask")
@@ -155,6 +156,7 @@ def until(happened: Callable[[], bool], process: subprocess.Popen[bytes]) -> Non
         time.sleep(0.02)
 
 
+@thorough
 def test_workers_that_all_begin_cold_compile_once(expected: dict[str, bytes], tmp_path: Path) -> None:
     cold = tmp_path / "cache"
     cold.mkdir()
