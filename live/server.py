@@ -58,7 +58,8 @@ class _Viewer:
 
     def ask_state(self) -> None:
         """Send the current state even if frames are unanswered. Any thread."""
-        self._loop.call_soon_threadsafe(self._ask_state)
+        with ignoring(_log, "the last state for a viewer of a server that has ended", RuntimeError):
+            self._loop.call_soon_threadsafe(self._ask_state)
 
     def _ask_state(self) -> None:
         self._state_asked = True

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from scipy.stats import chi2
 
 from daq.signals.phase_noise import encoder_step
 from identification.errors import FitFailed, NotIdentifiable
@@ -13,6 +12,7 @@ from identification.pendulums.decline import decline_of
 from identification.pendulums.quantiser import quantised_posterior
 from identification.pendulums.run_down import RunDown, fit_run_down, run_down_angle
 from identification.pendulums.spin_down import fit_spin_down
+from tests.count_limits import rms_limits
 from tests.effort import cases
 
 INERTIA, SPEED, STEP = 2.187e-4, 2 * np.pi * 5, 2 * np.pi / 2000
@@ -51,7 +51,8 @@ def test_damping_is_covered_and_near_the_bound(damping: float, jitter: float) ->
         assert "coulomb_Nm" not in fit.values
         assert fit.model == "viscous damping"
     assert np.max(np.abs(z)) < 4
-    assert chi2.ppf(0.003, len(z)) < np.sum(np.square(z)) < chi2.isf(0.003, len(z))
+    low, high = rms_limits(0.4, 1.6, 6, len(z))
+    assert low < np.sqrt(np.mean(np.square(z))) < high
     assert fit.std["c_Nms_per_rad"] / damping < 1.5 * np.mean(bound)
 
 
