@@ -1,6 +1,7 @@
 """The operator's how-to, word by word: the commands of its rehearsal run as processes, on ports of the system.
 
-The indented commands of a guided test are the second person's: each is given when the test prompts for it.
+The indented commands of a guided test are the second person's: each is given when the test prompts for it. Rig and host
+run at eight times real time and share their clock: on a busy machine a constant speed would otherwise seem to change.
 """
 
 from __future__ import annotations
@@ -14,17 +15,20 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
+from daq.transports.paced_clock import PacedClock
+
 PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "operator.md"
-TIME_SCALE = "8"
+TIME_SCALE = 8
 OPENS_PORTS = ("check", "test", "record")
-LATE_BEATS = ["--set", "devices.drive.heartbeat_timeout_ms=800"]  # a busy machine may keep the host waiting
 PATIENCE_S = 300
+RIG = ("rig_cli.main",)
 
 
 @dataclass
@@ -61,14 +65,14 @@ class Terminal:
         result: the first line of its standard output, if requested; all of it is shown after a wrong end.
     """
 
-    def __init__(self, folder: Path, words: list[str], answers: bool = False) -> None:
+    def __init__(self, folder: Path, words: list[str], program: Sequence[str] = RIG, answers: bool = False) -> None:
         self.words = words
         environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder), "PYTHONUNBUFFERED": "1"}
         environment["PYTHONPATH"] = str(PAGE.parents[2])
         expanded = [name for word in words for name in (sorted(glob.glob(word, root_dir=folder)) or [word])]
         self.written = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 (closed with the terminal)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "rig_cli.main", *expanded],
+            [sys.executable, "-m", *program, *expanded],
             cwd=folder,
             env=environment,
             text=True,
@@ -114,15 +118,17 @@ class Terminal:
         self.written.close()
 
 
-def carried_out(folder: Path, line: Line) -> None:
+def carried_out(folder: Path, line: Line, pace: Path) -> None:
     """One command, with the second person at hand; it ends as the page states."""
-    opens = line.words[0] in OPENS_PORTS
+    words, program = line.words, RIG
+    if words[0] in OPENS_PORTS:
+        words, program = [*words, "--time-scale", str(TIME_SCALE)], ("tests.paced_command", str(pace))
     hands = iter(line.hands)
-    with Terminal(folder, [*line.words, *(["--time-scale", TIME_SCALE] if opens else [])]) as terminal:
+    with Terminal(folder, words, program) as terminal:
         for prompt in terminal.prompts():
-            words = next(hands, None)
-            assert words is not None, f"{' '.join(line.words)}: no hand for {prompt!r}"
-            carried_out(folder, Line(words, 0))
+            by_hand = next(hands, None)
+            assert by_hand is not None, f"{' '.join(line.words)}: no hand for {prompt!r}"
+            carried_out(folder, Line(by_hand, 0), pace)
         code = terminal.end()
         assert code == line.code, f"rig {' '.join(line.words)}: exit {code}\n{terminal.shown()}"
     assert list(hands) == [], f"{' '.join(line.words)}: not every manual action was prompted for"
@@ -139,11 +145,12 @@ def test_the_page_has_its_rehearsals() -> None:
 def test_the_rehearsal_can_be_followed_word_by_word(number: int, tmp_path: Path) -> None:
     start, *lines = rehearsals()[number]
     tmp_path.chmod(0o700)
-    words = [*start.words, "--time-scale", TIME_SCALE, *(LATE_BEATS if number == 0 else [])]
-    with Terminal(tmp_path, words, answers=True) as rig:
+    clock = PacedClock(TIME_SCALE)
+    words = [*start.words, "--time-scale", str(TIME_SCALE), "--pace", str(clock.path)]
+    with closing(clock), Terminal(tmp_path, words, answers=True) as rig:
         ready = json.loads(rig.result)
         for line in lines:
-            carried_out(tmp_path, line)
+            carried_out(tmp_path, line, clock.path)
         assert rig.end() == 0
     assert not Path(ready["control"]).exists()
     assert (tmp_path / ready["rig_file"]).exists()

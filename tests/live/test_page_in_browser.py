@@ -102,6 +102,10 @@ def test_play_pause_and_speed(page: Page, serving: Serving, replayed: Replayed) 
     page.click("#play")
     expect(page.locator("#position")).to_have_text(re.compile(r"^(1[5-9]|[23]\d)\.\d s of"), timeout=WAIT_MS)
     assert replayed.transport.speed == 16
+    replayed.transport.set_speed(0.1)  # at 16 the end may come before the click
+    replayed.transport.seek(10.0)
+    expect(page.locator("#position")).to_have_text(re.compile(r"^10\.\d s of"), timeout=WAIT_MS)
+    expect(page.locator("#play")).to_have_text("pause", timeout=WAIT_MS)
     page.click("#play")
     expect(page.locator("#play")).to_have_text("play", timeout=WAIT_MS)
     assert not replayed.transport.playing
