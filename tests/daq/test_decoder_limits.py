@@ -124,6 +124,23 @@ def test_blocks_before_damage_do_not_count_for_the_decision() -> None:
     assert undecided.feed(blocks[4])[0] is False
 
 
+def test_a_later_answer_replaces_the_announced_words() -> None:
+    undecided = trial(("DIST",))
+    blocks = [optoncdt.encode_block([[5, i]]) for i in range(4)]
+    decision, lines, rest = undecided.feed(b"GETOUTINFO_RS422 DIST COUNTER\r\n->" + b"".join(blocks))
+    assert (decision, undecided.announced, rest) == (True, ("DIST", "COUNTER"), blocks[3])
+    assert lines == ["GETOUTINFO_RS422 DIST COUNTER", "->"]
+
+
+def test_an_answer_changes_no_words_unless_it_is_to_be_followed() -> None:
+    blocks = optoncdt.encode_block([[5, i, 25 * i, 0] for i in range(4)])
+    data = b"GETOUTINFO_RS422 DIST COUNTER\r\n->" + blocks
+    found = optoncdt.BlockDecoder(WORDS).feed(data)
+    assert (found.announced, len(found.values), found.rest) == (None, 4, b"")
+    follows = optoncdt.BlockDecoder(WORDS, follow_answers=True).feed(data)
+    assert (follows.announced, len(follows.values), follows.rest) == (("DIST", "COUNTER"), 0, b">" + blocks)
+
+
 @pytest.mark.parametrize(("count", "decision"), [(4095, None), (4096, False)])
 def test_undecided_bytes_are_4096_at_most(count: int, decision: bool | None) -> None:
     undecided = trial()
@@ -217,6 +234,16 @@ def test_another_period_is_found_in_eight_rows() -> None:
     stretches, dropped = sort(found, rows[7:])
     assert (sum(len(kept) for _, kept in stretches) + dropped, found.period_ticks) == (8, 50.0)
     assert not any(restarted for restarted, _ in stretches)
+    assert not found.is_period_measured
+
+
+def test_a_period_that_was_measured_is_measured_anew_after_a_change() -> None:
+    found = order((0, 0))
+    for k in range(1, 70):
+        sort(found, [(k, 25 * k)])
+    assert found.is_period_measured
+    sort(found, [(70 + k, 1725 + 50 * (k + 1)) for k in range(8)])
+    assert (found.is_period_measured, found.period_ticks) == (False, 50.0)
 
 
 def test_the_period_is_compared_after_64_and_4096_samples() -> None:
@@ -536,7 +563,7 @@ def test_the_length_of_a_packet_has_one_byte_up_to_255(count: int, head: str) ->
     made = packets.packet(b"\x55" * count)
     assert made.hex().startswith(head + "55")
     assert made.endswith(b"\x03")
-    assert packets.PacketDecoder().feed(made) == packets.Found([b"\x55" * count], 0)
+    assert packets.PacketDecoder().feed(made) == packets.Found([b"\x55" * count], skipped=0)
 
 
 @pytest.mark.parametrize("count", [0, 513])

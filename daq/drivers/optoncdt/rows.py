@@ -191,7 +191,7 @@ class RowOrder:
         assert self.last is not None
         counter, ticks = self.last.tolist()
         if self._origin is None:
-            self._origin, self._comparisons = (counter, ticks), 0
+            self._origin = counter, ticks
             return
         counts = (counter - self._origin[0]) % optoncdt.COUNTER_WRAP
         passed = (ticks - self._origin[1]) % optoncdt.TIMESTAMP_WRAP

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import binascii
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 SHORT, LONG, END = 0x02, 0x03, 0x03
 MAX_PAYLOAD = 512
@@ -35,8 +35,8 @@ class Found:
         skipped: number of bytes outside intact packets.
     """
 
-    payloads: list[bytes] = field(default_factory=list[bytes])
-    skipped: int = 0
+    payloads: list[bytes]
+    skipped: int
 
 
 class PacketDecoder:
