@@ -204,6 +204,15 @@ def test_angles_continue_over_the_jump_of_the_sensor_and_begin_around_the_locks(
     assert thetas(line.feed(RX, sweeps(2, [(30000, 0), (60000, 0)]), S)) == pytest.approx([30000 * step, 60000 * step])
 
 
+@pytest.mark.parametrize("code", [10, 32_000, 33_000, 65_500])
+def test_the_first_angle_is_within_half_a_turn_of_the_lock(code: int) -> None:
+    (batch,) = pipeline().feed(RX, sweeps(0, [(code, code)]), S)
+    assert isinstance(batch, Batch)
+    step = 2 * math.pi / 65536
+    assert batch.columns["theta3_rad"] == pytest.approx([step * (code if code < 32_768 else code - 65_536)])
+    assert batch.columns["theta4_rad"] == pytest.approx([step * code])
+
+
 def test_a_packet_on_air_again_gives_no_samples_and_is_no_loss() -> None:
     line = pipeline()
     first, second = sweeps(0, [(1, 1)] * 4), sweeps(4, [(2, 2)] * 4)
@@ -300,6 +309,13 @@ def test_a_beacon_that_the_host_switches_off_is_no_fault_and_its_next_state_is_a
     line.feed(RX, packet(0x31, bytes.fromhex("beac") + UTC_S.to_bytes(4, "big"), 0x1234), UTC_S * S)
     assert kinds(line.feed(RX, status(UTC_S * S), UTC_S * S)) == ["reply"]
     assert kinds(line.feed(RX, status(0, is_on=False), UTC_S * S)) == ["fault"]
+
+
+def test_an_answer_of_another_node_is_not_taken() -> None:
+    line = pipeline()
+    answer = packet(0x31, struct.pack(">HBII", 0xBEAD, 1, UTC_S, 0), 308)
+    assert kinds(line.feed(RX, answer, UTC_S * S)) == ["foreign"]
+    assert kinds(line.feed(RX, status(UTC_S * S), UTC_S * S)) == ["reply"]
 
 
 def test_packets_of_other_nodes_are_counted_and_reported_once() -> None:

@@ -240,12 +240,23 @@ def test_an_expired_watchdog_is_an_emergency_only_of_a_driven_rotor(firmware: st
 
 def test_a_restart_is_seen_in_state_and_position() -> None:
     pipeline = OdrivePipeline("drive", axis())
-    pipeline.feed(RX, text(beat(), estimates(300.0, 2.0)), 0)
-    assert "restart" in kinds(pipeline.feed(RX, text(beat(state=0)), MS))
+    began_ns = 1_700_000_000_000_000_000
+    pipeline.feed(RX, text(beat(), estimates(300.0, 2.0)), began_ns)
+    assert "restart" in kinds(pipeline.feed(RX, text(beat(state=0)), began_ns + MS))
     assert pipeline.restarted
-    assert kinds(pipeline.feed(RX, text(estimates(301.9, 2.0)), 1000 * MS)) == []
+    assert kinds(pipeline.feed(RX, text(estimates(301.9, 2.0)), began_ns + 1000 * MS)) == []
     assert not pipeline.restarted
-    assert kinds(pipeline.feed(RX, text(estimates(0.0, 0.0)), 1010 * MS)) == ["restart"]
+    assert kinds(pipeline.feed(RX, text(estimates(0.0, 0.0)), began_ns + 1010 * MS)) == ["restart"]
+
+
+def test_a_position_may_return_as_far_as_the_rotor_turns_in_that_time() -> None:
+    for position, found in (
+        (293.1, []),
+        (292.9, ["restart"]),
+    ):  # 1 s and 5 turns more than the motion of 1 s at 1 turn/s
+        pipeline = OdrivePipeline("drive", axis())
+        pipeline.feed(RX, text(beat(), estimates(300.0, 1.0)), 0)
+        assert kinds(pipeline.feed(RX, text(estimates(position, -0.5)), 1000 * MS)) == found
 
 
 def test_a_command_of_another_node_is_a_fault() -> None:
@@ -258,6 +269,14 @@ def test_a_command_of_another_node_is_a_fault() -> None:
     assert kinds(pipeline.feed(RX, text(other), 3 * MS)) == [], "once in a second"
     assert kinds(pipeline.feed(RX, text(other), 1100 * MS)) == ["fault"]
     assert rows(pipeline.feed(RX, text(estimates(0.0, 0.0)), 1101 * MS))[0][1] == 120.0, "the set-point is this host's"
+
+
+@pytest.mark.parametrize("command", [wire.CONTROLLER_MODE, 0x0E, 0x0F, wire.CLEAR_ERRORS])
+def test_other_commands_of_the_host_leave_the_set_point(command: int) -> None:
+    pipeline = OdrivePipeline("drive", axis())
+    pipeline.feed(TX, text(wire.set_velocity(1, 3.0)), 0)
+    pipeline.feed(TX, text(CanFrame(1 << 5 | command, struct.pack("<ff", 5.0, 0.0))), MS)
+    assert rows(pipeline.feed(RX, text(estimates(0.0, 0.0)), 2 * MS)) == [(0.0, 180.0, 0)]
 
 
 def test_a_session_that_only_receives_takes_the_set_point_from_the_bus() -> None:

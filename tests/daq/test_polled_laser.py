@@ -191,6 +191,15 @@ def test_a_request_without_an_answer_is_a_lost_sample_reported_once() -> None:
     assert line.losses["unasked"] == 1
 
 
+def test_times_increase_also_if_the_host_s_clock_was_set_back() -> None:
+    line = pipeline()
+    line.feed(TX, b"M1\r", 1000 * MS)
+    found = line.feed(RX, b"M1,+01.0000\r", 1002 * MS)
+    line.feed(TX, b"M1\r", 500 * MS)
+    found += line.feed(RX, b"M1,+01.0000\r", 502 * MS)
+    assert [time_ns for time_ns, _ in samples(found)] == [1001 * MS, 1001 * MS + 1]
+
+
 def test_a_log_may_begin_between_a_request_and_its_answer() -> None:
     """A recording begins while the sensor is polled. Answers to requests that another program sends are unasked."""
     line = pipeline()

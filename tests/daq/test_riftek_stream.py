@@ -248,6 +248,35 @@ def test_results_that_wait_are_bounded_and_handed_out_when_the_host_speaks(monke
     assert len(batch.time_ns) == len(reads[slept][0]) // 4
 
 
+def after_a_loss(lost: int, every_s: float, count: int) -> tuple[RiftekPipeline, Reads]:
+    """A pipeline after 3 s without a loss, and reads of the results after `lost` lost ones."""
+    pipe = pipeline(laser())
+    feed(pipe, reads_of(np.arange(3000), 1000.0))
+    numbers = np.arange(3000 + lost, 3000 + lost + round(count * every_s * 1000))
+    parts = np.split(numbers, count)
+    return pipe, [
+        (wire.results(codes_of(part), part), START_NS + 1_000_000 * int(part[-1] + 1) + 200_000) for part in parts
+    ]
+
+
+@pytest.mark.parametrize(("late", "lost"), [(1, 0), (2, 40), (3, 40)])
+def test_a_single_late_read_at_the_end_is_no_loss_and_two_are(late: int, lost: int) -> None:
+    pipe, reads = after_a_loss(40, 0.02, late)
+    assert feed(pipe, reads) == ([], [])
+    items = pipe.feed(RX, b"", reads[-1][1] + 1)
+    assert sum(len(item.time_ns) for item in items if isinstance(item, Batch)) == 20 * late
+    assert pipe.losses["samples"] == lost
+
+
+def test_late_results_wait_for_a_quarter_of_a_second_and_four_reads() -> None:
+    for every_s, waiting in ((0.13, 3), (0.02, 13)):
+        pipe, reads = after_a_loss(40, every_s, waiting + 1)
+        assert feed(pipe, reads[:-1]) == ([], [])
+        batches, (gap,) = feed(pipe, reads[-1:])
+        assert sum(len(batch.time_ns) for batch in batches) == round((waiting + 1) * every_s * 1000)
+        assert gap.facts["samples"] == pipe.losses["samples"] == 40
+
+
 def test_a_garbled_stretch_counts_by_its_bytes_as_far_as_time_has_room() -> None:
     reads = reads_of(np.arange(6000), 1000.0)
     data, host_ns = reads[200]

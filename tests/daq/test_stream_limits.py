@@ -651,6 +651,25 @@ def test_identities_that_no_laser_has_are_refused(identity: dict[str, object]) -
     laser(words=["DIST", "COUNTER", "TIMESTAMP_LO", "TIMESTAMP_HI", *map(str, range(28))])
 
 
+@pytest.mark.parametrize(
+    ("odd", "words"),
+    [
+        ([900], "a sample whose counter and timestamp do not fit was dropped"),
+        ([900, 1900], "2 samples whose counter and timestamp do not fit were dropped"),
+    ],
+)
+def test_samples_that_do_not_fit_are_dropped_and_reported(odd: list[int], words: str) -> None:
+    pipeline = laser()
+    counters = np.arange(1, 9)
+    ticks = 25 * counters
+    data = laser_bytes(np.insert(counters, 4, odd), np.insert(ticks, 4, odd))
+    found = pipeline.feed(RX, data, START_NS)
+    (event,) = events(found)
+    assert (event.kind, event.text, event.facts) == ("damage", words, {"damaged": len(odd)})
+    assert values(found, "counter") == counters.tolist()
+    assert pipeline.losses["damaged"] == len(odd)
+
+
 def test_bytes_skipped_within_a_stream_are_counted_and_those_before_it_are_not() -> None:
     counters = np.arange(1, 6)
     data = laser_bytes(counters, 25 * counters)

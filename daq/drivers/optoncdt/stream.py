@@ -276,7 +276,7 @@ def _scaling(device: str, found: object) -> distance_words.Scaling:
 def _words(device: str, found: object) -> tuple[str, ...]:
     """Return the output words of an identity; raise DeviceError if they are invalid."""
     items = cast("Sequence[object]", found) if isinstance(found, list | tuple) else ()
-    if 0 < len(items) <= sensor_answers.MAX_WORDS:
+    if len(items) <= sensor_answers.MAX_WORDS:
         words = tuple(word for word in items if isinstance(word, str))
         if len({*words}) == len(items) and {*DEFAULT_WORDS} <= {*words}:
             return words
