@@ -237,7 +237,7 @@ def test_another_period_is_found_in_eight_rows() -> None:
     assert not found.is_period_measured
 
 
-def test_a_period_that_was_measured_is_measured_anew_after_a_change() -> None:
+def test_a_changed_period_is_measured_again() -> None:
     found = order((0, 0))
     for k in range(1, 70):
         sort(found, [(k, 25 * k)])
