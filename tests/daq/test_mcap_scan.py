@@ -446,10 +446,13 @@ def test_an_attachment_without_a_crc_is_one_of_other_writers(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("key", ["name", "media", "content"])
-@pytest.mark.parametrize("by", [-1, 1, 2**20])
-def test_an_attachment_whose_lengths_contradict_each_other_is_damaged(tmp_path: Path, key: str, by: int) -> None:
+@pytest.mark.parametrize("by", [-1, 1, 20, 2**20])
+@pytest.mark.parametrize("after", [b"", bytes(99)])
+def test_an_attachment_whose_lengths_contradict_each_other_is_damaged(
+    tmp_path: Path, key: str, by: int, after: bytes
+) -> None:
     with pytest.raises(DamageError, match="lengths"):
-        check_attachment(on_disk(tmp_path, attachment(**{key: by}) + bytes(99)), 0, False)
+        check_attachment(on_disk(tmp_path, attachment(**{key: by}) + after), 0, False)
 
 
 def test_an_attachment_has_its_kind_and_its_least_length(tmp_path: Path) -> None:

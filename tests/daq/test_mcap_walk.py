@@ -404,7 +404,15 @@ def test_a_file_without_a_summary_or_without_an_end_of_the_data_is_refused(tmp_p
             summarised(tmp_path, summary, body=body)
     path = tmp_path / "a.mcap"
     whole = BODY + ending(BODY, summary, None)
-    for data in (whole[:-1], whole[:-1] + b"\0", whole + b"\0", whole[: -len(MAGIC) - 29] + bytes(29) + MAGIC):
+    footer = len(whole) - len(MAGIC) - 29
+    for data in (
+        whole[:-1],
+        whole[:-1] + b"\0",
+        whole + b"\0",
+        whole[:footer] + bytes(29) + MAGIC,
+        whole[:footer] + b"\x03" + whole[footer + 1 :],
+        whole[: footer + 1] + b"\x15" + whole[footer + 2 :],
+    ):
         path.write_bytes(data)
         with pytest.raises(DamageError, match="no footer at the end"):
             read_summary(FileBytes(path), THEIRS)
