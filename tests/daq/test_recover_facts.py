@@ -76,6 +76,14 @@ def test_an_unknown_number_of_missing_messages_is_unknown(tmp_path: Path) -> Non
         assert new.metadata["recovered"]["missing_places"] == str(len(found.missing)) == "2"
 
 
+def test_damage_without_a_missing_message_counts_as_none(tmp_path: Path) -> None:
+    """The chunk is intact; the indexes after it do not list all of its messages."""
+    found = recover(made(tmp_path, chunk(INNER, 10, 30), indexes(c1=[(10, 0), (30, 70)])))
+    assert [place.messages for place in found.missing] == [0]
+    with open_log(found.path) as new:
+        assert new.metadata["recovered"]["missing_messages"] == "0"
+
+
 def test_facts_of_the_old_log_keep_their_texts(tmp_path: Path) -> None:
     facts = (
         metadata("run", {"crc32": "mine", "a": "b"})
