@@ -27,7 +27,7 @@ def test_the_click_halts_the_drive_and_the_run_ends_whole(page: Page, tmp_path: 
     late_s: list[float] = []
     while len(late_s) < ATTEMPTS and not any(late < WITHIN_S for late in late_s):
         late_s.append(_from_click_to_command_s(page, tmp_path / str(len(late_s))))
-    assert 0 < min(late_s) < WITHIN_S, late_s
+    assert 0 <= min(late_s) < WITHIN_S, late_s  # 0: rig time was stopped from the click to the command
 
 
 def _shows_that_it_ended(page: Page, log: str) -> None:
