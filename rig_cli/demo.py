@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from daq.acquisition.session import Session
+from daq.drivers.contract import AnswersOnRequest
+from daq.drivers.devices import devices_of
 from daq.errors import OperatorStop
 from daq.guided_test_kinds import point_of
 from daq.guided_tests.controls import Controls
@@ -39,6 +41,7 @@ if TYPE_CHECKING:
     from live.session_page import LivePage
 
 _BEFORE_POINTS = ("ring-down-x", "ring-down-y", "spin-down", "run-up")
+_UNPOLLED_SCALE = 8.0  # rig s per wall s if no device is polled
 _USUAL_S = {"start": 4.0, "run-up": 6.0, "identify": 6.0, "report": 8.0}  # s, weights of the bar; others 2 or 7
 
 
@@ -58,14 +61,20 @@ class Simulation:
 
     Attributes:
         seed: of its noise, clocks and calibration errors; None: the rig file's.
-        time_scale: seconds of rig time per wall second.
+        time_scale: seconds of rig time per wall second; None: see `_timed`.
         fault: "KEY=VALUE@STEP" texts.
         link: wires of the virtual rig: pty, tcp or auto.
         lockstep: whether it runs on simulated time.
     """
 
     seed: int | None = None
-    time_scale: TimeScale = 8.0
+    time_scale: Annotated[
+        TimeScale | None,
+        Parameter(
+            help="seconds of rig time per wall second, 0.01 to 100; without it 8, or --lockstep if devices are polled",
+            show_default=False,
+        ),
+    ] = None
     fault: Annotated[list[str] | None, Parameter(help="KEY=VALUE@STEP: change the truth just before a step")] = None
     link: str = "auto"
     lockstep: Annotated[
@@ -76,7 +85,7 @@ class Simulation:
     @property
     def rate(self) -> float:
         """Seconds of rig time per second of the session's clock."""
-        return 1.0 if self.lockstep else self.time_scale
+        return 1.0 if self.lockstep or self.time_scale is None else self.time_scale
 
 
 _DEFAULT = Simulation()
@@ -93,9 +102,11 @@ def demo(
 ) -> int:
     """A whole campaign on the virtual rig: tests recorded through the real drivers, identified, validated, reported."""
     started = time.monotonic()
-    seed, rate = simulation.seed, simulation.rate
+    seed = simulation.seed
     changes = list(settings or []) + ([f"virtual.seed={seed}"] if seed is not None else [])
     loaded = load_rig(rig, settings=changes)
+    simulation = _timed(simulation, loaded)
+    rate = simulation.rate
     faults = [_parse_fault(text, loaded) for text in simulation.fault or []]
     folder = _fresh(out)
     steps = _steps(loaded)
@@ -120,8 +131,34 @@ def demo(
 def _far_end(name: str, rig: Rig, changes: list[str], simulation: Simulation) -> VirtualRigProcess | LockstepRig:
     if simulation.lockstep:
         return LockstepRig(rig)
-    scale = simulation.time_scale
+    scale = simulation.rate
     return VirtualRigProcess(name, changes, scale, simulation.link, waits=scale > 1)
+
+
+def _timed(simulation: Simulation, rig: Rig) -> Simulation:
+    """Return the simulation with its time: that of the options, or the fastest that suits the devices of the rig.
+
+    Devices that answer only on request are sampled when the host's request arrives. If rig time runs faster, requests
+    become rarer in rig time, and the time they take to arrive longer. Such a rig therefore runs on simulated time; in
+    real time if wires were chosen.
+    """
+    if simulation.lockstep:
+        return simulation
+    polled = [name for name, device in devices_of(rig.devices).items() if isinstance(device.driver, AnswersOnRequest)]
+    if not polled:
+        return simulation if simulation.time_scale else replace(simulation, time_scale=_UNPOLLED_SCALE)
+    names = ", ".join(polled)
+    if simulation.time_scale is None and simulation.link == "auto":
+        notify(f"simulated time, since {names} must be polled (--time-scale 1: real time)")
+        return replace(simulation, lockstep=True)
+    if simulation.time_scale is None:
+        return replace(simulation, time_scale=1.0)
+    if simulation.time_scale > 1:
+        notify(
+            f"warning: {names} must be polled, and this host does not poll {simulation.time_scale:g} times as fast: "
+            "samples will be missing or late. Leave --time-scale out, or use 1"
+        )
+    return simulation
 
 
 def _steps(rig: Rig) -> list[str]:
